@@ -1,0 +1,158 @@
+"""Everything that can be set: one typed tree whose defaults need no file, overlaid by YAML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+
+def limits(default: Any, low: float | None = None, high: float | None = None, help: str = "") -> Any:
+    """A dataclass field with bounds (inclusive) that the loader enforces, and a line of help."""
+    return field(default=default, metadata={"low": low, "high": high, "help": help})
+
+
+def one_of(default: str, *choices: str, help: str = "") -> Any:
+    """A dataclass field that takes one of a few words."""
+    return field(default=default, metadata={"choices": choices, "help": help})
+
+
+def text(default: str, help: str) -> Any:
+    """A dataclass field of free text."""
+    return field(default=default, metadata={"help": help})
+
+
+@dataclass(frozen=True)
+class SourceConfig:
+    """Where frames come from."""
+
+    uri: str = text("", "folder of a dataset or of images, or a video file")
+    camera: str = text("", "camera file (YAML); empty: what the recording carries or is known for")
+    rate_hz: float = limits(0.0, 0.0, 1000.0, "play at this rate; 0: the recording's own stamps")
+    wait_s: float = limits(0.0, 0.0, 3600.0, "release the first frame no sooner than this after ready")
+    loop: bool = field(default=False, metadata={"help": "start again at the end, with continuing stamps"})
+
+
+@dataclass(frozen=True)
+class BusConfig:
+    """The Zenoh session that joins the processes, and that subscribers join."""
+
+    endpoint: str = text("tcp/127.0.0.1:7447", "the supervisor's listener; loopback unless you open it")
+    retry_ms: int = limits(200, 10, 60_000, "pause between attempts to reach the listener")
+
+
+@dataclass(frozen=True)
+class TrackingConfig:
+    """The ORB tracker (paper, section 4: N_f = 1000)."""
+
+    features: int = limits(1000, 100, 5000, "ORB features kept a frame")
+    levels: int = limits(8, 1, 12, "pyramid levels")
+    scale_factor: float = limits(1.2, 1.05, 2.0, "ratio between pyramid levels")
+    fast_threshold: int = limits(10, 1, 100, "FAST threshold of the detector")
+    min_matches: int = limits(25, 6, 1000, "fewer inliers than this and tracking is lost")
+    lost_after_s: float = limits(0.3, 0.0, 10.0, "failing for longer than this is `lost`")
+    keyframe_ratio: float = limits(0.8, 0.1, 1.0, "new keyframe when matches fall below this share")
+    keyframe_min_s: float = limits(0.15, 0.0, 10.0, "least time between keyframes")
+    keyframe_max_s: float = limits(1.5, 0.0, 60.0, "a moving camera makes a keyframe at least this often")
+    max_local_points: int = limits(2000, 100, 50_000, "map points projected into a frame at most")
+    max_keyframes: int = limits(600, 10, 100_000, "keyframes the local map keeps at most")
+
+
+@dataclass(frozen=True)
+class DepthConfig:
+    """The ONNX worker."""
+
+    model: str = text("", "ONNX file, registry name, or nested:RELATIVE,METRIC; empty: no depth")
+    providers: tuple[str, ...] = field(
+        default=("CPUExecutionProvider",),
+        metadata={"help": "onnxruntime execution providers, tried in this order"},
+    )
+    threads: int = limits(1, 1, 64, "threads of one inference")
+
+
+@dataclass(frozen=True)
+class ScaleConfig:
+    """The log-domain scale filter (paper, section 3.3; noise model measured, see docs)."""
+
+    min_parallax_deg: float = limits(1.0, 0.1, 45.0, "triangulation angle a point needs to count")
+    min_points: int = limits(15, 3, 1000, "points an observation needs")
+    point_sigma: float = limits(0.25, 0.01, 2.0, "log-depth noise sigma_0 of one network pixel")
+    frame_sigma: float = limits(0.12, 0.0, 2.0, "log-scale noise that a keyframe's pixels share")
+    correlation_s: float = limits(1.5, 0.0, 60.0, "time constant of that noise's autocorrelation")
+    drift_per_sqrt_m: float = limits(0.003, 0.0, 1.0, "random walk of log scale with distance")
+    drift_per_sqrt_s: float = limits(0.0005, 0.0, 1.0, "random walk of log scale with time")
+    initial_sigma: float = limits(0.3, 0.01, 2.0, "log-scale sigma before any observation")
+    gate_sigmas: float = limits(4.0, 1.0, 100.0, "an innovation beyond this is an outlier")
+
+
+@dataclass(frozen=True)
+class BackendConfig:
+    """Window bundle adjustment (paper, appendix A: W = 12, 15 iterations, Huber 0.05 / 0.1 m)."""
+
+    window: int = limits(12, 2, 100, "keyframes optimised together")
+    fixed: int = limits(8, 1, 100, "older covisible keyframes held fixed beside them")
+    iterations: int = limits(15, 1, 100, "Levenberg-Marquardt iterations at most")
+    observations: int = limits(300, 20, 2000, "observations a keyframe at most")
+    pixel_sigma: float = limits(1.0, 0.1, 10.0, "keypoint noise at pyramid level 0 (pixels)")
+    huber_pixels: float = limits(2.45, 0.1, 50.0, "Huber threshold of a reprojection, in sigmas")
+    depth_sigma: float = limits(0.2, 0.01, 2.0, "relative noise of one network depth")
+    huber_depth_m: float = limits(0.1, 0.001, 10.0, "Huber threshold of a depth residual (m)")
+
+
+@dataclass(frozen=True)
+class LockstepConfig:
+    """Fixed lags, in frames, with which lockstep applies asynchronous results."""
+
+    depth_lag: int = limits(3, 0, 1000, "frames from a keyframe to its depth and scale")
+    map_lag: int = limits(6, 0, 1000, "frames from a keyframe to the backend's map update")
+
+
+@dataclass(frozen=True)
+class SupervisorConfig:
+    """Starting, watching, restarting."""
+
+    stop_s: float = limits(2.0, 0.1, 60.0, "time processes get to end before they are killed")
+    start_s: float = limits(60.0, 1.0, 600.0, "time processes get to become ready")
+    max_restarts: int = limits(5, 0, 1000, "restarts of one process within the window before giving up")
+    window_s: float = limits(60.0, 1.0, 86_400.0, "that window")
+    backoff_s: float = limits(0.2, 0.0, 60.0, "pause before the first restart; doubles with each")
+
+
+@dataclass(frozen=True)
+class FramesConfig:
+    """Names and placement of published frames (REP 103 and 105)."""
+
+    map: str = text("map", "global frame")
+    odom: str = text("odom", "continuous frame")
+    base_link: str = text("base_link", "the robot (x forward, y left, z up)")
+    camera: str = text("camera_optical", "the camera (x right, y down, z forward)")
+    base_from_camera_xyz: tuple[float, ...] = field(
+        default=(0.0, 0.0, 0.0), metadata={"length": 3, "help": "camera position on the robot (m)"}
+    )
+    base_from_camera_xyzw: tuple[float, ...] = field(
+        default=(-0.5, 0.5, -0.5, 0.5),
+        metadata={"length": 4, "help": "camera orientation on the robot (quaternion x y z w)"},
+    )
+
+
+@dataclass(frozen=True)
+class Config:
+    """The whole tree; what `prism-edge config` prints and every worker is given."""
+
+    robot: str = text("robot", "name in the topics: prism/<robot>/...")
+    mode: str = one_of("realtime", "realtime", "lockstep", help="newest frame wins, or nothing is dropped")
+    seed: int = limits(0, 0, 2**31 - 1, "seed of everything random")
+    ablate: tuple[str, ...] = field(default=(), metadata={"help": "parts switched off: kalman, wls, depth_factor"})
+    source: SourceConfig = field(default_factory=SourceConfig)
+    bus: BusConfig = field(default_factory=BusConfig)
+    frames: FramesConfig = field(default_factory=FramesConfig)
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
+    depth: DepthConfig = field(default_factory=DepthConfig)
+    scale: ScaleConfig = field(default_factory=ScaleConfig)
+    backend: BackendConfig = field(default_factory=BackendConfig)
+    lockstep: LockstepConfig = field(default_factory=LockstepConfig)
+    supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
+
+    @property
+    def is_lockstep(self) -> bool:
+        """Whether frames wait for everybody."""
+        return self.mode == "lockstep"

@@ -1,0 +1,45 @@
+"""Errors that a user can cause: each ends in one clear line and a documented exit code."""
+
+from __future__ import annotations
+
+
+class PrismError(Exception):
+    """Root of every error that the command line turns into one line."""
+
+    exit_code = 1
+
+
+class ConfigError(PrismError):
+    """A configuration or camera file, or a command-line setting, is wrong."""
+
+    exit_code = 3
+
+
+class SourceError(PrismError):
+    """A camera, video or recording can't be opened or read."""
+
+    exit_code = 4
+
+
+class ModelError(PrismError):
+    """A depth model can't be loaded or breaks its contract."""
+
+    exit_code = 5
+
+
+class BusError(PrismError):
+    """The Zenoh session can't be opened, or a message on it is malformed."""
+
+    exit_code = 6
+
+
+class SupervisionError(PrismError):
+    """A process kept dying and was given up."""
+
+    exit_code = 7
+
+
+class EvaluationError(PrismError):
+    """A run can't be scored, or broke a rule of the evaluation."""
+
+    exit_code = 8

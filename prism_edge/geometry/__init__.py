@@ -1,0 +1,1 @@
+"""Rigid-body poses, camera models and alignment; pure numpy."""

@@ -1,0 +1,131 @@
+"""Camera models: pinhole with radial-tangential distortion, and the equidistant fisheye (Kannala-Brandt)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from prism_edge.errors import ConfigError
+from prism_edge.geometry.poses import Array
+
+PINHOLE = "pinhole"
+FISHEYE = "fisheye"
+_COEFFICIENTS = {PINHOLE: (0, 4, 5, 8), FISHEYE: (0, 4)}
+_ITERATIONS = 20
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Intrinsics of one camera, in pixels of its image; pixel centres are at whole numbers.
+
+    ``distortion`` is k1 k2 p1 p2 [k3 [k4 k5 k6]] (pinhole, OpenCV's order) or k1..k4 (fisheye); empty
+    means none. Raises ConfigError where a value can't be a camera's.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    model: str = PINHOLE
+    distortion: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.model not in _COEFFICIENTS:
+            raise ConfigError(f"camera model {self.model!r} is not known (use pinhole or fisheye)")
+        if len(self.distortion) not in _COEFFICIENTS[self.model]:
+            raise ConfigError(
+                f"a {self.model} camera takes {' or '.join(map(str, _COEFFICIENTS[self.model]))} "
+                f"distortion coefficients, not {len(self.distortion)}"
+            )
+        values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
+        if not np.all(np.isfinite(values)):
+            raise ConfigError("camera intrinsics must be finite numbers")
+        if self.fx <= 0 or self.fy <= 0:
+            raise ConfigError(f"focal lengths must be above zero (fx {self.fx:g}, fy {self.fy:g})")
+        if self.width <= 0 or self.height <= 0:
+            raise ConfigError(f"image size must be above zero ({self.width}x{self.height})")
+
+    @property
+    def matrix(self) -> Array:
+        """The 3x3 calibration matrix K."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    @property
+    def is_ideal(self) -> bool:
+        """True where pixels need no undistortion (a fisheye always does)."""
+        return self.model == PINHOLE and not any(self.distortion)
+
+    def ideal(self) -> Camera:
+        """The distortion-free pinhole with the same matrix: what undistorted pixels are seen by."""
+        return replace(self, model=PINHOLE, distortion=())
+
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera after its image was resized; scaling is about the image's outer corner."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=(self.cx + 0.5) * sx - 0.5,
+            cy=(self.cy + 0.5) * sy - 0.5,
+        )
+
+    def project(self, points: Array) -> Array:
+        """Pixels (n, 2) of points (n, 3) in the camera frame; z must be above zero."""
+        x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+        xy = self._distort(np.stack([x, y], axis=1))
+        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def normalise(self, pixels: Array) -> Array:
+        """Undistorted image coordinates (n, 2) on the plane z = 1 of pixels (n, 2)."""
+        return self._undistort((np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy))
+
+    def undistort_pixels(self, pixels: Array) -> Array:
+        """Pixels (n, 2) where :meth:`ideal` would have seen the same rays."""
+        if self.is_ideal:
+            return np.asarray(pixels, dtype=np.float64)
+        return self.normalise(pixels) * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def _distort(self, xy: Array) -> Array:
+        if not any(self.distortion) and self.model == PINHOLE:
+            return xy
+        if self.model == FISHEYE:
+            r = np.hypot(xy[:, 0], xy[:, 1])
+            theta = np.arctan(r)
+            scale = np.where(r > 1e-9, self._fisheye_radius(theta) / np.maximum(r, 1e-9), 1.0)
+            return xy * scale[:, None]
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+        x, y = xy[:, 0], xy[:, 1]
+        r2 = x * x + y * y
+        radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
+        dx = 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+        dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        return np.stack([x * radial + dx, y * radial + dy], axis=1)
+
+    def _fisheye_radius(self, theta: Array) -> Array:
+        k = (*self.distortion, *(0.0,) * (4 - len(self.distortion)))
+        t2 = theta * theta
+        return theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
+
+    def _undistort(self, distorted: Array) -> Array:
+        if self.is_ideal:
+            return distorted
+        if self.model == FISHEYE:
+            radius = np.hypot(distorted[:, 0], distorted[:, 1])
+            theta = radius.copy()
+            for _ in range(_ITERATIONS):
+                step = 1e-6
+                slope = (self._fisheye_radius(theta + step) - self._fisheye_radius(theta - step)) / (2 * step)
+                theta -= (self._fisheye_radius(theta) - radius) / np.where(np.abs(slope) > 1e-6, slope, 1.0)
+                theta = np.clip(theta, 0.0, 1.55)  # tan() of a right angle is no point of a plane
+            scale = np.where(radius > 1e-9, np.tan(theta) / np.maximum(radius, 1e-9), 1.0)
+            return distorted * scale[:, None]
+        xy = distorted.copy()
+        for _ in range(_ITERATIONS):
+            xy += distorted - self._distort(xy)
+        return xy

@@ -1,0 +1,228 @@
+"""What the processes tell each other: plain dataclasses of numbers and arrays, checked when unpacked.
+
+Lengths and poses inside the system are in *map units*: the unit that the first keyframes gave the map.
+``Scale.log_scale`` turns them into metres, once, where poses are published (docs/ARCHITECTURE.md).
+Poses are ``world_from_camera`` in the map's own world frame, camera frames optical.
+Arrays carry their dtype and shape in the field's metadata; -1 stands for a free dimension.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+I64 = NDArray[np.int64]
+U8 = NDArray[np.uint8]
+Bool = NDArray[np.bool_]
+
+# Tracking state in two words: odometry, map.
+INITIALISING, OK, DEGRADED, LOST = "initialising", "ok", "degraded", "lost"
+BUILDING, LOOP_CLOSED, RELOCALISING, LOCALISED = "building", "loop_closed", "relocalising", "localised"
+
+
+def array(dtype: str, *shape: int) -> Any:
+    """A required array field; the codec refuses any other dtype or shape."""
+    return field(metadata={"dtype": dtype, "shape": shape})
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One camera image.
+
+    ``image`` is the luma plane followed by the two half-size chroma planes (I420, (3 height / 2, width),
+    width and height even) when ``colour``, else the grey image (height, width). ``camera`` describes
+    the *valid* area; where an image of odd size was padded, the camera's own size is the smaller one.
+    """
+
+    index: int  # in the recording, from 0; gaps are frames that were dropped or unreadable
+    stamp_ns: int  # capture, in the recording's or camera's own clock
+    captured_monotonic_ns: int  # scheduled release on this host's monotonic clock
+    colour: bool
+    duplicate: bool  # an exact copy of its predecessor
+    camera_model: str
+    camera: F64 = array("float64", -1)  # width height fx fy cx cy, then distortion
+    image: U8 = array("uint8", -1, -1)
+
+
+@dataclass(frozen=True)
+class EndOfStream:
+    """The source has nothing more to give; totals of what it saw."""
+
+    frames: int  # in the recording
+    released: int
+    duplicates: int
+    unreadable: int
+    last_index: int  # of the last frame released, -1 for none
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What became of one frame: the tick of lockstep, and what ties a frame to its keyframe."""
+
+    index: int
+    stamp_ns: int
+    captured_monotonic_ns: int
+    odometry: str  # initialising | ok | degraded | lost
+    published: bool  # whether a pose went out
+    keyframe: int  # created from this frame, -1 for none
+    reference: int  # keyframe that carries this frame, -1 for none
+    reference_from_camera: F64 = array("float64", 4, 4)  # map units
+    dropped: int = 0  # frames so far that the tracker never got
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A keyframe as the tracker made it, with what it observed; images travel apart.
+
+    Observations are the keypoints that have a map point. New points are those this keyframe created;
+    ``moved`` lists points whose identity was fused into another one.
+    """
+
+    id: int
+    index: int  # frame index
+    stamp_ns: int
+    epoch: int  # grows when tracking starts a new map
+    camera_model: str
+    camera: F64 = array("float64", -1)
+    world_from_camera: F64 = array("float64", 4, 4)
+    pixels: F32 = array("float32", -1, 2)  # of all keypoints, undistorted
+    octaves: U8 = array("uint8", -1)
+    descriptors: U8 = array("uint8", -1, 32)
+    points: I64 = array("int64", -1)  # map point of each keypoint, -1 for none
+    depths: F32 = array("float32", -1)  # of that point along z, map units; 0 for none
+    parallax_deg: F32 = array("float32", -1)  # largest angle it was triangulated at; 0: seeded from depth
+    new_points: I64 = array("int64", -1)
+    new_positions: F64 = array("float64", -1, 3)
+    late_points: I64 = array("int64", -1)  # observations added to earlier keyframes: point,
+    late_keyframes: I64 = array("int64", -1)  # ... keyframe,
+    late_keypoints: I64 = array("int64", -1)  # ... keypoint of it
+    culled_points: I64 = array("int64", -1)
+    culled_keyframes: I64 = array("int64", -1)
+    fused_from: I64 = array("int64", -1)
+    fused_into: I64 = array("int64", -1)
+    travelled: float = 0.0  # path length since start, map units
+
+
+@dataclass(frozen=True)
+class KeyframeImage:
+    """The picture of a keyframe, for the depth worker alone."""
+
+    keyframe: int
+    index: int
+    stamp_ns: int
+    epoch: int
+    colour: bool
+    camera_model: str
+    camera: F64 = array("float64", -1)
+    image: U8 = array("uint8", -1, -1)  # as in Frame
+
+
+@dataclass(frozen=True)
+class Depth:
+    """Metric depth of one keyframe at the network's resolution.
+
+    Pixel (x, y) of the camera image is at (x * image_to_depth[0] + image_to_depth[1],
+    y * image_to_depth[2] + image_to_depth[3]) of the map. Invalid pixels are 0.
+    """
+
+    keyframe: int
+    index: int
+    stamp_ns: int
+    epoch: int
+    model: str
+    bias_sigma: float  # log-scale error of this network that never averages out
+    inference_ms: float
+    valid: bool  # False: the network's answer was unusable (all NaN, constant, ...)
+    reason: str  # why not
+    image_to_depth: F64 = array("float64", 4)
+    depth: F32 = array("float32", -1, -1)  # metres
+    confidence: F32 = array("float32", -1, -1)  # (0, 0) where the network gives none
+    descriptor: F32 = array("float32", -1)  # empty where the network gives none
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Metres per map unit, in the log domain."""
+
+    keyframe: int
+    index: int
+    stamp_ns: int
+    epoch: int
+    log_scale: float
+    sigma: float  # of log_scale, the network's bias included
+    filter_sigma: float  # without that bias
+    observation: float  # this keyframe's own log scale, nan for none
+    observation_sigma: float
+    points: int  # that it rests on
+    accepted: bool
+
+
+@dataclass(frozen=True)
+class Gate:
+    """DSUG's weight of each keypoint of a keyframe (a constant 1 where the gate is off)."""
+
+    keyframe: int
+    index: int
+    epoch: int
+    weights: F32 = array("float32", -1)
+
+
+@dataclass(frozen=True)
+class MapUpdate:
+    """What the backend changed: a delta, idempotent, ordered by (epoch, sequence)."""
+
+    epoch: int
+    sequence: int
+    based_on: int  # newest keyframe the solve knew
+    index: int  # its frame
+    loop_closed: bool
+    solve_ms: float
+    keyframes: I64 = array("int64", -1)
+    poses: F64 = array("float64", -1, 4, 4)
+    points: I64 = array("int64", -1)
+    positions: F64 = array("float64", -1, 3)
+    dropped_keyframes: I64 = array("int64", -1)  # observations found to be wrong: keyframe,
+    dropped_points: I64 = array("int64", -1)  # ... point
+    covariance: F64 = array("float64", 6, 6)  # of based_on in the window: translation first, body frame
+
+
+@dataclass(frozen=True)
+class MapSnapshot:
+    """The backend's whole map (answer to a query)."""
+
+    epoch: int
+    sequence: int
+    settled: bool  # the stream has ended and the last optimisation is in
+    log_scale: float
+    keyframes: I64 = array("int64", -1)
+    indices: I64 = array("int64", -1)
+    poses: F64 = array("float64", -1, 4, 4)
+    points: I64 = array("int64", -1)
+    positions: F64 = array("float64", -1, 3)
+
+
+@dataclass(frozen=True)
+class Acknowledged:
+    """Lockstep: a process has done frame ``index`` and all the work that it caused."""
+
+    process: str
+    index: int
+
+
+@dataclass(frozen=True)
+class Heartbeat:
+    """A process is alive: what it is doing, since when, and how long that may take."""
+
+    process: str
+    pid: int
+    monotonic_ns: int
+    state: str  # starting | ready | working | idle | ended
+    activity: str
+    activity_since_ns: int
+    budget_s: float
+    values: dict[str, str]  # shown on `health`: queue length, inference time, provider, ...

@@ -1,0 +1,28 @@
+"""Everyone who runs: one table of processes. Each is ``main(config, bus)`` in a module of workers/."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Process:
+    """One supervised process."""
+
+    name: str
+    module: str
+    does: str
+    required: bool  # poses can't flow without it
+    nice: int = 0  # the camera-rate path runs before the solvers
+
+
+PROCESSES = {
+    process.name: process
+    for process in (
+        Process("source", "prism_edge.workers.source", "reads the camera or recording", required=True),
+        Process("tracker", "prism_edge.workers.tracker", "tracks the camera, owns the local map", required=True),
+        Process("depth", "prism_edge.workers.depth", "runs the depth network on keyframes", required=False, nice=5),
+        Process("scale", "prism_edge.workers.scale", "estimates metres per map unit", required=False, nice=5),
+        Process("backend", "prism_edge.workers.backend", "optimises the map", required=False, nice=5),
+    )
+}

@@ -1,0 +1,55 @@
+"""Everything that is said: one table of topics."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from prism_edge import messages as m
+
+
+@dataclass(frozen=True)
+class Topic:
+    """One key on the bus. ``type`` is a dataclass of messages.py, or the name of a ROS 2 type (CDR)."""
+
+    key: str  # below prism/<robot>/
+    type: type | str
+    rate_hz: float  # nominal; 0: on events
+    producer: str
+    consumers: tuple[str, ...] = ()
+    reliable: bool = True  # False: the newest wins, congestion drops
+    priority: str = "data"  # zenoh priority, lower case
+    latched: bool = False  # the last value answers a get() on the same key
+
+    @property
+    def internal(self) -> bool:
+        """Whether it stays between our own processes."""
+        return self.key.startswith("internal/")
+
+
+EVERYBODY = ("source", "tracker", "depth", "scale", "backend")
+
+TOPICS = {
+    topic.key.removeprefix("internal/"): topic
+    for topic in (
+        # public: what robots subscribe to
+        Topic("odom", "nav_msgs/msg/Odometry", 30, "tracker", priority="real_time"),
+        Topic("pose", "geometry_msgs/msg/PoseWithCovarianceStamped", 30, "tracker", priority="real_time"),
+        Topic("tf", "tf2_msgs/msg/TFMessage", 30, "tracker", priority="interactive_high", latched=True),
+        Topic("scale", "prism_edge_msgs/msg/Scale", 2, "scale", latched=True),
+        Topic("status", "diagnostic_msgs/msg/DiagnosticArray", 2, "tracker", latched=True),
+        Topic("health", "diagnostic_msgs/msg/DiagnosticArray", 1, "supervisor", priority="data_low", latched=True),
+        # internal: what the five tell each other
+        Topic("internal/frame", m.Frame, 30, "source", ("tracker",), reliable=False),
+        Topic("internal/end", m.EndOfStream, 0, "source", ("tracker", "depth", "scale", "backend"), latched=True),
+        Topic("internal/tracked", m.Tracked, 30, "tracker", ("depth", "scale", "backend")),
+        Topic("internal/keyframe", m.Keyframe, 3, "tracker", ("scale", "backend")),
+        Topic("internal/keyframe_image", m.KeyframeImage, 3, "tracker", ("depth",), reliable=False),
+        Topic("internal/depth", m.Depth, 3, "depth", ("tracker", "scale", "backend")),
+        Topic("internal/gate", m.Gate, 3, "scale", ("backend",)),
+        Topic("internal/log_scale", m.Scale, 3, "scale", ("tracker", "backend")),
+        Topic("internal/map_update", m.MapUpdate, 3, "backend", ("tracker",)),
+        Topic("internal/map_snapshot", m.MapSnapshot, 0, "backend", ("tracker",), latched=True),
+        Topic("internal/acknowledged", m.Acknowledged, 30, "all", ("source",)),
+        Topic("internal/heartbeat", m.Heartbeat, 2, "all", ("supervisor",), priority="data_low"),
+    )
+}
