@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from prism_edge.config import Config
+
 
 @dataclass(frozen=True)
 class Process:
@@ -26,3 +28,14 @@ PROCESSES = {
         Process("backend", "prism_edge.workers.backend", "optimises the map", required=False, nice=5),
     )
 }
+
+# What the depth network's metres are for: without a network they have no work.
+_NEED_DEPTH = ("depth", "scale")
+
+
+def processes_for(config: Config) -> tuple[Process, ...]:
+    """The processes that a run with this configuration consists of, in the order they start.
+
+    depth and scale run only where a depth model is configured.
+    """
+    return tuple(p for p in PROCESSES.values() if config.depth.model or p.name not in _NEED_DEPTH)

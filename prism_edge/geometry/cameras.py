@@ -58,6 +58,23 @@ class Camera:
         """True where pixels need no undistortion (a fisheye always does)."""
         return self.model == PINHOLE and not any(self.distortion)
 
+    def to_array(self) -> Array:
+        """Width, height, fx, fy, cx, cy, then the distortion: what messages carry beside the model's name."""
+        return np.array(
+            [self.width, self.height, self.fx, self.fy, self.cx, self.cy, *self.distortion], dtype=np.float64
+        )
+
+    @classmethod
+    def from_array(cls, model: str, values: Array) -> Camera:
+        """The camera that :meth:`to_array` described; raises ConfigError where no camera is like that."""
+        numbers = [float(v) for v in values]
+        if len(numbers) < 6 or not np.all(np.isfinite(numbers)):
+            raise ConfigError("a camera takes at least six finite numbers: width height fx fy cx cy")
+        width, height, fx, fy, cx, cy, *distortion = numbers
+        if not (width.is_integer() and height.is_integer()):
+            raise ConfigError(f"image size must be whole numbers ({width:g}x{height:g})")
+        return cls(int(width), int(height), fx, fy, cx, cy, model, tuple(distortion))
+
     def ideal(self) -> Camera:
         """The distortion-free pinhole with the same matrix: what undistorted pixels are seen by."""
         return replace(self, model=PINHOLE, distortion=())
