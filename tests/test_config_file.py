@@ -1,0 +1,214 @@
+"""Reading and writing configuration: round trips, and one clear line for every mistake."""
+
+from __future__ import annotations
+
+import typing
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.config import Config
+from prism_edge.config_file import Leaf, dump, leaves, load
+from prism_edge.errors import ConfigError
+
+LEAVES = {leaf.key: leaf for leaf in leaves()}
+TEXT = st.text(st.characters(exclude_characters="\0"), max_size=12)
+
+
+def value_of(kind: Any, leaf: Leaf) -> st.SearchStrategy[Any]:
+    if typing.get_origin(kind) is tuple:
+        item, size = value_of(typing.get_args(kind)[0], leaf), leaf.length
+        return st.lists(item, min_size=size or 0, max_size=4 if size is None else size).map(tuple)
+    if kind is str:
+        return st.sampled_from(leaf.choices) if leaf.choices else TEXT
+    if kind is int:
+        return st.integers(leaf.low, leaf.high)
+    if kind is float:
+        return st.floats(leaf.low, leaf.high, allow_nan=False, allow_infinity=False)
+    return st.booleans()
+
+
+ANY_SETTINGS = st.fixed_dictionaries({}, optional={k: value_of(leaf.type, leaf) for k, leaf in LEAVES.items()})
+YAML_LIKE = st.text(alphabet="abc:[]{}-,&*!|>'\"%@#?<\n\t 01.", max_size=60)
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "robot.yaml"
+
+
+def refusal(file: Path, content: str | bytes) -> str:
+    """The one line that loading ``content`` ends in."""
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(ConfigError) as caught:
+        load(file)
+    line = str(caught.value)
+    assert "\n" not in line
+    assert line.startswith(str(file))
+    return line[len(str(file)) :]
+
+
+@given(ANY_SETTINGS, st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_dump_loads_back_equal(
+    tmp_path_factory: pytest.TempPathFactory, given: dict[str, Any], explain: bool
+) -> None:
+    config = load(None, given)
+    file = tmp_path_factory.getbasetemp() / "round_trip.yaml"
+    file.write_text(dump(config, explain))
+    assert load(file) == config
+
+
+@given(ANY_SETTINGS)
+@settings(max_examples=30, deadline=None)
+def test_dump_is_yaml_to_another_reader(given: dict[str, Any]) -> None:
+    config = load(None, given)
+    tree = yaml.safe_load(dump(config))
+    assert tree["seed"] == config.seed
+    assert tree["robot"] == config.robot
+    assert tree["frames"]["base_from_camera_xyz"] == pytest.approx(config.frames.base_from_camera_xyz)
+    assert tree["depth"]["providers"] == list(config.depth.providers)
+
+
+@given(st.binary(max_size=60) | YAML_LIKE.map(str.encode))
+@settings(max_examples=150, deadline=None)
+def test_any_bytes_are_a_configuration_or_one_line(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    file = tmp_path_factory.getbasetemp() / "fuzz.yaml"
+    file.write_bytes(content)
+    message = ""
+    try:
+        load(file)
+    except ConfigError as error:
+        message = str(error)
+    assert "\n" not in message
+
+
+def test_no_file_is_the_defaults(file: Path) -> None:
+    assert load() == Config()
+    file.write_text("# nothing but a comment\n")
+    assert load(file) == Config()
+    file.write_text("source:\n  # uri: x\nrobot: r1\n")
+    assert load(file) == Config(robot="r1")
+
+
+def test_overrides_win_over_the_file(file: Path) -> None:
+    file.write_text("robot: a\nseed: 1\nsource:\n  uri: here\n")
+    config = load(file, {"robot": "b", "source.rate_hz": 5, "depth.providers": ["X", "Y"]})
+    assert (config.robot, config.seed, config.source.uri) == ("b", 1, "here")
+    assert (config.source.rate_hz, config.depth.providers) == (5.0, ("X", "Y"))
+
+
+def test_overrides_given_as_text_are_read_as_the_key_asks() -> None:
+    given = {"robot": "5", "seed": "5", "source.loop": "true", "ablate": "[wls]", "scale.frame_sigma": "1e-8"}
+    config = load(None, given)
+    assert (config.robot, config.seed, config.source.loop, config.ablate) == ("5", 5, True, ("wls",))
+    assert config.scale.frame_sigma == 1e-8
+
+
+@pytest.mark.parametrize("written", ["1e-8", "+1E-8", "1.0e-8", ".00000001"])
+def test_scientific_notation_is_a_number(file: Path, written: str) -> None:
+    file.write_text(f"scale:\n  frame_sigma: {written}\n")
+    assert load(file).scale.frame_sigma == 1e-8
+
+
+def test_unknown_key_names_line_and_nearest(file: Path) -> None:
+    line = refusal(file, "robot: a\ntracking:\n  featurs: 500\n")
+    assert line == ":3: tracking.featurs: unknown key; did you mean tracking.features?"
+
+
+def test_right_name_in_the_wrong_section_is_pointed_out(file: Path) -> None:
+    assert "did you mean source.rate_hz?" in refusal(file, "rate_hz: 3\n")
+
+
+def test_dotted_key_in_a_file_is_explained(file: Path) -> None:
+    assert "indent" in refusal(file, "source.uri: x\n")
+
+
+def test_duplicate_key_names_both_lines(file: Path) -> None:
+    assert refusal(file, "seed: 1\nrobot: a\nseed: 2\n") == ":3: seed: set twice; the first is on line 1"
+
+
+@pytest.mark.parametrize(
+    ("content", "line", "words"),
+    [
+        ("source:\n  rate_hz: fast\n", 2, ["source.rate_hz", "a number", "'fast'"]),
+        ("source:\n  rate_hz: '5'\n", 2, ["source.rate_hz", "a number", "text '5'"]),
+        ("source:\n  rate_hz: -1\n", 2, ["source.rate_hz", "from 0 to 1000", "-1"]),
+        ("source:\n  rate_hz: .nan\n", 2, ["source.rate_hz", ".nan"]),
+        ("source:\n  rate_hz: .inf\n", 2, ["source.rate_hz", ".inf"]),
+        ("source:\n  rate_hz: 1e999\n", 2, ["source.rate_hz", "1e999"]),
+        ("source:\n  loop: 1\n", 2, ["source.loop", "true or false"]),
+        ("source: 5\n", 1, ["source", "got 5"]),
+        ("depth:\n  threads: true\n", 2, ["depth.threads", "a whole number", "true"]),
+        ("depth:\n  threads: 1.5\n", 2, ["depth.threads", "a whole number", "1.5"]),
+        ("depth:\n  threads: 010\n", 2, ["depth.threads", "a whole number", "010"]),
+        ("depth:\n  threads: [1]\n", 2, ["depth.threads", "a list of 1"]),
+        ("depth:\n  providers: CUDA\n", 2, ["depth.providers", "a list of words", "'CUDA'"]),
+        ("seed: 1e-8\n", 1, ["seed", "a whole number", "1e-8"]),
+        ("seed: " + "9" * 5000 + "\n", 1, ["seed", "a whole number", "..."]),
+        ("robot: 5\n", 1, ["robot", "text", "got 5"]),
+        ("robot:\n", 1, ["robot", "text", "nothing"]),
+        ("robot: !!python/object/apply:os.getcwd []\n", 1, ["robot", "text"]),
+        ("robot: !!python/name:os.system ''\n", 1, ["robot", "text"]),
+        ('robot: "a\\0b"\n', 1, ["robot", "text"]),
+        ("mode: fast\n", 1, ["mode", "realtime or lockstep", "'fast'"]),
+        ("frames:\n  base_from_camera_xyz: [1, 2]\n", 2, ["a list of 3 numbers", "a list of 2"]),
+        ("frames:\n  base_from_camera_xyz: [1, 2, x]\n", 2, ["a list of 3 numbers", "'x'"]),
+        ("- robot\n", 1, ["key: value"]),
+        ("just words\n", 1, ["key: value"]),
+        ("? [a]\n: 3\n", 1, ["unknown key"]),
+        ("robot: a\nsource: [\n", 3, ["not valid YAML"]),
+        ("robot: a\n--- \nrobot: b\n", 2, ["not valid YAML"]),
+        ("robot: *missing\n", 1, ["not valid YAML"]),
+        ("source: &a\n  uri: *a\n", 2, ["source.uri", "a mapping"]),
+    ],
+)
+def test_mistake_names_file_line_and_key(file: Path, content: str, line: int, words: list[str]) -> None:
+    refused = refusal(file, content)
+    assert refused.startswith(f":{line}: ")
+    assert all(word in refused for word in words), refused
+
+
+@pytest.mark.parametrize("content", [b"\x01", b"\xff\xfe\xff", b"robot: \xff\n", b"[" * 9000, b"#" * (2**20 + 1)])
+def test_file_that_is_no_yaml_is_one_line(file: Path, content: bytes) -> None:
+    assert refusal(file, content)
+
+
+def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"missing\.yaml: can't read"):
+        load(tmp_path / "missing.yaml")
+    with pytest.raises(ConfigError, match="can't read"):
+        load(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("sorce.uri", "x", "did you mean source.uri?"),
+        ("source", "x", "section"),
+        ("seed", 5.0, "a whole number"),
+        ("seed", True, "a whole number"),
+        ("seed", "", "nothing"),
+        ("seed", "'5'", "text '5'"),
+        ("seed", "[", "not valid YAML"),
+        ("robot", 5, "text"),
+        ("robot", None, "text"),
+        ("robot", "a\0b", "text"),
+        ("source.rate_hz", float("nan"), "a number"),
+        ("source.rate_hz", 10**400, "a number"),
+        ("frames.base_from_camera_xyz", (1.0, 2.0), "3 numbers"),
+        ("depth.providers", "CPU", "a list of words"),
+    ],
+)
+def test_wrong_override_is_one_line(key: str, value: Any, words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(None, {key: value})
+    assert str(caught.value).startswith(f"setting {key}")
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
