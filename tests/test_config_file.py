@@ -32,7 +32,8 @@ def value_of(kind: Any, leaf: Leaf) -> st.SearchStrategy[Any]:
     return st.booleans()
 
 
-ANY_SETTINGS = st.fixed_dictionaries({}, optional={k: value_of(leaf.type, leaf) for k, leaf in LEAVES.items()})
+OPTIONS = {key: value_of(leaf.type, leaf) for key, leaf in LEAVES.items()}
+ANY_SETTINGS = st.fixed_dictionaries({}, optional=OPTIONS)
 YAML_LIKE = st.text(alphabet="abc:[]{}-,&*!|>'\"%@#?<\n\t 01.", max_size=60)
 
 
@@ -175,7 +176,10 @@ def test_mistake_names_file_line_and_key(file: Path, content: str, line: int, wo
     assert all(word in refused for word in words), refused
 
 
-@pytest.mark.parametrize("content", [b"\x01", b"\xff\xfe\xff", b"robot: \xff\n", b"[" * 9000, b"#" * (2**20 + 1)])
+NO_YAML = [b"\x01", b"\xff\xfe\xff", b"robot: \xff\n", b"[" * 9000, b"#" * (2**20 + 1)]
+
+
+@pytest.mark.parametrize("content", NO_YAML)
 def test_file_that_is_no_yaml_is_one_line(file: Path, content: bytes) -> None:
     assert refusal(file, content)
 
