@@ -1,0 +1,1 @@
+"""Running a recording through the daemon and scoring what a subscriber got."""

@@ -1,0 +1,128 @@
+"""Stamped camera poses: reading and writing TUM files, and pairing two trajectories by time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.errors import EvaluationError
+from prism_edge.geometry.poses import Array, from_rt, quaternion_from_rotation, rotation_from_quaternion
+
+NS = 1_000_000_000
+_LATEST_S = Decimal(2**63 - 1) / NS
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """``stamps`` (n,) int64 nanoseconds that never decrease, ``poses`` (n, 4, 4) world_from_camera."""
+
+    stamps: NDArray[np.int64]
+    poses: Array
+
+    def __post_init__(self) -> None:
+        if self.stamps.ndim != 1 or self.poses.shape != (len(self.stamps), 4, 4):
+            raise ValueError(f"{self.stamps.shape} stamps don't go with {self.poses.shape} poses")
+        if np.any(np.diff(self.stamps) < 0):
+            raise ValueError("the stamps of a trajectory must not go backwards")
+
+    @classmethod
+    def of(cls, rows: Iterable[tuple[int, Array]]) -> Trajectory:
+        """A trajectory of (stamp_ns, pose) in any order; equal stamps keep theirs."""
+        ordered = sorted(rows, key=lambda row: row[0])
+        stamps = np.array([stamp for stamp, _ in ordered], dtype=np.int64)
+        return cls(stamps, np.array([pose for _, pose in ordered], dtype=np.float64).reshape(-1, 4, 4))
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    @property
+    def positions(self) -> Array:
+        """Camera centres (n, 3)."""
+        return self.poses[:, :3, 3]
+
+    def at(self, rows: NDArray[np.intp]) -> Trajectory:
+        """The poses of some rows (an index array or a mask)."""
+        return Trajectory(self.stamps[rows], self.poses[rows])
+
+
+def associate(
+    first: Trajectory, second: Trajectory, tolerance_s: float = 0.01
+) -> tuple[Trajectory, Trajectory]:
+    """The poses of both that belong together: each of the shorter one with the nearest of the longer.
+
+    Pairs further apart in time than ``tolerance_s`` are left out, as evo's nearest-time
+    synchronisation does; the two results have equal length, possibly zero.
+    """
+    if len(second) < len(first):
+        paired_second, paired_first = associate(second, first, tolerance_s)
+        return paired_first, paired_second
+    if not len(first):
+        return first, second.at(np.zeros(0, dtype=np.intp))
+    nearest = nearest_rows(second.stamps, first.stamps)
+    gap = np.abs(second.stamps[nearest] - first.stamps)
+    near = np.flatnonzero(gap <= round(tolerance_s * NS))
+    return first.at(near), second.at(nearest[near])
+
+
+def nearest_rows(stamps: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Row of ``stamps`` (n,), ascending, not empty, that is nearest to each of ``wanted``; else the earlier."""
+    after = np.minimum(np.searchsorted(stamps, wanted, side="right"), len(stamps) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(np.abs(stamps[after] - wanted) < np.abs(stamps[before] - wanted), after, before)
+
+
+def tum_line(stamp_ns: int, pose: Array) -> str:
+    """One line of a TUM file: stamp (s, nine decimals, exact), position, quaternion x y z w."""
+    sign, stamp = ("-", -stamp_ns) if stamp_ns < 0 else ("", stamp_ns)
+    numbers = (*pose[:3, 3], *quaternion_from_rotation(pose[:3, :3]))
+    return f"{sign}{stamp // NS}.{stamp % NS:09d} " + " ".join(f"{value:.9f}" for value in numbers) + "\n"
+
+
+def write_tum(path: Path, trajectory: Trajectory) -> None:
+    """Writes a TUM file. Raises EvaluationError where it can't be written."""
+    lines = [tum_line(int(s), p) for s, p in zip(trajectory.stamps, trajectory.poses, strict=True)]
+    try:
+        path.write_text("".join(lines))
+    except OSError as error:
+        raise EvaluationError(f"{path}: {error.strerror}: can't write the trajectory") from error
+
+
+def read_tum(path: Path) -> Trajectory:
+    """Reads a TUM file (``stamp tx ty tz qx qy qz qw``, # begins a comment), sorted by stamp.
+
+    Raises EvaluationError naming file and line where a line is no pose, and where there is none at all.
+    """
+    try:
+        text = path.read_text()
+    except OSError as error:
+        raise EvaluationError(f"{path}: {error.strerror}: can't read the trajectory") from error
+    except UnicodeDecodeError as error:
+        raise EvaluationError(f"{path}: not a text file: a TUM trajectory is expected") from error
+    rows = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        fields = line.split("#", 1)[0].split()
+        if fields:
+            rows.append(_parse(fields, f"{path}:{number}"))
+    if not rows:
+        raise EvaluationError(f"{path}: holds no poses (TUM lines are 'stamp tx ty tz qx qy qz qw')")
+    return Trajectory.of(rows)
+
+
+def _parse(fields: list[str], where: str) -> tuple[int, Array]:
+    if len(fields) != 8:
+        raise EvaluationError(f"{where}: {len(fields)} fields, but a TUM line has 8 (stamp, xyz, xyzw)")
+    try:
+        stamp = Decimal(fields[0])  # a float has no nanoseconds left at today's dates
+        values = np.array([float(field) for field in fields[1:]])
+    except (InvalidOperation, ValueError):
+        raise EvaluationError(f"{where}: a field is not a number") from None
+    if not stamp.is_finite() or abs(stamp) > _LATEST_S or not np.isfinite(values).all():
+        raise EvaluationError(f"{where}: a number is not finite or out of range")
+    if not 1e-6 < np.linalg.norm(values[3:]) < 1e6:
+        raise EvaluationError(f"{where}: the quaternion has no direction")
+    return round(stamp * NS), from_rt(rotation_from_quaternion(values[3:]), values[:3])

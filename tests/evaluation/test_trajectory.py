@@ -1,0 +1,143 @@
+"""TUM files against evo's reader, bad lines, and pairing by time against evo's synchronisation."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from evo.core import sync
+from evo.core.trajectory import PoseTrajectory3D
+from evo.tools import file_interface
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from prism_edge.errors import EvaluationError
+from prism_edge.evaluation.trajectory import NS, Trajectory, associate, read_tum, tum_line, write_tum
+
+
+def random_trajectory(stamps_ns: np.ndarray, seed: int = 0) -> Trajectory:
+    rng = np.random.default_rng(seed)
+    poses = np.tile(np.eye(4), (len(stamps_ns), 1, 1))
+    poses[:, :3, :3] = Rotation.random(len(stamps_ns), rng=rng).as_matrix()
+    poses[:, :3, 3] = rng.normal(size=(len(stamps_ns), 3)) * 5
+    return Trajectory(stamps_ns.astype(np.int64), poses)
+
+
+def test_written_files_mean_the_same_to_evo(tmp_path: Path) -> None:
+    ours = random_trajectory(1_700_000_000 * NS + np.arange(40) * 33_333_333)
+    write_tum(tmp_path / "a.tum", ours)
+    theirs = file_interface.read_tum_trajectory_file(tmp_path / "a.tum")
+    np.testing.assert_allclose(np.array(theirs.poses_se3), ours.poses, atol=2e-8)
+    np.testing.assert_allclose(theirs.timestamps, ours.stamps / NS, atol=1e-6)
+
+
+def test_files_written_by_evo_are_read(tmp_path: Path) -> None:
+    ours = random_trajectory(np.arange(40) * 100_000_000)
+    theirs = PoseTrajectory3D(poses_se3=list(ours.poses), timestamps=ours.stamps / NS)
+    file_interface.write_tum_trajectory_file(tmp_path / "b.tum", theirs)
+    back = read_tum(tmp_path / "b.tum")
+    np.testing.assert_array_equal(back.stamps, ours.stamps)
+    np.testing.assert_allclose(back.poses, ours.poses, atol=1e-12)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.integers(-(10**18), 4 * 10**18), min_size=1, max_size=8))
+def test_stamps_survive_to_the_nanosecond(stamps: list[int]) -> None:
+    ours = random_trajectory(np.array(sorted(stamps)))
+    with TemporaryDirectory() as folder:
+        write_tum(Path(folder) / "c.tum", ours)
+        back = read_tum(Path(folder) / "c.tum")
+    np.testing.assert_array_equal(back.stamps, ours.stamps)
+    np.testing.assert_allclose(back.poses, ours.poses, atol=1e-8)
+
+
+def test_comments_blank_lines_and_disorder_are_fine(tmp_path: Path) -> None:
+    file = tmp_path / "d.tum"
+    file.write_text("# truth\n\n2.5 1 2 3 0 0 0 2 # twice too long\n1e0 0 0 0 0 0 0 1\n")
+    back = read_tum(file)
+    assert back.stamps.tolist() == [NS, 5 * NS // 2]
+    np.testing.assert_array_equal(back.poses[1, :3, :3], np.eye(3))
+
+
+@pytest.mark.parametrize(
+    ("line", "reason"),
+    [
+        ("1 2 3", "3 fields"),
+        ("0 0 0 0 0 0 0 1 9", "9 fields"),
+        ("x 0 0 0 0 0 0 1", "not a number"),
+        ("0 0 0 zero 0 0 0 1", "not a number"),
+        ("0 0 nan 0 0 0 0 1", "not finite"),
+        ("inf 0 0 0 0 0 0 1", "not finite"),
+        ("1e30 0 0 0 0 0 0 1", "out of range"),
+        ("0 0 0 0 0 0 0 0", "quaternion"),
+    ],
+)
+def test_bad_lines_are_named(tmp_path: Path, line: str, reason: str) -> None:
+    file = tmp_path / "bad.tum"
+    file.write_text(f"0 0 0 0 0 0 0 1\n{line}\n")
+    with pytest.raises(EvaluationError, match=rf"bad\.tum:2: .*{reason}"):
+        read_tum(file)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.text(max_size=60))
+def test_any_text_is_read_or_refused(text: str) -> None:
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "any.tum"
+        file.write_bytes(text.encode("utf-8", "surrogatepass"))
+        with contextlib.suppress(EvaluationError):
+            assert len(read_tum(file)) > 0
+
+
+def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
+    (tmp_path / "empty.tum").write_text("# nothing\n")
+    (tmp_path / "binary.tum").write_bytes(b"\xff\xfe\x00\x80")
+    for name in ("empty.tum", "binary.tum", "absent.tum", "."):
+        with pytest.raises(EvaluationError):
+            read_tum(tmp_path / name)
+    with pytest.raises(EvaluationError):
+        write_tum(tmp_path / "absent" / "x.tum", random_trajectory(np.arange(2)))
+
+
+def test_negative_stamps_are_written_as_such() -> None:
+    assert tum_line(-1_500_000_000, np.eye(4)).startswith("-1.500000000 0.000000000 ")
+
+
+def test_a_trajectory_goes_forward() -> None:
+    with pytest.raises(ValueError, match="backwards"):
+        random_trajectory(np.array([2, 1]))
+    with pytest.raises(ValueError, match="don't go with"):
+        Trajectory(np.arange(3), np.tile(np.eye(4), (2, 1, 1)))
+    assert len(Trajectory.of([])) == 0
+
+
+MILLISECONDS = st.lists(st.integers(0, 2000), min_size=1, max_size=25, unique=True).map(
+    lambda values: np.array(sorted(values))
+)
+
+
+@settings(max_examples=80, deadline=None)
+@given(MILLISECONDS, MILLISECONDS)
+def test_pairs_are_evos(first_ms: np.ndarray, second_ms: np.ndarray) -> None:
+    # an offset of 0.3 ms keeps differences off the tolerance and off ties, where rounding of floats decides
+    first = random_trajectory(first_ms * 1_000_000)
+    second = random_trajectory(second_ms * 1_000_000 + 300_000)
+    ours = associate(first, second, 0.01)
+    as_evo = [PoseTrajectory3D(poses_se3=list(t.poses), timestamps=t.stamps / NS) for t in (first, second)]
+    try:
+        theirs = sync.associate_trajectories(*as_evo, max_diff=0.01)
+    except sync.SyncException:
+        assert len(ours[0]) == len(ours[1]) == 0
+        return
+    for mine, his in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(mine.stamps / NS, his.timestamps, atol=1e-9)
+
+
+def test_nothing_pairs_with_nothing() -> None:
+    some, none = random_trajectory(np.arange(3) * NS), Trajectory.of([])
+    for first, second in ((some, none), (none, some)):
+        assert [len(t) for t in associate(first, second)] == [0, 0]
