@@ -1,0 +1,85 @@
+"""The interface of every source: recordings now, cameras alike."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.messages import U8
+
+# What a recording without stamps is taken to run at.
+DEFAULT_RATE_HZ = 30.0
+
+
+@dataclass(frozen=True)
+class Image:
+    """One image as it was read: grey (h, w) or BGR (h, w, 3)."""
+
+    index: int  # in the recording, from 0
+    stamp_ns: int  # capture, in the recording's or camera's own clock
+    pixels: U8
+
+
+@dataclass(frozen=True)
+class Unreadable:
+    """An image that should have been there: missing, truncated or no image at all."""
+
+    index: int
+    stamp_ns: int
+    reason: str  # names the file
+
+
+@dataclass(frozen=True)
+class Slot:
+    """Where in a recording the next image stands."""
+
+    index: int
+    stamp_ns: int
+
+
+class Source(ABC):
+    """A camera or recording: open, read until None, close; or a ``with`` block, which opens and closes.
+
+    ``name`` is one line that says what it is; ``camera_origin`` says which intrinsics ``camera`` holds
+    and where they are from. ``frame_count`` is None where nobody can know. ``period_ns`` is the usual
+    time between images. A ``live`` source stamps images itself, and its ``peek`` is always None.
+    """
+
+    name: str
+    camera: Camera
+    camera_origin: str
+    frame_count: int | None
+    period_ns: int
+    live: bool = False
+
+    @abstractmethod
+    def open(self) -> None:
+        """Make ready to read; raises SourceError, or ConfigError where the camera can't be this one's."""
+
+    @abstractmethod
+    def peek(self) -> Slot | None:
+        """The place of what :meth:`read` gives next, without decoding it; None at the end."""
+
+    @abstractmethod
+    def read(self) -> Image | Unreadable | None:
+        """The next image, or why there is none in its place; None at the end."""
+
+    @abstractmethod
+    def skip(self) -> None:
+        """Pass over what :meth:`read` would give next, as cheaply as can be."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give everything back; reading again takes another :meth:`open`."""
+
+    def __enter__(self) -> Self:
+        self.open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,19 @@
+"""A plain folder of images, in natural order of their names; a camera file must go with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from prism_edge.sources.base import DEFAULT_RATE_HZ
+from prism_edge.sources.image_file import SUFFIXES
+from prism_edge.sources.listing import Listing, files_in
+from prism_edge.sources.stamps import at_rate
+
+
+def find(folder: Path, rate_hz: float) -> Listing | None:
+    """The images in a folder, stamped at ``rate_hz`` (0: 30 Hz); None where there are none."""
+    images = tuple(path for path in files_in(folder) if path.suffix.lower() in SUFFIXES)
+    if not images:
+        return None
+    stamps = tuple(at_rate(i, rate_hz or DEFAULT_RATE_HZ) for i in range(len(images)))
+    return Listing("folder of images", images, stamps, lambda: None)

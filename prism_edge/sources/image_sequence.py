@@ -1,0 +1,60 @@
+"""A recording that is a list of image files: what every dataset folder comes down to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from prism_edge.errors import SourceError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
+from prism_edge.sources.checks import check_camera_size
+from prism_edge.sources.image_file import read_image
+from prism_edge.sources.listing import Listing
+from prism_edge.sources.stamps import usual_period_ns
+
+
+class ImageSequence(Source):
+    """Plays the images of a :class:`Listing`."""
+
+    def __init__(self, folder: Path, listing: Listing, camera: Camera, camera_origin: str) -> None:
+        self.name = f"{listing.layout} {folder} ({len(listing.files)} images)"
+        self.camera = camera
+        self.camera_origin = camera_origin
+        self.frame_count = len(listing.files)
+        self.period_ns = usual_period_ns(listing.stamps_ns, round(1e9 / DEFAULT_RATE_HZ))
+        self._folder = folder
+        self._listing = listing
+        self._next = 0
+
+    def open(self) -> None:
+        """Raises SourceError where no image can be read, ConfigError where they don't fit the camera."""
+        self._next = 0
+        reason = ""
+        for path in self._listing.files:
+            pixels = read_image(path)
+            if not isinstance(pixels, str):
+                check_camera_size(self.camera, self.camera_origin, pixels, str(path))
+                return
+            reason = reason or f" ({pixels})"
+        raise SourceError(f"{self._folder} has no readable image{reason}")
+
+    def peek(self) -> Slot | None:
+        if self._next >= len(self._listing.files):
+            return None
+        return Slot(self._next, self._listing.stamps_ns[self._next])
+
+    def read(self) -> Image | Unreadable | None:
+        slot = self.peek()
+        if slot is None:
+            return None
+        self._next += 1
+        pixels = read_image(self._listing.files[slot.index])
+        if isinstance(pixels, str):
+            return Unreadable(slot.index, slot.stamp_ns, pixels)
+        return Image(slot.index, slot.stamp_ns, pixels)
+
+    def skip(self) -> None:
+        self._next += 1
+
+    def close(self) -> None:
+        self._next = len(self._listing.files)

@@ -1,0 +1,66 @@
+"""KITTI odometry layout: image_2 (colour) or image_0 (grey), calib.txt, times.txt."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from prism_edge.errors import ConfigError, SourceError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.image_file import read_image
+from prism_edge.sources.listing import Intrinsics, Listing, files_in, lines_of
+from prism_edge.sources.stamps import parse_seconds
+
+_CAMERAS = {"image_2": "P2", "image_0": "P0"}  # colour before grey
+
+
+def find(folder: Path, rate_hz: float) -> Listing | None:
+    """The sequence in a folder, None where its layout is another; SourceError where tables are damaged."""
+    names = [name for name in _CAMERAS if (folder / name).is_dir()]
+    if not names or not (folder / "calib.txt").is_file():
+        return None
+    images = [path for path in files_in(folder / names[0]) if path.stem.isdecimal()]
+    times = read_times(folder / "times.txt")
+    if images and int(images[-1].stem) >= len(times):
+        table = folder / "times.txt"
+        raise SourceError(f"{table} has {len(times)} times, too few for image {images[-1].name}")
+    return Listing(
+        "KITTI odometry",
+        tuple(images),
+        tuple(times[int(path.stem)] for path in images),
+        lambda: _intrinsics(folder / "calib.txt", _CAMERAS[names[0]], images),
+    )
+
+
+def read_times(path: Path) -> list[int]:
+    """Stamps (ns), one a line; raises SourceError naming file and line."""
+    times = []
+    for number, words in lines_of(path):
+        try:
+            (word,) = words
+            times.append(parse_seconds(word))
+        except ValueError:
+            raise SourceError(f"{path} line {number}: expected one time in seconds") from None
+    return times
+
+
+def _intrinsics(path: Path, key: str, images: list[Path]) -> Intrinsics:
+    """Projection matrix P0 or P2 of calib.txt: the images are rectified, so it says all but their size."""
+    rows = {words[0].rstrip(":"): (number, words[1:]) for number, words in lines_of(path)}
+    if key not in rows:
+        raise ConfigError(f"{path} has no line {key}:")
+    number, words = rows[key]
+    try:
+        p = [float(word) for word in words]
+        if len(p) != 12:
+            raise ValueError
+    except ValueError:
+        raise ConfigError(f"{path} line {number}: expected 12 numbers after {key}:") from None
+    for image in images:
+        pixels = read_image(image)
+        if not isinstance(pixels, str):
+            height, width = pixels.shape[:2]
+            try:
+                return f"{key} of {path.name}", Camera(width, height, p[0], p[5], p[2], p[6])
+            except ConfigError as error:
+                raise ConfigError(f"{path} line {number}: {error}") from None
+    raise SourceError(f"{path.parent} has no readable image")

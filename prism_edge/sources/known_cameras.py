@@ -1,0 +1,55 @@
+"""Published intrinsics of datasets whose folders don't carry them (data)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from prism_edge.geometry.cameras import Camera
+
+
+def _vga(matrix: tuple[float, float, float, float], distortion: tuple[float, ...] = ()) -> Camera:
+    """A 640x480 camera of fx fy cx cy."""
+    return Camera(640, 480, *matrix, distortion=distortion)
+
+
+# A part of the folder's name -> what it is, and its colour camera. The first that fits counts.
+BY_NAME = {
+    "freiburg1": (
+        "TUM freiburg1 colour calibration",
+        _vga(
+            (517.306408, 516.469215, 318.643040, 255.313989),
+            (0.262383, -0.953104, -0.005358, 0.002628, 1.163314),
+        ),
+    ),
+    "freiburg2": (
+        "TUM freiburg2 colour calibration",
+        _vga(
+            (520.908620, 521.007327, 325.141442, 249.701764),
+            (0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
+        ),
+    ),
+    "freiburg3": ("TUM freiburg3 colour calibration", _vga((535.4, 539.2, 320.1, 247.6))),
+    "rgbd_bonn": (
+        "BONN colour calibration",
+        _vga(
+            (542.822841, 542.576870, 315.593520, 237.756098),
+            (0.039903, -0.099343, -0.000730, -0.000144, 0.0),
+        ),
+    ),
+    "tartanair": ("TartanAir intrinsics", _vga((320.0, 320.0, 320.0, 240.0))),
+    "new_tsukuba": ("New Tsukuba intrinsics", _vga((615.0, 615.0, 320.0, 240.0))),
+}
+SEVEN_SCENES = ("7-Scenes published intrinsics", _vga((525.0, 525.0, 320.0, 240.0)))
+ROS_DEFAULT = ("ROS default for a Kinect (a guess: give a camera file)", _vga((525.0, 525.0, 319.5, 239.5)))
+
+# A name further up says little about the folder.
+_LEVELS = 3
+
+
+def by_name(folder: Path) -> tuple[str, Camera] | None:
+    """What a folder's name, or else that of one of its two parents, is known for."""
+    for part in reversed(folder.absolute().parts[-_LEVELS:]):
+        for name, known in BY_NAME.items():
+            if name in part.lower():
+                return known
+    return None

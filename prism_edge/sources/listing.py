@@ -1,0 +1,57 @@
+"""What a dataset's folder holds, found without reading an image; each layout's reader makes one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from prism_edge.errors import SourceError
+from prism_edge.geometry.cameras import Camera
+
+Intrinsics = tuple[str, Camera]  # where they are from, and they
+
+
+@dataclass(frozen=True)
+class Listing:
+    """Images of one sequence in order, with their stamps."""
+
+    layout: str  # "TUM RGB-D"
+    files: tuple[Path, ...]
+    stamps_ns: tuple[int, ...]
+    # Asked only where no camera file speaks; None: the layout knows none.
+    intrinsics: Callable[[], Intrinsics | None]
+
+    def __post_init__(self) -> None:
+        if len(self.files) != len(self.stamps_ns):
+            raise ValueError("a listing takes a stamp for each file")
+
+
+def natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """Sort key under which image 2 comes before image 10."""
+    parts = [part for part in re.split(r"([0-9]+)", path.name) if part]
+    return [(0, int(part), "") if "0" <= part[0] <= "9" else (1, 0, part) for part in parts]
+
+
+def files_in(folder: Path) -> list[Path]:
+    """The files of a folder in natural order; raises SourceError where it can't be read."""
+    try:
+        return sorted((path for path in folder.iterdir() if path.is_file()), key=natural_order)
+    except OSError as error:
+        raise SourceError(f"{folder} can't be read ({error.strerror})") from None
+
+
+def lines_of(path: Path) -> list[tuple[int, list[str]]]:
+    """(line number, words) of a text table without its blank lines and # comments.
+
+    Raises SourceError where the file can't be read or is no text.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise SourceError(f"{path} can't be read ({error.strerror})") from None
+    except UnicodeDecodeError:
+        raise SourceError(f"{path} is no text file") from None
+    rows = ((number, line.split("#", 1)[0].split()) for number, line in enumerate(text.splitlines(), 1))
+    return [(number, words) for number, words in rows if words]

@@ -1,0 +1,67 @@
+"""A recording played again and again, as if it had no end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from prism_edge.sources.base import Image, Slot, Source, Unreadable
+
+
+class Looped(Source):
+    """Starts again at the end, with indices and stamps that go on: one period after the last."""
+
+    def __init__(self, source: Source) -> None:
+        self.name = f"{source.name}, looped"
+        self.camera = source.camera
+        self.camera_origin = source.camera_origin
+        self.frame_count = None
+        self.period_ns = source.period_ns
+        self._source = source
+        self._index_offset = self._stamp_offset = 0
+        self._passed: list[Slot] = []  # first, and newest so far, of this round
+
+    def open(self) -> None:
+        self._source.open()
+        self._index_offset = self._stamp_offset = 0
+        self._passed = []
+
+    def peek(self) -> Slot | None:
+        slot = self._source.peek()
+        if slot is None and self._passed:
+            self._rewind()
+            slot = self._source.peek()
+        return slot and Slot(slot.index + self._index_offset, slot.stamp_ns + self._stamp_offset)
+
+    def read(self) -> Image | Unreadable | None:
+        item = self._source.read()
+        if item is None and self._passed:
+            self._rewind()
+            item = self._source.read()
+        if item is None:
+            return None
+        self._pass(Slot(item.index, item.stamp_ns))
+        return replace(
+            item, index=item.index + self._index_offset, stamp_ns=item.stamp_ns + self._stamp_offset
+        )
+
+    def skip(self) -> None:
+        if self.peek() is not None:
+            slot = self._source.peek()
+            self._source.skip()
+            if slot is not None:
+                self._pass(slot)
+
+    def close(self) -> None:
+        self._source.close()
+
+    def _pass(self, slot: Slot) -> None:
+        first, newest = (self._passed or [slot, slot])[:2]
+        self._passed = [first, Slot(slot.index, max(slot.stamp_ns, newest.stamp_ns))]
+
+    def _rewind(self) -> None:
+        first, newest = self._passed
+        self._index_offset += newest.index - first.index + 1
+        self._stamp_offset += newest.stamp_ns - first.stamp_ns + self.period_ns
+        self._passed = []
+        self._source.close()
+        self._source.open()

@@ -1,0 +1,82 @@
+"""From a configuration to the source that it names, recognised by what is there."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+from prism_edge.config import SourceConfig
+from prism_edge.errors import ConfigError, SourceError
+from prism_edge.sources import image_folder, kitti, seven_scenes, tum
+from prism_edge.sources.base import Source
+from prism_edge.sources.camera_file import read_camera
+from prism_edge.sources.image_sequence import ImageSequence
+from prism_edge.sources.known_cameras import ROS_DEFAULT
+from prism_edge.sources.listing import Intrinsics, Listing
+from prism_edge.sources.loop import Looped
+from prism_edge.sources.video import Video
+
+log = logging.getLogger("prism_edge.sources")
+
+# Asked in this order: each dataset's marks are looked for before a folder is just one of images.
+LAYOUTS = (tum.find, seven_scenes.find, kitti.find, image_folder.find)
+CAMERA_FILES = ("camera.yaml", "camera_info.yaml")
+RECOGNISED = (
+    "TUM RGB-D or BONN (rgb.txt), 7-Scenes (frame-000000.color.png), KITTI odometry (image_0 or image_2, "
+    "calib.txt, times.txt), a folder of images, a video file"
+)
+
+
+def open_source(config: SourceConfig) -> Source:
+    """The source that a configuration names, still closed.
+
+    Raises SourceError where it is not there, not recognised, or empty, and ConfigError where its camera
+    file is wrong or missing.
+    """
+    if not config.uri:
+        raise SourceError(f"no source given; name one of: {RECOGNISED}")
+    path = Path(config.uri).expanduser()
+    if path.is_dir():
+        source = _folder(path, config)
+    elif path.is_file():
+        origin, camera = _camera_file(path.parent, config) or _no_camera(path)
+        source = Video(path, camera, origin)
+    elif path.exists():
+        raise SourceError(f"{path} is neither a folder nor a file; recognised are: {RECOGNISED}")
+    else:
+        raise SourceError(f"{path} does not exist; give one of: {RECOGNISED}")
+    return Looped(source) if config.loop else source
+
+
+def find_listing(folder: Path, rate_hz: float = 0.0) -> Listing:
+    """What a folder holds; raises SourceError where nothing is recognised or it lists no image."""
+    for find in LAYOUTS:
+        listing = find(folder, rate_hz)
+        if listing is not None:
+            if not listing.files:
+                raise SourceError(f"{folder} looks like {listing.layout} but holds no image")
+            return listing
+    raise SourceError(f"{folder} is empty or of no known kind; recognised are: {RECOGNISED}")
+
+
+def _folder(folder: Path, config: SourceConfig) -> Source:
+    listing = find_listing(folder, config.rate_hz)
+    known = _camera_file(folder, config) or listing.intrinsics()
+    origin, camera = known or _no_camera(folder)
+    if known is ROS_DEFAULT:
+        log.warning("%s names no known camera: taking the %s", folder, origin)
+    return ImageSequence(folder, listing, camera, origin)
+
+
+def _camera_file(folder: Path, config: SourceConfig) -> Intrinsics | None:
+    """The configured camera file, else one that lies with the images."""
+    if config.camera:
+        return config.camera, read_camera(Path(config.camera).expanduser())
+    for name in CAMERA_FILES:
+        if (folder / name).is_file():
+            return str(folder / name), read_camera(folder / name)
+    return None
+
+
+def _no_camera(path: Path) -> Intrinsics:
+    raise ConfigError(f"nothing says which camera took {path}; give a camera file (--camera FILE)")

@@ -1,0 +1,38 @@
+"""7-Scenes layout: frame-NNNNNN.color.png (or .jpg), .depth.png, .pose.txt; 30 images a second."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from prism_edge.errors import SourceError
+from prism_edge.sources.known_cameras import SEVEN_SCENES
+from prism_edge.sources.listing import Listing, files_in
+from prism_edge.sources.stamps import at_rate
+
+RATE_HZ = 30.0
+_COLOUR = re.compile(r"frame-(\d{6,})\.color\.(?:png|jpe?g)", re.IGNORECASE)
+
+
+def find(folder: Path, rate_hz: float) -> Listing | None:
+    """The sequence in a folder (or in the one seq-NN below it), None where its layout is another."""
+    found = _colour_images(folder)
+    if not found:
+        below = [path for path in sorted(folder.glob("seq-*")) if path.is_dir() and _colour_images(path)]
+        if len(below) > 1:
+            names = ", ".join(path.name for path in below)
+            raise SourceError(f"{folder} holds several sequences; name one of them: {names}")
+        if not below:
+            return None
+        found = _colour_images(below[0])
+    return Listing(
+        "7-Scenes",
+        tuple(path for _, path in found),
+        tuple(at_rate(number, RATE_HZ) for number, _ in found),
+        lambda: SEVEN_SCENES,
+    )
+
+
+def _colour_images(folder: Path) -> list[tuple[int, Path]]:
+    matches = ((_COLOUR.fullmatch(path.name), path) for path in files_in(folder))
+    return [(int(match[1]), path) for match, path in matches if match]

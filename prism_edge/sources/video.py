@@ -1,0 +1,89 @@
+"""A video file, through OpenCV's FFmpeg; a camera file must go with it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+
+from prism_edge.errors import SourceError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
+from prism_edge.sources.checks import check_camera_size
+
+
+class Video(Source):
+    """Plays a video file with the stamps of its container.
+
+    The stamp of a frame is known only once it has been taken from the container, so :meth:`peek`
+    expects it one period after the last; the item read has the true one.
+    """
+
+    def __init__(self, path: Path, camera: Camera, camera_origin: str) -> None:
+        self.name = f"video {path}"
+        self.camera = camera
+        self.camera_origin = camera_origin
+        self.frame_count = None
+        self.period_ns = round(1e9 / DEFAULT_RATE_HZ)
+        self._path = path
+        self._capture: cv2.VideoCapture | None = None
+        self._next = 0
+        self._last_stamp_ns = 0
+
+    def open(self) -> None:
+        """Raises SourceError where it is no video, ConfigError where its frames don't fit the camera."""
+        self._rewind()
+        item = self.read()
+        if not isinstance(item, Image):
+            raise SourceError(f"{self._path} has no readable frame")
+        check_camera_size(self.camera, self.camera_origin, item.pixels, str(self._path))
+        self._rewind()
+
+    def _rewind(self) -> None:
+        self.close()
+        # One decoding thread: the cores belong to the tracker. Intrinsics belong to frames as stored.
+        settings = [cv2.CAP_PROP_N_THREADS, 1, cv2.CAP_PROP_ORIENTATION_AUTO, 0]
+        capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG, settings)
+        if not capture.isOpened():
+            raise SourceError(f"{self._path} is no video that can be read (and no folder of images)")
+        rate, count = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if 0.1 <= rate <= 1000.0:
+            self.period_ns = round(1e9 / rate)
+        self.frame_count = count if count > 0 else None
+        self._capture = capture
+        self._next = 0
+        self._last_stamp_ns = -self.period_ns
+
+    def peek(self) -> Slot | None:
+        if self._capture is None:
+            return None
+        return Slot(self._next, self._last_stamp_ns + self.period_ns)
+
+    def read(self) -> Image | Unreadable | None:
+        slot = self._advance()
+        if slot is None or self._capture is None:
+            return None
+        readable, pixels = self._capture.retrieve()
+        if not readable or pixels is None:
+            return Unreadable(slot.index, slot.stamp_ns, f"{self._path}: frame {slot.index} is damaged")
+        return Image(slot.index, slot.stamp_ns, pixels)
+
+    def skip(self) -> None:
+        self._advance()
+
+    def _advance(self) -> Slot | None:
+        """Takes the next frame from the container; at the end, lets go of it."""
+        if self._capture is None:
+            return None
+        if not self._capture.grab():
+            self.close()
+            return None
+        slot = Slot(self._next, round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
+        self._next += 1
+        self._last_stamp_ns = slot.stamp_ns
+        return slot
+
+    def close(self) -> None:
+        if self._capture is not None:
+            self._capture.release()
+            self._capture = None
