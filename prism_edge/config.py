@@ -21,6 +21,14 @@ def text(default: str, help: str) -> Any:
     return field(default=default, metadata={"help": help})
 
 
+# Parts that can be switched off to see what they are worth.
+ABLATIONS = {
+    "kalman": "the scale filter: the last observation is the estimate",
+    "wls": "the weighted least squares: an observation is a plain mean",
+    "depth_factor": "metric depth in the window's bundle adjustment",
+}
+
+
 @dataclass(frozen=True)
 class SourceConfig:
     """Where frames come from."""
@@ -141,7 +149,10 @@ class Config:
     robot: str = text("robot", "name in the topics: prism/<robot>/...")
     mode: str = one_of("realtime", "realtime", "lockstep", help="newest frame wins, or nothing is dropped")
     seed: int = limits(0, 0, 2**31 - 1, "seed of everything random")
-    ablate: tuple[str, ...] = field(default=(), metadata={"help": "parts switched off: kalman, wls, depth_factor"})
+    ablate: tuple[str, ...] = field(
+        default=(),
+        metadata={"choices": tuple(ABLATIONS), "help": f"parts switched off: {', '.join(ABLATIONS)}"},
+    )
     source: SourceConfig = field(default_factory=SourceConfig)
     bus: BusConfig = field(default_factory=BusConfig)
     frames: FramesConfig = field(default_factory=FramesConfig)

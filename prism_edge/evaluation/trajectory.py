@@ -70,7 +70,7 @@ def associate(
 
 
 def nearest_rows(stamps: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Row of ``stamps`` (n,), ascending, not empty, that is nearest to each of ``wanted``; else the earlier."""
+    """Row of ``stamps`` (n,), ascending, not empty, nearest to each of ``wanted``; ties take the earlier."""
     after = np.minimum(np.searchsorted(stamps, wanted, side="right"), len(stamps) - 1)
     before = np.maximum(after - 1, 0)
     return np.where(np.abs(stamps[after] - wanted) < np.abs(stamps[before] - wanted), after, before)
