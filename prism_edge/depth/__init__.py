@@ -1,0 +1,80 @@
+"""Depth networks: their contract, the session that runs one, the pairing of two."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.config import DepthConfig
+from prism_edge.depth.pairing import PairedNetwork
+from prism_edge.depth.prediction import Prediction
+from prism_edge.depth.registry import find, folders, registry
+from prism_edge.depth.session import OnnxNetwork
+from prism_edge.errors import ModelError
+from prism_edge.geometry.cameras import Camera
+
+NESTED = "nested:"
+
+
+class DepthNetwork(Protocol):
+    """Anything that gives metric depth for an image."""
+
+    name: str
+    bias_sigma: float  # log-scale error that never averages out
+    provider: str  # execution provider it really runs on
+    counters: dict[str, int]  # events worth showing on `health`
+
+    def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
+        """Metric depth of an image (height, width, 3) uint8 RGB that ``camera`` took."""
+        ...
+
+
+def open_network(spec: str, config: DepthConfig) -> DepthNetwork:
+    """The network that ``spec`` names, warmed up: a file, a registered name, or nested:RELATIVE,METRIC.
+
+    Raises ModelError, in one line, where it can't be found or run, or has no metres.
+    """
+    if spec.startswith(NESTED):
+        parts = [part.strip() for part in spec.removeprefix(NESTED).split(",")]
+        if len(parts) != 2 or not all(parts):
+            raise ModelError(f"model {spec!r}: nested takes two networks, nested:RELATIVE,METRIC")
+        return PairedNetwork(open_onnx(parts[0], config), open_onnx(parts[1], config))
+    network = open_onnx(spec, config)
+    if not network.card.has_metres:
+        raise ModelError(
+            f"{network.name} predicts {network.card.depth_kind.replace('_', ' ')} depth, which has no "
+            f"metres; pair it with a metric network: --model nested:{spec},METRIC (such as fastdepth_nyu)"
+        )
+    return network
+
+
+def open_onnx(spec: str, config: DepthConfig) -> OnnxNetwork:
+    """One network of any kind by file or registered name, warmed up. Raises ModelError."""
+    return OnnxNetwork(locate(spec), config.providers, config.threads)
+
+
+def locate(spec: str) -> Path:
+    """The file of a path or registered name. Raises ModelError where there is none."""
+    path = Path(spec).expanduser()
+    if path.is_file():
+        return path
+    entry = find(spec)
+    if entry is None:
+        if path.is_dir():
+            raise ModelError(f"model {spec!r} is a folder; an ONNX file is needed")
+        if path.suffix == ".onnx" or len(path.parts) > 1:
+            raise ModelError(f"model {spec!r}: there is no such file")
+        known = ", ".join(item.name for item in registry() if item.card)
+        raise ModelError(f"model {spec!r} is neither a file nor a registered name ({known})")
+    if entry.card is None:
+        raise ModelError(f"model {spec}: a checkpoint to be exported to ONNX first; then give that file")
+    found = entry.located()
+    if found is None:
+        places = ", ".join(str(folder) for folder in folders())
+        raise ModelError(
+            f"model {spec}: its file {entry.file} is in none of {places}; put it there or give its path"
+        )
+    return found

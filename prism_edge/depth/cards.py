@@ -1,0 +1,50 @@
+"""Which card is a file's: its sidecar's, its own metadata's, or the registry's, and whether they agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from prism_edge.depth.contract import ModelCard, card_from_metadata, card_from_sidecar
+from prism_edge.depth.registry import find, find_digest
+from prism_edge.errors import ModelError
+
+
+def sidecar_of(path: Path) -> Path:
+    """The YAML file that describes a foreign network: its name with ``.yaml`` added."""
+    return path.with_name(path.name + ".yaml")
+
+
+def card_of(path: Path, digest: str, props: Mapping[str, str]) -> ModelCard:
+    """The card of a file with SHA-256 ``digest`` and ONNX ``metadata_props``.
+
+    A sidecar goes before the file's metadata, and both before the registry, which knows files by
+    digest. Raises ModelError where there is none, where the digest is not the one the card pins, where
+    a file bears a registered name without being that file, or where its licence contradicts the registry.
+    """
+    registered = find_digest(digest)
+    if sidecar_of(path).is_file():
+        card = card_from_sidecar(sidecar_of(path))
+    else:
+        own = card_from_metadata(props, path.name)
+        if own is None and (registered is None or registered.card is None):
+            raise ModelError(
+                f"{path.name}: does not say what it predicts; "
+                f"describe it in {sidecar_of(path).name} (docs/MODELS.md)"
+            )
+        card = own or registered.card  # type: ignore[union-attr,assignment]
+    if card.sha256 and card.sha256 != digest:
+        raise ModelError(
+            f"{path.name}: its SHA-256 is {digest[:12]}..., but its card says {card.sha256[:12]}..."
+        )
+    namesake = find(card.name)
+    if namesake and namesake.card and namesake.card.sha256 != digest:
+        raise ModelError(f"{path.name}: calls itself {card.name}, but is not the file registered as that")
+    if registered and registered.licence != card.licence:
+        raise ModelError(
+            f"{path.name}: its card says licence {card.licence}, but it is registered under "
+            f"{registered.licence}"
+        )
+    return card
+
+

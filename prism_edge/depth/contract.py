@@ -1,0 +1,246 @@
+"""What a depth network says of itself: one schema, read from ONNX metadata, a sidecar or the registry.
+
+The schema is documented in docs/MODELS.md. In a YAML file the keys stand as they are; in an ONNX file's
+``metadata_props`` each carries the prefix ``prism_edge.`` and its value is written as YAML.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from prism_edge.errors import ModelError
+
+CONTRACT = 1  # version of the schema
+PREFIX = "prism_edge."
+METRIC, FOCAL_NORMALISED = "metric", "focal_normalised"
+RELATIVE, INVERSE_RELATIVE = "relative", "inverse_relative"
+KINDS = (METRIC, FOCAL_NORMALISED, RELATIVE, INVERSE_RELATIVE)
+STRETCH, CROP = "stretch", "crop"
+_LARGEST_FILE = 65_536  # bytes of a sidecar; a card takes one thousand
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+_SHA256 = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class ModelCard:
+    """The contract of one network file.
+
+    The network's input is float32 (1, 3, input_height, input_width), in ``colours`` order, each value
+    (pixel * pixel_scale - mean) / std. Raises ModelError from :func:`card_from_mapping`, never later.
+    """
+
+    name: str
+    revision: str
+    licence: str
+    depth_kind: str  # metric | focal_normalised | relative | inverse_relative
+    input_width: int
+    input_height: int
+    source: str = ""  # where it comes from, in words
+    sha256: str = ""  # of the file; empty: not pinned
+    layout: str = "NCHW"
+    input_name: str = ""  # empty: the file's only input
+    colours: str = "rgb"  # rgb | bgr
+    pixel_scale: float = 1.0 / 255.0
+    mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    std: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    resize: str = STRETCH  # stretch: the whole image; crop: its centre, with its aspect kept
+    depth_output: str = ""  # empty: the file's only output
+    confidence_output: str = ""  # empty: the network gives none
+    descriptor_output: str = ""
+    sky_output: str = ""
+    sky_limit: float = 0.3  # a sky value at or above this is no surface
+    canonical_focal_length: float | None = None  # pixels of the network's input
+    scale_bias_sigma: float | None = None  # log-scale error that never averages out
+    dsug_tau: float | None = None  # None: not fitted for this network
+    dsug_temperature: float | None = None
+
+    @property
+    def has_metres(self) -> bool:
+        """Whether its depth can be turned into metres without another network."""
+        return self.depth_kind in (METRIC, FOCAL_NORMALISED)
+
+    def to_metadata(self) -> dict[str, str]:
+        """The card as ONNX ``metadata_props``; :func:`card_from_metadata` reads it back."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        props = {PREFIX + "contract": str(CONTRACT)}
+        for key, value in values.items():
+            if value not in (None, ""):
+                props[PREFIX + key] = str(list(value)) if isinstance(value, tuple) else str(value)
+        return props
+
+
+def card_from_mapping(values: Any, where: str) -> ModelCard:
+    """The card in a mapping of the schema's keys; ``where`` names its origin in errors.
+
+    Raises ModelError for an unknown or missing key, a wrong type or a value that can't be.
+    """
+    if not isinstance(values, Mapping):
+        raise ModelError(f"{where}: a model card is a table of keys and values")
+    rest = {str(key): value for key, value in values.items()}
+    version = rest.pop("contract", None)
+    if str(version) != str(CONTRACT):
+        raise ModelError(f"{where}: contract is {version!r}; this version reads contract: {CONTRACT}")
+    known = {field.name: field for field in fields(ModelCard)}
+    for key in rest:
+        if key not in known:
+            raise ModelError(f"{where}: unknown key {key!r} (docs/MODELS.md lists them)")
+    for name, field in known.items():
+        if field.default is MISSING and name not in rest:
+            raise ModelError(f"{where}: the key {name!r} is missing")
+    checked = {}
+    for key, value in rest.items():
+        try:
+            checked[key] = _CHECKS[key](value)
+        except (ValueError, TypeError, OverflowError) as error:
+            raise ModelError(f"{where}: {key}: {error}") from None
+    card = ModelCard(**checked)
+    _check_whole(card, where)
+    return card
+
+
+def card_from_metadata(props: Mapping[str, str], where: str) -> ModelCard | None:
+    """The card in an ONNX file's metadata; None where the file does not describe itself."""
+    own = {key.removeprefix(PREFIX): value for key, value in props.items() if key.startswith(PREFIX)}
+    if not own:
+        return None
+    return card_from_mapping({key: _scalar(key, value, where) for key, value in own.items()}, where)
+
+
+def card_from_sidecar(path: Path) -> ModelCard:
+    """The card in a YAML file. Raises ModelError where it can't be read or breaks the schema."""
+    return card_from_mapping(read_yaml(path), path.name)
+
+
+def read_yaml(path: Path, largest: int = _LARGEST_FILE) -> Any:
+    """The content of a small YAML file; ModelError in one line for whatever is wrong with it."""
+    try:
+        if path.stat().st_size > largest:
+            raise ModelError(f"{path}: larger than {largest} bytes, which no model description needs")
+        return yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelError(f"{path}: can't be read ({error.strerror})") from None
+    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+        line = getattr(getattr(error, "problem_mark", None), "line", None)
+        place = f" line {line + 1}" if line is not None else ""
+        raise ModelError(f"{path}{place}: no valid YAML") from None
+
+
+def _scalar(key: str, value: str, where: str) -> Any:
+    if _CHECKS.get(key) in (_text, _name, _sha256):
+        return value
+    try:
+        return yaml.safe_load(value[:4096])
+    except (yaml.YAMLError, ValueError, RecursionError):
+        raise ModelError(f"{where}: {key}: {value[:40]!r} can't be read") from None
+
+
+def _check_whole(card: ModelCard, where: str) -> None:
+    if card.depth_kind == FOCAL_NORMALISED and card.canonical_focal_length is None:
+        raise ModelError(f"{where}: depth_kind focal_normalised needs canonical_focal_length (pixels)")
+    if card.depth_kind != FOCAL_NORMALISED and card.canonical_focal_length is not None:
+        raise ModelError(f"{where}: canonical_focal_length belongs to depth_kind focal_normalised alone")
+    if card.has_metres and card.scale_bias_sigma is None:
+        raise ModelError(f"{where}: depth_kind {card.depth_kind} needs scale_bias_sigma (docs/MODELS.md)")
+    if (card.dsug_tau is None) != (card.dsug_temperature is None):
+        raise ModelError(f"{where}: dsug_tau and dsug_temperature come together or not at all")
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str | int | float) or isinstance(value, bool):
+        raise ValueError(f"text is needed, not {value!r}")
+    text = str(value).strip()
+    if not text.isprintable() or len(text) > 500:
+        raise ValueError("one line of at most 500 characters is needed")
+    return text
+
+
+def _name(value: Any) -> str:
+    text = _text(value)
+    if not _NAME.fullmatch(text):
+        raise ValueError(f"{text!r} is no name (letters, digits, dot, dash, underscore; at most 64)")
+    return text
+
+
+def _sha256(value: Any) -> str:
+    text = _text(value).lower()
+    if text and not _SHA256.fullmatch(text):
+        raise ValueError("64 hexadecimal digits are needed")
+    return text
+
+
+def _number(low: float, high: float) -> Callable[[Any], float]:
+    def check(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float | str):
+            raise ValueError(f"a number is needed, not {value!r}")
+        try:
+            number = float(value)  # PyYAML reads 1e-8 as text
+        except ValueError:
+            raise ValueError(f"a number is needed, not {value!r}") from None
+        if not math.isfinite(number) or not low <= number <= high:
+            raise ValueError(f"{number:g} is not within {low:g} and {high:g}")
+        return number
+
+    return check
+
+
+def _whole(low: int, high: int) -> Callable[[Any], int]:
+    def check(value: Any) -> int:
+        number = _number(low, high)(value)
+        if number != int(number):
+            raise ValueError(f"a whole number is needed, not {value!r}")
+        return int(number)
+
+    return check
+
+
+def _triple(low: float, high: float) -> Callable[[Any], tuple[float, ...]]:
+    def check(value: Any) -> tuple[float, ...]:
+        if not isinstance(value, list | tuple) or len(value) != 3:
+            raise ValueError(f"three numbers are needed, not {value!r}")
+        return tuple(_number(low, high)(item) for item in value)
+
+    return check
+
+
+def _choice(*words: str) -> Callable[[Any], str]:
+    def check(value: Any) -> str:
+        if value not in words:
+            raise ValueError(f"{value!r} is none of {', '.join(words)}")
+        return str(value)
+
+    return check
+
+
+_CHECKS: dict[str, Callable[[Any], Any]] = {
+    "name": _name,
+    "revision": _text,
+    "licence": _text,
+    "source": _text,
+    "sha256": _sha256,
+    "depth_kind": _choice(*KINDS),
+    "canonical_focal_length": _number(1.0, 1e5),
+    "input_width": _whole(8, 4096),
+    "input_height": _whole(8, 4096),
+    "layout": _choice("NCHW"),
+    "input_name": _text,
+    "colours": _choice("rgb", "bgr"),
+    "pixel_scale": _number(1e-6, 1e3),
+    "mean": _triple(-1e3, 1e3),
+    "std": _triple(1e-6, 1e3),
+    "resize": _choice(STRETCH, CROP),
+    "depth_output": _text,
+    "confidence_output": _text,
+    "descriptor_output": _text,
+    "sky_output": _text,
+    "sky_limit": _number(-1e6, 1e6),
+    "scale_bias_sigma": _number(1e-4, 2.0),
+    "dsug_tau": _number(0.0, 10.0),
+    "dsug_temperature": _number(1e-6, 10.0),
+}

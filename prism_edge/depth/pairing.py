@@ -1,0 +1,147 @@
+"""A relative network's detail in a metric network's metres.
+
+A relative network knows inverse depth up to an unknown scale and shift for each image. Both are fitted
+to the metric network's answer for the same image: 1 / z = slope * d + shift.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.depth.contract import RELATIVE
+from prism_edge.depth.prediction import Prediction, checked
+from prism_edge.depth.session import OnnxNetwork
+from prism_edge.errors import ModelError
+from prism_edge.geometry.cameras import Camera
+
+F32 = NDArray[np.float32]
+F64 = NDArray[np.float64]
+
+GRID = (64, 48)  # columns and rows of samples: enough for two unknowns
+LEAST_SAMPLES = 100
+WORST_SPREAD = 0.4  # median relative residual beyond which the networks contradict each other
+_ITERATIONS = 10
+_HUBER = 1.345  # sigmas; 95 % efficient on Gaussian noise
+
+
+@dataclass(frozen=True)
+class Fit:
+    """1 / z = slope * d + shift; ``spread`` is the median of |z (slope d + shift) - 1|."""
+
+    slope: float
+    shift: float
+    spread: float
+
+
+def fit_inverse_depth(relative: F64, metric: F64) -> Fit | None:
+    """Robust fit of metres (n,) by relative inverse depths (n,); None where there is no sensible one.
+
+    Iteratively reweighted least squares with Huber weights on the residual slope d + shift - 1 / z: in
+    inverse depth the near, which metric networks know best, weighs most (on real video it beats the
+    relative residual, AbsRel 0.175 against 0.195: docs/MODELS.md). The first weights come from a line
+    through the medians of the nearest and the farthest third, so that outliers do not choose the basin.
+    """
+    usable = np.isfinite(relative) & np.isfinite(metric) & (metric > 0)
+    d, z = relative[usable], metric[usable]
+    if d.size < LEAST_SAMPLES:
+        return None
+    middle, extent = float(np.median(d)), float(np.percentile(d, 95) - np.percentile(d, 5))
+    if extent <= 1e-6 * max(1.0, abs(middle)):
+        return None
+    d = (d - middle) / extent  # well conditioned whatever the network's unit
+    design, target = np.stack([d, np.ones_like(d)], axis=1), 1.0 / z
+    solution: F64 = _line_through_thirds(d, target)
+    for _ in range(_ITERATIONS):
+        residual = np.abs(design @ solution - target)
+        sigma = max(1.4826 * float(np.median(residual)), 1e-9)
+        weight = np.minimum(1.0, _HUBER * sigma / np.maximum(residual, 1e-12))
+        normal = design.T @ (design * weight[:, None])
+        if np.linalg.cond(normal) > 1e12:
+            return None
+        solution = np.asarray(np.linalg.solve(normal, design.T @ (weight * target)), dtype=np.float64)
+    spread = float(np.median(z * np.abs(design @ solution - target)))
+    slope, shift = float(solution[0] / extent), float(solution[1] - solution[0] * middle / extent)
+    if not np.isfinite([slope, shift, spread]).all() or slope <= 0.0 or spread > WORST_SPREAD:
+        return None
+    return Fit(slope, shift, spread)
+
+
+def metres(relative: F32, fit: Fit, farthest: float) -> F32:
+    """Depth (h, w) in metres of relative inverse depth (h, w); 0 where it lies beyond ``farthest``."""
+    inverse = fit.slope * relative.astype(np.float64) + fit.shift
+    usable = np.isfinite(inverse) & (inverse >= 1.0 / farthest)
+    return np.where(usable, 1.0 / np.where(usable, inverse, 1.0), 0.0).astype(np.float32)
+
+
+class PairedNetwork:
+    """A relative network in the metres of a metric one; the metric one's answer where they don't fit.
+
+    The scale, and so ``bias_sigma``, is the metric network's. ``counters["unpaired"]`` counts the images
+    on which the metric network stood alone.
+    """
+
+    def __init__(self, relative: OnnxNetwork, metric: OnnxNetwork) -> None:
+        """Raises ModelError unless the first is a relative and the second a metric network."""
+        if relative.card.has_metres:
+            raise ModelError(f"nested: {relative.name} has metres; the first network must be a relative one")
+        if not metric.card.has_metres:
+            raise ModelError(f"nested: {metric.name} has no metres; the second network must be a metric one")
+        self._relative, self._metric = relative, metric
+        self.card = metric.card
+        self.name = f"nested:{relative.name},{metric.name}"
+        self.bias_sigma = metric.bias_sigma
+        self.provider = relative.provider
+        self.counters: dict[str, int] = {"unpaired": 0}
+
+    def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
+        """As :meth:`OnnxNetwork.infer`; confidence and descriptor are the relative network's own.
+
+        Where it gives no descriptor, the metric network's stands in.
+        """
+        metric = self._metric.infer(rgb, camera)
+        raw, _ = self._relative.raw(rgb)
+        took = metric.inference_ms + raw.inference_ms
+        paired = self._pair(raw, metric) if metric.valid else None
+        if paired is None:
+            self.counters["unpaired"] += metric.valid
+            return replace(metric, inference_ms=took)
+        if not paired.descriptor.size:
+            paired = replace(paired, descriptor=metric.descriptor)
+        return replace(paired, inference_ms=took)
+
+    def _pair(self, raw: Prediction, metric: Prediction) -> Prediction | None:
+        inverse = raw.depth
+        if self._relative.card.depth_kind == RELATIVE:
+            inverse = np.where(raw.depth > 0, 1.0 / np.maximum(raw.depth, 1e-6), np.nan).astype(np.float32)
+        fit = fit_inverse_depth(*_samples(inverse, raw.image_to_depth, metric))
+        if fit is None:
+            return None
+        # Beyond the farthest the metric network saw, inverse depth near zero blows up.
+        farthest = 1.5 * float(np.percentile(metric.depth[metric.depth > 0], 99))
+        paired = checked(replace(raw, depth=metres(inverse, fit, farthest)))
+        return paired if paired.valid else None
+
+
+def _samples(inverse: F32, image_to_inverse: F64, metric: Prediction) -> tuple[F64, F64]:
+    """Both networks' values at a grid of points common to their fields of view."""
+    a, b, c, d = image_to_inverse
+    e, f, g, h = metric.image_to_depth
+    rows, columns = inverse.shape
+    x, y = np.meshgrid(np.linspace(0, columns - 1, GRID[0]), np.linspace(0, rows - 1, GRID[1]))
+    mx, my = e * (x - b) / a + f, g * (y - d) / c + h  # by way of the image
+    inside = (mx >= 0) & (mx <= metric.depth.shape[1] - 1) & (my >= 0) & (my <= metric.depth.shape[0] - 1)
+    # Nearest pixels: blending across the 0 of an invalid one would invent a depth.
+    z = cv2.remap(metric.depth, mx.astype(np.float32), my.astype(np.float32), cv2.INTER_NEAREST)
+    values = inverse[np.round(y).astype(int), np.round(x).astype(int)]
+    return values[inside].astype(np.float64), z[inside].astype(np.float64)
+
+
+def _line_through_thirds(d: F64, inverse: F64) -> F64:
+    near, far = d >= np.percentile(d, 67), d <= np.percentile(d, 33)
+    run = float(np.median(d[near]) - np.median(d[far]))
+    slope = float(np.median(inverse[near]) - np.median(inverse[far])) / run if run > 0 else 0.0
+    return np.array([slope, float(np.median(inverse)) - slope * float(np.median(d))])

@@ -1,0 +1,73 @@
+"""From the camera image to the network's input and back to pixels of its depth map."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.depth.contract import CROP, ModelCard
+from prism_edge.geometry.cameras import Camera
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Image resized to (resized_width, resized_height), then cut to the input at (left, top).
+
+    Pixel centres are at whole numbers, and resizing is about the image's outer corner: image pixel x
+    lies at (x + 0.5) * scale_x - 0.5 - left of the input.
+    """
+
+    scale_x: float  # input pixels an image pixel
+    scale_y: float
+    left: int  # input pixels cut off
+    top: int
+    resized_width: int
+    resized_height: int
+    input_width: int
+    input_height: int
+
+    def focal_length(self, camera: Camera) -> float:
+        """Geometric mean of the focal lengths in pixels of the network's input."""
+        return math.sqrt(camera.fx * self.scale_x * camera.fy * self.scale_y)
+
+    def image_to_depth(self, width: int, height: int) -> NDArray[np.float64]:
+        """(4,) a, b, c, d: image pixel (x, y) is at (a x + b, c y + d) of a width x height depth map."""
+        out = []
+        for scale, cut, size, extent in (
+            (self.scale_x, self.left, width, self.input_width),
+            (self.scale_y, self.top, height, self.input_height),
+        ):
+            shrink = size / extent
+            out += [scale * shrink, (0.5 * scale - cut) * shrink - 0.5]
+        return np.array(out)
+
+
+def place(card: ModelCard, width: int, height: int) -> Placement:
+    """How an image of width x height comes into the network's input (the card's ``resize``)."""
+    w, h = card.input_width, card.input_height
+    resized = (w, h)
+    if card.resize == CROP:
+        scale = max(w / width, h / height)
+        resized = (max(w, round(width * scale)), max(h, round(height * scale)))
+    left, top = (resized[0] - w) // 2, (resized[1] - h) // 2
+    return Placement(resized[0] / width, resized[1] / height, left, top, *resized, w, h)
+
+
+def tensor(rgb: NDArray[np.uint8], card: ModelCard, placement: Placement) -> NDArray[np.float32]:
+    """The network's input (1, 3, h, w) float32 of an image (height, width, 3) uint8 RGB."""
+    size = (placement.resized_width, placement.resized_height)
+    shrinks = size[0] < rgb.shape[1] or size[1] < rgb.shape[0]
+    # Averaging when shrinking keeps fine texture from turning into false structure.
+    image = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR)
+    rows = slice(placement.top, placement.top + placement.input_height)
+    image = image[rows, placement.left : placement.left + placement.input_width]
+    if card.colours == "bgr":
+        image = image[:, :, ::-1]
+    gain = (card.pixel_scale / np.array(card.std)).astype(np.float32)
+    offset = (np.array(card.mean) / np.array(card.std)).astype(np.float32)
+    values = np.ascontiguousarray(image.transpose(2, 0, 1)) * gain[:, None, None] - offset[:, None, None]
+    return np.ascontiguousarray(values[None], dtype=np.float32)

@@ -1,0 +1,83 @@
+"""What a network's answer is worth: metres where it gave some, and a plain word where it did not."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+F32 = NDArray[np.float32]
+
+LEAST_VALID = 0.2  # share of pixels below which a depth map is no use
+LEAST_SPREAD = 1e-4  # relative spread below which it is constant
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Metric depth of one image at the network's resolution; pixels without depth are 0.
+
+    Image pixel (x, y) is at (a x + b, c y + d) of the map, ``image_to_depth`` = (a, b, c, d); under a
+    cropping network parts of the image lie outside of it. The network sees the image as the camera
+    gave it, lens distortion included, so (x, y) are raw pixels; depth is z along the optical axis.
+    """
+
+    depth: F32  # (h, w) metres
+    image_to_depth: NDArray[np.float64]  # (4,)
+    confidence: F32  # (h, w) as the network gives it, (0, 0) for none
+    descriptor: F32  # (n,) as the network gives it, (0,) for none
+    inference_ms: float
+    valid: bool = True
+    reason: str = ""
+
+
+def no_confidence() -> F32:
+    """The array that says that the network gives no confidence."""
+    return np.zeros((0, 0), np.float32)
+
+
+def no_descriptor() -> F32:
+    """The array that says that the network gives no descriptor."""
+    return np.zeros(0, np.float32)
+
+
+def checked(prediction: Prediction) -> Prediction:
+    """The prediction with unusable pixels set to 0, and marked invalid where too little is left.
+
+    Unusable are NaN, infinities, zeros and negatives. A map with less than a fifth of usable pixels, or
+    whose usable pixels are all alike, says nothing about the scene and becomes all 0.
+    """
+    depth = prediction.depth
+    usable = np.isfinite(depth) & (depth > 0)
+    share = float(np.mean(usable)) if usable.size else 0.0
+    reason = ""
+    if share < LEAST_VALID:
+        reason = f"only {100 * share:.0f} % of the depth map is usable ({_commonest(depth, usable)})"
+    else:
+        values = depth[usable].astype(np.float64)
+        if np.std(values) < LEAST_SPREAD * np.mean(values):
+            reason = f"the depth map is constant ({float(values[0]):.3g} m)"
+    confidence = np.nan_to_num(prediction.confidence, nan=0.0, posinf=0.0, neginf=0.0)
+    descriptor = prediction.descriptor
+    if not np.all(np.isfinite(descriptor)):
+        descriptor = no_descriptor()
+    return replace(
+        prediction,
+        depth=np.zeros_like(depth) if reason else np.where(usable, depth, np.float32(0)),
+        confidence=confidence,
+        descriptor=descriptor,
+        valid=not reason,
+        reason=reason,
+    )
+
+
+def _commonest(depth: F32, usable: NDArray[np.bool_]) -> str:
+    if not depth.size:
+        return "it is empty"
+    counts = {
+        "NaN": int(np.sum(np.isnan(depth))),
+        "infinite": int(np.sum(np.isinf(depth))),
+        "zero": int(np.sum(depth == 0)),
+        "negative": int(np.sum(np.isfinite(depth) & (depth < 0))),
+    }
+    return f"most of the rest {max(counts, key=lambda word: counts[word])}"
