@@ -1,0 +1,107 @@
+"""From keyframes and their depth to metres per map unit: samples, least squares and filter in a row."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from prism_edge.config import ScaleConfig
+from prism_edge.errors import ConfigError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.messages import F32, Depth, Gate, Keyframe, Scale
+from prism_edge.scale.filter import ScaleFilter
+from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
+from prism_edge.scale.samples import sample
+
+
+class ScaleEstimator:
+    """Scale of the newest map; a new epoch starts afresh, since its unit is another.
+
+    ``ablate`` may name 'kalman' (the last observation is the estimate) and 'wls' (a plain mean of points).
+    """
+
+    def __init__(self, config: ScaleConfig, ablate: tuple[str, ...] = ()) -> None:
+        self._config = config
+        self._kalman = "kalman" not in ablate
+        self._least_squares = "wls" not in ablate
+        self._epoch: int | None = None
+        self._bias_sigma = 0.0  # of the network, as last heard
+        self._filter = ScaleFilter(config, self._kalman)
+
+    @property
+    def accepted(self) -> int:
+        """Observations taken in since this epoch began."""
+        return self._filter.accepted
+
+    @property
+    def rejected(self) -> int:
+        """Observations refused as outliers since this epoch began."""
+        return self._filter.rejected
+
+    def process(self, keyframe: Keyframe, depth: Depth | None) -> tuple[Scale, Gate] | None:
+        """The scale after a keyframe, and the weights of its keypoints; None where its epoch is over.
+
+        ``depth`` is the same keyframe's, or None where none will come. The first valid depth of an epoch
+        fixes the map's unit unless points triangulated without it have already given it another.
+        """
+        if self._epoch is not None and keyframe.epoch < self._epoch:
+            return None
+        if self._epoch != keyframe.epoch:
+            self._epoch = keyframe.epoch
+            self._filter = ScaleFilter(self._config, self._kalman)
+        weights = np.ones(len(keyframe.pixels), dtype=np.float32)
+        scale = self._filter
+        scale.predict(keyframe.stamp_ns * 1e-9, keyframe.travelled)
+        if depth is not None and math.isfinite(depth.bias_sigma) and depth.bias_sigma >= 0.0:
+            self._bias_sigma = depth.bias_sigma
+        observation, accepted = None, False
+        if depth is not None and depth.valid:
+            observation = self._observe(keyframe, depth, weights)
+            if observation is not None:
+                accepted = scale.update(observation)
+            elif scale.is_open:
+                scale.fix_unit()
+        message = Scale(
+            keyframe=keyframe.id,
+            index=keyframe.index,
+            stamp_ns=keyframe.stamp_ns,
+            epoch=keyframe.epoch,
+            log_scale=scale.log_scale,
+            sigma=scale.total_sigma(self._bias_sigma),
+            filter_sigma=scale.sigma,
+            observation=observation.log_scale if observation else math.nan,
+            observation_sigma=math.sqrt(observation.variance) if observation else math.nan,
+            points=observation.points if observation else 0,
+            accepted=accepted,
+        )
+        gate = Gate(keyframe=keyframe.id, index=keyframe.index, epoch=keyframe.epoch, weights=weights)
+        return message, gate
+
+    def _observe(self, keyframe: Keyframe, depth: Depth, weights: F32) -> Observation | None:
+        c = self._config
+        try:
+            camera = Camera.from_array(keyframe.camera_model, keyframe.camera)
+        except ConfigError:
+            return None  # a message no camera can have sent is worth as much as no message
+        if not np.isfinite(depth.image_to_depth).all():
+            return None
+        samples = sample(
+            camera,
+            keyframe.pixels,
+            keyframe.depths,
+            keyframe.parallax_deg,
+            depth.depth,
+            depth.image_to_depth,
+            c.min_parallax_deg,
+        )
+        if not self._least_squares:
+            return plain_mean(samples.log_ratios, c.point_sigma, c.frame_sigma, c.min_points)
+        return weighted_least_squares(
+            samples.log_ratios,
+            samples.patches,
+            weights[samples.keypoints],
+            c.point_sigma,
+            c.frame_sigma,
+            c.min_points,
+        )

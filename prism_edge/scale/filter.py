@@ -1,0 +1,145 @@
+"""Kalman filter of log scale whose observations err alike when they are close in time (paper, section 3.3).
+
+Keyframe k shows  z_k = x_k + f_k + n_k  with
+
+- x: log metres per map unit as this network sees it, a slow random walk with distance and time. It includes
+  the network's mean error on this scene, which no averaging removes: `total_sigma` adds it back;
+- f: the error that all pixels of a keyframe share, a stationary Gauss-Markov process (AR(1) when sampled)
+  with standard deviation frame_sigma and time constant correlation_s. Because f is part of the state, a
+  hundred keyframes of one place count as the few that they are worth;
+- n: what is left of the pixels' own errors, white, with the least-squares' point variance.
+
+The unit of a map that starts from network depth is that depth: z is 0 by definition at that moment, hence
+x = -f there, known as well as f is: P = frame_sigma^2 [[1, -1], [-1, 1]] (see :meth:`ScaleFilter.fix_unit`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from prism_edge.config import ScaleConfig
+from prism_edge.scale.least_squares import Observation
+
+# A belief that rests on n observations falls to as many that contradict it and agree with one another,
+# at least the first number of them and at most the second.
+REOPEN_AFTER = (5, 30)
+_MAX_LOG = 20.0  # e^20 metres a unit: beyond any map
+
+
+class ScaleFilter:
+    """Log scale over time, in one epoch of the map. Never raises, never turns NaN."""
+
+    def __init__(self, config: ScaleConfig, kalman: bool = True) -> None:
+        """``kalman=False`` is the ablation 'kalman': the last observation is the estimate."""
+        self._config = config
+        self._kalman = kalman
+        self.accepted = 0  # observations
+        self.rejected = 0
+        self._support = 0  # observations that the present belief rests on
+        self._unit_fixed = False
+        self._contradicting: deque[float] = deque(maxlen=REOPEN_AFTER[1])
+        self._state = np.zeros(2)  # x, f
+        self._covariance = np.diag([config.initial_sigma**2, config.frame_sigma**2])
+        self._time_s: float | None = None
+        self._travelled = 0.0
+
+    @property
+    def log_scale(self) -> float:
+        """The estimate of x."""
+        return float(self._state[0])
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of ``log_scale``, without the network's bias."""
+        return math.sqrt(max(float(self._covariance[0, 0]), 0.0))
+
+    def total_sigma(self, bias_sigma: float) -> float:
+        """Standard deviation with the network's bias, which never averages out."""
+        return math.hypot(self.sigma, bias_sigma if math.isfinite(bias_sigma) else 0.0)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nothing, neither unit nor observation, has come yet."""
+        return not self._unit_fixed and self.accepted == 0
+
+    def predict(self, time_s: float, travelled: float) -> None:
+        """Moves on to a time (s) and a path length since the start (map units)."""
+        if self._time_s is None:
+            self._time_s, self._travelled = time_s, travelled
+            return
+        elapsed = _step(time_s - self._time_s)
+        metres = _step(travelled - self._travelled) * math.exp(min(max(self.log_scale, -_MAX_LOG), _MAX_LOG))
+        self._time_s = time_s if math.isfinite(time_s) else self._time_s
+        self._travelled = travelled if math.isfinite(travelled) else self._travelled
+        c = self._config
+        phi = math.exp(-elapsed / c.correlation_s) if c.correlation_s > 0.0 else 0.0
+        transition = np.diag([1.0, phi])
+        walk = c.drift_per_sqrt_m**2 * metres + c.drift_per_sqrt_s**2 * elapsed
+        noise = np.diag([walk, c.frame_sigma**2 * (1.0 - phi * phi)])
+        self._state = transition @ self._state
+        self._covariance = transition @ self._covariance @ transition + noise
+
+    def fix_unit(self) -> None:
+        """The map's unit has just been defined by network depth: now, x + f = 0 whatever the two are.
+
+        The limit of an exact observation of 0 on an unlimited prior of x. What the seeded pixels don't share
+        with the triangulated ones that later observations use adds to x as if seen by the fewest points.
+        """
+        shared = self._config.frame_sigma**2
+        own = self._config.point_sigma**2 / self._config.min_points
+        self._state = np.zeros(2)
+        self._covariance = np.array([[shared + own, -shared], [-shared, shared]])
+        self._unit_fixed = True
+
+    def update(self, observation: Observation) -> bool:
+        """Takes in a keyframe's observation; False where it was refused as an outlier."""
+        z, variance = observation.log_scale, observation.point_variance
+        if not (math.isfinite(z) and math.isfinite(variance) and abs(z) <= _MAX_LOG and variance >= 0.0):
+            self.rejected += 1
+            return False
+        if not self._kalman:
+            self._state = np.array([z, 0.0])
+            self._covariance = np.diag([observation.variance, self._config.frame_sigma**2])
+            self.accepted += 1
+            return True
+        innovation = z - float(self._state.sum())
+        expected = float(self._covariance.sum()) + variance
+        outlier = innovation**2 > self._config.gate_sigmas**2 * expected
+        if outlier and not self._reopen(z, innovation, variance):
+            self.rejected += 1
+            return False
+        self._contradicting.clear()
+        self._correct(innovation, variance)
+        self.accepted += 1
+        self._support += 1
+        return True
+
+    def _correct(self, innovation: float, variance: float) -> None:
+        sensitivity = np.ones(2)
+        gain = self._covariance @ sensitivity / (float(self._covariance.sum()) + variance)
+        keep = np.eye(2) - np.outer(gain, sensitivity)
+        self._state = self._state + gain * innovation
+        # Joseph's form: stays symmetric and positive under rounding
+        self._covariance = keep @ self._covariance @ keep.T + variance * np.outer(gain, gain)
+
+    def _reopen(self, z: float, innovation: float, variance: float) -> bool:
+        """Whether an outlier is the truth by now; x is then as open as the innovation is large."""
+        self._contradicting.append(z)
+        if not self.is_open:
+            fewest, most = REOPEN_AFTER
+            needed = min(max(self._support, fewest), most)
+            recent = np.array(self._contradicting)[-needed:]
+            agreed = self._config.gate_sigmas * math.sqrt(self._config.frame_sigma**2 + variance)
+            if len(recent) < needed or np.abs(recent - np.median(recent)).max() > agreed:
+                return False
+        self._covariance = self._covariance + np.diag([innovation**2 + self._config.initial_sigma**2, 0.0])
+        self._support = 0
+        return True
+
+
+def _step(difference: float) -> float:
+    """A difference that should be positive and finite, or 0."""
+    return difference if math.isfinite(difference) and difference > 0.0 else 0.0
