@@ -83,9 +83,9 @@ class ScaleConfig:
 
     min_parallax_deg: float = limits(1.0, 0.1, 45.0, "triangulation angle a point needs to count")
     min_points: int = limits(15, 3, 1000, "points an observation needs")
-    point_sigma: float = limits(0.25, 0.01, 2.0, "log-depth noise sigma_0 of one network pixel")
-    frame_sigma: float = limits(0.12, 0.0, 2.0, "log-scale noise that a keyframe's pixels share")
-    correlation_s: float = limits(1.5, 0.0, 60.0, "time constant of that noise's autocorrelation")
+    point_sigma: float = limits(0.25, 0.01, 2.0, "log-depth noise sigma_0 of one patch of a network's image")
+    frame_sigma: float = limits(0.15, 0.0, 2.0, "log-scale noise that a keyframe's pixels share")
+    correlation_s: float = limits(2.0, 0.0, 60.0, "time constant of that noise's autocorrelation")
     drift_per_sqrt_m: float = limits(0.003, 0.0, 1.0, "random walk of log scale with distance")
     drift_per_sqrt_s: float = limits(0.0005, 0.0, 1.0, "random walk of log scale with time")
     initial_sigma: float = limits(0.3, 0.01, 2.0, "log-scale sigma before any observation")
