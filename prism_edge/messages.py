@@ -105,6 +105,10 @@ class Keyframe:
     culled_keyframes: I64 = array("int64", -1)
     fused_from: I64 = array("int64", -1)
     fused_into: I64 = array("int64", -1)
+    anchor: int = -1  # the keyframe before, and where the tracker has it: what the poses here are relative to
+    world_from_anchor: F64 = field(
+        default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
+    )
     travelled: float = 0.0  # path length since start, map units
 
 

@@ -1,0 +1,1 @@
+"""The global map and its optimisation; pure, on gtsam."""

@@ -1,0 +1,154 @@
+"""The backend's map: everything the keyframe messages have said, with corrected poses and points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array, inverse
+from prism_edge.messages import Keyframe
+
+
+@dataclass
+class GlobalKeyframe:
+    """A keyframe with its observations: point id -> keypoint."""
+
+    id: int
+    index: int
+    camera: Camera
+    world_from_camera: Array
+    pixels: NDArray[np.float64]  # (n, 2), ideal
+    octaves: NDArray[np.uint8]
+    observed: dict[int, int]
+    # Network depth at each keypoint along z, in map units by this keyframe's own scale; 0 for none.
+    depths: NDArray[np.float64] | None = None
+
+
+@dataclass
+class GlobalPoint:
+    """A point and the keyframes that see it."""
+
+    position: Array
+    keyframes: set[int] = field(default_factory=set)
+
+
+class GlobalMap:
+    """Keyframes and points of one epoch."""
+
+    def __init__(self) -> None:
+        self.keyframes: dict[int, GlobalKeyframe] = {}
+        self.points: dict[int, GlobalPoint] = {}
+        # A culled keyframe still carries frames: its pose hangs on a keyframe that stayed.
+        self.carried: dict[int, tuple[int, Array, int]] = {}
+
+    def absorb(self, message: Keyframe) -> GlobalKeyframe:
+        """Take in a keyframe message.
+
+        While corrections are on their way to the tracker, its world and this one differ. What it placed
+        (the keyframe, new points) goes where it stands relative to the keyframe before.
+        """
+        world_correction = np.eye(4)
+        if message.anchor in self.keyframes:
+            anchor = self.keyframes[message.anchor].world_from_camera
+            world_correction = anchor @ inverse(message.world_from_anchor)
+        for point, position in zip(message.new_points.tolist(), message.new_positions, strict=True):
+            moved = world_correction[:3, :3] @ position + world_correction[:3, 3]
+            known = self.points.get(point)
+            if known is None:
+                self.points[point] = GlobalPoint(moved)
+            else:
+                known.position = moved
+        for old, kept in zip(message.fused_from.tolist(), message.fused_into.tolist(), strict=True):
+            self._fuse(old, kept)
+        for point in message.culled_points.tolist():
+            self._forget_point(point)
+        for point, keyframe, keypoint in zip(
+            message.late_points.tolist(),
+            message.late_keyframes.tolist(),
+            message.late_keypoints.tolist(),
+            strict=True,
+        ):
+            self._observe(keyframe, point, keypoint)
+        for keyframe in message.culled_keyframes.tolist():
+            self._forget_keyframe(keyframe)
+        keypoints = np.flatnonzero(message.points >= 0)
+        added = GlobalKeyframe(
+            message.id,
+            message.index,
+            Camera.from_array(message.camera_model, message.camera),
+            world_correction @ message.world_from_camera,
+            message.pixels.astype(np.float64),
+            message.octaves,
+            {},
+        )
+        self.keyframes[message.id] = added
+        for keypoint in keypoints.tolist():
+            self._observe(message.id, int(message.points[keypoint]), keypoint)
+        return added
+
+    def drop_observation(self, keyframe: int, point: int) -> None:
+        """Forget that a keyframe sees a point; a point nobody sees is forgotten too."""
+        if keyframe in self.keyframes:
+            self.keyframes[keyframe].observed.pop(point, None)
+        seen = self.points.get(point)
+        if seen is not None:
+            seen.keyframes.discard(keyframe)
+            if len(seen.keyframes) < 2:
+                self._forget_point(point)
+
+    def covisible(self, keyframe: int) -> list[tuple[int, int]]:
+        """(keyframe, shared points) of every keyframe that shares points with one, most first."""
+        votes: dict[int, int] = {}
+        for point in self.keyframes[keyframe].observed:
+            for other in self.points[point].keyframes:
+                votes[other] = votes.get(other, 0) + 1
+        votes.pop(keyframe, None)
+        return sorted(votes.items(), key=lambda item: (-item[1], -item[0]))
+
+    def poses(self) -> dict[int, Array]:
+        """world_from_camera of every keyframe ever taken in, the culled ones carried by their anchors."""
+        known = {k: keyframe.world_from_camera for k, keyframe in self.keyframes.items()}
+        for k in self.carried:
+            pose, at = np.eye(4), k
+            while at in self.carried:
+                at, link, _ = self.carried[at]
+                pose = link @ pose
+            known[k] = self.keyframes[at].world_from_camera @ pose
+        return known
+
+    def _observe(self, keyframe: int, point: int, keypoint: int) -> None:
+        if keyframe in self.keyframes and point in self.points:
+            self.keyframes[keyframe].observed[point] = keypoint
+            self.points[point].keyframes.add(keyframe)
+
+    def _forget_point(self, point: int) -> None:
+        gone = self.points.pop(point, None)
+        if gone is not None:
+            for keyframe in gone.keyframes:
+                self.keyframes[keyframe].observed.pop(point, None)
+
+    def _forget_keyframe(self, keyframe: int) -> None:
+        gone = self.keyframes.get(keyframe)
+        if gone is None or len(self.keyframes) < 2:
+            return
+        shared = self.covisible(keyframe)
+        anchor = shared[0][0] if shared else min(self.keyframes.keys() - {keyframe}, key=lambda k: abs(k - keyframe))
+        link = inverse(self.keyframes[anchor].world_from_camera) @ gone.world_from_camera
+        self.carried[keyframe] = (anchor, link, gone.index)
+        for point in list(gone.observed):
+            self.points[point].keyframes.discard(keyframe)
+            if len(self.points[point].keyframes) < 2:
+                self._forget_point(point)
+        del self.keyframes[keyframe]
+
+    def _fuse(self, old: int, kept: int) -> None:
+        if old not in self.points or kept not in self.points:
+            return
+        for keyframe in list(self.points[old].keyframes):
+            keypoint = self.keyframes[keyframe].observed.pop(old)
+            if kept not in self.keyframes[keyframe].observed:
+                self._observe(keyframe, kept, keypoint)
+        del self.points[old]

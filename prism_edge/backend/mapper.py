@@ -1,0 +1,102 @@
+"""The backend composed: keyframe in, window solved, map update out."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.window import Solution, choose_window, solve
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import Array
+from prism_edge.messages import Keyframe, MapUpdate
+from prism_edge.tracking.seeding import raw_pixels, sample_depth
+
+MIN_ALIGNED = 20
+MIN_ALIGNED_PARALLAX_DEG = 1.0
+
+
+class Mapper:
+    """Owns the global map of one epoch. Knows nothing of the bus."""
+
+    def __init__(self, config: BackendConfig, use_depth: bool = True) -> None:
+        self._config = config
+        self._use_depth = use_depth
+        self.world = GlobalMap()
+        self.epoch = 0
+        self.sequence = 0
+
+    def absorb(self, message: Keyframe) -> None:
+        """Take in a keyframe; a new epoch begins a new map."""
+        if message.epoch != self.epoch:
+            self.world, self.epoch = GlobalMap(), message.epoch
+        self.world.absorb(message)
+
+    def add_depth(
+        self, message: Keyframe, depth: NDArray[np.float32], image_to_depth: Array, log_scale: float
+    ) -> None:
+        """Attach network depth (metres) to a keyframe's keypoints, in map units.
+
+        A network's scale wavers from frame to frame, much more than its relative depth is wrong. So each
+        keyframe has a log scale of its own: that of its triangulated points, where there are enough.
+        """
+        keyframe = self.world.keyframes.get(message.id)
+        if keyframe is None:
+            return
+        good, network = sample_depth(depth, image_to_depth, raw_pixels(keyframe.camera, keyframe.pixels))
+        own = np.where(good, network, 0.0)
+        firm = good & (message.parallax_deg >= MIN_ALIGNED_PARALLAX_DEG) & (message.depths > 0)
+        if firm.sum() >= MIN_ALIGNED:
+            factor = float(np.exp(np.median(np.log(message.depths[firm] / own[firm]))))
+        else:
+            factor = float(np.exp(-log_scale))
+        keyframe.depths = own * factor
+
+    def optimise(self, newest: int, log_scale: float) -> MapUpdate | None:
+        """Solve the window of a keyframe and take its result over; None where nothing was solved."""
+        started = time.perf_counter()
+        window = choose_window(self.world, newest, self._config)
+        solution = solve(self.world, window, self._config, float(np.exp(-log_scale)), self._use_depth)
+        if solution is None:
+            return None
+        return self._take_over(newest, solution, started)
+
+    def _take_over(self, newest: int, solution: Solution, started: float) -> MapUpdate:
+        for k, pose in solution.poses.items():
+            self.world.keyframes[k].world_from_camera = pose
+        for p, position in solution.points.items():
+            self.world.points[p].position = position
+        for k, p in solution.outliers:
+            self.world.drop_observation(k, p)
+        self.sequence += 1
+        alive = [p for p in solution.points if p in self.world.points]
+        outliers = np.array(solution.outliers, np.int64).reshape(-1, 2)
+        return MapUpdate(
+            epoch=self.epoch,
+            sequence=self.sequence,
+            based_on=newest,
+            index=self.world.keyframes[newest].index,
+            loop_closed=False,
+            solve_ms=(time.perf_counter() - started) * 1e3,
+            keyframes=np.array(list(solution.poses), np.int64),
+            poses=np.array(list(solution.poses.values())).reshape(-1, 4, 4),
+            points=np.array(alive, np.int64),
+            positions=np.array([self.world.points[p].position for p in alive]).reshape(-1, 3),
+            dropped_keyframes=outliers[:, 0],
+            dropped_points=outliers[:, 1],
+            covariance=np.zeros((6, 6)),
+        )
+
+    def step(
+        self, message: Keyframe, depth: NDArray[np.float32], image_to_depth: Array, log_scale: float
+    ) -> MapUpdate | None:
+        """A keyframe with its depth, absorbed and optimised."""
+        self.absorb(message)
+        self.add_depth(message, depth, image_to_depth, log_scale)
+        return self.optimise(message.id, log_scale)
+
+    def keyframe_poses(self) -> dict[int, Array]:
+        """world_from_camera of every keyframe, culled ones included."""
+        return self.world.poses()

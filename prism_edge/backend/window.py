@@ -1,0 +1,146 @@
+"""Bundle adjustment of a window of keyframes (paper, section 3.4; W = 12, 15 iterations)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from prism_edge.backend.factors import SCALE_FACTOR, held, metric_depth, reprojection
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import Array
+
+CHI2_2D_99 = 9.21
+
+
+@dataclass(frozen=True)
+class Window:
+    """Which keyframes are free, which are held, and which points join them."""
+
+    free: list[int]
+    held: list[int]
+    points: list[int]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What a solve moved, and the observations it found wrong."""
+
+    poses: dict[int, Array]
+    points: dict[int, Array]
+    outliers: list[tuple[int, int]]  # keyframe, point
+    iterations: int
+    error_before: float
+    error_after: float
+
+
+def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Window:
+    """The newest keyframe, those that share most with it, and older ones that hold the gauge.
+
+    Exactly one pose is held while the window is the whole map: scale then rests on metric depth alone.
+    """
+    free = [newest] + [k for k, shared in world.covisible(newest) if shared >= 15][: config.window - 1]
+    counts: dict[int, int] = {}
+    for k in free:
+        for point in world.keyframes[k].observed:
+            counts[point] = counts.get(point, 0) + 1
+    chosen: set[int] = set()
+    for k in free:
+        # Points that many of the window see tie it together best.
+        mine = sorted(world.keyframes[k].observed, key=lambda p: (-counts[p], p))
+        chosen.update(mine[: config.observations])
+    outside: dict[int, int] = {}
+    for point in chosen:
+        for k in world.points[point].keyframes:
+            if k not in counts:
+                outside[k] = outside.get(k, 0) + 1
+    inside = set(free)
+    ranked = sorted(((n, k) for k, n in outside.items() if k not in inside), key=lambda item: (-item[0], item[1]))
+    anchors = [k for n, k in ranked if n >= 10][: config.fixed]
+    if not anchors:
+        anchors = [min(free)]
+        free = [k for k in free if k not in anchors]
+    members = set(free) | set(anchors)
+    points = sorted(p for p in chosen if len(world.points[p].keyframes & members) >= 2)
+    return Window(sorted(free), sorted(anchors), points)
+
+
+def solve(
+    world: GlobalMap, window: Window, config: BackendConfig, units_per_metre: float, use_depth: bool
+) -> Solution | None:
+    """Optimise a window; None where there is nothing to optimise or gtsam fails on it."""
+    if not window.free or len(window.points) < 10:
+        return None
+    graph, values, observations = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+    for k in window.free + window.held:
+        values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
+    for k in window.held:
+        graph.add(held(X(k), values.atPose3(X(k))))
+    members = set(window.free) | set(window.held)
+    for p in window.points:
+        point = world.points[p]
+        values.insert(L(p), point.position)
+        for k in point.keyframes & members:
+            keyframe = world.keyframes[k]
+            keypoint = keyframe.observed[p]
+            pixel = keyframe.pixels[keypoint]
+            graph.add(reprojection(X(k), L(p), pixel, int(keyframe.octaves[keypoint]), keyframe.camera, config))
+            observations.append((k, p, keypoint))
+            if use_depth and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
+                depth = float(keyframe.depths[keypoint])
+                graph.add(
+                    metric_depth(X(k), L(p), pixel, depth, keyframe.camera, units_per_metre, 1.0, config)
+                )
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setRelativeErrorTol(1e-4)
+    parameters.setlambdaInitial(1e-4)
+    try:
+        optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+        before = previous = optimiser.error()
+        # Step by step, so that the interpreter breathes between iterations.
+        iterations = 0
+        for iterations in range(1, config.iterations + 1):
+            optimiser.iterate()
+            error = optimiser.error()
+            if previous - error < 1e-3 * previous:
+                break
+            previous = error
+        result = optimiser.values()
+    except RuntimeError:
+        return None
+    poses = {k: result.atPose3(X(k)).matrix() for k in window.free}
+    points = {p: np.asarray(result.atPoint3(L(p))) for p in window.points}
+    if not all(np.all(np.isfinite(v)) for v in (*poses.values(), *points.values())):
+        return None
+    outliers = _outliers(world, poses, points, observations, config)
+    return Solution(poses, points, outliers, iterations, before, optimiser.error())
+
+
+def _outliers(
+    world: GlobalMap,
+    poses: dict[int, Array],
+    points: dict[int, Array],
+    observations: list[tuple[int, int, int]],
+    config: BackendConfig,
+) -> list[tuple[int, int]]:
+    """Observations whose reprojection error is beyond the 99 % bound, or whose point is behind."""
+    wrong: list[tuple[int, int]] = []
+    by_keyframe: dict[int, list[tuple[int, int]]] = {}
+    for k, p, keypoint in observations:
+        by_keyframe.setdefault(k, []).append((p, keypoint))
+    for k, seen in by_keyframe.items():
+        keyframe = world.keyframes[k]
+        pose = poses.get(k, keyframe.world_from_camera)
+        ids = [p for p, _ in seen]
+        keypoints = np.array([i for _, i in seen])
+        local = (np.array([points[p] for p in ids]) - pose[:3, 3]) @ pose[:3, :3]
+        z = np.where(local[:, 2] > 1e-6, local[:, 2], 1e-6)
+        camera = keyframe.camera
+        projected = np.stack([camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy], 1)
+        sigma = config.pixel_sigma * SCALE_FACTOR ** keyframe.octaves[keypoints].astype(float)
+        chi2 = (((projected - keyframe.pixels[keypoints]) / sigma[:, None]) ** 2).sum(axis=1)
+        wrong += [(k, ids[i]) for i in np.flatnonzero((chi2 > CHI2_2D_99) | (local[:, 2] <= 1e-6))]
+    return wrong

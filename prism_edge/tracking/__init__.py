@@ -1,0 +1,1 @@
+"""The ORB tracker: features, matching, pose refinement, local map; pure, no I/O."""

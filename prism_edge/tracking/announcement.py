@@ -1,0 +1,63 @@
+"""A keyframe as the other processes hear of it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prism_edge.messages import Keyframe
+from prism_edge.tracking.local_map import Changes, LocalKeyframe
+from prism_edge.tracking.tracker import Tracker
+
+
+def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float = 0.0) -> Keyframe:
+    """The message for a new keyframe, with every change of the map since the one before."""
+    world, changes = tracker.world, tracker.world.changes
+    world.changes = Changes()
+    tracker.announced(keyframe)
+    table = world.points
+    keypoints, depths = world.depths_in(keyframe)
+    all_depths = np.zeros(len(keyframe.points), np.float32)
+    all_depths[keypoints] = depths
+    parallax = np.zeros(len(keyframe.points), np.float32)
+    parallax[keypoints] = table.parallax_deg[table.rows(keyframe.points[keypoints])]
+    new = np.concatenate([*changes.new_points, np.zeros(0, np.int64)])
+    new = np.unique(new[table.known(new)])
+    into = dict(changes.fused)
+    late = np.array([(_survivor(p, into), k, i) for p, k, i in changes.late], np.int64).reshape(-1, 3)
+    late = late[table.known(late[:, 0]) & (late[:, 1] != keyframe.id)]
+    fused = np.array(changes.fused, np.int64).reshape(-1, 2)
+    anchor = max((k for k in world.keyframes if k < keyframe.id), default=keyframe.id)
+    return Keyframe(
+        id=keyframe.id,
+        index=keyframe.index,
+        stamp_ns=keyframe.stamp_ns,
+        epoch=tracker.epoch,
+        camera_model=keyframe.camera.model,
+        camera=keyframe.camera.to_array(),
+        world_from_camera=keyframe.world_from_camera,
+        pixels=keyframe.features.pixels.astype(np.float32),
+        octaves=keyframe.features.octaves.astype(np.uint8),
+        descriptors=keyframe.features.descriptors.view(np.uint8).reshape(-1, 32),
+        points=keyframe.points,
+        depths=all_depths,
+        parallax_deg=parallax,
+        new_points=new,
+        new_positions=table.position[table.rows(new)],
+        late_points=late[:, 0],
+        late_keyframes=late[:, 1],
+        late_keypoints=late[:, 2],
+        culled_points=np.concatenate([*changes.culled_points, np.zeros(0, np.int64)]),
+        culled_keyframes=np.array(changes.culled_keyframes, np.int64),
+        fused_from=fused[:, 0],
+        fused_into=fused[:, 1],
+        anchor=anchor,
+        world_from_anchor=world.keyframes[anchor].world_from_camera,
+        travelled=travelled,
+    )
+
+
+def _survivor(point: int, fused_into: dict[int, int]) -> int:
+    """The point that took over an identity, through any number of fusions."""
+    while point in fused_into:
+        point = fused_into[point]
+    return point

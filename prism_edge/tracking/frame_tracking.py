@@ -1,0 +1,229 @@
+"""One frame against the local map: match where the motion model expects points, refine the pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.matching import match_projected
+from prism_edge.tracking.point_table import Ids, Index, PointTable
+from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
+
+# Hamming distances of 256: the same corner seen again stays well below, another one is near 128.
+MOTION_DISTANCE, MOTION_RATIO = 64, 0.9
+LOCAL_DISTANCE, LOCAL_RATIO = 72, 0.8
+SEARCH_RADII = (15.0, 40.0, 80.0)  # pixels at level 0, tried in turn when too little is found
+LOCAL_RADIUS = 5.0
+MIN_VIEW_COSINE = 0.5
+
+
+@dataclass
+class TrackedFrame:
+    """A frame placed in the map."""
+
+    camera: Camera
+    features: Features
+    world_from_camera: Array
+    points: Ids  # map point of each keypoint, -1 for none; inliers only
+    covariance: Array  # (6, 6), translation first, camera frame, map units
+    matched: int
+    residual_px: float
+
+
+def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
+    """One-sigma error vectors (n, 3) of points along the rays from ``origins`` that first saw them."""
+    return (table.position[rows] - origins) * table.log_depth_sigma[rows, None]
+
+
+def reference_origins(world: LocalMap, rows: Index) -> Array:
+    """Where the camera was that created each point; a culled keyframe's points use their last viewer."""
+    table = world.points
+    references, inverse = np.unique(table.reference[rows], return_inverse=True)
+    known = [world.keyframes.get(int(k)) for k in references]
+    centres = np.array([k.world_from_camera[:3, 3] if k else (np.nan,) * 3 for k in known]).reshape(-1, 3)
+    origins = centres[inverse]
+    lost = np.isnan(origins[:, 0])
+    if lost.any():
+        origins[lost] = (table.position + table.direction * table.distance[:, None])[rows[lost]]
+    return origins
+
+
+class FrameTracker:
+    """Places frames in a local map."""
+
+    def __init__(self, scale_factors: Array, max_local_points: int) -> None:
+        self._factors = scale_factors
+        self._log_factor = float(np.log(scale_factors[1])) if len(scale_factors) > 1 else 1.0
+        self._most = max_local_points
+        self._local_rows: Index = np.zeros(0, np.intp)
+        self._local_ids: Ids = np.zeros(0, np.int64)
+
+    def refresh_local_map(self, world: LocalMap, point_ids: Ids) -> None:
+        """Choose the points to look for: those of the keyframes that share most with what is seen."""
+        ranked = sorted(world.votes(point_ids).items(), key=lambda item: (-item[1], -item[0]))
+        chosen = [k for k, _ in ranked[:12]]
+        # Neighbours of the best few bring in what is about to enter the image.
+        for k in chosen[:3]:
+            chosen += [n.id for n in world.covisible(world.keyframes[k], 6) if n.id not in chosen]
+        rows = world.rows_seen_by([world.keyframes[k] for k in chosen], self._most)
+        self._local_ids = world.points.ids[rows].copy()
+
+    def track(
+        self,
+        world: LocalMap,
+        camera: Camera,
+        features: Features,
+        predicted: Array,
+        previous: TrackedFrame | None,
+        enough: int,
+    ) -> TrackedFrame | None:
+        """Place a frame near ``predicted`` (world_from_camera); None where too little agrees."""
+        estimate, points = self._follow(world, camera, features, predicted, previous, enough)
+        if estimate is None:
+            return None
+        local = self._local_ids[world.points.known(self._local_ids)]
+        candidates = np.setdiff1d(local, points[points >= 0], assume_unique=True)
+        self._extend(world, camera, features, estimate.world_from_camera, candidates, points)
+        final = self._solve(world, camera, features, estimate.world_from_camera, points)
+        if final is None:
+            return None
+        estimate, keypoints = final
+        rows = world.points.rows(points[keypoints])
+        world.points.found[rows[estimate.inliers]] += 1
+        points[keypoints[~estimate.inliers]] = -1
+        matched = int(estimate.inliers.sum())
+        return TrackedFrame(
+            camera,
+            features,
+            estimate.world_from_camera,
+            points,
+            estimate.covariance,
+            matched,
+            estimate.residual_px,
+        )
+
+    def _follow(
+        self,
+        world: LocalMap,
+        camera: Camera,
+        features: Features,
+        predicted: Array,
+        previous: TrackedFrame | None,
+        enough: int,
+    ) -> tuple[PoseEstimate | None, Ids]:
+        """Points of the previous frame (else the whole local map), in growing windows."""
+        table = world.points
+        if previous is not None:
+            keypoints = np.flatnonzero(previous.points >= 0)
+            keypoints = keypoints[table.known(previous.points[keypoints])]
+            ids = previous.points[keypoints]
+            descriptors = previous.features.descriptors[keypoints]
+            octaves = previous.features.octaves[keypoints]
+        else:
+            ids = self._local_ids[table.known(self._local_ids)]
+            descriptors = table.descriptor[table.rows(ids)]
+            octaves = table.octave[table.rows(ids)]
+        rows = table.rows(ids)
+        best: tuple[PoseEstimate, Ids] | None = None
+        for radius in SEARCH_RADII:
+            points = np.full(len(features), -1, np.int64)
+            centres, inside = _project(camera, predicted, table.position[rows])
+            query, keypoint = match_projected(
+                features,
+                centres[inside],
+                radius * self._factors[octaves[inside]],
+                octaves[inside],
+                descriptors[inside],
+                MOTION_DISTANCE,
+                MOTION_RATIO,
+            )
+            if len(query) >= enough:
+                points[keypoint] = ids[inside][query]
+                solved = self._solve(world, camera, features, predicted, points)
+                if solved is not None:
+                    estimate, used = solved
+                    points[used[~estimate.inliers]] = -1
+                    count = int(estimate.inliers.sum())
+                    if best is None or count > best[0].inliers.sum():
+                        best = (estimate, points)
+                    # A window that most matches agree in is wide enough.
+                    if count >= 2 * enough and count >= 0.5 * len(query):
+                        break
+        if best is None or best[0].inliers.sum() < enough // 2:
+            return None, np.full(len(features), -1, np.int64)
+        return best
+
+    def _extend(
+        self,
+        world: LocalMap,
+        camera: Camera,
+        features: Features,
+        pose: Array,
+        ids: Ids,
+        points: Ids,
+    ) -> None:
+        """Look for further points of the local map at their predicted places; fills ``points``."""
+        table = world.points
+        rows = table.rows(ids)
+        centres, inside = _project(camera, pose, table.position[rows])
+        offset = pose[:3, 3] - table.position[rows]
+        distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
+        octave = table.octave[rows] + np.rint(np.log(table.distance[rows] / distance) / self._log_factor)
+        inside &= (octave >= -1) & (octave <= len(self._factors))
+        inside &= np.einsum("ij,ij->i", offset, table.direction[rows]) > MIN_VIEW_COSINE * distance
+        rows, centres = rows[inside], centres[inside]
+        octave = np.clip(octave[inside], 0, len(self._factors) - 1).astype(np.intp)
+        table.visible[rows] += 1
+        seen = points[points >= 0]
+        table.visible[table.rows(seen)] += 1
+        # A seed's place is doubtful along its ray, so its window is wider.
+        radius = LOCAL_RADIUS * self._factors[octave] * np.where(table.log_depth_sigma[rows] > 0.1, 2.0, 1.0)
+        query, keypoint = match_projected(
+            features,
+            centres,
+            radius,
+            octave,
+            table.descriptor[rows],
+            LOCAL_DISTANCE,
+            LOCAL_RATIO,
+            free=points < 0,
+        )
+        points[keypoint] = table.ids[rows[query]]
+
+    def _solve(
+        self, world: LocalMap, camera: Camera, features: Features, start: Array, points: Ids
+    ) -> tuple[PoseEstimate, Index] | None:
+        keypoints = np.flatnonzero(points >= 0)
+        if len(keypoints) < 6:
+            return None
+        table = world.points
+        rows = table.rows(points[keypoints])
+        estimate = refine_pose(
+            camera,
+            start,
+            table.position[rows],
+            features.pixels[keypoints],
+            self._factors[features.octaves[keypoints]],
+            depth_error(table, rows, reference_origins(world, rows)),
+            table.weight[rows],
+        )
+        return estimate, keypoints
+
+
+def _project(camera: Camera, pose: Array, points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Pixels (n, 2) of world points and which of them are in the image."""
+    local = (points - pose[:3, 3]) @ pose[:3, :3]
+    z = local[:, 2]
+    front = z > 1e-3
+    inverse_z = 1.0 / np.where(front, z, 1.0)
+    pixels = np.empty((len(points), 2))
+    pixels[:, 0] = camera.fx * local[:, 0] * inverse_z + camera.cx
+    pixels[:, 1] = camera.fy * local[:, 1] * inverse_z + camera.cy
+    inside = front & (pixels[:, 0] >= 0) & (pixels[:, 0] < camera.width)
+    return pixels, inside & (pixels[:, 1] >= 0) & (pixels[:, 1] < camera.height)

@@ -1,0 +1,183 @@
+"""The tracker's map: keyframes, points, and who sees what."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.point_table import Ids, Index, PointTable
+
+NO_POINT = -1
+
+
+@dataclass
+class LocalKeyframe:
+    """One keyframe of the local map; ``points`` holds the id of each keypoint's map point or -1."""
+
+    id: int
+    index: int
+    stamp_ns: int
+    world_from_camera: Array
+    camera: Camera
+    features: Features
+    points: Ids
+
+    def observed(self) -> Index:
+        """Keypoints that have a point."""
+        return np.flatnonzero(self.points != NO_POINT)
+
+    def free(self) -> Index:
+        """Keypoints without one."""
+        return np.flatnonzero(self.points == NO_POINT)
+
+
+@dataclass
+class Changes:
+    """What happened to the map since the last keyframe message: the backend hears of it with the next."""
+
+    new_points: list[Ids] = field(default_factory=list)
+    late: list[tuple[int, int, int]] = field(default_factory=list)  # point, keyframe, keypoint
+    culled_points: list[Ids] = field(default_factory=list)
+    culled_keyframes: list[int] = field(default_factory=list)
+    fused: list[tuple[int, int]] = field(default_factory=list)  # from, into
+
+
+class LocalMap:
+    """Keyframes and points in one world frame and unit."""
+
+    def __init__(self) -> None:
+        self.points = PointTable()
+        self.keyframes: dict[int, LocalKeyframe] = {}
+        self.changes = Changes()
+
+    def newest(self) -> LocalKeyframe:
+        """The latest keyframe; the map must have one."""
+        return self.keyframes[max(self.keyframes)]
+
+    def add_keyframe(self, keyframe: LocalKeyframe) -> None:
+        """Insert a keyframe whose ``points`` are ids of the table; refreshes what its points look like."""
+        self.keyframes[keyframe.id] = keyframe
+        keypoints = keyframe.observed()
+        if len(keypoints) == 0:
+            return
+        rows = self.points.rows(keyframe.points[keypoints])
+        self.points.observations[rows] += 1
+        self._refresh_appearance(keyframe, keypoints, rows)
+
+    def _refresh_appearance(self, keyframe: LocalKeyframe, keypoints: Index, rows: Index) -> None:
+        table = self.points
+        offset = keyframe.world_from_camera[:3, 3] - table.position[rows]
+        distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
+        table.direction[rows] = offset / distance[:, None]
+        table.distance[rows] = distance
+        table.octave[rows] = keyframe.features.octaves[keypoints]
+        table.descriptor[rows] = keyframe.features.descriptors[keypoints]
+
+    def add_points(
+        self,
+        keyframe: LocalKeyframe,
+        keypoints: Index,
+        positions: Array,
+        log_depth_sigma: Array,
+        parallax_deg: Array | float,
+    ) -> Ids:
+        """New points first seen at ``keypoints`` of a keyframe that is in the map."""
+        ids = self.points.add(
+            len(keypoints),
+            position=positions,
+            log_depth_sigma=log_depth_sigma,
+            parallax_deg=parallax_deg,
+            reference=keyframe.id,
+            reference_keypoint=keypoints,
+            observations=1,
+        )
+        keyframe.points[keypoints] = ids
+        self._refresh_appearance(keyframe, keypoints, self.points.rows(ids))
+        self.changes.new_points.append(ids)
+        return ids
+
+    def add_observation(self, point: int, row: int, keyframe: LocalKeyframe, keypoint: int) -> None:
+        """An earlier keyframe turns out to see a point too."""
+        keyframe.points[keypoint] = point
+        self.points.observations[row] += 1
+        self.changes.late.append((point, keyframe.id, keypoint))
+
+    def cull_points(self, rows: Index) -> None:
+        """Remove points from the map and from every keyframe."""
+        if len(rows) == 0:
+            return
+        ids = self.points.ids[rows]
+        self.points.alive[rows] = False
+        self.changes.culled_points.append(ids.copy())
+        for keyframe in self.keyframes.values():
+            keyframe.points[np.isin(keyframe.points, ids)] = NO_POINT
+
+    def drop_observations(self, keyframe_ids: Ids, point_ids: Ids) -> None:
+        """The backend found these observations wrong; points left with fewer than two are culled."""
+        for keyframe_id in np.unique(keyframe_ids):
+            keyframe = self.keyframes.get(int(keyframe_id))
+            if keyframe is None:
+                continue
+            wrong = np.isin(keyframe.points, point_ids[keyframe_ids == keyframe_id])
+            known = keyframe.points[wrong]
+            self.points.observations[self.points.rows(known[self.points.known(known)])] -= 1
+            keyframe.points[wrong] = NO_POINT
+        affected = np.unique(point_ids)
+        rows = self.points.rows(affected[self.points.known(affected)])
+        self.cull_points(rows[self.points.observations[rows] < 2])
+
+    def votes(self, point_ids: Ids) -> dict[int, int]:
+        """How many of the points each keyframe sees (only keyframes that see any)."""
+        marked = np.zeros(len(self.points) + 1, bool)
+        marked[self.points.rows(point_ids)] = True
+        counts: dict[int, int] = {}
+        for keyframe in self.keyframes.values():
+            seen = keyframe.points[keyframe.points >= 0]
+            count = int(marked[self.points.rows(seen)].sum())
+            if count:
+                counts[keyframe.id] = count
+        return counts
+
+    def covisible(self, keyframe: LocalKeyframe, most: int, least_shared: int = 15) -> list[LocalKeyframe]:
+        """Keyframes that share the most points with one, best first."""
+        votes = self.votes(keyframe.points[keyframe.observed()])
+        votes.pop(keyframe.id, None)
+        ranked = sorted(votes.items(), key=lambda item: (-item[1], -item[0]))
+        return [self.keyframes[k] for k, shared in ranked[:most] if shared >= least_shared]
+
+    def rows_seen_by(self, keyframes: list[LocalKeyframe], most: int) -> Index:
+        """Rows of the live points that some keyframes see; earlier keyframes in the list count first."""
+        seen: list[Ids] = []
+        total = 0
+        marked = np.zeros(len(self.points) + 1, bool)
+        for keyframe in keyframes:
+            ids = keyframe.points[keyframe.points >= 0]
+            rows = self.points.rows(ids)
+            rows = rows[~marked[rows]]
+            marked[rows] = True
+            seen.append(rows)
+            total += len(rows)
+            if total >= most:
+                break
+        if not seen:
+            return np.zeros(0, np.intp)
+        rows = np.concatenate(seen)[:most]
+        return rows[self.points.alive[rows]]
+
+    def depths_in(self, keyframe: LocalKeyframe) -> tuple[Index, Array]:
+        """Observed keypoints of a keyframe and the depth of their points along its z axis."""
+        keypoints = keyframe.observed()
+        rows = self.points.rows(keyframe.points[keypoints])
+        pose = keyframe.world_from_camera
+        return keypoints, (self.points.position[rows] - pose[:3, 3]) @ pose[:3, 2]
+
+    def median_depth(self, keyframe: LocalKeyframe) -> float:
+        """Median depth of what a keyframe sees; 1 where it sees nothing."""
+        _, depths = self.depths_in(keyframe)
+        depths = depths[depths > 0]
+        return float(np.median(depths)) if len(depths) else 1.0
+

@@ -1,0 +1,192 @@
+"""What a new keyframe gives the map: triangulated points, further observations, fused doubles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.geometry.poses import Array, inverse
+from prism_edge.tracking.frame_tracking import _project, reference_origins
+from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
+from prism_edge.tracking.matching import match_projected
+from prism_edge.tracking.point_table import Index
+from prism_edge.tracking.pose_refinement import CHI2_2D_95
+from prism_edge.tracking.triangulation import match_epipolar, rays, triangulate
+
+MIN_PARALLAX = np.radians(1.0)
+MIN_BASELINE = 0.015  # of the median depth
+FUSE_DISTANCE, FUSE_RATIO, FUSE_RADIUS = 50, 0.9, 3.0
+MATCHING_SIGMA_PX = 1.4  # of a disparity: two keypoints of one pixel each
+
+
+def triangulate_with_neighbours(
+    world: LocalMap, keyframe: LocalKeyframe, neighbours: list[LocalKeyframe], scale_factors: Array
+) -> int:
+    """New points between a keyframe and its neighbours; returns how many."""
+    created = 0
+    _, depths = world.depths_in(keyframe)
+    depths = depths[depths > 0]
+    if len(depths) < 10:
+        return 0
+    nearest, farthest = np.quantile(depths, (0.02, 0.98))
+    for other in neighbours:
+        baseline = np.linalg.norm(other.world_from_camera[:3, 3] - keyframe.world_from_camera[:3, 3])
+        if baseline < MIN_BASELINE * np.median(depths):
+            continue
+        a, b = match_epipolar(
+            keyframe.camera,
+            other.camera,
+            inverse(keyframe.world_from_camera) @ other.world_from_camera,
+            keyframe.features,
+            other.features,
+            keyframe.free(),
+            other.free(),
+            scale_factors,
+            (0.4 * float(nearest), 3.0 * float(farthest)),
+        )
+        ray_a = rays(keyframe.camera, keyframe.features.pixels[a])
+        ray_b = rays(other.camera, other.features.pixels[b])
+        points, depth_a, depth_b, parallax = triangulate(
+            keyframe.world_from_camera, other.world_from_camera, ray_a, ray_b
+        )
+        good = (parallax > MIN_PARALLAX) & (depth_a > 0) & (depth_b > 0)
+        good &= np.isfinite(depth_a) & np.isfinite(depth_b)
+        good &= _reprojects(keyframe, points, a, scale_factors) & _reprojects(other, points, b, scale_factors)
+        # The same corner looks as much smaller as it is farther away.
+        ratio = np.where(good, depth_b, 1.0) / np.where(good, depth_a, 1.0)
+        level = scale_factors[keyframe.features.octaves[a]] / scale_factors[other.features.octaves[b]]
+        good &= (ratio / level < 1.8) & (ratio / level > 1 / 1.8)
+        a, b, parallax = a[good], b[good], parallax[good]
+        if len(a) == 0:
+            continue
+        sigma = MATCHING_SIGMA_PX / (keyframe.camera.fx * parallax)
+        ids = world.add_points(keyframe, a, points[good], sigma, np.degrees(parallax))
+        for point, row, keypoint in zip(ids, world.points.rows(ids), b, strict=True):
+            world.add_observation(int(point), int(row), other, int(keypoint))
+        created += len(a)
+    return created
+
+
+def _reprojects(keyframe: LocalKeyframe, points: Array, keypoints: Index, factors: Array) -> NDArray[np.bool_]:
+    pixels, _ = _project(keyframe.camera, keyframe.world_from_camera, points)
+    error = (pixels - keyframe.features.pixels[keypoints]) / factors[keyframe.features.octaves[keypoints], None]
+    return np.einsum("ij,ij->i", error, error) < CHI2_2D_95
+
+
+def mature(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> int:
+    """Triangulate points that so far rest on depth or on little parallax; returns how many improved.
+
+    A point's first ray and the new keyframe's give a better place once they differ by a degree and by
+    more than what the point had before.
+    """
+    table = world.points
+    keypoints = keyframe.observed()
+    rows = table.rows(keyframe.points[keypoints])
+    origins = reference_origins(world, rows)
+    to_first = table.position[rows] - origins
+    to_now = table.position[rows] - keyframe.world_from_camera[:3, 3]
+    cosine = np.einsum("ij,ij->i", to_first, to_now)
+    cosine /= np.maximum(np.linalg.norm(to_first, axis=1) * np.linalg.norm(to_now, axis=1), 1e-12)
+    angle = np.arccos(np.clip(cosine, -1.0, 1.0))
+    better = (angle > MIN_PARALLAX) & (np.degrees(angle) > 1.3 * table.parallax_deg[rows])
+    improved = 0
+    for reference in np.unique(table.reference[rows[better]]):
+        first = world.keyframes.get(int(reference))
+        if first is None or first is keyframe:
+            continue
+        mine = np.flatnonzero(better & (table.reference[rows] == reference))
+        mine = mine[first.points[table.reference_keypoint[rows[mine]]] == table.ids[rows[mine]]]
+        first_keypoints = table.reference_keypoint[rows[mine]]
+        points, depth_a, depth_b, parallax = triangulate(
+            first.world_from_camera,
+            keyframe.world_from_camera,
+            rays(first.camera, first.features.pixels[first_keypoints]),
+            rays(keyframe.camera, keyframe.features.pixels[keypoints[mine]]),
+        )
+        good = (depth_a > 0) & (depth_b > 0) & np.isfinite(depth_a) & (parallax > MIN_PARALLAX)
+        good &= _reprojects(first, points, first_keypoints, scale_factors)
+        good &= _reprojects(keyframe, points, keypoints[mine], scale_factors)
+        chosen = rows[mine[good]]
+        # Points the backend has already adjusted over many views keep their place.
+        fresh = table.parallax_deg[chosen] < 2.0
+        table.position[chosen[fresh]] = points[good][fresh]
+        table.parallax_deg[chosen] = np.degrees(parallax[good])
+        table.log_depth_sigma[chosen] = MATCHING_SIGMA_PX / (keyframe.camera.fx * parallax[good])
+        world.changes.new_points.append(table.ids[chosen[fresh]])
+        improved += len(chosen)
+    return improved
+
+
+def share_points(world: LocalMap, source: LocalKeyframe, target: LocalKeyframe, factors: Array) -> int:
+    """Let ``target`` observe the points of ``source`` where they project onto a like keypoint.
+
+    A keypoint that already has another point shows that both are one: the less observed is fused into
+    the other. Returns how many observations were added or fused.
+    """
+    table = world.points
+    ids = source.points[source.observed()]
+    ids = ids[table.known(ids)]
+    ids = np.setdiff1d(ids, target.points)
+    rows = table.rows(ids)
+    rows = rows[table.log_depth_sigma[rows] < 0.1]
+    centres, inside = _project(target.camera, target.world_from_camera, table.position[rows])
+    rows, centres = rows[inside], centres[inside]
+    offset = target.world_from_camera[:3, 3] - table.position[rows]
+    distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
+    log_factor = np.log(factors[1]) if len(factors) > 1 else 1.0
+    octave = table.octave[rows] + np.rint(np.log(table.distance[rows] / distance) / log_factor)
+    good = np.einsum("ij,ij->i", offset, table.direction[rows]) > 0.5 * distance
+    good &= (octave >= 0) & (octave < len(factors))
+    rows, centres, octave = rows[good], centres[good], octave[good].astype(np.intp)
+    query, keypoint = match_projected(
+        target.features,
+        centres,
+        FUSE_RADIUS * factors[octave],
+        octave,
+        table.descriptor[rows],
+        FUSE_DISTANCE,
+        FUSE_RATIO,
+    )
+    changed = 0
+    for row, k in zip(rows[query], keypoint, strict=True):
+        point, present = int(table.ids[row]), int(target.points[k])
+        if not table.alive[row]:
+            continue
+        if present == NO_POINT:
+            world.add_observation(point, int(row), target, int(k))
+        else:
+            fuse(world, point, present)
+        changed += 1
+    return changed
+
+
+def fuse(world: LocalMap, first: int, second: int) -> None:
+    """Make two points one: the better observed keeps its place and takes the other's observations."""
+    table = world.points
+    rows = table.rows(np.array([first, second]))
+    if not table.alive[rows].all() or first == second:
+        return
+    keep, drop = (0, 1) if table.observations[rows[0]] >= table.observations[rows[1]] else (1, 0)
+    kept, dropped = (first, second)[keep], (first, second)[drop]
+    for keyframe in world.keyframes.values():
+        mine = np.flatnonzero(keyframe.points == dropped)
+        if len(mine):
+            if (keyframe.points == kept).any():
+                keyframe.points[mine] = NO_POINT
+            else:
+                keyframe.points[mine] = kept
+                table.observations[rows[keep]] += 1
+    table.found[rows[keep]] += table.found[rows[drop]]
+    table.visible[rows[keep]] += table.visible[rows[drop]]
+    table.alive[rows[drop]] = False
+    world.changes.fused.append((dropped, kept))
+
+
+def cull_recent_points(world: LocalMap, newest: int) -> None:
+    """Drop points that are rarely found where they should be, or that hardly any keyframe sees."""
+    table = world.points
+    age = newest - table.reference
+    young = table.alive & (age <= 4)
+    rarely = young & (table.visible > 8) & (table.found < 0.25 * table.visible)
+    lonely = table.alive & (age >= 3) & (age <= 8) & (table.observations < 2)
+    world.cull_points(np.flatnonzero(rarely | lonely))

@@ -1,0 +1,104 @@
+"""Binary descriptors matched where geometry expects them; everything vectorised over candidate pairs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.tracking.features import CELL, Features
+
+Index = NDArray[np.intp]
+_FAR = np.int64(1) << 40
+
+
+def hamming(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> NDArray[np.int64]:
+    """Differing bits between rows of (n, 4) 64-bit words."""
+    return np.bitwise_count(a ^ b).sum(axis=1, dtype=np.int64)
+
+
+def expand_ranges(starts: Index, stops: Index) -> tuple[Index, Index]:
+    """Concatenated ranges [start, stop): (which range, value), ordered by range."""
+    lengths = stops - starts
+    total = int(lengths.sum())
+    owner = np.repeat(np.arange(len(starts)), lengths)
+    offset = np.cumsum(lengths) - lengths
+    return owner, np.arange(total) - offset[owner] + starts[owner]
+
+
+def candidate_pairs(
+    features: Features, centres: NDArray[np.float64], radii: NDArray[np.float64]
+) -> tuple[Index, Index]:
+    """All (query, keypoint) pairs with the keypoint inside the query's square; grouped by query."""
+    low_x = np.clip((centres[:, 0] - radii) // CELL, 0, features.columns - 1).astype(np.intp)
+    high_x = np.clip((centres[:, 0] + radii) // CELL, 0, features.columns - 1).astype(np.intp)
+    low_y = np.clip((centres[:, 1] - radii) // CELL, 0, features.rows - 1).astype(np.intp)
+    high_y = np.clip((centres[:, 1] + radii) // CELL, 0, features.rows - 1).astype(np.intp)
+    if len(centres) == 0:
+        return low_x, low_x
+    rows = low_y[:, None] + np.arange(int((high_y - low_y).max()) + 1)
+    wanted = rows <= high_y[:, None]
+    rows = np.minimum(rows, features.rows - 1)
+    # Cells of one row lie side by side in ``order``, so each row of a square is a single range.
+    starts = features.cell_start[rows * features.columns + low_x[:, None]]
+    stops = features.cell_start[rows * features.columns + high_x[:, None] + 1]
+    stops = np.where(wanted, stops, starts)
+    owner, position = expand_ranges(starts.ravel(), stops.ravel())
+    query, keypoint = owner // rows.shape[1], features.order[position]
+    offset = np.abs(features.pixels[keypoint] - centres[query])
+    inside = np.maximum(offset[:, 0], offset[:, 1]) <= radii[query]
+    return query[inside], keypoint[inside]
+
+
+def best_pairs(
+    query: Index,
+    keypoint: Index,
+    distance: NDArray[np.int64],
+    max_distance: int,
+    ratio: float,
+) -> tuple[Index, Index]:
+    """One keypoint for each query and one query for each keypoint, from pairs grouped by query.
+
+    A pair needs a distance of at most ``max_distance`` and below ``ratio`` times the query's second best.
+    """
+    if len(query) == 0:
+        return query, keypoint
+    first = np.flatnonzero(np.r_[True, query[1:] != query[:-1]])
+    group = np.cumsum(np.r_[True, query[1:] != query[:-1]]) - 1
+    ranked = distance * _FAR + np.arange(len(query))
+    best = np.minimum.reduceat(ranked, first)
+    others = np.where(ranked == best[group], _FAR * 1024, ranked)
+    second = np.minimum.reduceat(others, first) // _FAR
+    position = best % _FAR
+    nearest = best // _FAR
+    good = (nearest <= max_distance) & (nearest < ratio * second)
+    position = position[good]
+    # Of several queries that want one keypoint the nearest gets it.
+    order = np.argsort(distance[position], kind="stable")
+    position = position[order]
+    _, unique = np.unique(keypoint[position], return_index=True)
+    position = position[np.sort(unique)]
+    return query[position], keypoint[position]
+
+
+def match_projected(
+    features: Features,
+    centres: NDArray[np.float64],
+    radii: NDArray[np.float64],
+    octaves: NDArray[np.intp],
+    descriptors: NDArray[np.uint64],
+    max_distance: int,
+    ratio: float,
+    free: NDArray[np.bool_] | None = None,
+    octave_slack: int = 1,
+) -> tuple[Index, Index]:
+    """Match points expected at ``centres`` (m, 2) at pyramid level ``octaves`` to keypoints.
+
+    ``free`` (n,) masks keypoints that may be matched. Returns (query, keypoint) index arrays.
+    """
+    query, keypoint = candidate_pairs(features, centres, radii)
+    keep = np.abs(features.octaves[keypoint] - octaves[query]) <= octave_slack
+    if free is not None:
+        keep &= free[keypoint]
+    query, keypoint = query[keep], keypoint[keep]
+    distance = hamming(descriptors[query], features.descriptors[keypoint])
+    return best_pairs(query, keypoint, distance, max_distance, ratio)

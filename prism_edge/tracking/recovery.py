@@ -1,0 +1,57 @@
+"""Finding the camera again in a map it was lost in, without an idea of where it is."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array, from_rt, inverse
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.matching import hamming
+from prism_edge.tracking.point_table import Ids
+
+MAX_DISTANCE, RATIO = 60, 0.8
+MIN_INLIERS = 15
+
+
+def match_keyframe(features: Features, keyframe: LocalKeyframe) -> tuple[Ids, Ids]:
+    """Mutual nearest descriptors between a frame and a keyframe's points: (keypoint, point id)."""
+    seen = keyframe.observed()
+    if len(seen) == 0 or len(features) == 0:
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    query = features.descriptors.view(np.uint8).reshape(-1, 32)
+    train = np.ascontiguousarray(keyframe.features.descriptors[seen]).view(np.uint8).reshape(-1, 32)
+    matches = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True).match(query, train)
+    a = np.array([m.queryIdx for m in matches], np.int64)
+    b = np.array([m.trainIdx for m in matches], np.int64)
+    close = hamming(features.descriptors[a], keyframe.features.descriptors[seen[b]]) <= MAX_DISTANCE
+    return a[close], keyframe.points[seen[b[close]]]
+
+
+def locate(world: LocalMap, camera: Camera, features: Features, keyframe: LocalKeyframe, seed: int) -> Array | None:
+    """Pose (world_from_camera) by perspective-n-point RANSAC on one keyframe's points; None if it fails."""
+    keypoints, ids = match_keyframe(features, keyframe)
+    known = world.points.known(ids)
+    keypoints, ids = keypoints[known], ids[known]
+    if len(ids) < MIN_INLIERS:
+        return None
+    cv2.setRNGSeed(seed)
+    try:
+        found, rotation, translation, inliers = cv2.solvePnPRansac(
+            world.points.position[world.points.rows(ids)],
+            features.pixels[keypoints],
+            camera.matrix,
+            None,
+            iterationsCount=200,
+            reprojectionError=6.0,
+            confidence=0.99,
+            flags=cv2.SOLVEPNP_EPNP,
+        )
+    except cv2.error:
+        return None  # degenerate points; the next frame may do better
+    if not found or inliers is None or len(inliers) < MIN_INLIERS:
+        return None
+    pose = from_rt(cv2.Rodrigues(rotation)[0], translation.ravel())
+    return inverse(pose) if np.all(np.isfinite(pose)) else None

@@ -1,0 +1,72 @@
+"""Points seeded from network depth: a keyframe's unclaimed keypoints get the depth of their pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array, transform
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.point_table import Ids, Index
+from prism_edge.tracking.triangulation import rays
+
+MAX_EDGE_RATIO = 1.25  # of depths round a pixel: beyond it the pixel straddles an edge
+MIN_ALIGNED = 20  # triangulated points that make a keyframe's own ratio better than the filter's
+
+
+def sample_depth(
+    depth: NDArray[np.float32], image_to_depth: Array, pixels: Array
+) -> tuple[NDArray[np.bool_], Array]:
+    """Depth (n,) of the nearest pixel for image pixels (n, 2), and which are usable (valid, off edges)."""
+    height, width = depth.shape
+    x = np.rint(pixels[:, 0] * image_to_depth[0] + image_to_depth[1]).astype(np.intp)
+    y = np.rint(pixels[:, 1] * image_to_depth[2] + image_to_depth[3]).astype(np.intp)
+    inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+    x, y = np.clip(x, 1, width - 2), np.clip(y, 1, height - 2)
+    around = np.stack([depth[y + dy, x + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)])
+    low, high = around.min(axis=0), around.max(axis=0)
+    good = inside & (low > 0) & (high < MAX_EDGE_RATIO * low)
+    return good, around[4].astype(np.float64)
+
+
+def raw_pixels(camera: Camera, ideal_pixels: Array) -> Array:
+    """Pixels of the image as taken (n, 2), where keypoints (ideal pixels) are to be looked up in it."""
+    if camera.is_ideal:
+        return ideal_pixels
+    return camera.project(rays(camera, ideal_pixels))
+
+
+def seed_from_depth(
+    world: LocalMap,
+    keyframe: LocalKeyframe,
+    depth: NDArray[np.float32],
+    image_to_depth: Array,
+    units_per_metre: float,
+    relative_sigma: float,
+    most: int,
+) -> Ids:
+    """Add points at the free keypoints of a keyframe from its network depth (metres).
+
+    Where the keyframe sees enough triangulated points, their own ratio to the network's depth places
+    the seeds in the map's unit, since a network's scale wavers from frame to frame.
+    """
+    keypoints, map_depth = world.depths_in(keyframe)
+    rows = world.points.rows(keyframe.points[keypoints])
+    firm = (world.points.parallax_deg[rows] >= 1.0) & (map_depth > 0)
+    if firm.sum() >= MIN_ALIGNED:
+        pixels = raw_pixels(keyframe.camera, keyframe.features.pixels[keypoints[firm]])
+        good, network = sample_depth(depth, image_to_depth, pixels)
+        if good.sum() >= MIN_ALIGNED:
+            units_per_metre = float(np.exp(np.median(np.log(map_depth[firm][good] / network[good]))))
+    free = keyframe.free()
+    good, metres = sample_depth(
+        depth, image_to_depth, raw_pixels(keyframe.camera, keyframe.features.pixels[free])
+    )
+    chosen: Index = free[good][:most]
+    metres = metres[good][:most]
+    if len(chosen) == 0:
+        return np.zeros(0, np.int64)
+    local = rays(keyframe.camera, keyframe.features.pixels[chosen]) * (metres * units_per_metre)[:, None]
+    sigma = np.full(len(chosen), relative_sigma)
+    return world.add_points(keyframe, chosen, transform(keyframe.world_from_camera, local), sigma, 0.0)

@@ -1,0 +1,279 @@
+"""The tracker: frames in, poses and keyframes out; composed of the parts beside it."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.config import TrackingConfig
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_log
+from prism_edge.messages import DEGRADED, INITIALISING, LOST, OK
+from prism_edge.tracking import mapping
+from prism_edge.tracking.features import Features, OrbExtractor
+from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
+from prism_edge.tracking.keyframe_decision import decide
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.map_correction import apply_correction
+from prism_edge.tracking.point_table import Ids
+from prism_edge.tracking.recovery import locate
+from prism_edge.tracking.seeding import seed_from_depth
+
+log = logging.getLogger("prism_edge.tracking")
+
+MIN_FIRST_FEATURES = 80
+INITIAL_PATIENCE_S = 1.0  # a first keyframe that can't be tracked for longer is replaced
+NEIGHBOURS = 4
+DEGRADED_MATCHES = 50
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """What became of a frame. Lengths are in map units."""
+
+    odometry: str
+    world_from_camera: Array | None  # None: nothing to publish
+    covariance: Array  # (6, 6), translation first, camera frame
+    reference: int  # keyframe that carries the frame, -1 for none
+    reference_from_camera: Array
+    keyframe: LocalKeyframe | None  # created from this frame
+    matched: int
+
+
+class Tracker:
+    """Owns the local map. Not thread-safe; knows nothing of where frames come from."""
+
+    def __init__(self, config: TrackingConfig, seed: int = 0) -> None:
+        self._config = config
+        self._seed = seed
+        self._extractor = OrbExtractor(config)
+        self._factors = self._extractor.scale_factors
+        self._frames = FrameTracker(self._factors, config.max_local_points)
+        self.world = LocalMap()
+        self.epoch = 0
+        self.log_scale = 0.0
+        self._next_keyframe = 0
+        self._announced = -1  # newest keyframe whose message has gone out
+        self._last: TrackedFrame | None = None
+        self._last_stamp = 0
+        self._velocity = np.zeros(6)  # twist of the camera per second
+        self._seen_at: int | None = None  # stamp of the last tracked frame
+        self._reference_matches = 0
+        self._since_refresh = 0
+        self._initialised = False
+        self._result: FrameResult | None = None
+
+    def process(self, index: int, stamp_ns: int, grey: NDArray[np.uint8], camera: Camera) -> FrameResult:
+        """Track one image (height, width) taken at ``stamp_ns``."""
+        features = self._extractor.extract(grey, camera)
+        if not self.world.keyframes:
+            self._result = self._begin(index, stamp_ns, camera, features)
+        else:
+            self._result = self._continue(index, stamp_ns, camera, features)
+        return self._result
+
+    def repeat(self) -> FrameResult | None:
+        """The result for an exact copy of the last frame: its pose, and no keyframe."""
+        if self._result is None:
+            return None
+        last = self._result
+        return FrameResult(
+            last.odometry,
+            last.world_from_camera,
+            last.covariance,
+            last.reference,
+            last.reference_from_camera,
+            None,
+            last.matched,
+        )
+
+    # -- frames ---------------------------------------------------------------------------------
+
+    def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
+        keyframe = None
+        if len(features) >= MIN_FIRST_FEATURES:
+            points = np.full(len(features), -1, np.int64)
+            keyframe = self._insert(index, stamp_ns, camera, features, np.eye(4), points)
+            self._seen_at = stamp_ns
+        return self._nothing(INITIALISING, keyframe)
+
+    def _continue(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
+        frame = self._track(stamp_ns, camera, features)
+        silent_s = (stamp_ns - (self._seen_at or stamp_ns)) * 1e-9
+        if frame is None:
+            if not self._initialised:
+                if silent_s > INITIAL_PATIENCE_S:
+                    log.info("the first keyframe could not be tracked: starting again")
+                    self._restart()
+                return self._nothing(INITIALISING)
+            self._velocity[:] = 0.0
+            return self._nothing(LOST if silent_s > self._config.lost_after_s else DEGRADED)
+        self._update_motion(frame, stamp_ns)
+        self._initialised = True
+        keyframe = self._maybe_keyframe(index, stamp_ns, frame)
+        reference = self.world.newest()
+        return FrameResult(
+            OK if frame.matched >= DEGRADED_MATCHES else DEGRADED,
+            frame.world_from_camera,
+            frame.covariance,
+            reference.id,
+            inverse(reference.world_from_camera) @ frame.world_from_camera,
+            keyframe,
+            frame.matched,
+        )
+
+    def _track(self, stamp_ns: int, camera: Camera, features: Features) -> TrackedFrame | None:
+        if not (self.world.points.alive.any() and len(features) >= self._config.min_matches):
+            return None
+        previous, frame = self._last, None
+        if previous is not None:
+            elapsed = (stamp_ns - self._last_stamp) * 1e-9
+            predicted = previous.world_from_camera @ se3_exp(self._velocity * elapsed)
+            frame = self._frames.track(self.world, camera, features, predicted, previous, self._config.min_matches)
+            if frame is None or frame.matched < self._config.min_matches:
+                still = previous.world_from_camera
+                frame = self._frames.track(self.world, camera, features, still, previous, self._config.min_matches)
+        if frame is None or frame.matched < self._config.min_matches:
+            frame = self._recover(camera, features)
+        return frame if frame is not None and frame.matched >= self._config.min_matches else None
+
+    def _recover(self, camera: Camera, features: Features) -> TrackedFrame | None:
+        """Look for the camera among the newest keyframes and those that shared points with them."""
+        newest = self.world.newest()
+        candidates = [newest, *self.world.covisible(newest, 3)]
+        for keyframe in candidates[:3]:
+            pose = locate(self.world, camera, features, keyframe, self._seed)
+            if pose is None:
+                continue
+            self._frames.refresh_local_map(self.world, keyframe.points[keyframe.observed()])
+            frame = self._frames.track(self.world, camera, features, pose, None, self._config.min_matches)
+            if frame is not None and frame.matched >= self._config.min_matches:
+                return frame
+        return None
+
+    def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
+        frame.world_from_camera = normalised(frame.world_from_camera)
+        elapsed = (stamp_ns - self._last_stamp) * 1e-9
+        if self._last is not None and 0 < elapsed < 0.5:
+            step = inverse(self._last.world_from_camera) @ frame.world_from_camera
+            self._velocity = se3_log(step) / elapsed
+        else:
+            self._velocity = np.zeros(6)
+        self._last, self._last_stamp, self._seen_at = frame, stamp_ns, stamp_ns
+        self._since_refresh += 1
+        if self._since_refresh >= 5:
+            self._refresh(frame)
+
+    def _refresh(self, frame: TrackedFrame) -> None:
+        self._since_refresh = 0
+        ids = frame.points[frame.points >= 0]
+        self._frames.refresh_local_map(self.world, ids[self.world.points.known(ids)])
+
+    # -- keyframes ------------------------------------------------------------------------------
+
+    def _maybe_keyframe(self, index: int, stamp_ns: int, frame: TrackedFrame) -> LocalKeyframe | None:
+        reference = self.world.newest()
+        self._reference_matches = max(self._reference_matches, frame.matched)
+        decision = decide(
+            self._config,
+            frame,
+            reference,
+            (stamp_ns - reference.stamp_ns) * 1e-9,
+            self._reference_matches,
+            self.world.median_depth(reference),
+        )
+        if not decision.wanted:
+            return None
+        keyframe = self._insert(
+            index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
+        )
+        neighbours = self.world.covisible(keyframe, 8)
+        mapping.mature(self.world, keyframe, self._factors)
+        mapping.triangulate_with_neighbours(self.world, keyframe, neighbours[:NEIGHBOURS], self._factors)
+        for other in neighbours[:NEIGHBOURS]:
+            mapping.share_points(self.world, keyframe, other, self._factors)
+        mapping.cull_recent_points(self.world, keyframe.id)
+        frame.points = keyframe.points.copy()
+        self._reference_matches = 0
+        self._refresh(frame)
+        log.debug("keyframe %d at frame %d: %s", keyframe.id, index, decision.reason)
+        return keyframe
+
+    def _insert(
+        self, index: int, stamp_ns: int, camera: Camera, features: Features, pose: Array, points: Ids
+    ) -> LocalKeyframe:
+        keyframe = LocalKeyframe(
+            self._next_keyframe, index, stamp_ns, pose.copy(), camera, features, points.copy()
+        )
+        self._next_keyframe += 1
+        self.world.add_keyframe(keyframe)
+        return keyframe
+
+    def announced(self, keyframe: LocalKeyframe) -> None:
+        """Its message has gone out: what it gains later must be told apart."""
+        self._announced = keyframe.id
+
+    # -- what other processes contribute ----------------------------------------------------------
+
+    def add_depth(
+        self, keyframe_id: int, depth: NDArray[np.float32], image_to_depth: Array, relative_sigma: float
+    ) -> int:
+        """Seed points from a keyframe's network depth (metres); returns how many."""
+        keyframe = self.world.keyframes.get(keyframe_id)
+        if keyframe is None:
+            return 0
+        most = self._config.features if not self._initialised else self._config.features // 3
+        units_per_metre = float(np.exp(-self.log_scale))
+        ids = seed_from_depth(
+            self.world, keyframe, depth, image_to_depth, units_per_metre, relative_sigma, most
+        )
+        if keyframe.id <= self._announced:
+            for point in ids:
+                keypoint = int(np.flatnonzero(keyframe.points == point)[0])
+                self.world.changes.late.append((int(point), keyframe.id, keypoint))
+        if not self._initialised and len(ids) >= self._config.min_matches and self._last is None:
+            self._last = TrackedFrame(
+                keyframe.camera,
+                keyframe.features,
+                keyframe.world_from_camera.copy(),
+                keyframe.points.copy(),
+                np.zeros((6, 6)),
+                len(ids),
+                0.0,
+            )
+            self._last_stamp = keyframe.stamp_ns
+        self._since_refresh = 5
+        return len(ids)
+
+    def apply_update(
+        self,
+        based_on: int,
+        keyframes: Ids,
+        poses: Array,
+        points: Ids,
+        positions: Array,
+        dropped: tuple[Ids, Ids],
+    ) -> None:
+        """Take over the backend's corrections; the last frame moves with its surroundings."""
+        motion = apply_correction(self.world, based_on, keyframes, poses, points, positions)
+        self.world.drop_observations(*dropped)
+        if self._last is not None:
+            self._last.world_from_camera = motion @ self._last.world_from_camera
+
+    def last_pose(self) -> Array | None:
+        """world_from_camera of the last tracked frame as the map has it now."""
+        return None if self._last is None else self._last.world_from_camera
+
+    # -- ends -----------------------------------------------------------------------------------
+
+    def _nothing(self, odometry: str, keyframe: LocalKeyframe | None = None) -> FrameResult:
+        return FrameResult(odometry, None, np.zeros((6, 6)), -1, np.eye(4), keyframe, 0)
+
+    def _restart(self) -> None:
+        """Begin a new map: nothing of the old one was ever published."""
+        self.world = LocalMap()
+        self.epoch += 1
+        self._last, self._initialised, self._velocity = None, False, np.zeros(6)
