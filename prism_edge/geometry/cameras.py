@@ -13,6 +13,7 @@ PINHOLE = "pinhole"
 FISHEYE = "fisheye"
 _COEFFICIENTS = {PINHOLE: (0, 4, 5, 8), FISHEYE: (0, 4)}
 _ITERATIONS = 20
+_SUBSTITUTIONS = 5
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,8 @@ class Camera:
 
     def normalise(self, pixels: Array) -> Array:
         """Undistorted image coordinates (n, 2) on the plane z = 1 of pixels (n, 2)."""
-        return self._undistort((np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy))
+        centred = np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)
+        return self._undistort(centred / (self.fx, self.fy))
 
     def undistort_pixels(self, pixels: Array) -> Array:
         """Pixels (n, 2) where :meth:`ideal` would have seen the same rays."""
@@ -143,6 +145,27 @@ class Camera:
             scale = np.where(radius > 1e-9, np.tan(theta) / np.maximum(radius, 1e-9), 1.0)
             return distorted * scale[:, None]
         xy = distorted.copy()
-        for _ in range(_ITERATIONS):
-            xy += distorted - self._distort(xy)
+        for i in range(_ITERATIONS):
+            error = distorted - self._distort(xy)
+            if np.abs(error).max(initial=0.0) < 1e-12:
+                break
+            # Plain substitution brings strong distortion near enough for Newton's steps, which end it.
+            xy += error if i < _SUBSTITUTIONS else self._newton_step(xy, error)
         return xy
+
+    def _newton_step(self, xy: Array, error: Array) -> Array:
+        """What to add to ``xy`` (n, 2) so that its distortion changes by ``error`` (n, 2)."""
+        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+        x, y = xy[:, 0], xy[:, 1]
+        r2 = x * x + y * y
+        upper, lower = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        radial = upper / lower
+        slope = (k1 + r2 * (2 * k2 + 3 * r2 * k3) - radial * (k4 + r2 * (2 * k5 + 3 * r2 * k6))) / lower
+        xx = radial + 2 * x * x * slope + 2 * p1 * y + 6 * p2 * x
+        yy = radial + 2 * y * y * slope + 6 * p1 * y + 2 * p2 * x
+        xy_ = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
+        determinant = xx * yy - xy_ * xy_
+        step = np.stack([yy * error[:, 0] - xy_ * error[:, 1], xx * error[:, 1] - xy_ * error[:, 0]], axis=1)
+        # Where the model folds over there is no inverse; substitution at least stays put.
+        safe = (determinant > 0.05)[:, None]
+        return np.where(safe, step / np.where(safe[:, 0], determinant, 1.0)[:, None], error)

@@ -1,0 +1,68 @@
+"""Depth images that an RGB-D dataset carries, in metres."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from prism_edge.errors import SourceError
+from prism_edge.messages import F32
+from prism_edge.sources.listing import Listing
+from prism_edge.sources.open import find_listing
+from prism_edge.sources.tum import read_list
+
+# Raw values of one metre.
+_TUM_UNITS, _SEVEN_SCENES_UNITS = 5000.0, 1000.0
+_NO_RETURN = 65535  # 7-Scenes' other mark of an invalid pixel, beside 0
+_TUM_PAIRING_NS = 20_000_000
+
+
+class SensorDepth:
+    """Depth of each colour image of a TUM RGB-D (BONN) or 7-Scenes folder.
+
+    The pixels are the depth camera's: registered to colour in TUM and BONN folders, not in 7-Scenes
+    ones. Raises SourceError where the folder holds no depth.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        listing = find_listing(folder)
+        self._units = _TUM_UNITS
+        if listing.layout == "TUM RGB-D" and (folder / "depth.txt").is_file():
+            self._files = _nearest(listing, folder)
+        elif listing.layout == "7-Scenes":
+            self._units = _SEVEN_SCENES_UNITS
+            names = (path.with_name(path.name.split(".")[0] + ".depth.png") for path in listing.files)
+            self._files = [path if path.is_file() else None for path in names]
+        else:
+            self._files = []
+        if not any(self._files):
+            raise SourceError(f"{folder} ({listing.layout}) holds no depth images")
+
+    def read(self, index: int) -> F32 | None:
+        """Depth (h, w) in metres along z, 0 for none, of colour image ``index``.
+
+        None where that image has no depth within 20 ms, or where its file can't be read.
+        """
+        path = self._files[index] if 0 <= index < len(self._files) else None
+        raw = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
+            return None
+        raw[raw == _NO_RETURN] = 0
+        return raw.astype(np.float32) / np.float32(self._units)
+
+
+def _nearest(listing: Listing, folder: Path) -> list[Path | None]:
+    """The depth image nearest in time to each colour image."""
+    stamps, files = read_list(folder, "depth.txt")
+    if not files:
+        return []
+    order = np.argsort(np.array(stamps, dtype=np.int64), kind="stable")
+    ordered = np.array(stamps, dtype=np.int64)[order]
+    chosen: list[Path | None] = []
+    for stamp in listing.stamps_ns:
+        right = int(np.clip(np.searchsorted(ordered, stamp), 0, len(ordered) - 1))
+        best = min((max(right - 1, 0), right), key=lambda i: abs(int(ordered[i]) - stamp))
+        chosen.append(files[order[best]] if abs(int(ordered[best]) - stamp) <= _TUM_PAIRING_NS else None)
+    return chosen

@@ -1,0 +1,102 @@
+"""Ground truth that lies with a dataset, for the scorer alone: nothing that estimates imports this."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from prism_edge.errors import SourceError
+from prism_edge.geometry.poses import Array, from_rt, rotation_from_quaternion
+from prism_edge.messages import F64, I64
+from prism_edge.sources.kitti import read_times
+from prism_edge.sources.listing import lines_of
+from prism_edge.sources.open import find_listing
+from prism_edge.sources.stamps import parse_seconds
+
+# A rotation written with few digits is off by less than this.
+_ROTATION_TOLERANCE = 0.01
+
+
+def read_truth(uri: str) -> tuple[I64, F64] | None:
+    """(stamps_ns (n,), world_from_camera (n, 4, 4), metres) in order of time; None where there is none.
+
+    TUM RGB-D: groundtruth.txt. 7-Scenes: the frames' .pose.txt, those not finite left out. KITTI odometry:
+    poses.txt, or ../../poses/NN.txt as the benchmark lays it out. Raises SourceError naming the file where
+    it is damaged.
+    """
+    folder = Path(uri).expanduser()
+    if not folder.is_dir():
+        return None
+    listing = find_listing(folder)
+    rows: list[tuple[int, Array]] = []
+    if listing.layout == "TUM RGB-D":
+        rows = _tum(folder / "groundtruth.txt")
+    elif listing.layout == "7-Scenes":
+        poses = (path.with_name(path.name.split(".")[0] + ".pose.txt") for path in listing.files)
+        rows = _seven_scenes(zip(listing.stamps_ns, poses, strict=True))
+    elif listing.layout == "KITTI odometry":
+        absolute = folder.absolute()
+        rows = _kitti(folder, (folder / "poses.txt", absolute.parents[1] / "poses" / f"{absolute.name}.txt"))
+    if not rows:
+        return None
+    rows.sort(key=lambda row: row[0])
+    return np.array([stamp for stamp, _ in rows], dtype=np.int64), np.array([pose for _, pose in rows])
+
+
+def _tum(path: Path) -> list[tuple[int, Array]]:
+    rows = []
+    for number, words in lines_of(path) if path.is_file() else []:
+        where = f"{path} line {number}"
+        *position, x, y, z, w = _numbers(words[1:], 7, where)
+        if not 0.9 < float(np.hypot(np.hypot(x, y), np.hypot(z, w))) < 1.1:
+            raise SourceError(f"{where}: the quaternion is not of length one")
+        rotation = rotation_from_quaternion(np.array([x, y, z, w]))
+        try:
+            rows.append((parse_seconds(words[0]), from_rt(rotation, np.array(position))))
+        except ValueError as error:
+            raise SourceError(f"{where}: {error}") from None
+    return rows
+
+
+def _seven_scenes(pairs: Iterable[tuple[int, Path]]) -> list[tuple[int, Array]]:
+    rows = []
+    for stamp_ns, path in pairs:
+        if path.is_file():
+            words = [word for _, line in lines_of(path) for word in line]
+            numbers = _numbers(words, 16, str(path), finite=False)
+            if np.all(np.isfinite(numbers)):
+                rows.append((stamp_ns, _pose(numbers[:12], str(path))))
+    return rows
+
+
+def _kitti(folder: Path, candidates: tuple[Path, ...]) -> list[tuple[int, Array]]:
+    path = next((path for path in candidates if path.is_file()), None)
+    if path is None:
+        return []
+    poses = [
+        _pose(_numbers(words, 12, f"{path} line {n}"), f"{path} line {n}") for n, words in lines_of(path)
+    ]
+    times = read_times(folder / "times.txt")
+    if len(poses) != len(times):
+        raise SourceError(f"{path} has {len(poses)} poses for the {len(times)} times of times.txt")
+    return list(zip(times, poses, strict=True))
+
+
+def _numbers(words: list[str], count: int, where: str, finite: bool = True) -> list[float]:
+    try:
+        numbers = [float(word) for word in words]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or (finite and not np.all(np.isfinite(numbers))):
+        raise SourceError(f"{where}: expected {count} numbers of a pose")
+    return numbers
+
+
+def _pose(numbers: list[float], where: str) -> Array:
+    upper = np.array(numbers).reshape(3, 4)
+    rotation = upper[:, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+        raise SourceError(f"{where}: its rotation is none")
+    return from_rt(rotation, upper[:, 3])
