@@ -1,0 +1,202 @@
+"""Camera files: what calibrators write is read as it is, every mistake is one line naming file and key."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.errors import ConfigError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.camera_file import parse_camera, read_camera
+
+OWN = "model: pinhole\nwidth: 640\nheight: 480\nfx: 525.0\nfy: 526\ncx: 320.5\ncy: 240\n"
+ROS = """\
+image_width: 752
+image_height: 480
+camera_name: left
+camera_matrix:
+  rows: 3
+  cols: 3
+  data: [458.654, 0, 367.215, 0, 457.296, 248.375, 0, 0, 1]
+distortion_model: plumb_bob
+distortion_coefficients:
+  rows: 1
+  cols: 5
+  data: [-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0]
+rectification_matrix:
+  rows: 3
+  cols: 3
+  data: [1, 0, 0, 0, 1, 0, 0, 0, 1]
+projection_matrix:
+  rows: 3
+  cols: 4
+  data: [400, 0, 367, 0, 0, 400, 248, 0, 0, 0, 1, 0]
+"""
+CONFIGS = Path(__file__).resolve().parents[2] / "configs" / "cameras"
+
+
+def test_own_format() -> None:
+    assert parse_camera(OWN) == Camera(640, 480, 525.0, 526.0, 320.5, 240.0)
+    with_distortion = parse_camera(OWN + "distortion: [0.1, -0.2, 1e-8, -3E-4]\n")
+    assert with_distortion.distortion == (0.1, -0.2, 1e-8, -3e-4)
+    fisheye = parse_camera(OWN.replace("pinhole", "fisheye") + "distortion: [0.1, 0, 0, 0]\n")
+    assert fisheye.model == "fisheye"
+
+
+def test_ros_camera_info() -> None:
+    expected = (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05, 0.0)
+    assert parse_camera(ROS) == Camera(752, 480, 458.654, 457.296, 367.215, 248.375, "pinhole", expected)
+
+
+def test_ros_models_take_their_coefficients() -> None:
+    eight = ROS.replace("plumb_bob", "rational_polynomial").replace("1.76187114e-05, 0]", "0, 0, 1, 2, 3]")
+    assert parse_camera(eight).distortion[5:] == (1.0, 2.0, 3.0)
+    fisheye = ROS.replace("plumb_bob", "equidistant").replace("1.76187114e-05, 0]", "1e-8]")
+    assert parse_camera(fisheye).model == "fisheye"
+    assert parse_camera(fisheye).distortion == (-0.28340811, 0.07395907, 0.00019359, 1e-8)
+
+
+def test_what_opencv_writes_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "camera.yml"
+    matrix = np.array([[520.25, 0, 318.0], [0, 521.5, 241.0], [0, 0, 1]])
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    storage.write("camera_matrix", matrix)
+    storage.write("distortion_coefficients", np.array([[0.1, -1e-8, 0.0, 0.0, 0.02]]))
+    storage.release()
+    assert read_camera(path) == Camera(
+        640, 480, 520.25, 521.5, 318.0, 241.0, distortion=(0.1, -1e-8, 0, 0, 0.02)
+    )
+
+
+@pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.name)
+def test_the_examples_are_valid(path: Path) -> None:
+    assert read_camera(path).width > 0
+
+
+def test_there_are_examples() -> None:
+    assert list(CONFIGS.glob("*.yaml"))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (OWN.replace("fx: 525.0", "fx: 0"), ["fx"]),
+        (OWN.replace("fx: 525.0", "fx: -525.0"), ["fx"]),
+        (OWN.replace("pinhole", "omni"), ["model", "omni"]),
+        (OWN.replace("pinhole", "3"), ["model"]),
+        (OWN + "skew: 0\n", ["skew"]),
+        (OWN + "1: 0\n", ["1"]),
+        (OWN.replace("fx: 525.0\n", ""), ["fx", "missing"]),
+        (OWN.replace("fx: 525.0", "fx: wide"), ["fx", "wide"]),
+        (OWN.replace("fx: 525.0", "fx: '525.0'"), ["fx", "number"]),
+        (OWN.replace("fx: 525.0", "fx: '1e2'"), ["fx", "number"]),
+        (OWN.replace("fx: 525.0", "fx: true"), ["fx", "number"]),
+        (OWN.replace("fx: 525.0", "fx: [525]"), ["fx", "number"]),
+        (OWN.replace("fx: 525.0", "fx:"), ["fx", "number"]),
+        (OWN.replace("cx: 320.5", "cx: .nan"), ["cx", "finite"]),
+        (OWN.replace("cx: 320.5", "cx: -.inf"), ["cx", "finite"]),
+        (OWN.replace("cx: 320.5", "cx: 1" + "0" * 400), ["cx", "finite"]),
+        (OWN.replace("width: 640", "width: 640.5"), ["width", "whole"]),
+        (OWN.replace("width: 640", "width: 0"), ["width"]),
+        (OWN.replace("width: 640", "width: 1e12"), ["width"]),
+        (OWN + "distortion: [0.1, 0.2]\n", ["distortion"]),
+        (OWN + "distortion: 0.1\n", ["distortion", "list"]),
+        (OWN + "distortion: [0.1, a, 0, 0]\n", ["distortion", "'a'"]),
+        (OWN + "fx: 500\n", ["fx", "twice"]),
+        (OWN.replace("fx: 525.0", "fx: [525.0"), ["YAML", "line"]),
+        (OWN + "a: !!python/object/apply:os.getcwd []\n", ["YAML"]),
+        (OWN + "? [a, b]\n: 1\n", ["YAML"]),
+        ("", ["no keys"]),
+        ("- 1\n- 2\n", ["no keys"]),
+        ("525\n", ["no keys"]),
+        (ROS.replace("plumb_bob", "double_sphere"), ["distortion_model", "double_sphere"]),
+        (ROS.replace("plumb_bob", "equidistant"), ["distortion_coefficients", "equidistant"]),
+        (ROS.replace(", 0, 0, 1]\ndist", "]\ndist"), ["camera_matrix", "9"]),
+        (ROS.replace("[458.654, 0,", "[458.654, 0.5,"), ["camera_matrix", "skew"]),
+        (ROS.replace("[458.654,", "[-458.654,"), ["fx"]),
+        (ROS.replace("[458.654,", "[wide,"), ["camera_matrix.data", "wide"]),
+        (ROS.replace("image_width: 752\n", ""), ["image_width", "missing"]),
+        (ROS.replace("image_width", "image_breadth"), ["image_breadth"]),
+        (ROS + "fx: 500\n", ["fx"]),
+        (ROS.split("camera_matrix")[0] + "camera_matrix: 3\ndistortion_coefficients: 4\n", ["camera_matrix"]),
+    ],
+)
+def test_every_defect_is_one_line_with_its_place(tmp_path: Path, text: str, words: list[str]) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read_camera(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    for word in ["bad.yaml", *words]:
+        assert word in message
+
+
+def test_files_that_are_none(tmp_path: Path) -> None:
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00\x80")
+    for path in (tmp_path / "missing.yaml", tmp_path, binary):
+        with pytest.raises(ConfigError, match=path.name):
+            read_camera(path)
+
+
+number = st.floats(-1e6, 1e6, allow_nan=False)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    size=st.tuples(st.integers(1, 8000), st.integers(1, 8000)),
+    focal=st.tuples(st.floats(1e-3, 1e5), st.floats(1e-3, 1e5)),
+    centre=st.tuples(number, number),
+    distortion=st.sampled_from([0, 4, 5, 8]).flatmap(
+        lambda n: st.lists(st.floats(-10, 10), min_size=n, max_size=n)
+    ),
+)
+def test_what_is_written_is_read_back(
+    size: tuple[int, int],
+    focal: tuple[float, float],
+    centre: tuple[float, float],
+    distortion: list[float],
+) -> None:
+    camera = Camera(*size, *focal, *centre, distortion=tuple(distortion))
+    tree = {"width": size[0], "height": size[1], "fx": focal[0], "fy": focal[1]}
+    tree |= {"cx": centre[0], "cy": centre[1], "distortion": distortion}
+    assert parse_camera(yaml.safe_dump(tree)) == camera
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=8,
+)
+keys = st.sampled_from(
+    ["model", "width", "height", "fx", "fy", "cx", "cy", "distortion", "image_width", "image_height"]
+    + ["camera_matrix", "distortion_model", "distortion_coefficients", "data"]
+)
+
+
+@settings(max_examples=150, deadline=None)
+@given(changes=st.dictionaries(keys, anything, min_size=1, max_size=3), ros=st.booleans())
+def test_any_tree_is_a_camera_or_a_config_error(changes: dict[str, object], ros: bool) -> None:
+    tree = yaml.safe_load(ROS if ros else OWN) | changes
+    try:
+        camera = parse_camera(yaml.safe_dump(tree))
+    except ConfigError:
+        return
+    assert camera.fx > 0
+    assert camera.fy > 0
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.text(max_size=60) | st.text(alphabet="%YAML:1.0-\n{}[]!&*'\"|>? #xf", max_size=40))
+def test_any_text_is_a_camera_or_a_config_error(text: str) -> None:
+    with pytest.raises(ConfigError):
+        parse_camera(text)
