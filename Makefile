@@ -1,0 +1,53 @@
+# `make demo` and `make test` do all of their own set-up from a bare clone with Python >= 3.11.
+SHELL := /bin/bash
+.SHELLFLAGS := -euo pipefail -c
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.ONESHELL:
+.PHONY: help setup demo test lint accuracy lock docs clean
+
+VENV ?= .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+help: ## show this list
+	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
+
+setup: $(STAMP) ## make the environment in .venv
+
+# The interpreter is tried, not just found: a name on the path may be a shim without a version behind it.
+$(STAMP): requirements.lock pyproject.toml tools/find_python.sh
+	@python="$$(tools/find_python.sh)"
+	# An environment that was interrupted half way, or whose Python has gone, is made anew.
+	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then
+	    echo "making $(VENV) with $$python"
+	    "$$python" -m venv --clear $(VENV)
+	fi
+	echo "installing the locked dependencies into $(VENV)"
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	touch $(STAMP)
+
+demo: $(STAMP) ## see metric poses arrive: a generated sequence through the whole daemon
+	$(BIN)/python tools/demo.py
+
+test: lint ## everything that must hold: ruff, mypy, tests (without the slow ones)
+	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+
+lint: $(STAMP) ## ruff and mypy
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m mypy
+
+accuracy: $(STAMP) ## the slow suite: accuracy on recorded sequences
+	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+
+docs: $(STAMP) ## write the table of docs/CONFIGURATION.md anew
+	$(BIN)/python tools/document_config.py
+
+lock: $(STAMP) ## resolve the dependencies anew into requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-tools
+	tools/lock.sh $(BIN)
+
+clean: ## remove the environment and what tools cache
+	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,37 @@
+"""`prism-edge config`: what is in effect, and whether a file is right."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from prism_edge.cli.settings import add_common, add_input, config_from
+from prism_edge.config_file import dump, load
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "config",
+        help="print the effective configuration, or check a file",
+        description="Print the whole configuration as it results from defaults, --config and options: YAML "
+        "that --config takes back. With --check, only say whether a file is right.",
+    )
+    add_input(parser)
+    add_common(parser)
+    parser.add_argument("--explain", action="store_true", help="write each key's meaning beside it")
+    parser.add_argument("--check", metavar="FILE", help="check FILE and print nothing else")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print or check; returns the exit code. Raises ConfigError for anything wrong."""
+    if args.check is not None:
+        from prism_edge.bus.keys import check_endpoint, check_robot_name
+
+        config = load(args.check)
+        check_robot_name(config.robot)
+        check_endpoint(config.bus.endpoint)
+        print(f"{args.check}: ok")
+    else:
+        print(dump(config_from(args), args.explain), end="")
+    return 0

@@ -1,0 +1,79 @@
+"""`prism-edge`: finds the subcommand, runs it, and turns errors into one line and an exit code."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import sys
+
+from prism_edge import __version__
+from prism_edge.errors import PrismError
+
+# Name: module, one line of help. Only the module that is asked for is imported, so that help comes at once.
+COMMANDS = {
+    "run": ("prism_edge.cli.run", "run the daemon on a recording"),
+    "watch": ("prism_edge.cli.watch", "show the poses of a running daemon, or record them"),
+    "eval": ("prism_edge.cli.eval", "run a recorded sequence and score the poses against its truth"),
+    "models": ("prism_edge.cli.models", "list the known depth networks, or describe one"),
+    "doctor": ("prism_edge.cli.doctor", "check that this machine has what the daemon needs"),
+    "config": ("prism_edge.cli.config", "print the effective configuration, or check a file"),
+    "worker": ("prism_edge.cli.worker", "run one of the five processes alone"),
+}
+
+EXIT_CODES = """exit codes:
+  0    done
+  1    `doctor` found something that does not work
+  2    the command line is wrong
+  3    a configuration or camera file, or a setting, is wrong
+  4    a camera, video or recording can't be opened or read
+  5    a depth model can't be loaded or breaks its contract
+  6    the Zenoh endpoint is in use, not reachable or not valid
+  7    a process kept dying and was given up
+  8    a run can't be scored, or broke a rule of the evaluation
+  70   an error of prism_edge itself
+  130  ended by Ctrl-C
+"""
+
+
+def build_parser(chosen: str | None) -> argparse.ArgumentParser:
+    """The parser, complete only for the subcommand ``chosen``; the others are there by name and help."""
+    parser = argparse.ArgumentParser(
+        prog="prism-edge",
+        description="One RGB camera in, metric camera poses out, over Eclipse Zenoh.",
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"prism-edge {__version__}")
+    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for name, (module, help_line) in COMMANDS.items():
+        if name == chosen:
+            importlib.import_module(module).add_parser(subparsers)
+        else:
+            subparsers.add_parser(name, help=help_line, add_help=False)
+    return parser
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line; returns the exit code."""
+    given = sys.argv[1:] if arguments is None else arguments
+    chosen = next((word for word in given if not word.startswith("-")), None)
+    args = build_parser(chosen).parse_args(given)
+    module = importlib.import_module(COMMANDS[args.command][0])
+    try:
+        code: int = module.run(args)
+        sys.stdout.flush()
+        return code
+    except PrismError as error:
+        print(f"prism-edge: error: {error}", file=sys.stderr)
+        return error.exit_code
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`); Python would complain once more when it ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,46 @@
+"""`prism-edge run`: the daemon in the foreground."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from prism_edge.cli.settings import add_common, add_input, config_from
+from prism_edge.config import Config
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "run",
+        help="run the daemon on a recording",
+        description="Start the five processes on SOURCE and publish poses on Zenoh below prism/<robot>/ "
+        "until the recording ends, or until Ctrl-C or SIGTERM. Without --model there is no metric scale.",
+    )
+    add_input(parser)
+    add_common(parser)
+    parser.add_argument(
+        "--stay", action="store_true", help="go on answering subscribers when the recording has ended"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check what the user gave, then run; returns the exit code."""
+    config = config_from(args)
+    check(config)
+
+    from prism_edge.supervisor.supervise import supervise
+    from prism_edge.workers.launch import log_to_stderr
+
+    log_to_stderr("supervisor")
+    return supervise(config, stay=args.stay)
+
+
+def check(config: Config) -> None:
+    """Raise the PrismError that a process would end in, before any is started."""
+    from prism_edge.bus.keys import check_endpoint, check_robot_name
+    from prism_edge.sources.open import open_source
+
+    check_robot_name(config.robot)
+    check_endpoint(config.bus.endpoint)
+    open_source(config.source)

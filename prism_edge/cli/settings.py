@@ -1,0 +1,69 @@
+"""Options that end up in the configuration, shared by the subcommands that take one."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from prism_edge.config import Config
+from prism_edge.config_file import load
+from prism_edge.errors import ConfigError
+
+
+def add_common(parser: argparse.ArgumentParser) -> None:
+    """--config, --robot, --endpoint and --set."""
+    parser.add_argument("--config", metavar="FILE", help="configuration file (YAML); options win over it")
+    parser.add_argument("--robot", metavar="NAME", help="name in the topics prism/NAME/... (default: robot)")
+    parser.add_argument(
+        "--endpoint", metavar="ENDPOINT", help="Zenoh endpoint of the daemon (default: tcp/127.0.0.1:7447)"
+    )
+    parser.add_argument(
+        "--set",
+        metavar="KEY=VALUE",
+        action="append",
+        default=[],
+        help="set any key of the configuration, such as --set depth.threads=2; may be repeated",
+    )
+
+
+def add_input(parser: argparse.ArgumentParser) -> None:
+    """What is played and how: SOURCE, --model, --camera, --lockstep, --loop, --seed."""
+    parser.add_argument(
+        "source",
+        metavar="SOURCE",
+        nargs="?",
+        help="folder of a dataset (TUM RGB-D, BONN, 7-Scenes, KITTI odometry) or of images, or a video file",
+    )
+    parser.add_argument(
+        "--model", metavar="MODEL", help="depth network: ONNX file, known name, or nested:RELATIVE,METRIC"
+    )
+    parser.add_argument("--camera", metavar="FILE", help="camera file (YAML; also ROS camera_info)")
+    parser.add_argument(
+        "--lockstep", action="store_true", help="drop no frame: the next waits until all have done the last"
+    )
+    parser.add_argument("--loop", action="store_true", help="start the recording again at its end")
+    parser.add_argument("--seed", metavar="N", help="seed of everything random (default: 0)")
+
+
+def config_from(args: argparse.Namespace) -> Config:
+    """Defaults, then --config, then --set, then the options of their own. Raises ConfigError."""
+    overrides: dict[str, Any] = {}
+    for setting in args.set:
+        key, equals, value = setting.partition("=")
+        if not equals:
+            raise ConfigError(f"--set {setting}: expected KEY=VALUE, such as --set depth.threads=2")
+        overrides[key.strip()] = value
+    options = {
+        "robot": args.robot,
+        "bus.endpoint": args.endpoint,
+        "source.uri": getattr(args, "source", None),
+        "source.camera": getattr(args, "camera", None),
+        "depth.model": getattr(args, "model", None),
+        "seed": getattr(args, "seed", None),
+    }
+    overrides |= {key: value for key, value in options.items() if value is not None}
+    if getattr(args, "lockstep", False):
+        overrides["mode"] = "lockstep"
+    if getattr(args, "loop", False):
+        overrides["source.loop"] = True
+    return load(args.config, overrides)

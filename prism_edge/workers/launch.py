@@ -1,0 +1,65 @@
+"""Runs one worker in this process: configuration, priority, signals, bus, and an exit code at the end."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import sys
+
+from prism_edge.config_file import load
+from prism_edge.errors import PrismError
+from prism_edge.processes import Process
+from prism_edge.workers.stopping import StopSignals, die_with
+
+UNEXPECTED = 70  # sysexits.h: internal software error
+
+
+def log_to_stderr(process: str, level: int = logging.INFO) -> None:
+    """One line of text for each event, with the name of the process."""
+    logging.basicConfig(
+        level=level,
+        stream=sys.stderr,
+        force=True,
+        format=f"%(asctime)s.%(msecs)03d %(levelname)-7s {process}: %(message)s",
+        datefmt="%H:%M:%S",
+    )
+
+
+def run_worker(process: Process, config_file: str, parent: int | None = None) -> int:
+    """Run ``process`` until it is told to stop; returns the exit code.
+
+    ``parent`` is the process id of the supervisor that started it: the worker dies with it. A user's error
+    is one line on stderr and its own code; anything else is logged with its traceback and gives 70.
+    """
+    if parent is not None:
+        die_with(parent)
+    signals = StopSignals()
+    log_to_stderr(process.name)
+    log = logging.getLogger(f"prism_edge.{process.name}")
+    try:
+        config = load(config_file)
+        os.nice(process.nice)
+        _single_threaded_opencv()
+        # Imported late, as each worker stands on libraries that the others need not load.
+        from prism_edge.bus.session import Bus
+
+        main = importlib.import_module(process.module).main
+        with Bus.open(config, process.name) as bus:
+            signals.also(bus.stopped)
+            main(config, bus)
+        if not signals.stopped.is_set():
+            log.error("ended without being told to")
+        return 0
+    except PrismError as error:
+        print(f"prism-edge {process.name}: error: {error}", file=sys.stderr, flush=True)
+        return error.exit_code
+    except Exception:
+        log.exception("unexpected error; please report it with the lines below")
+        return UNEXPECTED
+
+
+def _single_threaded_opencv() -> None:
+    import cv2
+
+    cv2.setNumThreads(1)

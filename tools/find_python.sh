@@ -1,0 +1,23 @@
+#!/bin/bash
+# Prints a Python >= 3.11 that can make virtual environments; says what is missing where there is none.
+set -u
+check='import sys; sys.exit(0 if sys.version_info >= (3, 11) else 1)'
+seen=
+for name in "${PYTHON:-}" python3.13 python3.12 python3.11 python3.14 python3 python; do
+    [ -n "$name" ] || continue
+    # Every one on the path: the first may be too old, or a shim with nothing behind it.
+    for python in $(type -aP "$name" 2>/dev/null); do
+        "$python" -c "$check" >/dev/null 2>&1 || continue
+        seen=$python
+        if "$python" -c 'import venv, ensurepip' >/dev/null 2>&1; then
+            echo "$python"
+            exit 0
+        fi
+    done
+done
+if [ -n "$seen" ]; then
+    echo "error: $seen can't make virtual environments; install its venv module (Debian: apt install python3-venv)" >&2
+else
+    echo "error: no Python >= 3.11 found; install one, or name it: make PYTHON=/path/to/python3 ..." >&2
+fi
+exit 1
