@@ -210,7 +210,8 @@ def report(series: Series, config: ScaleConfig) -> str:
             error, sigma = np.array(at).T
             lines.append(
                 f"  after {after:4.0f} s: error {np.sqrt(np.mean(error**2)):.3f} rms, "
-                f"sigma {sigma.mean():.3f}, (error/sigma)^2 {np.mean((error / sigma) ** 2):.2f}  ({len(at)} runs)"
+                f"sigma {sigma.mean():.3f}, (error/sigma)^2 {np.mean((error / sigma) ** 2):.2f} "
+                f"({len(at)} runs)"
             )
     since, error, sigma = runs[0]
     settled = since[np.flatnonzero(np.abs(error) > 0.05)[-1]] if (np.abs(error) > 0.05).any() else 0.0

@@ -26,6 +26,7 @@ from prism_edge.scale.least_squares import Observation
 # A belief that rests on n observations falls to as many that contradict it and agree with one another,
 # at least the first number of them and at most the second.
 REOPEN_AFTER = (5, 30)
+_LEAST_VARIANCE = 1e-12  # float32 depths know no better; keeps the update from dividing 0 by 0
 _MAX_LOG = 20.0  # e^20 metres a unit: beyond any map
 
 
@@ -77,10 +78,13 @@ class ScaleFilter:
         c = self._config
         phi = math.exp(-elapsed / c.correlation_s) if c.correlation_s > 0.0 else 0.0
         transition = np.diag([1.0, phi])
-        walk = c.drift_per_sqrt_m**2 * metres + c.drift_per_sqrt_s**2 * elapsed
+        walk = min(c.drift_per_sqrt_m**2 * metres + c.drift_per_sqrt_s**2 * elapsed, _MAX_LOG**2)
         noise = np.diag([walk, c.frame_sigma**2 * (1.0 - phi * phi)])
         self._state = transition @ self._state
         self._covariance = transition @ self._covariance @ transition + noise
+        # a belief this wide is none; unbounded, steps without end would overflow it
+        if self._covariance[0, 0] > _MAX_LOG**2:
+            self._covariance = np.diag([_MAX_LOG**2, float(self._covariance[1, 1])])
 
     def fix_unit(self) -> None:
         """The map's unit has just been defined by network depth: now, x + f = 0 whatever the two are.
@@ -96,7 +100,7 @@ class ScaleFilter:
 
     def update(self, observation: Observation) -> bool:
         """Takes in a keyframe's observation; False where it was refused as an outlier."""
-        z, variance = observation.log_scale, observation.point_variance
+        z, variance = observation.log_scale, observation.point_variance + _LEAST_VARIANCE
         if not (math.isfinite(z) and math.isfinite(variance) and abs(z) <= _MAX_LOG and variance >= 0.0):
             self.rejected += 1
             return False

@@ -9,7 +9,7 @@ from prism_edge.messages import Depth, Keyframe
 Key = tuple[int, int]  # epoch, keyframe
 
 
-class Pairing:
+class Rendezvous:
     """Keyframes and depths that wait for their other half: at most ``capacity`` of each, oldest out first."""
 
     def __init__(self, capacity: int = 64) -> None:

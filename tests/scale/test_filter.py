@@ -1,0 +1,228 @@
+"""The filter against batch least squares with the full covariance, Monte Carlo, and bad input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.config import ScaleConfig
+from prism_edge.scale.filter import REOPEN_AFTER, ScaleFilter
+from prism_edge.scale.least_squares import Observation
+
+STILL = ScaleConfig(drift_per_sqrt_m=0.0, drift_per_sqrt_s=0.0, frame_sigma=0.15, correlation_s=2.0)
+WHITE = 0.002  # point variance
+
+
+def seen(z, white=WHITE, config=STILL):
+    return Observation(float(z), white + config.frame_sigma**2, white, 100)
+
+
+def played(times, values, config=STILL, unit=True):
+    scale = ScaleFilter(config)
+    for k, (time, value) in enumerate(zip(times, values, strict=True)):
+        scale.predict(time, 0.0)
+        if unit and k == 0:
+            scale.fix_unit()
+        else:
+            scale.update(seen(value, config=config))
+    return scale
+
+
+def shared_errors(times, config=STILL):
+    """Covariance (n, n) of the frame errors at these times."""
+    return config.frame_sigma**2 * np.exp(-np.abs(np.subtract.outer(times, times)) / config.correlation_s)
+
+
+def test_it_is_batch_least_squares_over_all_keyframes_at_once():
+    rng = np.random.default_rng(0)
+    times = np.cumsum(rng.uniform(0.1, 1.0, 30))
+    values = rng.normal(0.1, 0.05, 30)
+    values[0] = 0.0
+    own = STILL.point_sigma**2 / STILL.min_points
+    covariance = shared_errors(times) + np.diag([own] + [WHITE] * 29)
+    information = np.linalg.inv(covariance)
+    scale = played(times, values)
+    assert scale.rejected == 0
+    assert scale.log_scale == pytest.approx(information.sum(0) @ values / information.sum(), abs=1e-9)
+    assert scale.sigma == pytest.approx(1 / np.sqrt(information.sum()), abs=1e-9)
+
+
+def test_independent_errors_average_as_white_noise():
+    config = replace(STILL, correlation_s=0.0)
+    scale = played(np.arange(50) * 0.3, np.full(50, 0.05), config, unit=False)
+    information = 1 / config.initial_sigma**2 + 50 / (config.frame_sigma**2 + WHITE)
+    assert scale.sigma == pytest.approx(information**-0.5)
+    assert scale.log_scale == pytest.approx(0.05 * (1 - 1 / config.initial_sigma**2 / information))
+
+
+def test_a_hundred_correlated_keyframes_are_worth_about_ten():
+    times = np.arange(100) / 3
+    sigma = played(times, np.zeros(100), unit=False).sigma
+    assert 7 < (STILL.frame_sigma / sigma) ** 2 < 13
+
+
+def test_a_new_unit_is_as_uncertain_as_the_depth_that_fixed_it():
+    scale = ScaleFilter(STILL)
+    assert scale.is_open
+    assert scale.sigma == pytest.approx(STILL.initial_sigma)
+    scale.predict(0.0, 0.0)
+    scale.fix_unit()
+    assert not scale.is_open
+    assert scale.log_scale == 0.0
+    assert STILL.frame_sigma < scale.sigma < 1.2 * STILL.frame_sigma
+    assert scale.total_sigma(0.1) == pytest.approx(np.hypot(scale.sigma, 0.1))
+    assert np.isfinite(scale.total_sigma(float("nan")))
+
+
+def test_what_is_seen_at_once_tells_nothing_about_the_unit():
+    """The frame error that fixed the unit is still the same: the depth would only repeat itself."""
+    scale = ScaleFilter(STILL)
+    scale.predict(0.0, 0.0)
+    scale.fix_unit()
+    before = scale.sigma
+    scale.predict(1e-6, 0.0)
+    scale.update(seen(0.0, white=1e-6))
+    assert scale.sigma == pytest.approx(STILL.frame_sigma, rel=0.01)
+    assert scale.sigma <= before
+
+
+def test_the_claimed_sigma_is_the_error_over_many_runs():
+    rng = np.random.default_rng(1)
+    for count, gap in ((2, 0.3), (10, 0.3), (60, 0.5)):
+        times = np.arange(count) * gap
+        root = np.linalg.cholesky(shared_errors(times) + 1e-12 * np.eye(count))
+        normalised = []
+        for _ in range(400):
+            errors = root @ rng.normal(size=count)
+            errors[0] += rng.normal(0, STILL.point_sigma / np.sqrt(STILL.min_points))
+            errors[1:] += rng.normal(0, np.sqrt(WHITE), count - 1)
+            truth = -errors[0]  # the unit is the first depth
+            scale = played(times, truth + errors)
+            normalised.append((scale.log_scale - truth) / scale.sigma)
+        assert abs(np.mean(normalised)) < 0.2
+        assert 0.8 < np.mean(np.square(normalised)) < 1.25
+
+
+def test_a_constant_scale_is_approached_without_overshoot_and_then_kept():
+    scale = ScaleFilter(ScaleConfig())
+    estimates = []
+    for k in range(200):
+        scale.predict(k * 0.3, k * 0.05)
+        scale.update(seen(0.12)) if k else scale.fix_unit()
+        estimates.append(scale.log_scale)
+    assert np.all(np.diff(estimates) > -1e-9)
+    assert max(estimates) <= 0.12
+    assert estimates[-1] == pytest.approx(0.12, abs=0.03)
+    assert np.ptp(estimates[100:]) < 0.02
+
+
+def test_distance_and_time_let_the_scale_drift():
+    config = ScaleConfig()
+    scale = played(np.arange(50) * 1.0, np.zeros(50), config)
+    variance = scale.sigma**2
+    scale.predict(49.0 + 4.0, 100.0)
+    drift = config.drift_per_sqrt_m**2 * 100.0 * np.exp(scale.log_scale) + config.drift_per_sqrt_s**2 * 4.0
+    assert scale.sigma**2 - variance == pytest.approx(drift)
+
+
+def test_a_gross_outlier_changes_nothing():
+    scale = played(np.arange(20) * 0.3, np.zeros(20))
+    before = scale.log_scale, scale.sigma
+    assert not scale.update(seen(np.log(10.0)))
+    assert (scale.log_scale, scale.sigma) == before
+    assert scale.rejected == 1
+    assert scale.update(seen(0.02))
+
+
+def test_depth_ten_times_too_large_for_a_while_is_sat_out():
+    scale = played(np.arange(100) * 0.3, np.zeros(100))
+    for k in range(REOPEN_AFTER[1] - 1):
+        scale.predict(30 + k * 0.3, 0.0)
+        assert not scale.update(seen(np.log(10.0)))
+    scale.predict(60.0, 0.0)
+    assert scale.update(seen(0.0))
+    assert abs(scale.log_scale) < 0.05
+
+
+@pytest.mark.parametrize("support", [3, 12, 100])
+def test_evidence_as_strong_as_the_belief_overturns_it(support):
+    needed = int(np.clip(support, *REOPEN_AFTER))
+    scale = played(np.arange(support) * 0.3, np.zeros(support), unit=False)
+    answers = []
+    for k in range(needed):
+        scale.predict(40 + k * 0.3, 0.0)
+        answers.append(scale.update(seen(np.log(10.0) + 0.01 * (-1) ** k)))
+    assert answers == [False] * (needed - 1) + [True]
+    assert scale.log_scale == pytest.approx(np.log(10.0), abs=0.1)
+    assert 0.1 < scale.sigma < 0.3
+    for k in range(10):
+        scale.predict(60 + k * 3.0, 0.0)
+        assert scale.update(seen(np.log(10.0)))
+
+
+def test_outliers_that_contradict_each_other_never_overturn():
+    scale = played(np.arange(20) * 0.3, np.zeros(20))
+    rng = np.random.default_rng(3)
+    for k in range(60):
+        scale.predict(10 + k * 0.3, 0.0)
+        assert not scale.update(seen(rng.choice([-1, 1]) * rng.uniform(1.5, 4.0)))
+    assert abs(scale.log_scale) < 0.05
+
+
+def test_a_map_of_unknown_unit_takes_its_first_observation_however_far():
+    scale = ScaleFilter(STILL)
+    scale.predict(0.0, 0.0)
+    assert scale.update(seen(2.0))
+    assert scale.log_scale == pytest.approx(2.0, abs=0.05)
+
+
+def test_the_ablation_takes_the_last_observation():
+    scale = ScaleFilter(STILL, kalman=False)
+    for k, z in enumerate((0.1, -0.3, 2.0)):
+        scale.predict(k * 0.3, 0.0)
+        assert scale.update(seen(z))
+        assert scale.log_scale == z
+        assert scale.sigma == pytest.approx(np.sqrt(WHITE + STILL.frame_sigma**2))
+
+
+@pytest.mark.parametrize("z", [np.nan, np.inf, -np.inf, 1e9])
+@pytest.mark.parametrize("kalman", [True, False])
+def test_what_is_no_number_is_refused(z, kalman):
+    scale = ScaleFilter(STILL, kalman)
+    scale.predict(0.0, 0.0)
+    scale.fix_unit()
+    assert not scale.update(seen(z))
+    assert not scale.update(seen(0.0, white=np.nan))
+    assert scale.log_scale == 0.0
+
+
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(
+    st.lists(st.tuples(ANY, ANY, st.one_of(ANY, st.floats(-3, 3)), st.floats(0, 1)), max_size=40),
+    st.sampled_from([0.0, 2.0]),
+    st.sampled_from([0.0, 0.15]),
+)
+@settings(max_examples=80, deadline=None)
+def test_no_stream_of_numbers_makes_it_other_than_finite(stream, correlation_s, frame_sigma):
+    scale = ScaleFilter(ScaleConfig(correlation_s=correlation_s, frame_sigma=frame_sigma))
+    for k, (time, travelled, z, white) in enumerate(stream):
+        scale.predict(time, travelled)
+        if k == 0:
+            scale.fix_unit()
+        scale.update(Observation(z, white, white, 20))
+        assert np.isfinite([scale.log_scale, scale.sigma, scale.total_sigma(0.1)]).all()
+        assert scale.sigma >= 0.0
+        assert abs(scale.log_scale) < 1e3
+
+
+def test_certainty_and_endless_steps_are_survived():
+    scale = ScaleFilter(ScaleConfig(frame_sigma=0.0))
+    for k in range(5):
+        scale.predict(k * 1e300, k * 1e307)
+        scale.update(Observation(0.0, 0.0, 0.0, 20))
+        scale.update(Observation(0.0, 0.0, 0.0, 20))
+        assert np.isfinite([scale.log_scale, scale.sigma]).all()

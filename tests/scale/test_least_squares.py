@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+
+from prism_edge.scale.least_squares import plain_mean, weighted_least_squares
+
+SIGMA, FRAME = 0.25, 0.15
+
+
+def solve(values, patches=None, weights=None, min_points=3):
+    values = np.asarray(values, dtype=np.float64)
+    patches = np.arange(len(values)) if patches is None else np.asarray(patches)
+    weights = np.ones(len(values)) if weights is None else np.asarray(weights)
+    return weighted_least_squares(values, patches, weights, SIGMA, FRAME, min_points)
+
+
+def test_without_outliers_it_is_the_weighted_mean():
+    values = np.array([0.1, 0.2, 0.05, 0.15])
+    weights = np.array([1.0, 0.5, 0.25, 1.0])
+    assert solve(values, weights=weights).log_scale == pytest.approx(np.average(values, weights=weights))
+
+
+def test_the_pixels_of_a_patch_count_once_together():
+    values = np.array([0.0, 0.0, 0.0, 0.0, 0.2])
+    result = solve(values, patches=[0, 0, 0, 0, 1])
+    assert result.log_scale == pytest.approx(0.1)
+    assert result.point_variance == pytest.approx(SIGMA**2 / 2)
+    assert result.variance == pytest.approx(SIGMA**2 / 2 + FRAME**2)
+    assert result.points == 5
+
+
+def test_gate_weights_scale_the_information():
+    values = np.full(40, 0.3)
+    assert solve(values, weights=np.full(40, 0.25)).point_variance == pytest.approx(
+        4 * solve(values).point_variance
+    )
+
+
+def test_a_keypoint_of_no_weight_is_not_there():
+    result = solve([0.1, 0.1, 0.1, 9.0], weights=[1, 1, 1, 0])
+    assert result.points == 3
+    assert result.log_scale == pytest.approx(0.1)
+
+
+def test_a_third_of_gross_outliers_hardly_matters_where_a_mean_is_lost():
+    rng = np.random.default_rng(0)
+    values = np.concatenate([rng.normal(0.1, 0.1, 200), rng.normal(2.5, 0.3, 100)])
+    assert abs(solve(values).log_scale - 0.1) < 0.2
+    assert abs(plain_mean(values, SIGMA, FRAME, 3).log_scale - 0.1) > 0.7
+
+
+def test_the_variance_grows_where_residuals_exceed_sigma_0():
+    values = np.random.default_rng(1).normal(0.0, 0.8, 200)
+    assert solve(values).point_variance > 1.5 * SIGMA**2 / 200
+
+
+def test_the_variance_is_that_of_errors_shared_by_a_patch():
+    rng = np.random.default_rng(2)
+    errors, claimed = [], []
+    for _ in range(300):
+        patches = rng.integers(0, 30, 300)
+        result = solve(rng.normal(0.0, SIGMA, 30)[patches] + rng.normal(0.0, 0.02, 300), patches)
+        errors.append(result.log_scale)
+        claimed.append(result.point_variance)
+    assert 0.75 < np.mean(np.square(errors)) / np.mean(claimed) < 1.25
+
+
+def test_too_few_points_say_nothing():
+    assert solve([0.1, 0.2, 0.3], min_points=4) is None
+    assert solve([0.1, np.nan, np.inf, 0.2], min_points=3) is None
+    assert solve([], min_points=1) is None
+    assert solve([1.0, 1.0, 1.0], weights=[0.0, 0.0, np.nan], min_points=1) is None
+    assert plain_mean(np.array([0.1, np.nan]), SIGMA, FRAME, 2) is None
+
+
+def test_the_ablation_is_the_plain_mean():
+    values = np.array([0.0, 0.0, 0.3, 5.0])
+    result = plain_mean(values, SIGMA, FRAME, 3)
+    assert result.log_scale == pytest.approx(values.mean())
+    assert result.variance == pytest.approx(SIGMA**2 / 4 + FRAME**2)
