@@ -1,0 +1,173 @@
+"""The depth worker: a keyframe's picture in, its metric depth out."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+from statistics import median
+
+import numpy as np
+
+from prism_edge.bus.session import Bus
+from prism_edge.config import Config
+from prism_edge.depth import DepthNetwork, open_network
+from prism_edge.depth.prediction import no_confidence, no_descriptor
+from prism_edge.geometry.cameras import Camera
+from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked
+from prism_edge.sources.pack import rgb
+
+log = logging.getLogger("prism_edge.depth")
+
+_WAIT_S = 0.2
+_LOADING_S = 120.0
+_INFERENCE_S = 20.0  # the slowest network in use takes a tenth of that on a small computer
+# Lockstep: a picture that takes longer isn't coming (the tracker died with it), and all wait for us.
+_PATIENCE_S = 20.0
+
+
+class DepthWorker:
+    """Joins a network to the bus. Without one, every keyframe is answered by a depth marked invalid."""
+
+    def __init__(self, config: Config, bus: Bus, patience_s: float = _PATIENCE_S) -> None:
+        """Loads and warms up the network. Raises ModelError where it can't be run."""
+        self._bus = bus
+        self._patience_s = patience_s
+        shown = {"model": "none", "provider": "none", "inference_ms": "-", "inference_ms_median": "-"}
+        bus.pulse.values.update(shown, **dict.fromkeys(("queue", "keyframes", "dropped", "invalid"), "0"))
+        # Subscribed first: what comes while the network loads is waiting when it is ready.
+        self._images = bus.queue("keyframe_image") if config.is_lockstep else bus.latest("keyframe_image")
+        self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
+        self._ends = bus.queue("end")
+        self._early: dict[int, KeyframeImage] = {}
+        self._last = -1
+        self._recent: deque[float] = deque(maxlen=100)
+        self._network: DepthNetwork | None = None
+        if config.depth.model:
+            bus.pulse.working("loading the network", _LOADING_S)
+            self._network = open_network(config.depth.model, config.depth)
+            bus.pulse.values.update(model=self._network.name, provider=self._network.provider)
+            log.info("%s runs on %s", self._network.name, self._network.provider)
+        else:
+            log.warning("no depth network is configured: poses will have no metres of their own")
+
+    def run(self) -> None:
+        """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""
+        self._bus.pulse.ready()
+        while not self._bus.stopped.is_set():
+            if self._ticks is not None:
+                tick = self._ticks.take(_WAIT_S)
+                if tick is not None:
+                    self._acknowledge(tick)
+            else:
+                self._newest()
+            if self._ends.drain():
+                self._bus.pulse.ended()
+
+    def _newest(self) -> None:
+        """Real time: the newest picture, after which the one that came meanwhile is at hand at once."""
+        image = self._images.take(0.0)
+        self._bus.pulse.values["queue"] = "0" if image is None else "1"
+        if image is None:
+            image = self._images.take(_WAIT_S)
+        if image is None:
+            return
+        passed_over = image.keyframe - self._last - 1
+        if self._last >= 0 and passed_over > 0:  # ids are given in order; a restarted tracker goes back
+            values = self._bus.pulse.values
+            values["dropped"] = str(int(values["dropped"]) + passed_over)
+        self._last = image.keyframe
+        self._answer(image)
+
+    def _acknowledge(self, tick: Tracked) -> None:
+        """Lockstep: frame ``tick.index`` is done here once its keyframe, if it became one, has its depth."""
+        if tick.keyframe >= 0:
+            image = self._await(tick.keyframe)
+            if self._bus.stopped.is_set():
+                return
+            if image is not None:
+                self._answer(image)
+        self._bus.publish("acknowledged", Acknowledged("depth", tick.index))
+
+    def _await(self, keyframe: int) -> KeyframeImage | None:
+        """The picture of that keyframe; None when it doesn't come."""
+        self._bus.pulse.working(f"waiting for keyframe {keyframe}", self._patience_s + 5.0)
+        deadline = time.monotonic() + self._patience_s
+        while keyframe not in self._early and time.monotonic() < deadline and not self._bus.stopped.is_set():
+            image = self._images.take(_WAIT_S)
+            if image is not None:
+                self._early[image.keyframe] = image
+        image = self._early.pop(keyframe, None)
+        self._early = {early: kept for early, kept in self._early.items() if early > keyframe}
+        if image is None and not self._bus.stopped.is_set():
+            log.warning("the picture of keyframe %d has not come: going on without", keyframe)
+            self._bus.pulse.count("dropped")
+        self._bus.pulse.idle()
+        return image
+
+    def _answer(self, image: KeyframeImage) -> None:
+        self._bus.pulse.working(f"keyframe {image.keyframe}", _INFERENCE_S)
+        depth = answer(self._network, image)
+        self._bus.publish("depth", depth)
+        self._bus.pulse.count("keyframes")
+        if not depth.valid:
+            self._bus.pulse.count("invalid")
+            if self._network is not None:
+                log.warning("keyframe %d has no depth: %s", image.keyframe, depth.reason)
+        else:
+            self._recent.append(depth.inference_ms)
+            self._bus.pulse.values.update(
+                inference_ms=f"{depth.inference_ms:.1f}", inference_ms_median=f"{median(self._recent):.1f}"
+            )
+        if self._network is not None:
+            self._bus.pulse.values.update({name: str(n) for name, n in self._network.counters.items()})
+        self._bus.pulse.idle()
+
+
+def answer(network: DepthNetwork | None, image: KeyframeImage) -> Depth:
+    """The depth of one keyframe; an inference that fails is an answer too, marked invalid with the reason."""
+    if network is None:
+        return _without(image, "none", 0.0, "no depth network is configured")
+    try:
+        prediction = network.infer(rgb(image), Camera.from_array(image.camera_model, image.camera))
+    except Exception as error:  # native code and foreign graphs raise anything; tracking goes on
+        line = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
+        return _without(image, network.name, network.bias_sigma, f"inference failed: {line}")
+    return Depth(
+        keyframe=image.keyframe,
+        index=image.index,
+        stamp_ns=image.stamp_ns,
+        epoch=image.epoch,
+        model=network.name,
+        bias_sigma=network.bias_sigma,
+        inference_ms=prediction.inference_ms,
+        valid=prediction.valid,
+        reason=prediction.reason,
+        image_to_depth=prediction.image_to_depth,
+        depth=prediction.depth,
+        confidence=prediction.confidence,
+        descriptor=prediction.descriptor,
+    )
+
+
+def _without(image: KeyframeImage, model: str, bias_sigma: float, reason: str) -> Depth:
+    return Depth(
+        keyframe=image.keyframe,
+        index=image.index,
+        stamp_ns=image.stamp_ns,
+        epoch=image.epoch,
+        model=model,
+        bias_sigma=bias_sigma,
+        inference_ms=0.0,
+        valid=False,
+        reason=reason,
+        image_to_depth=np.zeros(4),
+        depth=np.zeros((0, 0), np.float32),
+        confidence=no_confidence(),
+        descriptor=no_descriptor(),
+    )
+
+
+def main(config: Config, bus: Bus) -> None:
+    """Runs until ``bus.stopped``. Raises ModelError where the network can't be run."""
+    DepthWorker(config, bus).run()
