@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scale_scene import CAMERA, IMAGE_TO_DEPTH, depth_of_wall, keyframe_of_wall
 
 from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.scale.samples import PATCHES_ACROSS, depth_at, distorted_pixels, sample
+from tests.scale.scene import CAMERA, IMAGE_TO_DEPTH, depth_of_wall, keyframe_of_wall
 
 DISTORTED = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, distortion=(-0.25, 0.08, 0.001, -0.002))
 FISH = Camera(640, 480, 300.0, 300.0, 319.5, 239.5, FISHEYE, (0.05, -0.01, 0.002, 0.0))
@@ -75,14 +75,14 @@ def test_edges_holes_and_the_outside_do_not_count():
     depth[4, 10] = np.nan
     depth[20, 4] = -1.0
     depth[20, 10] = np.inf
-    positions = np.array(
-        [[8, 12], [24, 12], [15.4, 12], [16, 12], [5, 5], [10, 4], [4, 20], [9.4, 20.2], [-0.6, 5], [31.6, 5]]
-        + [[np.nan, 5.0], [31.4, 23.4], [-0.4, -0.4]]
-    )
-    values, counts = depth_at(depth, positions)
-    expected = [True, True, False, False, False, False, False, False, False, False, False, True, True]
-    np.testing.assert_array_equal(counts, expected)
-    np.testing.assert_allclose(values[counts], [2.0, 2.5, 2.5, 2.0])
+    sound = np.array([[8, 12], [24, 12], [31.4, 23.4], [-0.4, -0.4]])
+    values, counts = depth_at(depth, sound)
+    assert counts.all()
+    np.testing.assert_allclose(values, [2.0, 2.5, 2.5, 2.0])
+    at_edge, by_hole = [[15.4, 12], [16, 12]], [[5, 5], [10, 4], [4, 20], [9.4, 20.2]]
+    outside = [[-0.6, 5], [31.6, 5], [5, -0.6], [5, 23.6], [np.nan, 5]]
+    _, counts = depth_at(depth, np.array([*at_edge, *by_hole, *outside]))
+    assert not counts.any()
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (2, 5), (5, 2), (1, 1)])

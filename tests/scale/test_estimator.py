@@ -1,0 +1,148 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.config import ScaleConfig
+from prism_edge.geometry.cameras import Camera
+from prism_edge.scale.estimator import ScaleEstimator
+from tests.scale.scene import depth_of, keyframe_of_wall
+
+CONFIG = ScaleConfig()
+
+
+def play(estimator, count, metres_per_unit=1.0, factor=1.0, start=0, epoch=0):
+    """Keyframes start.. of an epoch; its first knows only seeded points."""
+    results = []
+    for k in range(start, start + count):
+        parallax = 0.0 if k == start else 3.0
+        keyframe = keyframe_of_wall(k, k * 0.4, metres_per_unit, parallax_deg=parallax, epoch=epoch)
+        results.append(estimator.process(keyframe, depth_of(keyframe, factor))[0])
+    return results
+
+
+def test_the_first_depth_fixes_the_unit_and_says_how_little_that_means():
+    first = play(ScaleEstimator(CONFIG), 1)[0]
+    assert first.log_scale == 0.0
+    assert first.points == 0
+    assert np.isnan(first.observation)
+    assert not first.accepted
+    assert first.filter_sigma == pytest.approx(np.hypot(0.15, 0.25 / np.sqrt(15)))
+    assert first.sigma == pytest.approx(np.hypot(first.filter_sigma, 0.1))
+
+
+def test_later_keyframes_pull_the_estimate_to_what_the_network_says():
+    results = play(ScaleEstimator(CONFIG), 60, metres_per_unit=1.1)
+    assert results[-1].log_scale == pytest.approx(np.log(1.1), abs=0.03)
+    assert results[-1].observation == pytest.approx(np.log(1.1), abs=1e-3)
+    assert results[-1].accepted
+    assert results[-1].points == 200
+    sigmas = [r.filter_sigma for r in results]
+    assert np.all(np.diff(sigmas) < 1e-3)
+    assert sigmas[-1] < sigmas[0] / 2
+    assert results[-1].sigma > 0.1
+
+
+def test_a_new_epoch_has_a_new_unit():
+    estimator = ScaleEstimator(CONFIG)
+    play(estimator, 30, metres_per_unit=1.2)
+    again = play(estimator, 20, start=30, epoch=1)
+    assert again[0].log_scale == 0.0
+    assert again[0].filter_sigma == play(ScaleEstimator(CONFIG), 1)[0].filter_sigma
+    assert again[0].epoch == 1
+    assert abs(again[-1].log_scale) < 1e-3
+
+
+def test_a_keyframe_of_an_epoch_that_is_over_gets_no_answer():
+    estimator = ScaleEstimator(CONFIG)
+    play(estimator, 3, epoch=2)
+    late = keyframe_of_wall(9, 3.0, epoch=1)
+    assert estimator.process(late, depth_of(late)) is None
+
+
+def test_an_estimator_started_amid_a_map_takes_that_maps_unit():
+    estimator = ScaleEstimator(CONFIG)
+    keyframe = keyframe_of_wall(100, 40.0, metres_per_unit=1.25)
+    scale, _ = estimator.process(keyframe, depth_of(keyframe))
+    assert scale.accepted
+    prior, seen = CONFIG.initial_sigma**2, CONFIG.frame_sigma**2
+    assert scale.log_scale == pytest.approx(np.log(1.25) * prior / (prior + seen), rel=0.1)
+
+
+def test_every_keypoint_has_weight_one():
+    keyframe = keyframe_of_wall(4, 0.0, points=33)
+    _, gate = ScaleEstimator(CONFIG).process(keyframe, depth_of(keyframe))
+    assert (gate.keyframe, gate.index, gate.epoch) == (4, 40, 0)
+    assert gate.weights.dtype == np.float32
+    np.testing.assert_array_equal(gate.weights, np.ones(33))
+
+
+@pytest.mark.parametrize("ablate", [("kalman",), ("wls",), ("kalman", "wls"), ("depth_factor",)])
+def test_ablated_it_still_finds_a_clean_scale(ablate):
+    results = play(ScaleEstimator(CONFIG, ablate), 40, metres_per_unit=0.9)
+    assert results[-1].log_scale == pytest.approx(np.log(0.9), abs=0.03)
+
+
+def test_without_the_filter_the_last_keyframe_decides():
+    estimator = ScaleEstimator(CONFIG, ("kalman",))
+    play(estimator, 10)
+    keyframe = keyframe_of_wall(10, 4.0)
+    answer, _ = estimator.process(keyframe, depth_of(keyframe, 1.3))
+    assert answer.log_scale == pytest.approx(np.log(1.3), abs=0.01)
+
+
+def test_without_the_least_squares_outliers_count():
+    wrong = slice(0, 60)
+    values = {}
+    for ablate in ((), ("wls",)):
+        keyframe = keyframe_of_wall(1, 0.4)
+        keyframe.depths[wrong] *= 20.0
+        values[ablate] = ScaleEstimator(CONFIG, ablate).process(keyframe, depth_of(keyframe))[0].observation
+    assert abs(values[()]) < 0.2
+    assert values["wls",] == pytest.approx(-0.3 * np.log(20.0), abs=0.01)
+
+
+BAD_DEPTHS = {
+    "all NaN": lambda depth: replace(depth, depth=np.full_like(depth.depth, np.nan)),
+    "zeros": lambda depth: replace(depth, depth=np.zeros_like(depth.depth)),
+    "negative": lambda depth: replace(depth, depth=-depth.depth),
+    "infinite": lambda depth: replace(depth, depth=np.full_like(depth.depth, np.inf)),
+    "constant": lambda depth: replace(depth, depth=np.full_like(depth.depth, 3.0)),
+    "ten times": lambda depth: replace(depth, depth=depth.depth * 10),
+    "empty": lambda depth: replace(depth, depth=np.zeros((0, 0), np.float32)),
+    "invalid": lambda depth: replace(depth, valid=False),
+    "bent placement": lambda depth: replace(depth, image_to_depth=np.full(4, np.nan)),
+    "no bias": lambda depth: replace(depth, bias_sigma=float("nan")),
+    "none": lambda depth: None,
+}
+
+
+@pytest.mark.parametrize("spoil", BAD_DEPTHS.values(), ids=BAD_DEPTHS)
+@pytest.mark.parametrize("start", [0, 15])
+@pytest.mark.parametrize("ablate", [(), ("kalman", "wls")], ids=["whole", "ablated"])
+def test_bad_depth_gives_no_nonsense_and_is_recovered_from(spoil, start, ablate):
+    estimator = ScaleEstimator(CONFIG, ablate)
+    for k in range(start + 60):
+        keyframe = keyframe_of_wall(k, k * 0.4)
+        depth = depth_of(keyframe)
+        scale, _ = estimator.process(keyframe, spoil(depth) if start <= k < start + 4 else depth)
+        numbers = [scale.log_scale, scale.sigma, scale.filter_sigma]
+        assert np.isfinite(numbers).all()
+        assert scale.sigma > 0
+        assert not (scale.accepted and np.isnan(scale.observation))
+    assert abs(scale.log_scale) < 0.15
+    assert scale.accepted
+
+
+def test_a_camera_that_cannot_be_is_no_observation():
+    keyframe = replace(keyframe_of_wall(0, 0.0), camera=np.array([640.0, 480.0, -1.0, 500.0, 320.0, 240.0]))
+    scale, gate = ScaleEstimator(CONFIG).process(keyframe, depth_of(keyframe))
+    assert scale.points == 0
+    assert len(gate.weights) == 200
+
+
+def test_a_distorted_camera_is_looked_up_where_the_network_saw_it():
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, distortion=(-0.25, 0.08, 0.001, -0.002))
+    keyframe = keyframe_of_wall(1, 0.4, metres_per_unit=0.7, camera=camera)
+    scale, _ = ScaleEstimator(CONFIG).process(keyframe, depth_of(keyframe, camera=camera))
+    assert scale.observation == pytest.approx(np.log(0.7), abs=1e-4)
