@@ -1,0 +1,60 @@
+"""Writes docs/CONFIGURATION.md's tables from the configuration tree itself; `--check` only compares."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import typing
+from itertools import groupby
+from pathlib import Path
+
+from prism_edge import config as tree
+from prism_edge.config_file import Leaf, leaves
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "CONFIGURATION.md"
+BEGIN = "<!-- written by `make docs`: change the help in prism_edge/config.py instead -->\n"
+
+
+def tables() -> str:
+    """One table for each section, in the tree's order."""
+    parts = []
+    for section, group in groupby(leaves(), key=lambda leaf: leaf.key.rpartition(".")[0]):
+        parts += [f"## {section or 'Top level'}", _purpose(section), ""]
+        parts += ["| key | default | takes | meaning |", "|---|---|---|---|", *map(_line, group), ""]
+    return "\n".join(parts)
+
+
+def _purpose(section: str) -> str:
+    types = typing.get_type_hints(tree.Config)
+    return str((types[section] if section else tree.Config).__doc__).strip()
+
+
+def _line(leaf: Leaf) -> str:
+    default = list(leaf.default) if isinstance(leaf.default, tuple) else leaf.default
+    shown = str(default).lower() if isinstance(default, bool) else str(default) or "(empty)"
+    cells = (f"`{leaf.key}`", shown, leaf.expects, leaf.help)
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def page(current: str) -> str:
+    """The page with its tables brought up to date; what stands before them is kept."""
+    return current.partition(BEGIN)[0] + BEGIN + "\n" + tables()
+
+
+def main() -> int:
+    """Write or check; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--check", action="store_true", help="exit 1 where the page is out of date")
+    args = parser.parse_args()
+    current = PAGE.read_text(encoding="utf-8")
+    if args.check:
+        if current != page(current):
+            print(f"{PAGE} is out of date: run `make docs`", file=sys.stderr)
+            return 1
+        return 0
+    PAGE.write_text(page(current), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
