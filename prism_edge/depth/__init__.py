@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prism_edge.config import DepthConfig
 from prism_edge.depth.pairing import PairedNetwork
 from prism_edge.depth.prediction import Prediction
-from prism_edge.depth.registry import find, folders, registry
+from prism_edge.depth.registry import entries, find, folders
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -67,7 +67,7 @@ def locate(spec: str) -> Path:
             raise ModelError(f"model {spec!r} is a folder; an ONNX file is needed")
         if path.suffix == ".onnx" or len(path.parts) > 1:
             raise ModelError(f"model {spec!r}: there is no such file")
-        known = ", ".join(item.name for item in registry() if item.card)
+        known = ", ".join(item.name for item in entries() if item.card)
         raise ModelError(f"model {spec!r} is neither a file nor a registered name ({known})")
     if entry.card is None:
         raise ModelError(f"model {spec}: a checkpoint to be exported to ONNX first; then give that file")

@@ -52,7 +52,7 @@ def folders() -> list[Path]:
 
 
 @cache
-def registry() -> tuple[Entry, ...]:
+def entries() -> tuple[Entry, ...]:
     """The entries of the project's own registry. Raises ModelError where it is broken."""
     return read_registry(data_folder() / "registry.yaml")
 
@@ -63,23 +63,23 @@ def read_registry(path: Path) -> tuple[Entry, ...]:
     models = content.get("models") if isinstance(content, Mapping) and content.get("registry") == 1 else None
     if not isinstance(models, list):
         raise ModelError(f"{path}: no model registry (needs `registry: 1` and a list `models`)")
-    entries = tuple(_entry(item, f"{path.name} entry {i}") for i, item in enumerate(models, 1))
+    read = tuple(_entry(item, f"{path.name} entry {i}") for i, item in enumerate(models, 1))
     for what in ("name", "file"):
-        values = [getattr(entry, what) for entry in entries if getattr(entry, what)]
+        values = [getattr(entry, what) for entry in read if getattr(entry, what)]
         for value in values:
             if values.count(value) > 1:
                 raise ModelError(f"{path}: {what} {value!r} is listed twice")
-    return entries
+    return read
 
 
 def find(name: str) -> Entry | None:
     """The entry of that name."""
-    return next((entry for entry in registry() if entry.name == name), None)
+    return next((entry for entry in entries() if entry.name == name), None)
 
 
 def find_digest(sha256: str) -> Entry | None:
     """The entry whose file has that digest."""
-    return next((entry for entry in registry() if entry.card and entry.card.sha256 == sha256), None)
+    return next((entry for entry in entries() if entry.card and entry.card.sha256 == sha256), None)
 
 
 def sha256_of(path: Path) -> str:
