@@ -1,0 +1,92 @@
+"""`prism-edge eval`: a recorded sequence through the very same daemon, and what a subscriber got, scored."""
+
+from __future__ import annotations
+
+import argparse
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from prism_edge.cli.settings import add_common, config_from
+from prism_edge.config import ABLATIONS
+from prism_edge.errors import ConfigError
+
+# Parts of the method that can't be left out of this version, as they are not in it.
+_ABSENT = {
+    "plucker": "there is no ray-distance factor",
+    "dsug": "the uncertainty gate is a constant: there is nothing",
+    "loop": "there is no loop closure",
+    "init": "there is no synchronous initialisation over several keyframes",
+}
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "eval",
+        help="run a recorded sequence and score the poses against its truth",
+        description="Play SEQUENCE through the daemon, listen as an ordinary subscriber, and write live.tum "
+        "(poses as published), final.tum (after the last optimisation) and metrics.json to the folder DIR "
+        "(docs/EVALUATION.md). Ground truth is read after the run, for scores only. Unless --endpoint is "
+        "given, a free loopback port is taken, so that several evaluations can run side by side.",
+    )
+    parser.add_argument(
+        "source",
+        metavar="SEQUENCE",
+        help="folder of a dataset (TUM RGB-D, BONN, 7-Scenes, KITTI odometry) or of images, or a video file",
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, required=True, help="where results go (created; overwritten)"
+    )
+    parser.add_argument(
+        "--model", metavar="MODEL", help="depth network: ONNX file, known name, or nested:RELATIVE,METRIC"
+    )
+    parser.add_argument(
+        "--camera", metavar="FILE", help="camera file (YAML; ROS camera_info is read as it is)"
+    )
+    parser.add_argument(
+        "--lockstep", action="store_true", help="drop no frame: the next waits until all have done the last"
+    )
+    parser.add_argument(
+        "--ablate",
+        metavar="PART",
+        action="append",
+        default=[],
+        help=f"switch a part off ({', '.join(ABLATIONS)}); may be repeated",
+    )
+    parser.add_argument("--seed", metavar="N", help="seed of everything random (default: 0)")
+    parser.add_argument(
+        "--truth", metavar="FILE.tum", type=Path, help="score against this trajectory, not the sequence's own"
+    )
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Evaluate and print a table; returns the exit code. Raises PrismError."""
+    check_ablations(args.ablate)
+    if args.ablate:
+        args.set.append(f"ablate=[{', '.join(args.ablate)}]")
+    config = config_from(args)
+
+    from prism_edge.evaluation.run import evaluate
+    from prism_edge.evaluation.table import show
+
+    signal.signal(signal.SIGTERM, _terminated)
+    show(evaluate(config, args.out, args.truth), args.out)
+    return 0
+
+
+def check_ablations(names: list[str]) -> None:
+    """Raises ConfigError, saying why, for a part that can't be switched off."""
+    for name in names:
+        if name in ABLATIONS:
+            continue
+        if name in _ABSENT:
+            raise ConfigError(f"--ablate {name}: {_ABSENT[name]} to switch off in this version")
+        raise ConfigError(f"--ablate {name}: no such part; use one of {', '.join(ABLATIONS)}")
+
+
+def _terminated(number: int, frame: FrameType | None) -> None:
+    """Leave through the blocks that end the daemon."""
+    raise SystemExit(128 + number)

@@ -1,0 +1,84 @@
+"""metrics.json: every figure of one run under its name (docs/EVALUATION.md); pure but for version lookup."""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+from importlib import metadata
+from typing import Any
+
+import prism_edge
+from prism_edge.config import Config
+from prism_edge.evaluation.recording import Recording
+from prism_edge.evaluation.resources import VOID_ABOVE, Usage
+from prism_edge.evaluation.scores import UNKNOWN, score
+from prism_edge.evaluation.trajectory import Trajectory
+from prism_edge.messages import MapSnapshot
+
+_PACKAGES = ("numpy", "opencv-python-headless", "onnxruntime", "gtsam", "eclipse-zenoh", "rosbags")
+
+
+def metrics(
+    *,
+    config: Config,
+    recording: Recording,
+    snapshot: MapSnapshot | None,
+    usage: Usage,
+    ready_s: float | None,
+    first_stamp_ns: int | None,
+    live: Trajectory,
+    final: Trajectory,
+    final_missing: int,
+    truth: Trajectory | None,
+    truth_name: str,
+) -> dict[str, Any]:
+    """The contents of metrics.json; None wherever something can't be computed."""
+    split_ns = None
+    if recording.frames:
+        split_ns = (recording.frames[0].stamp_ns + recording.frames[-1].stamp_ns) // 2
+    scores = {
+        name: (score(estimate, truth, split_ns) if truth is not None else UNKNOWN).as_dict()
+        for name, estimate in (("live", live), ("final", final))
+    }
+    processed = len({frame.index for frame in recording.frames})
+    return {
+        **recording.flow(first_stamp_ns),
+        "ready_s": ready_s,
+        **scores,
+        "final_settled": snapshot is not None and snapshot.settled,
+        "final_missing": final_missing,
+        "truth": truth_name if truth is not None else None,
+        "cpu_ms_per_frame": _cpu(usage, processed),
+        "peak_pss_mb": _with_total(usage.peak_pss_mb, usage.peak_total_pss_mb),
+        "foreign_cpu": usage.foreign_cpu,
+        "timings_void": usage.foreign_cpu is None or usage.foreign_cpu > VOID_ABOVE,
+        "keyframes": len(snapshot.keyframes) if snapshot is not None else None,
+        "map_points": len(snapshot.points) if snapshot is not None else None,
+        "log_scale": snapshot.log_scale if snapshot is not None else None,
+        "violations": recording.violations(),
+        "seed": config.seed,
+        "versions": versions(),
+        "config": dataclasses.asdict(config),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Of this project, Python and the packages whose numbers a result depends on."""
+    found = {"prism_edge": prism_edge.__version__, "python": platform.python_version()}
+    for package in _PACKAGES:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+def _cpu(usage: Usage, frames: int) -> dict[str, float | None]:
+    if not frames or not usage.cpu_s:
+        return {"total": None}
+    each = {name: 1000.0 * seconds / frames for name, seconds in usage.cpu_s.items()}
+    return _with_total(each, sum(each.values()))
+
+
+def _with_total(each: dict[str, float], total: float | None) -> dict[str, float | None]:
+    return {**dict(sorted(each.items())), "total": total}

@@ -1,0 +1,153 @@
+"""Listening to a running daemon: an ordinary subscriber that keeps what it hears."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from prism_edge.bus.session import Bus
+from prism_edge.config import FramesConfig
+from prism_edge.errors import EvaluationError
+from prism_edge.evaluation.recording import Published, Recording
+from prism_edge.evaluation.trajectory import NS, tum_line
+from prism_edge.geometry.poses import Array, from_rt, rotation_from_quaternion
+from prism_edge.messages import EndOfStream, Heartbeat, Tracked
+
+_QUEUE = 4096  # messages; minutes of poses, so that a busy machine loses none
+_LOOK_S = 0.2
+
+
+def base_from_camera(frames: FramesConfig) -> Array:
+    """Pose (4, 4) of the optical camera on the robot."""
+    rotation = rotation_from_quaternion(np.array(frames.base_from_camera_xyzw))
+    return from_rt(rotation, np.array(frames.base_from_camera_xyz))
+
+
+def camera_pose(message: Any, mount: Array) -> tuple[int, Array]:
+    """Stamp (ns) and map_from_camera (4, 4) of a geometry_msgs/PoseWithCovarianceStamped.
+
+    The message holds map_from_base_link; ``mount`` is base_from_camera. Values that are not finite stay so.
+    """
+    stamp, pose = message.header.stamp, message.pose.pose
+    p, q = pose.position, pose.orientation
+    with np.errstate(invalid="ignore", divide="ignore"):  # what is not finite is for the caller to judge
+        rotation = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
+        return int(stamp.sec) * NS + int(stamp.nanosec), from_rt(rotation, np.array([p.x, p.y, p.z])) @ mount
+
+
+class PoseRecorder:
+    """Appends each `pose` message to a TUM file at once, as the camera's pose; what was written stays."""
+
+    def __init__(self, path: Path, frames: FramesConfig) -> None:
+        """Creates or empties the file; raises EvaluationError where that can't be done."""
+        self.count = 0
+        self._mount = base_from_camera(frames)
+        try:
+            self._file = path.open("w", buffering=1)
+        except OSError as error:
+            raise EvaluationError(f"{path}: {error.strerror}: can't record poses there") from error
+
+    def record(self, message: Any) -> None:
+        """One geometry_msgs/PoseWithCovarianceStamped; one that is not finite is left out."""
+        stamp_ns, pose = camera_pose(message, self._mount)
+        if np.isfinite(pose).all():
+            self._file.write(tum_line(stamp_ns, pose))
+            self.count += 1
+
+    def close(self) -> None:
+        """Ends the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class Recorder:
+    """Collects a run from the bus: poses and frames by threads of their own, the rest by :meth:`poll`.
+
+    Subscribes at once. Poses are stamped when they come out of the subscription and decoded there;
+    nothing else is done until the run is over, so that listening costs the machine little.
+    """
+
+    def __init__(self, bus: Bus, frames: FramesConfig) -> None:
+        self._mount = base_from_camera(frames)
+        self._recording = Recording()
+        self._end: EndOfStream | None = None
+        self._changed = threading.Event()
+        self._closing = False
+        self._ends, self._heartbeats = bus.queue("end"), bus.queue("heartbeat")
+        self._threads = [
+            threading.Thread(target=self._listen, args=(bus.queue(topic, _QUEUE), keep), daemon=True)
+            for topic, keep in (("pose", self._pose), ("tracked", self._tracked))
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def poll(self) -> list[Heartbeat]:
+        """Takes what has come on the slow topics; returns the heartbeats."""
+        for end in self._ends.drain():
+            self._end = end
+        beats: list[Heartbeat] = self._heartbeats.drain()
+        return beats
+
+    def wait(self, timeout_s: float) -> None:
+        """Returns when a frame has been tracked, or after ``timeout_s``."""
+        self._changed.wait(timeout_s)
+        self._changed.clear()
+
+    @property
+    def frames(self) -> int:
+        """Frames heard of so far."""
+        return len(self._recording.arrivals_ns)
+
+    @property
+    def position(self) -> int:
+        """Frames of the recording that are behind us, dropped ones included."""
+        frames = self._recording.frames
+        return frames[-1].index + 1 if frames else 0
+
+    @property
+    def ended(self) -> EndOfStream | None:
+        """The source's farewell, once it has come."""
+        return self._end
+
+    @property
+    def complete(self) -> bool:
+        """Whether the source has ended and its last frame has been tracked."""
+        return self._end is not None and self.position > self._end.last_index
+
+    def close(self) -> Recording:
+        """Stops listening and returns everything heard."""
+        self._closing = True
+        for thread in self._threads:
+            thread.join()
+        self.poll()
+        heard = self._recording
+        return Recording(heard.poses, heard.frames, heard.arrivals_ns, self._end)
+
+    def _listen(self, inbox: Any, keep: Any) -> None:
+        while True:
+            message = inbox.take(_LOOK_S)
+            if message is not None:
+                keep(message, time.monotonic_ns())
+            elif self._closing:
+                return
+
+    def _pose(self, message: Any, arrival_ns: int) -> None:
+        stamp_ns, pose = camera_pose(message, self._mount)
+        self._recording.poses.append(Published(stamp_ns, arrival_ns, pose))
+
+    def _tracked(self, message: Tracked, arrival_ns: int) -> None:
+        self._recording.frames.append(message)
+        self._recording.arrivals_ns.append(arrival_ns)
+        self._changed.set()

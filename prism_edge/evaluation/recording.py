@@ -1,0 +1,123 @@
+"""What a subscriber got during one run, and what follows from it without any ground truth; pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from prism_edge.evaluation.trajectory import NS, Trajectory
+from prism_edge.geometry.poses import Array, scaled
+from prism_edge.messages import DEGRADED, LOST, OK, EndOfStream, MapSnapshot, Tracked
+
+
+@dataclass(frozen=True)
+class Published:
+    """One `pose` as it arrived."""
+
+    stamp_ns: int
+    arrival_ns: int  # host's monotonic clock
+    map_from_camera: Array  # (4, 4) metres
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Everything heard on the bus. ``arrivals_ns`` holds a monotonic time for each of ``frames``."""
+
+    poses: list[Published] = field(default_factory=list)
+    frames: list[Tracked] = field(default_factory=list)
+    arrivals_ns: list[int] = field(default_factory=list)
+    end: EndOfStream | None = None
+
+    @cached_property
+    def published(self) -> dict[int, Published]:
+        """The first pose published for each stamp."""
+        return {pose.stamp_ns: pose for pose in reversed(self.poses)}
+
+    @cached_property
+    def tracked(self) -> list[Tracked]:
+        """The frames that count as tracked: state ok or degraded, and a pose arrived."""
+        return [f for f in self.frames if f.odometry in (OK, DEGRADED) and f.stamp_ns in self.published]
+
+    def live(self) -> Trajectory:
+        """Every pose exactly as published, map_from_camera; poses that aren't finite are left out."""
+        finite = (pose for pose in self.poses if np.isfinite(pose.map_from_camera).all())
+        return Trajectory.of((pose.stamp_ns, pose.map_from_camera) for pose in finite)
+
+    def final(self, snapshot: MapSnapshot, map_from_world: Array) -> tuple[Trajectory, int]:
+        """Every tracked frame as the finished map has it, carried by its reference keyframe.
+
+        In metres, map_from_camera: the snapshot's map units are multiplied by exp(log_scale), then brought
+        from the map's world frame by ``map_from_world`` (4, 4). Also returns how many frames had to be
+        left out because the map no longer holds their reference keyframe.
+        """
+        keyframes = {int(k): pose for k, pose in zip(snapshot.keyframes, snapshot.poses, strict=True)}
+        factor = float(np.exp(snapshot.log_scale))
+        rows = [
+            (f.stamp_ns, map_from_world @ scaled(keyframes[f.reference] @ f.reference_from_camera, factor))
+            for f in self.tracked
+            if f.reference in keyframes
+        ]
+        return Trajectory.of(rows), len(self.tracked) - len(rows)
+
+    def latencies_ms(self) -> Array:
+        """From scheduled capture to the subscriber, one for each published pose whose frame is known."""
+        captured = {frame.stamp_ns: frame.captured_monotonic_ns for frame in self.frames}
+        return np.array(
+            [
+                (pose.arrival_ns - captured[pose.stamp_ns]) / 1e6
+                for pose in self.poses
+                if pose.stamp_ns in captured
+            ]
+        )
+
+    def violations(self) -> list[str]:
+        """What no subscriber may ever see; each makes the run fail."""
+        found = []
+        lost = [frame for frame in self.frames if frame.odometry == LOST]
+        told = [frame.index for frame in lost if frame.published or frame.stamp_ns in self.published]
+        if told:
+            found.append(f"{len(told)} poses were published while lost, the first for frame {told[0]}")
+        strange = [pose for pose in self.poses if not np.isfinite(pose.map_from_camera).all()]
+        if strange:
+            at = strange[0].stamp_ns / NS
+            found.append(f"{len(strange)} poses that are not finite were published, the first for {at:.3f} s")
+        return found
+
+    def flow(self, first_stamp_ns: int | None) -> dict[str, object]:
+        """Counts, coverage, rate and latency, under their names in metrics.json (docs/EVALUATION.md).
+
+        ``first_stamp_ns`` is the recording's first stamp; None takes that of the first frame tracked.
+        """
+        processed = len({frame.index for frame in self.frames})
+        end = self.end or EndOfStream(processed, processed, 0, 0, -1)
+        if first_stamp_ns is None and self.frames:
+            first_stamp_ns = self.frames[0].stamp_ns
+        first_pose_s = None
+        if self.poses and first_stamp_ns is not None:
+            first_pose_s = (min(self.published) - first_stamp_ns) / NS
+        states = [frame.odometry for frame in self.frames]
+        return {
+            "frames": end.frames,
+            "tracked": len(self.tracked),
+            "coverage": len(self.tracked) / end.frames if end.frames else None,
+            "states": {state: states.count(state) for state in sorted(set(states))},
+            "first_pose_s": first_pose_s,
+            "fps": self._rate(),
+            "dropped_frames": max(0, end.frames - end.unreadable - processed),
+            "duplicate_frames": end.duplicates,
+            "unreadable_frames": end.unreadable,
+            "latency_ms": self._latency_percentiles(),
+        }
+
+    def _rate(self) -> float | None:
+        span_ns = self.arrivals_ns[-1] - self.arrivals_ns[0] if self.arrivals_ns else 0
+        return (len(self.arrivals_ns) - 1) * NS / span_ns if span_ns > 0 else None
+
+    def _latency_percentiles(self) -> dict[str, float | None]:
+        latencies = self.latencies_ms()
+        return {
+            f"p{percent}": float(np.percentile(latencies, percent)) if len(latencies) else None
+            for percent in (50, 95, 99)
+        }

@@ -1,0 +1,187 @@
+"""One evaluation from start to files: the daemon plays a recording, we listen, then score."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from prism_edge.bus.keys import check_endpoint, check_robot_name
+from prism_edge.bus.session import Bus
+from prism_edge.config import BusConfig, Config
+from prism_edge.config_file import dump
+from prism_edge.errors import EvaluationError
+from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, free_endpoint
+from prism_edge.evaluation.metrics import metrics
+from prism_edge.evaluation.progress import Progress
+from prism_edge.evaluation.recorder import Recorder, base_from_camera
+from prism_edge.evaluation.recording import Recording
+from prism_edge.evaluation.resources import Meter, Usage
+from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
+from prism_edge.messages import MapSnapshot
+from prism_edge.processes import processes_for
+from prism_edge.sources import open_source
+from prism_edge.sources.truth import read_truth
+
+# The first frame waits this long after the daemon is ready, so that a subscriber who connects at the same
+# time misses nothing; it is part of no figure.
+_WAIT_S = 0.5
+_SAMPLE_S = 1.0
+_LOOK_S = 0.1
+_LAST_FRAME_S = 10.0  # for the last frames to be tracked once the source has ended
+_SILENCE_S = 120.0  # without any frame: the run is given up
+FILES = ("live.tum", "final.tum", "metrics.json", "effective.yaml", "daemon.log")
+
+
+@dataclasses.dataclass(frozen=True)
+class Heard:
+    """What a run left behind, before anything is scored."""
+
+    recording: Recording
+    snapshot: MapSnapshot | None  # None: the backend never answered
+    usage: Usage
+    ready_s: float | None
+
+
+def evaluate(
+    config: Config,
+    out: Path,
+    truth: Path | None = None,
+    settle_s: float = 60.0,
+    command: Sequence[str] = SUPERVISOR,
+) -> dict[str, Any]:
+    """Runs ``config`` through the daemon and writes live.tum, final.tum, metrics.json and more to ``out``.
+
+    ``truth`` is a TUM file to score against instead of the sequence's own; either is read only after the
+    run. ``settle_s`` is how long the last optimisation may take. Returns the metrics. Call it from the main
+    thread. Raises SourceError or ConfigError for an unusable sequence, DaemonError with the daemon's own
+    exit code where it fails, and EvaluationError where the run broke a rule (the files are written then too).
+    """
+    with open_source(config.source) as source:
+        first = source.peek()
+        frame_count = source.frame_count
+    if truth is not None and not truth.is_file():
+        raise EvaluationError(f"{truth}: no such file: nothing to score against")
+    config = _prepared(config, out)
+    heard = _run(config, out, settle_s, frame_count, command)
+
+    live = heard.recording.live()
+    final, missing = Trajectory.of([]), 0
+    if heard.snapshot is not None:
+        # The map's world frame is the first camera's, and `map` begins where base_link was then.
+        final, missing = heard.recording.final(heard.snapshot, base_from_camera(config.frames))
+    write_tum(out / "live.tum", live)
+    write_tum(out / "final.tum", final)
+    report = metrics(
+        config=config,
+        recording=heard.recording,
+        snapshot=heard.snapshot,
+        usage=heard.usage,
+        ready_s=heard.ready_s,
+        first_stamp_ns=first.stamp_ns if first else None,
+        live=live,
+        final=final,
+        final_missing=missing,
+        truth=_truth(config, truth),
+        truth_name=str(truth) if truth else "the sequence's own",
+    )
+    (out / "metrics.json").write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
+    if report["violations"]:
+        raise EvaluationError(f"the run is void: {'; '.join(report['violations'])}")
+    return report
+
+
+def _prepared(config: Config, out: Path) -> Config:
+    """The configuration as it runs, written to ``out``, from which an earlier run's files are removed."""
+    source = dataclasses.replace(config.source, wait_s=max(config.source.wait_s, _WAIT_S), loop=False)
+    config = dataclasses.replace(config, source=source)
+    if config.bus.endpoint == BusConfig().endpoint:  # nobody chose one
+        config = dataclasses.replace(config, bus=dataclasses.replace(config.bus, endpoint=free_endpoint()))
+    check_robot_name(config.robot)
+    check_endpoint(config.bus.endpoint)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        for name in FILES:
+            (out / name).unlink(missing_ok=True)
+        (out / "effective.yaml").write_text(dump(config))
+    except OSError as error:
+        raise EvaluationError(f"{out}: {error.strerror}: can't write results there") from error
+    return config
+
+
+def _run(
+    config: Config, out: Path, settle_s: float, frame_count: int | None, command: Sequence[str]
+) -> Heard:
+    with contextlib.ExitStack() as stack:
+        daemon = stack.enter_context(
+            Daemon(out / "effective.yaml", out / "daemon.log", config.supervisor.stop_s, command)
+        )
+        bus = stack.enter_context(Bus.open(config, "eval"))
+        recorder = Recorder(bus, config.frames)
+        progress = stack.enter_context(Progress(frame_count))
+        meter = Meter(daemon.pid, "supervisor")
+        ready_s = _listen(config, daemon, recorder, meter, progress)
+        progress.say("waiting for the last optimisation")
+        snapshot = _settled(bus, daemon, settle_s)
+        return Heard(recorder.close(), snapshot, meter.usage, ready_s)
+
+
+def _listen(
+    config: Config, daemon: Daemon, recorder: Recorder, meter: Meter, progress: Progress
+) -> float | None:
+    """Follows the run until its last frame has been tracked; seconds from start to ready (None: never)."""
+    awaited = {process.name for process in processes_for(config)}
+    ready_ns, begun = 0, False
+    next_sample_s = time.monotonic()
+    ended_s, frames, heard_s = None, 0, time.monotonic() + config.supervisor.start_s + config.source.wait_s
+    while not recorder.complete:
+        recorder.wait(_LOOK_S)
+        daemon.check()
+        for beat in recorder.poll():
+            meter.name(beat.pid, beat.process)
+            if beat.process in awaited and beat.state != "starting":
+                awaited.remove(beat.process)
+                since = beat.activity_since_ns if beat.state == "ready" else beat.monotonic_ns
+                ready_ns = max(ready_ns, since)
+        now = time.monotonic()
+        if not begun and (not awaited or recorder.frames):
+            begun = True
+            meter.begin()
+        if begun and now >= next_sample_s:
+            next_sample_s = now + _SAMPLE_S
+            meter.sample()
+            progress.at(recorder.position)
+        if recorder.frames > frames:
+            frames, heard_s = recorder.frames, now
+        if now - heard_s > _SILENCE_S:
+            raise EvaluationError(f"no frame was tracked for {_SILENCE_S:.0f} s: the run is given up")
+        if recorder.ended is not None:
+            ended_s = ended_s or now
+            if now - max(ended_s, heard_s if frames else 0.0) > _LAST_FRAME_S:
+                break  # the last frames were lost with a process
+    meter.end()
+    progress.at(recorder.position)
+    return None if awaited else (ready_ns - daemon.started_ns) / NS
+
+
+def _settled(bus: Bus, daemon: Daemon, settle_s: float) -> MapSnapshot | None:
+    """The map after its last optimisation, or the latest there is when ``settle_s`` is over."""
+    deadline = time.monotonic() + settle_s
+    latest: MapSnapshot | None = None
+    while True:
+        latest = bus.ask("map_snapshot") or latest
+        if (latest is not None and latest.settled) or time.monotonic() > deadline:
+            return latest
+        daemon.check()
+        time.sleep(_LOOK_S)
+
+
+def _truth(config: Config, file: Path | None) -> Trajectory | None:
+    if file is not None:
+        return read_tum(file)
+    own = read_truth(config.source.uri)
+    return None if own is None else Trajectory(*own)

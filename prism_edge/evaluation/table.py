@@ -1,0 +1,45 @@
+"""The figures that matter, for a reader at a terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+
+def show(metrics: dict[str, Any], out: Path) -> None:
+    """Prints a short table of metrics.json's contents on stdout."""
+    console = Console()
+    errors = Table("", "live", "final", title=f"against {metrics['truth'] or 'no truth'}")
+    for label, key, factor, unit in (
+        ("ATE SE(3)", "ate_se3_m", 100.0, "cm"),
+        ("ATE Sim(3)", "ate_sim3_m", 100.0, "cm"),
+        ("scale ratio", "scale_ratio", 1.0, ""),
+        ("RPE over 1 s", "rpe_trans_m", 100.0, "cm"),
+        ("RPE over 1 s", "rpe_rot_deg", 1.0, "deg"),
+        ("t_rel", "t_rel_percent", 1.0, "%"),
+    ):
+        errors.add_row(label, *(_number(metrics[which][key], factor, unit) for which in ("live", "final")))
+    console.print(errors)
+
+    latency, cpu, void = metrics["latency_ms"], metrics["cpu_ms_per_frame"], metrics["timings_void"]
+    run = Table(show_header=False, title="run")
+    for label, value in (
+        ("coverage", f"{_number(metrics['coverage'])} of {metrics['frames']} frames"),
+        ("first pose, ready", f"{_number(metrics['first_pose_s'])}, {_number(metrics['ready_s'])} s"),
+        ("rate", f"{_number(metrics['fps'])} fps, {metrics['dropped_frames']} dropped"),
+        ("latency p50, p99", f"{_number(latency['p50'])}, {_number(latency['p99'])} ms"),
+        ("CPU", f"{_number(cpu['total'])} ms a frame"),
+        ("memory", f"{_number(metrics['peak_pss_mb']['total'])} MB PSS"),
+        ("machine used by others", _number(metrics["foreign_cpu"], 100.0, "%") + (" (timings void)" * void)),
+        ("map", f"{metrics['keyframes']} keyframes, {metrics['map_points']} points"),
+    ):
+        run.add_row(label, value)
+    console.print(run)
+    console.print(f"written to {out}", highlight=False)
+
+
+def _number(value: float | None, factor: float = 1.0, unit: str = "") -> str:
+    return "-" if value is None else f"{factor * value:.3g} {unit}".rstrip()
