@@ -1,0 +1,225 @@
+"""What `prism-edge doctor` looks at: each check is one function that returns its lines."""
+
+from __future__ import annotations
+
+import glob
+import importlib
+import importlib.metadata
+import json
+import os
+import platform
+import resource
+import shutil
+import socket
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from prism_edge.config import Config
+from prism_edge.errors import PrismError
+
+OK, WARN, FAIL = "ok", "warn", "fail"
+
+# Wheels with native code: module, distribution. Loading them is the test.
+NATIVE = {
+    "numpy": "numpy",
+    "cv2": "opencv-python-headless",
+    "onnxruntime": "onnxruntime",
+    "gtsam": "gtsam",
+    "zenoh": "eclipse-zenoh",
+    "rosbags": "rosbags",
+    "yaml": "pyyaml",
+    "psutil": "psutil",
+}
+LEAST_MEMORY_MB, LEAST_DISK_MB = 700, 500
+LOCKED_FOR_SHARED_MEMORY = 64 << 20
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One line of the report; ``advice`` says what to do about it."""
+
+    level: str
+    subject: str
+    found: str
+    advice: str = ""
+
+
+def check_python() -> Iterator[Finding]:
+    """The interpreter and the machine it runs on."""
+    yield Finding(OK, "python", f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+
+
+def check_cpu() -> Iterator[Finding]:
+    """Cores that this process may use."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if cores < 2:
+        yield Finding(WARN, "cpu", "1 core", "two are wanted: expect dropped frames")
+    else:
+        yield Finding(OK, "cpu", f"{cores} cores")
+
+
+def check_wheels(modules: dict[str, str] = NATIVE) -> Iterator[Finding]:
+    """Whether each native library loads, and its version."""
+    for module, distribution in modules.items():
+        try:
+            importlib.import_module(module)
+            yield Finding(OK, distribution, importlib.metadata.version(distribution))
+        except importlib.metadata.PackageNotFoundError:
+            yield Finding(OK, distribution, "loads (version not recorded)")
+        except Exception as error:  # a broken wheel may raise anything
+            line = " ".join(str(error).split()) or type(error).__name__
+            yield Finding(FAIL, distribution, line[:160], f"pip install --force-reinstall {distribution}")
+
+
+def check_providers(config: Config) -> Iterator[Finding]:
+    """The execution providers that the configuration asks for."""
+    try:
+        import onnxruntime
+    except Exception:  # said by check_wheels
+        return
+    available = onnxruntime.get_available_providers()
+    yield Finding(OK, "providers", " ".join(available))
+    for name in config.depth.providers:
+        if name not in available:
+            advice = "set depth.providers to some of those, or install an onnxruntime that has it"
+            yield Finding(WARN, "providers", f"{name} is configured but not there", advice)
+
+
+def check_model(config: Config) -> Iterator[Finding]:
+    """Whether the configured network loads, keeps its contract and runs."""
+    if not config.depth.model:
+        yield Finding(WARN, "model", "none given", "poses have no metric scale without --model")
+        return
+    try:
+        from prism_edge.depth import open_network
+
+        network = open_network(config.depth.model, config.depth)
+        yield Finding(OK, "model", f"{network.name} on {network.provider}")
+    except PrismError as error:
+        yield Finding(FAIL, "model", str(error), "see `prism-edge models list`")
+
+
+def check_zenoh(config: Config) -> Iterator[Finding]:
+    """A message there and back over a loopback session of our own, and whether the endpoint is right."""
+    try:
+        import zenoh
+
+        from prism_edge.bus.keys import check_endpoint, check_robot_name
+
+        check_robot_name(config.robot)
+        check_endpoint(config.bus.endpoint)
+        seconds = _round_trip(zenoh)
+    except PrismError as error:
+        yield Finding(FAIL, "zenoh", str(error))
+    except Exception as error:  # ZError, or a wheel that does not load
+        line = " ".join(str(error).split())[:160]
+        yield Finding(FAIL, "zenoh", line, "is loopback networking forbidden here?")
+    else:
+        if seconds is None:
+            yield Finding(FAIL, "zenoh", "a message over loopback did not arrive", "check the firewall on lo")
+        else:
+            yield Finding(OK, "zenoh", f"loopback round trip in {seconds * 1e3:.1f} ms")
+
+
+def _round_trip(zenoh: Any) -> float | None:
+    """Seconds from put to arrival between two sessions over loopback TCP; None if it did not arrive."""
+    def settings(**entries: Any) -> Any:
+        config = zenoh.Config()
+        config.insert_json5("scouting/multicast/enabled", "false")
+        for key, value in entries.items():
+            config.insert_json5(key.replace("__", "/"), json.dumps(value))
+        return config
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    arrived = threading.Event()
+    listening = settings(mode="peer", listen__endpoints=[endpoint])
+    connecting = settings(mode="client", connect__endpoints=[endpoint])
+    with zenoh.open(listening) as here, zenoh.open(connecting) as there:
+        subscriber = here.declare_subscriber("prism/doctor", lambda sample: arrived.set())
+        deadline = time.monotonic() + 5.0
+        try:
+            # The declaration travels too: put until it has got through.
+            while time.monotonic() < deadline:
+                start = time.monotonic()
+                there.put("prism/doctor", b"ping")
+                if arrived.wait(0.2):
+                    return time.monotonic() - start
+        finally:
+            subscriber.undeclare()
+    return None
+
+
+def check_limits() -> Iterator[Finding]:
+    """Resource limits: memory that may be locked, open files."""
+    locked = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    shown = "unlimited" if locked == resource.RLIM_INFINITY else f"{locked >> 10} KiB"
+    if locked != resource.RLIM_INFINITY and locked < LOCKED_FOR_SHARED_MEMORY:
+        shown += ": too little for Zenoh's shared memory, which is off here and not needed"
+    yield Finding(OK, "memlock", shown)
+    files = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    if files != resource.RLIM_INFINITY and files < 256:
+        yield Finding(WARN, "files", f"{files} may be open at once", "raise it: ulimit -n 1024")
+    else:
+        yield Finding(OK, "files", f"{files} may be open at once")
+
+
+def check_memory(least_mb: int = LEAST_MEMORY_MB) -> Iterator[Finding]:
+    """Memory that is free for use."""
+    try:
+        import psutil
+
+        free_mb = psutil.virtual_memory().available >> 20
+    except Exception:  # said by check_wheels
+        return
+    if free_mb < least_mb:
+        yield Finding(WARN, "memory", f"{free_mb} MB available", f"the daemon takes up to {least_mb} MB")
+    else:
+        yield Finding(OK, "memory", f"{free_mb} MB available")
+
+
+def check_disk(least_mb: int = LEAST_DISK_MB) -> Iterator[Finding]:
+    """Space where runs are written, and whether temporary files can be."""
+    free_mb = shutil.disk_usage(".").free >> 20
+    if free_mb < least_mb:
+        yield Finding(WARN, "disk", f"{free_mb} MB free here", "make room before recording runs")
+    else:
+        yield Finding(OK, "disk", f"{free_mb} MB free here")
+    try:
+        with tempfile.TemporaryFile():
+            pass
+    except OSError as error:
+        found = f"no temporary files: {error.strerror}"
+        yield Finding(FAIL, "disk", found, "set TMPDIR to a writable folder")
+
+
+def check_cameras(pattern: str = "/dev/video*") -> Iterator[Finding]:
+    """Video devices, and whether they may be opened."""
+    devices = sorted(glob.glob(pattern))
+    denied = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
+    if denied:
+        advice = "add yourself to the group video: sudo usermod -aG video $USER"
+        yield Finding(WARN, "cameras", f"no access to {' '.join(denied)}", advice)
+    elif devices:
+        yield Finding(OK, "cameras", " ".join(devices))
+    else:
+        yield Finding(OK, "cameras", "no video device; recordings need none")
+
+
+def all_checks(config: Config) -> Iterator[Callable[[], Iterator[Finding]]]:
+    """Every check, in the order of the report."""
+    yield check_python
+    yield check_cpu
+    yield check_wheels
+    yield lambda: check_providers(config)
+    yield lambda: check_model(config)
+    yield lambda: check_zenoh(config)
+    yield check_limits
+    yield check_memory
+    yield check_disk
+    yield check_cameras
