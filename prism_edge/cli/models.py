@@ -42,8 +42,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _listing() -> Table:
     table = Table(title="Depth networks")
-    for heading in ("name", "depth", "licence", "input", "bias σ", "state"):
-        table.add_column(heading, no_wrap=heading in ("name", "licence"), min_width=10 if heading == "depth" else None)
+    for heading in ("name", "depth", "licence", "input", "state"):
+        table.add_column(heading, no_wrap=heading in ("name", "licence", "state"))
     for entry in entries():
         card = entry.card
         table.add_row(
@@ -51,7 +51,6 @@ def _listing() -> Table:
             entry.depth_kind.replace("_", " "),
             entry.licence,
             f"{card.input_width}x{card.input_height}" if card else "",
-            f"{card.scale_bias_sigma:g}" if card and card.scale_bias_sigma else "",
             _state(entry),
         )
     return table
@@ -64,7 +63,7 @@ def _state(entry: Entry) -> str:
     path = entry.located()
     if path is None:
         return "no file here"
-    return "ready" if sha256_of(path) == entry.card.sha256 else "refused: wrong digest"
+    return "ready" if sha256_of(path) == entry.card.sha256 else "wrong digest"
 
 
 def _describe(console: Console, model: str) -> None:
