@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[1]
@@ -28,3 +30,20 @@ def redkitchen(shared: Path) -> Path:
 def fastdepth(shared: Path) -> Path:
     """The FastDepth network."""
     return shared / "models" / "fastdepth_nyu_224.onnx"
+
+
+@pytest.fixture(scope="session")
+def tiny_sequence(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A TUM RGB-D folder of 24 noise images at 30 Hz, with a camera and a true path: 2 m/s along x, bent."""
+    folder = tmp_path_factory.mktemp("tiny")
+    (folder / "rgb").mkdir()
+    rng = np.random.default_rng(0)
+    listing, truth = [], []
+    for i in range(24):
+        cv2.imwrite(str(folder / "rgb" / f"{i}.png"), rng.integers(0, 255, (48, 64, 3), dtype=np.uint8))
+        listing.append(f"{100 + i / 30:.6f} rgb/{i}.png\n")
+        truth.append(f"{100 + i / 30:.6f} {i / 15:.6f} {(i / 15) ** 2 / 4:.6f} 0 0 0 0 1\n")
+    (folder / "rgb.txt").write_text("".join(listing))
+    (folder / "groundtruth.txt").write_text("".join(truth))
+    (folder / "camera.yaml").write_text("width: 64\nheight: 48\nfx: 60\nfy: 60\ncx: 31.5\ncy: 23.5\n")
+    return folder

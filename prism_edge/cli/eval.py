@@ -72,8 +72,11 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.evaluation.run import evaluate
     from prism_edge.evaluation.table import show
 
-    signal.signal(signal.SIGTERM, _terminated)
-    show(evaluate(config, args.out, args.truth), args.out)
+    before = signal.signal(signal.SIGTERM, _terminated)
+    try:
+        show(evaluate(config, args.out, args.truth), args.out)
+    finally:
+        signal.signal(signal.SIGTERM, before)
     return 0
 
 

@@ -1,0 +1,92 @@
+"""`prism-edge eval` from the command line: help, refusals in one line, exit codes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from prism_edge.cli.main import main
+from prism_edge.errors import ConfigError, EvaluationError, SourceError
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("prism-edge: error: ")
+    assert captured.err.count("\n") == 1
+    return captured.err
+
+
+def test_help_names_every_option_of_the_contract(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["eval", "--help"])
+    assert ended.value.code == 0
+    shown = capsys.readouterr().out
+    for option in ("SEQUENCE", "--model", "--camera", "--lockstep", "--ablate", "--seed", "--truth", "--out"):
+        assert option in shown
+
+
+def test_out_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["eval", "somewhere"])
+    assert ended.value.code == 2
+    assert "--out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("part", ["plucker", "dsug", "loop", "init"])
+def test_parts_that_are_not_there_are_refused_in_plain_words(
+    part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = main(["eval", str(tmp_path), "--out", str(tmp_path / "out"), "--ablate", part])
+    assert code == ConfigError.exit_code
+    assert "in this version" in one_line(capsys)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words", "code"),
+    [
+        (["--ablate", "gravity"], "no such part", ConfigError.exit_code),
+        (["--seed", "many"], "seed", ConfigError.exit_code),
+        (["--config", "absent.yaml"], "absent.yaml", ConfigError.exit_code),
+        (["--set", "tracking.feature=7"], "tracking.feature", ConfigError.exit_code),
+        ([], "empty or of no known kind", SourceError.exit_code),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: list[str], words: str, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", str(tmp_path), "--out", str(tmp_path / "out"), *arguments]) == code
+    assert words in one_line(capsys)
+
+
+def test_a_missing_sequence_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["eval", str(tmp_path / "none"), "--out", str(tmp_path)]) == SourceError.exit_code
+    assert "does not exist" in one_line(capsys)
+
+
+def test_a_missing_truth_is_found_before_the_run(
+    tiny_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    absent = tmp_path / "no.tum"
+    code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "o"), "--truth", str(absent)])
+    assert code == EvaluationError.exit_code
+    assert "no.tum" in one_line(capsys)
+
+
+def test_a_robot_name_that_is_no_key_is_refused(
+    tiny_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "o"), "--robot", "a/*"])
+    assert code == ConfigError.exit_code
+    assert "robot" in one_line(capsys)
+
+
+def test_results_that_cannot_be_written_are_one_line(
+    tiny_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "file" / "o")])
+    assert code == EvaluationError.exit_code
+    assert "can't write" in one_line(capsys)

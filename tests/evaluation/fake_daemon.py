@@ -1,0 +1,112 @@
+"""A daemon that only pretends: it says what the real one would, by a script, so that listening is tested.
+
+``python fake_daemon.py SCENARIO --config FILE``; its estimate is the truth of the `tiny_sequence` at half
+its size, from the first frame on, published by the public topics' own types.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+from prism_edge.bus.session import Bus
+from rosbags.typesys import Stores, get_typestore
+
+from prism_edge.config import Config
+from prism_edge.config_file import load
+from prism_edge.evaluation.recorder import base_from_camera
+from prism_edge.geometry.poses import inverse, quaternion_from_rotation
+from prism_edge.messages import EndOfStream, Heartbeat, MapSnapshot, Tracked
+
+FRAMES = 24
+T = get_typestore(Stores.ROS2_HUMBLE).types
+
+
+def camera_at(i: int) -> np.ndarray:
+    """map_from_camera of frame i: half of the truth's path."""
+    pose = np.eye(4)
+    pose[:2, 3] = i / 30, (i / 15) ** 2 / 8
+    return pose
+
+
+def pose_message(stamp_ns: int, map_from_base: np.ndarray, frame: str) -> object:
+    x, y, z, w = (float(v) for v in quaternion_from_rotation(map_from_base[:3, :3]))
+    p = [float(v) for v in map_from_base[:3, 3]]
+    pose = T["geometry_msgs/msg/Pose"](
+        position=T["geometry_msgs/msg/Point"](*p), orientation=T["geometry_msgs/msg/Quaternion"](x, y, z, w)
+    )
+    return T["geometry_msgs/msg/PoseWithCovarianceStamped"](
+        header=T["std_msgs/msg/Header"](
+            stamp=T["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9), frame_id=frame
+        ),
+        pose=T["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
+    )
+
+
+def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threading.Event) -> int:
+    now = time.monotonic_ns()
+    for name in ("source", "tracker", "depth", "scale", "backend"):
+        bus.publish("heartbeat", Heartbeat(name, worker, now, "ready", "", now, 5.0, {}))
+    mount, no_ids = base_from_camera(config.frames), np.zeros(0, dtype=np.int64)
+    ended = False
+
+    def snapshot() -> MapSnapshot:
+        settled = ended and scenario != "unsettled"
+        ids = np.array([0, 4], dtype=np.int64)
+        # The map's world is the first camera's; half its unit is a metre.
+        world = np.array([inverse(mount) @ camera_at(0), inverse(mount) @ camera_at(4)])
+        world[:, :3, 3] *= 2.0
+        return MapSnapshot(0, 1, settled, float(np.log(0.5)), ids, ids, world, no_ids, np.zeros((0, 3)))
+
+    bus.answer("map_snapshot", snapshot)
+    stopped.wait(config.source.wait_s)
+    begin = time.monotonic_ns()
+    for i in range(FRAMES):
+        stamp, due = 100 * 10**9 + round(i * 1e6 / 30) * 1000, begin + i * 10_000_000
+        stopped.wait(max(0.0, (due - time.monotonic_ns()) / 1e9))
+        if scenario == "dies" and i == 6:
+            print("prism-edge tracker: error: out of luck", file=sys.stderr, flush=True)
+            return 7
+        lost = 10 <= i < 12
+        if i > 0 and (not lost or scenario == "lost"):
+            bus.publish("pose", pose_message(stamp, camera_at(i) @ inverse(mount), config.frames.map))
+        reference = 4 * (i >= 4)
+        relative = inverse(camera_at(reference)) @ camera_at(i)
+        relative[:3, 3] *= 2.0
+        state = "initialising" if i == 0 else "lost" if lost else "ok"
+        bus.publish(
+            "tracked",
+            Tracked(i, stamp, due, state, i > 0 and not lost, -1, 9 if i == 5 else reference, relative, 0),
+        )
+    bus.publish("end", EndOfStream(FRAMES, FRAMES, 3, 0, FRAMES - 1))
+    ended = True
+    stopped.wait(120.0)
+    return 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scenario")
+    parser.add_argument("--config", required=True)
+    args = parser.parse_args()
+    if args.scenario == "refuses":
+        print("prism-edge depth: error: model.onnx: no such file", file=sys.stderr, flush=True)
+        return 5
+    stopped = threading.Event()
+    signal.signal(signal.SIGTERM, lambda *_: stopped.set())
+    config = load(args.config)
+    worker = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    with Bus.open(config, "supervisor", listen=True) as bus:
+        code = play(args.scenario, config, bus, worker.pid, stopped)
+    worker.kill()
+    worker.wait()
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,124 @@
+"""metrics.json holds what its contract says, whatever is missing."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prism_edge.config import Config
+from prism_edge.evaluation.metrics import metrics
+from prism_edge.evaluation.recording import Published, Recording
+from prism_edge.evaluation.resources import Usage
+from prism_edge.evaluation.table import show
+from prism_edge.evaluation.trajectory import NS, Trajectory
+from prism_edge.messages import OK, EndOfStream, MapSnapshot, Tracked
+
+# What others script against (the `eval` contract).
+KEYS = {
+    *("frames", "tracked", "coverage", "first_pose_s", "ready_s", "live", "final", "cpu_ms_per_frame"),
+    *("latency_ms", "fps", "dropped_frames", "duplicate_frames", "peak_pss_mb", "foreign_cpu", "keyframes"),
+    *("map_points", "seed", "versions", "config", "timings_void"),
+}
+ERRORS = {
+    *("ate_se3_m", "ate_sim3_m", "scale_ratio", "scale_ratio_halves", "rpe_trans_m", "rpe_rot_deg"),
+    "t_rel_percent",
+}
+N = 60
+
+
+def circle(scale: float) -> Trajectory:
+    """Two seconds on a quarter of a circle of radius 2 m."""
+    angles = np.linspace(0, np.pi / 2, N)
+    poses = np.tile(np.eye(4), (N, 1, 1))
+    poses[:, 0, 3], poses[:, 1, 3] = 2 * scale * np.cos(angles), 2 * scale * np.sin(angles)
+    return Trajectory((np.arange(N) * NS / 30).astype(np.int64), poses)
+
+
+def report(**changes: Any) -> dict[str, Any]:
+    """Metrics of a run whose estimate is 10 % too large, with some inputs changed."""
+    estimate = circle(1.1)
+    rows = [(int(stamp), pose) for stamp, pose in zip(estimate.stamps, estimate.poses, strict=True)]
+    recording = Recording(
+        [Published(stamp, stamp + 5_000_000, pose) for stamp, pose in rows],
+        [Tracked(i, stamp, stamp, OK, True, -1, 0, np.eye(4), 0) for i, (stamp, _) in enumerate(rows)],
+        [stamp for stamp, _ in rows],
+        EndOfStream(N, N, 0, 0, N - 1),
+    )
+    ids = np.zeros(1, np.int64)
+    inputs: dict[str, Any] = {
+        "config": Config(seed=3),
+        "recording": recording,
+        "snapshot": MapSnapshot(0, 4, True, 0.05, ids, ids, np.eye(4)[None], np.arange(7), np.zeros((7, 3))),
+        "usage": Usage({"tracker": 0.6, "source": 0.3}, {"tracker": 90.0, "source": 60.0}, 140.0, 0.02),
+        "ready_s": 0.9,
+        "first_stamp_ns": 0,
+        "live": estimate,
+        "final": estimate,
+        "final_missing": 0,
+        "truth": circle(1.0),
+        "truth_name": "the sequence's own",
+    }
+    return metrics(**(inputs | changes))
+
+
+def test_every_key_of_the_contract_is_there() -> None:
+    found = report()
+    assert set(found) >= KEYS
+    assert set(found["live"]) >= ERRORS
+    assert set(found["final"]) >= ERRORS
+    json.dumps(found, allow_nan=False)
+
+
+def test_figures_of_a_run_without_surprises() -> None:
+    found = report()
+    assert found["coverage"] == 1.0
+    assert found["live"]["scale_ratio"] == pytest.approx(1 / 1.1)
+    assert found["live"]["scale_ratio_halves"] == [pytest.approx(1 / 1.1)] * 2
+    assert found["live"]["ate_sim3_m"] == pytest.approx(0.0, abs=1e-9)
+    assert found["latency_ms"] == {"p50": 5.0, "p95": 5.0, "p99": 5.0}
+    expected = {"tracker": pytest.approx(10.0), "source": pytest.approx(5.0), "total": pytest.approx(15.0)}
+    assert found["cpu_ms_per_frame"] == expected
+    assert found["peak_pss_mb"] == {"tracker": 90.0, "source": 60.0, "total": 140.0}
+    assert (found["keyframes"], found["map_points"], found["seed"]) == (1, 7, 3)
+    assert found["timings_void"] is False
+    assert found["config"]["tracking"]["features"] == Config().tracking.features
+
+
+@pytest.mark.parametrize(("foreign", "void"), [(0.1, False), (0.11, True), (None, True)])
+def test_timings_are_void_when_others_were_busy(foreign: float | None, void: bool) -> None:
+    assert report(usage=Usage({}, {}, None, foreign))["timings_void"] is void
+
+
+def test_what_is_not_known_is_null(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+    empty = Trajectory.of([])
+    found = report(
+        recording=Recording(),
+        snapshot=None,
+        usage=Usage({}, {}, None, None),
+        ready_s=None,
+        first_stamp_ns=None,
+        live=empty,
+        final=empty,
+        truth=None,
+    )
+    assert set(found) >= KEYS
+    json.dumps(found, allow_nan=False)
+    nulls = ("coverage", "first_pose_s", "ready_s", "fps", "foreign_cpu", "keyframes", "map_points", "truth")
+    for key in nulls:
+        assert found[key] is None, key
+    assert found["cpu_ms_per_frame"] == {"total": None}
+    assert found["peak_pss_mb"] == {"total": None}
+    assert all(found["live"][key] in (None, [None, None]) for key in ERRORS)
+    show(found, tmp_path)
+    assert "no truth" in capsys.readouterr().out
+
+
+def test_the_table_shows_the_figures(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+    show(report(), tmp_path)
+    shown = capsys.readouterr().out
+    assert "0.909" in shown  # scale ratio
+    assert "15 ms" in shown
+    assert "140 MB" in shown

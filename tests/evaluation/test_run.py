@@ -1,0 +1,164 @@
+"""A whole evaluation over the real bus, against a daemon whose every word is known."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+
+from prism_edge.config import Config, DepthConfig, SourceConfig
+from prism_edge.config_file import load
+from prism_edge.errors import EvaluationError
+from prism_edge.evaluation.daemon import DaemonError
+from prism_edge.evaluation.run import evaluate
+from prism_edge.evaluation.trajectory import NS, read_tum
+
+FAKE = Path(__file__).with_name("fake_daemon.py")
+ROOT = FAKE.parents[2]
+
+
+def config_for(sequence: Path) -> Config:
+    return Config(source=SourceConfig(uri=str(sequence)), depth=DepthConfig(model="pretended"))
+
+
+def run(scenario: str, sequence: Path, out: Path, **options: Any) -> dict[str, Any]:
+    return evaluate(config_for(sequence), out, command=(sys.executable, str(FAKE), scenario), **options)
+
+
+@pytest.fixture(autouse=True)
+def _importable(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left() -> Any:
+    yield
+    assert psutil.Process().children() == []
+
+
+def test_a_run_is_recorded_and_scored(tiny_sequence: Path, tmp_path: Path) -> None:
+    found = run("normal", tiny_sequence, tmp_path)
+    assert found == json.loads((tmp_path / "metrics.json").read_text())
+    assert (found["frames"], found["tracked"], found["dropped_frames"]) == (24, 21, 0)
+    assert found["coverage"] == pytest.approx(21 / 24)
+    assert found["duplicate_frames"] == 3
+    assert found["first_pose_s"] == pytest.approx(1 / 30, abs=1e-5)
+    assert found["ready_s"] > 0
+    assert found["latency_ms"]["p50"] > 0
+    assert found["fps"] == pytest.approx(100, rel=0.3)
+    assert found["final_settled"] is True
+    assert (found["keyframes"], found["map_points"]) == (2, 0)
+    assert found["final_missing"] == 1  # the frame whose keyframe the map does not hold
+    for name in ("live", "final"):
+        assert found[name]["ate_sim3_m"] == pytest.approx(0.0, abs=1e-6)
+        assert found[name]["scale_ratio"] == pytest.approx(2.0, rel=1e-6)
+        assert found[name]["ate_se3_m"] > 0.1
+    assert {"supervisor", "total"} <= set(found["cpu_ms_per_frame"])
+    assert found["peak_pss_mb"]["total"] > 1.0
+    assert found["truth"] == "the sequence's own"
+    effective = load(str(tmp_path / "effective.yaml"))
+    assert effective.source.uri == str(tiny_sequence)
+    assert effective.bus.endpoint != Config().bus.endpoint
+
+
+def test_files_hold_the_cameras_pose_under_the_recordings_stamps(tiny_sequence: Path, tmp_path: Path) -> None:
+    run("normal", tiny_sequence, tmp_path)
+    live, final = read_tum(tmp_path / "live.tum"), read_tum(tmp_path / "final.tum")
+    assert live.stamps[0] == 100 * NS + 33_333_000
+    i = np.round((live.stamps - 100 * NS) / NS * 30)
+    np.testing.assert_allclose(live.positions[:, 0], i / 30, atol=1e-6)
+    np.testing.assert_allclose(live.poses[:, :3, :3], np.tile(np.eye(3), (len(live), 1, 1)), atol=1e-6)
+    assert len(live) == 21
+    shared = live.at(np.isin(live.stamps, final.stamps))
+    np.testing.assert_allclose(final.poses, shared.poses, atol=1e-6)
+
+
+def test_another_truth_may_be_given(tiny_sequence: Path, tmp_path: Path) -> None:
+    truth = tmp_path / "half.tum"
+    lines = [line.split() for line in (tiny_sequence / "groundtruth.txt").read_text().splitlines()]
+    truth.write_text(
+        "".join(f"{w[0]} {float(w[1]) / 2} {float(w[2]) / 2} 0 0 0 0 1\n" for w in lines), encoding="ascii"
+    )
+    found = run("normal", tiny_sequence, tmp_path / "out", truth=truth)
+    assert found["live"]["scale_ratio"] == pytest.approx(1.0, rel=1e-5)
+    assert found["truth"] == str(truth)
+
+
+def test_a_pose_while_lost_voids_the_run_but_files_are_there(tiny_sequence: Path, tmp_path: Path) -> None:
+    with pytest.raises(EvaluationError, match="while lost"):
+        run("lost", tiny_sequence, tmp_path)
+    assert json.loads((tmp_path / "metrics.json").read_text())["violations"]
+    assert len(read_tum(tmp_path / "live.tum")) == 23
+    assert (tmp_path / "final.tum").exists()
+
+
+def test_a_map_that_never_settles_is_taken_as_it_is_and_said_so(tiny_sequence: Path, tmp_path: Path) -> None:
+    found = run("unsettled", tiny_sequence, tmp_path, settle_s=0.3)
+    assert found["final_settled"] is False
+    assert found["final"]["pairs"] == 20
+
+
+@pytest.mark.parametrize(
+    ("scenario", "code", "words"), [("refuses", 5, "no such file"), ("dies", 7, "out of luck")]
+)
+def test_a_daemon_that_fails_gives_its_words_and_code(
+    scenario: str, code: int, words: str, tiny_sequence: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(DaemonError, match=words) as caught:
+        run(scenario, tiny_sequence, tmp_path)
+    assert caught.value.exit_code == code
+    assert not (tmp_path / "metrics.json").exists()
+
+
+def test_results_of_an_earlier_run_do_not_survive_a_failing_one(tiny_sequence: Path, tmp_path: Path) -> None:
+    (tmp_path / "metrics.json").write_text("{}")
+    with pytest.raises(DaemonError):
+        run("refuses", tiny_sequence, tmp_path)
+    assert not (tmp_path / "metrics.json").exists()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ended_from_outside_it_takes_the_daemon_along(
+    number: signal.Signals, tiny_sequence: Path, tmp_path: Path
+) -> None:
+    code = f"""
+import functools, sys
+from prism_edge.evaluation import run
+run.evaluate = functools.partial(run.evaluate, command=(sys.executable, {str(FAKE)!r}, "unsettled"))
+from prism_edge.cli.main import main
+sys.exit(main(["eval", {str(tiny_sequence)!r}, "--model", "pretended", "--out", {str(tmp_path)!r}]))
+"""
+    evaluation = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.PIPE, text=True)
+    started = psutil.Process(evaluation.pid)
+    deadline = time.monotonic() + 30
+    while not _listening(started):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    family = started.children(recursive=True)
+    os.kill(evaluation.pid, number)
+    _, errors = evaluation.communicate(timeout=30)
+    assert evaluation.returncode == (130 if number == signal.SIGINT else 128 + number)
+    assert "Traceback" not in errors
+    assert psutil.wait_procs(family, timeout=10)[1] == []
+
+
+def _listening(process: psutil.Process) -> bool:
+    """Whether the pretended daemon is far enough to have a child of its own."""
+    return len(process.children(recursive=True)) >= 2
+
+
+def test_configuration_is_not_changed_under_the_callers_feet(tiny_sequence: Path, tmp_path: Path) -> None:
+    config = config_for(tiny_sequence)
+    before = dataclasses.asdict(config)
+    evaluate(config, tmp_path, command=(sys.executable, str(FAKE), "normal"))
+    assert dataclasses.asdict(config) == before
