@@ -83,9 +83,9 @@ def sensor_depth(path: Path | None, unit: float) -> Array | None:
 
 def profile(folder: Path, model: str, camera_file: str, every: int, config: ScaleConfig) -> Series:
     """Runs the network over every k-th frame of a recording."""
+    files, unit, focal = sensor_files(folder)
     network = open_network(model, DepthConfig())
     extractor = OrbExtractor(Config().tracking)
-    files, unit, focal = sensor_files(folder)
     times, observations, whole = [], [], []
     with open_source(SourceConfig(uri=str(folder), camera=camera_file)) as source:
         for rgb, index, stamp_ns in _frames(source, every):
@@ -173,7 +173,7 @@ def filtered(series: Series, first: int, config: ScaleConfig) -> tuple[Array, Ar
     The map's unit is that frame's network depth; the truth is the mean ratio that the network has on this
     recording, which is all that a filter can find (the rest is bias_sigma's).
     """
-    unit = series.values[first]
+    unit, truth = float(series.values[first]), float(series.values.mean() - series.values[first])
     scale = ScaleFilter(config)
     rows: list[tuple[float, float, float]] = []
     for time, observation in zip(series.times_s[first:], series.observations[first:], strict=True):
@@ -182,8 +182,7 @@ def filtered(series: Series, first: int, config: ScaleConfig) -> tuple[Array, Ar
             scale.update(replace(observation, log_scale=observation.log_scale - unit))
         else:
             scale.fix_unit()
-        error = scale.log_scale - (series.values.mean() - unit)
-        rows.append((float(time - series.times_s[first]), error, scale.sigma))
+        rows.append((float(time - series.times_s[first]), scale.log_scale - truth, scale.sigma))
     since, error, sigma = np.array(rows).T
     return since, error, sigma
 

@@ -1,0 +1,110 @@
+"""The scale worker: keyframes and their depth in, metres per map unit and gate weights out."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+
+from prism_edge.bus import ros
+from prism_edge.bus.session import Bus
+from prism_edge.config import Config
+from prism_edge.messages import Acknowledged, Depth, Keyframe, Tracked
+from prism_edge.scale.estimator import ScaleEstimator
+from prism_edge.scale.rendezvous import Rendezvous
+
+log = logging.getLogger("prism_edge.scale")
+
+_WAIT_S = 0.05
+# Lockstep: a depth that takes longer isn't coming (its worker died with the image), and all wait for us.
+_PATIENCE_S = 30.0
+
+
+class ScaleWorker:
+    """Joins the estimator to the bus."""
+
+    def __init__(self, config: Config, bus: Bus, patience_s: float = _PATIENCE_S) -> None:
+        self._bus = bus
+        self._patience_s = patience_s
+        self._keyframes = bus.queue("keyframe", 64)
+        self._depths = bus.queue("depth", 64)
+        self._ends = bus.queue("end")
+        self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
+        self._waiting = Rendezvous()
+        self._served: deque[int] = deque(maxlen=256)  # keyframes; a later frame's may come with an earlier's
+        self._estimator = ScaleEstimator(config.scale, config.ablate)
+
+    def run(self) -> None:
+        """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""
+        self._bus.pulse.ready()
+        while not self._bus.stopped.is_set():
+            if self._ticks is None:
+                self._take_depth(_WAIT_S)
+            else:
+                tick = self._ticks.take(_WAIT_S)
+                if tick is not None:
+                    self._acknowledge(tick)
+            if self._ends.drain():
+                self._bus.pulse.ended()
+
+    def _acknowledge(self, tick: Tracked) -> None:
+        """Lockstep: frame ``tick.index`` is done here once its keyframe, if it became one, has its scale."""
+        if tick.keyframe >= 0:
+            self._bus.pulse.working(f"keyframe {tick.keyframe}", self._patience_s + 5.0)
+            deadline = time.monotonic() + self._patience_s
+            while tick.keyframe not in self._served:
+                self._take_depth(_WAIT_S)
+                if self._bus.stopped.is_set():
+                    return
+                if tick.keyframe not in self._served and time.monotonic() > deadline:
+                    self._do_without_depth(tick.keyframe)
+                    break
+            self._bus.pulse.idle()
+        self._bus.publish("acknowledged", Acknowledged("scale", tick.index))
+
+    def _take_depth(self, timeout_s: float) -> None:
+        """Handles all pairs that are complete once a depth has come or the time is over."""
+        depth = self._depths.take(timeout_s)
+        if depth is not None:
+            self._waiting.add_depth(depth)
+        for later in self._depths.drain():
+            self._waiting.add_depth(later)
+        for keyframe in self._keyframes.drain():
+            self._waiting.add_keyframe(keyframe)
+        for keyframe, depth in self._waiting.complete():
+            self._handle(keyframe, depth)
+
+    def _do_without_depth(self, keyframe_id: int) -> None:
+        log.warning("keyframe %d has no depth after %.0f s: going on without", keyframe_id, self._patience_s)
+        keyframe = self._waiting.take_keyframe(keyframe_id)
+        if keyframe is not None:
+            self._handle(keyframe, None)
+
+    def _handle(self, keyframe: Keyframe, depth: Depth | None) -> None:
+        self._served.append(keyframe.id)
+        answer = self._estimator.process(keyframe, depth)
+        if answer is None:
+            return
+        scale, gate = answer
+        self._bus.pulse.values.update(
+            observations=str(self._estimator.accepted),
+            rejected=str(self._estimator.rejected),
+            unpaired=str(self._waiting.dropped),
+            log_scale=f"{scale.log_scale:.4f}",
+            sigma=f"{scale.sigma:.4f}",
+        )
+        if scale.points and not scale.accepted:
+            log.info(
+                "keyframe %d: log scale %.3f refused (estimate %.3f)",
+                keyframe.id,
+                scale.observation,
+                scale.log_scale,
+            )
+        self._bus.publish("log_scale", scale)
+        self._bus.publish("gate", gate)
+        self._bus.publish("scale", ros.scale(scale))
+
+
+def main(config: Config, bus: Bus) -> None:
+    """Runs until ``bus.stopped``."""
+    ScaleWorker(config, bus).run()

@@ -1,0 +1,83 @@
+"""tools/scale_profile.py: its figures on made-up series, and the filter on a real network's errors."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prism_edge.config import ScaleConfig
+from prism_edge.scale.least_squares import Observation
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "scale_profile.py"
+
+
+@pytest.fixture(scope="module")
+def tool():
+    spec = importlib.util.spec_from_file_location("scale_profile", TOOL)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["scale_profile"] = module  # dataclasses look their module up
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["scale_profile"]
+
+
+def correlated(count, gap_s, sigma, time_constant_s, seed=0):
+    rng = np.random.default_rng(seed)
+    phi = np.exp(-gap_s / time_constant_s)
+    values = [rng.normal(0, sigma)]
+    for _ in range(count - 1):
+        values.append(phi * values[-1] + rng.normal(0, sigma * np.sqrt(1 - phi**2)))
+    return np.arange(count) * gap_s, np.array(values)
+
+
+def test_autocorrelation_finds_the_time_constant(tool):
+    times, values = correlated(20_000, 0.2, 0.15, 2.0)
+    for lag in (0.2, 1.0, 3.0):
+        assert tool.autocorrelation(times, values, lag) == pytest.approx(np.exp(-lag / 2.0), abs=0.05)
+    assert np.isnan(tool.autocorrelation(times[:5], values[:5], 3.0))
+
+
+def test_filtered_runs_end_at_the_mean_that_the_network_has(tool):
+    times, values = correlated(2000, 0.2, 0.15, 2.0, seed=1)
+    observations = [Observation(v + 0.3, 0.025, 0.002, 100) for v in values]
+    series = tool.Series(times, observations, values)
+    config = ScaleConfig(drift_per_sqrt_s=0.0)
+    since, error, sigma = tool.filtered(series, 50, config)
+    assert since[0] == 0.0
+    assert error[0] == pytest.approx(values[50] - values.mean())
+    assert abs(error[-1]) < 0.03
+    assert sigma[-1] < 0.03
+    short = tool.Series(times[:200], observations[:200], values[:200])
+    assert "halves" in tool.report(short, config)
+
+
+def test_a_folder_without_sensor_depth_is_refused_in_one_line(tmp_path):
+    (tmp_path / "rgb.txt").write_text("0.0 a.png\n")
+    model = tmp_path / "none.onnx"
+    for folder, reason in ((tmp_path, "no sensor depth"), (tmp_path / "missing", "missing")):
+        command = [sys.executable, str(TOOL), str(folder), "--model", str(model)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode != 0
+        assert done.stderr.startswith("scale_profile: error: ")
+        assert reason in done.stderr
+        assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.realdata
+def test_fastdepth_on_a_kitchen_is_averaged_to_within_5_percent(tool, redkitchen, fastdepth):
+    config = ScaleConfig()
+    series = tool.profile(redkitchen, str(fastdepth), "", 20, config)
+    assert len(series.times_s) == 50
+    assert abs(series.values.mean()) < 0.05  # focal length accounted for
+    assert 0.10 < series.values.std() < 0.18
+    _, error, sigma = tool.filtered(series, 0, config)
+    assert abs(error[-1]) < 0.05
+    assert 0.03 < sigma[-1] < 0.08
+    every_start = [tool.filtered(series, first, config) for first in range(0, 45, 5)]
+    normalised = np.concatenate([e / s for _, e, s in every_start])
+    assert np.mean(normalised**2) < 1.5

@@ -1,0 +1,215 @@
+"""The scale worker on a bus of lists: what comes in is queued, what goes out is kept."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from prism_edge.config import Config
+from prism_edge.messages import Acknowledged, EndOfStream, Gate, Scale, Tracked
+from prism_edge.workers.scale import ScaleWorker, main
+from tests.scale.scene import depth_of, keyframe_of_wall
+
+DEADLINE_S = 10.0
+
+
+class ListBus:
+    """Bus without a network; ``run`` ends it once everything has been taken and nothing more goes out."""
+
+    def __init__(self):
+        self.stopped = threading.Event()
+        self.sent = []
+        self.inboxes = {}
+        self.states = []
+        state = self.states.append
+        self.pulse = SimpleNamespace(
+            values={},
+            ready=lambda: state("ready"),
+            idle=lambda: state("idle"),
+            working=lambda activity, budget_s=5.0: state(activity),
+            ended=lambda: state("ended"),
+        )
+        self._changed = threading.Condition()
+
+    def queue(self, topic, capacity=256):
+        return self.inboxes.setdefault(topic, ListInbox(self))
+
+    def publish(self, topic, message):
+        with self._changed:
+            self.sent.append((topic, message))
+            self._changed.notify_all()
+
+    def give(self, topic, *messages):
+        self.queue(topic).waiting.extend(messages)
+
+    def of(self, topic):
+        return [message for name, message in self.sent if name == topic]
+
+    def wait_for(self, topic, count):
+        with self._changed:
+            assert self._changed.wait_for(lambda: len(self.of(topic)) >= count, DEADLINE_S)
+
+
+class ListInbox:
+    def __init__(self, bus):
+        self.bus = bus
+        self.waiting = deque()
+
+    def take(self, timeout_s=0.0):
+        if self.waiting and not self.bus.stopped.is_set():
+            return self.waiting.popleft()
+        self.bus.stopped.wait(min(timeout_s, 0.005))
+        return None
+
+    def drain(self):
+        messages = list(self.waiting)
+        for _ in messages:
+            self.waiting.popleft()
+        return messages
+
+
+@pytest.fixture
+def bus():
+    bus = ListBus()
+    yield bus
+    bus.stopped.set()
+
+
+@pytest.fixture
+def start(bus):
+    """Runs a worker in a thread that ends with the test."""
+    threads = []
+
+    def start(mode="realtime", patience_s=DEADLINE_S, **changes):
+        config = Config(mode=mode, **changes)
+        thread = threading.Thread(target=ScaleWorker(config, bus, patience_s).run, daemon=True)
+        threads.append(thread)
+        thread.start()
+
+    yield start
+    bus.stopped.set()
+    for thread in threads:
+        thread.join(DEADLINE_S)
+        assert not thread.is_alive()
+
+
+def tick(index, keyframe=-1):
+    return Tracked(index, index * 33_000_000, 0, "ok", True, keyframe, 0, np.eye(4))
+
+
+def test_each_pair_gives_scale_gate_and_the_public_scale(bus, start):
+    keyframes = [keyframe_of_wall(k, 0.4 * k, 1.1, parallax_deg=3.0 if k else 0.0) for k in range(12)]
+    bus.give("depth", *(depth_of(k) for k in keyframes))
+    bus.give("keyframe", *keyframes)
+    start()
+    bus.wait_for("scale", 12)
+    scales = bus.of("log_scale")
+    assert [s.keyframe for s in scales] == list(range(12))
+    assert all(isinstance(s, Scale) for s in scales)
+    assert scales[0].log_scale == 0.0
+    assert 0.02 < scales[-1].log_scale < np.log(1.1)
+    assert all(isinstance(g, Gate) and (g.weights == 1).all() for g in bus.of("gate"))
+    public = bus.of("scale")[-1]
+    assert public.__msgtype__ == "prism_edge_msgs/msg/Scale"
+    assert bus.pulse.values["observations"] == "11"
+    assert bus.pulse.values["rejected"] == "0"
+    assert float(bus.pulse.values["log_scale"]) == pytest.approx(scales[-1].log_scale, abs=1e-4)
+    assert float(bus.pulse.values["sigma"]) == pytest.approx(scales[-1].sigma, abs=1e-4)
+    assert bus.states[0] == "ready"
+
+
+def test_a_keyframe_that_comes_after_its_depth_is_served_too(bus, start):
+    keyframe = keyframe_of_wall(3, 1.0)
+    bus.give("depth", depth_of(keyframe))
+    start()
+    bus.give("keyframe", keyframe)
+    bus.wait_for("scale", 1)
+    assert bus.of("log_scale")[0].keyframe == 3
+
+
+def test_an_unusable_depth_is_answered_without_an_observation(bus, start):
+    keyframe = keyframe_of_wall(0, 0.0)
+    bus.give("keyframe", keyframe)
+    bus.give("depth", replace(depth_of(keyframe), valid=False, reason="constant"))
+    start()
+    bus.wait_for("scale", 1)
+    scale = bus.of("log_scale")[0]
+    assert np.isnan(scale.observation)
+    assert not scale.accepted
+    assert scale.log_scale == 0.0
+
+
+def test_an_outlier_is_counted_and_said(bus, start, caplog):
+    caplog.set_level("INFO", "prism_edge.scale")
+    keyframes = [keyframe_of_wall(k, 0.4 * k) for k in range(8)]
+    bus.give("keyframe", *keyframes)
+    bus.give("depth", *(depth_of(k, 10.0 if k.id == 7 else 1.0) for k in keyframes))
+    start()
+    bus.wait_for("scale", 8)
+    assert not bus.of("log_scale")[-1].accepted
+    assert bus.pulse.values["rejected"] == "1"
+    assert "keyframe 7: log scale 2.30" in caplog.text
+
+
+def test_ablations_reach_the_estimator(bus, start):
+    keyframes = [keyframe_of_wall(k, 0.4 * k) for k in range(3)]
+    bus.give("keyframe", *keyframes)
+    bus.give("depth", *(depth_of(k, 1.0 + 0.1 * k.id) for k in keyframes))
+    start(ablate=("kalman",))
+    bus.wait_for("scale", 3)
+    observed = [(s.log_scale, s.observation) for s in bus.of("log_scale")]
+    assert all(estimate == observation for estimate, observation in observed)
+
+
+def test_lockstep_acknowledges_a_frame_once_its_scale_is_out(bus, start):
+    keyframe = keyframe_of_wall(5, 0.1)
+    bus.give("tracked", tick(0), tick(1), tick(2, keyframe=5), tick(3))
+    start("lockstep")
+    bus.wait_for("acknowledged", 2)
+    bus.give("keyframe", keyframe)
+    assert [a.index for a in bus.of("acknowledged")] == [0, 1]  # depth is still to come
+    bus.give("depth", depth_of(keyframe))
+    bus.wait_for("acknowledged", 4)
+    assert bus.of("acknowledged") == [Acknowledged("scale", i) for i in range(4)]
+    order = [topic for topic, _ in bus.sent]
+    assert order.index("log_scale") < order.index("gate") < order.index("acknowledged", 2)
+
+
+def test_lockstep_goes_on_without_a_depth_that_never_comes(bus, start, caplog):
+    bus.give("keyframe", keyframe_of_wall(5, 0.1))
+    bus.give("tracked", tick(0, keyframe=5), tick(1))
+    start("lockstep", patience_s=0.05)
+    bus.wait_for("acknowledged", 2)
+    assert np.isnan(bus.of("log_scale")[0].observation)
+    assert "keyframe 5 has no depth" in caplog.text
+
+
+def test_lockstep_does_not_wait_for_what_has_been_served(bus, start):
+    """Depth and keyframe of a later frame may be in before an earlier frame's tick is handled."""
+    keyframes = [keyframe_of_wall(k, 0.4 * k) for k in range(2)]
+    bus.give("keyframe", *keyframes)
+    bus.give("depth", *(depth_of(k) for k in keyframes))
+    bus.give("tracked", tick(0, keyframe=0), tick(1), tick(2, keyframe=1))
+    start("lockstep")
+    bus.wait_for("acknowledged", 3)
+    assert len(bus.of("log_scale")) == 2
+
+
+def test_it_stays_after_the_end_and_leaves_when_stopped(bus):
+    thread = threading.Thread(target=main, args=(Config(), bus), daemon=True)
+    bus.give("end", EndOfStream(1, 1, 0, 0, 0))
+    thread.start()
+    keyframe = keyframe_of_wall(0, 0.0)
+    bus.give("keyframe", keyframe)
+    bus.give("depth", depth_of(keyframe))
+    bus.wait_for("scale", 1)
+    assert thread.is_alive()
+    bus.stopped.set()
+    thread.join(DEADLINE_S)
+    assert not thread.is_alive()
+    assert "ended" in bus.states
