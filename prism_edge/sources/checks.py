@@ -62,6 +62,10 @@ class FrameChecks:
     _stamp_ns: int | None = None  # of the last image released
     _pixels: U8 | None = None
 
+    def goes_back(self, stamp_ns: int) -> bool:
+        """Whether an image with this stamp will be refused for it."""
+        return self._stamp_ns is not None and stamp_ns <= self._stamp_ns
+
     def late(self) -> None:
         """An item was passed over unseen."""
         self.counts.frames += 1
@@ -76,7 +80,7 @@ class FrameChecks:
         if isinstance(item, Unreadable):
             self.counts.unreadable += 1
             return Verdict(False, kind="unreadable", reason=item.reason)
-        if self._stamp_ns is not None and item.stamp_ns <= self._stamp_ns:
+        if self.goes_back(item.stamp_ns):
             self.counts.bad_stamps += 1
             how = "repeats" if item.stamp_ns == self._stamp_ns else "goes back before"
             return Verdict(

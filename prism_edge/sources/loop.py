@@ -22,6 +22,7 @@ class Looped(Source):
 
     def open(self) -> None:
         self._source.open()
+        self.period_ns = self._source.period_ns  # a video knows it once it is open
         self._index_offset = self._stamp_offset = 0
         self._passed = []
 

@@ -41,11 +41,11 @@ class Video(Source):
 
     def _rewind(self) -> None:
         self.close()
-        # One decoding thread: the cores belong to the tracker. Intrinsics belong to frames as stored.
-        settings = [cv2.CAP_PROP_N_THREADS, 1, cv2.CAP_PROP_ORIENTATION_AUTO, 0]
-        capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG, settings)
+        # One decoding thread: the cores belong to the tracker.
+        capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
         if not capture.isOpened():
             raise SourceError(f"{self._path} is no video that can be read (and no folder of images)")
+        capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # intrinsics belong to frames as stored
         rate, count = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         if 0.1 <= rate <= 1000.0:
             self.period_ns = round(1e9 / rate)

@@ -177,10 +177,9 @@ anything = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
     max_leaves=8,
 )
-keys = st.sampled_from(
-    ["model", "width", "height", "fx", "fy", "cx", "cy", "distortion", "image_width", "image_height"]
-    + ["camera_matrix", "distortion_model", "distortion_coefficients", "data"]
-)
+KNOWN = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion")
+KNOWN_TO_ROS = ("image_width", "image_height", "camera_matrix", "distortion_model", "distortion_coefficients")
+keys = st.sampled_from([*KNOWN, *KNOWN_TO_ROS, "data"])
 
 
 @settings(max_examples=150, deadline=None)

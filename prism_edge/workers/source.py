@@ -1,0 +1,197 @@
+"""The source worker: plays a recording, at its own pace or as fast as the others follow."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+
+from prism_edge.bus.session import Bus
+from prism_edge.config import Config
+from prism_edge.messages import EndOfStream, Frame
+from prism_edge.processes import processes_for
+from prism_edge.sources import Image, Slot, Source, Unreadable, open_source
+from prism_edge.sources.checks import FrameChecks
+from prism_edge.sources.pack import pack
+from prism_edge.sources.schedule import Schedule
+
+log = logging.getLogger("prism_edge.source")
+
+_READING_S = 5.0  # a disk or network share that takes longer hangs
+_LOOK_S = 0.2
+_GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
+# Lockstep: whoever takes longer over a frame died with it, and all wait for us.
+_PATIENCE_S = 60.0
+
+
+class SourceWorker:
+    """Joins a source to the bus."""
+
+    def __init__(self, config: Config, bus: Bus, source: Source, patience_s: float = _PATIENCE_S) -> None:
+        """``source`` is open."""
+        self._config, self._bus, self._source, self._patience_s = config, bus, source, patience_s
+        self._peers = {process.name for process in processes_for(config)} - {"source"}
+        self._acknowledgements = bus.queue("acknowledged", 1024) if config.is_lockstep else None
+        self._heartbeats = bus.queue("heartbeat")
+        self._checks = FrameChecks(source.camera)
+        self._camera = source.camera.to_array()
+        self._acknowledged: dict[str, int] = {}
+        self._last_index = -1
+        self._reported: set[str] = set()
+        self._released_at: deque[float] = deque(maxlen=60)
+        self._show()
+
+    def run(self) -> None:
+        """Says it is ready, waits for the others, plays, says that it has ended; stays until stopped."""
+        self._bus.pulse.ready()
+        self._await_peers()
+        self._bus.stopped.wait(self._config.source.wait_s)
+        if self._source.live:
+            self._play_live()
+        elif self._config.is_lockstep:
+            self._play_lockstep()
+        else:
+            self._play_realtime()
+        if not self._bus.stopped.is_set():
+            self._end()
+        self._bus.stopped.wait()
+
+    def _await_peers(self) -> None:
+        """Until every process of the run has said that it listens: the first frames are for them all."""
+        missing = set(self._peers)
+        deadline = time.monotonic() + self._config.source.peers_s
+        while missing and not self._bus.stopped.is_set() and time.monotonic() < deadline:
+            beat = self._heartbeats.take(_LOOK_S)
+            if beat is not None and beat.state != "starting":
+                missing.discard(beat.process)
+        if missing and self._config.source.peers_s > 0 and not self._bus.stopped.is_set():
+            waited, names = self._config.source.peers_s, ", ".join(sorted(missing))
+            log.warning("not ready after %g s: %s; playing all the same", waited, names)
+        self._heartbeats.close()
+
+    def _play_live(self) -> None:
+        """A camera: every image is captured when it arrives."""
+        while not self._bus.stopped.is_set():
+            self._bus.pulse.idle()
+            item = self._source.read()
+            if item is None:
+                return
+            self._pass_on(item, time.monotonic_ns())
+
+    def _play_lockstep(self) -> None:
+        """The next image once everybody has done the last one and all that it caused."""
+        while not self._bus.stopped.is_set():
+            start_ns = time.monotonic_ns()
+            item = self._read()
+            if item is None:
+                return
+            if self._pass_on(item, start_ns):
+                self._await_acknowledgements(item.index)
+
+    def _play_realtime(self) -> None:
+        """Each image at its scheduled time; once that is late by more than a period, images are skipped."""
+        first = self._source.peek()
+        if first is None:
+            return
+        schedule = Schedule(
+            time.monotonic_ns(), first, self._source.period_ns, self._config.source.rate_hz
+        )
+        while (slot := self._source.peek()) is not None and self._sleep_until(schedule.due_ns(slot)):
+            # A stamp that goes back is due long ago, but it is not we who are late: it is to be refused.
+            if not self._checks.goes_back(slot.stamp_ns) and schedule.is_late(slot, time.monotonic_ns()):
+                self._source.skip()
+                self._checks.late()
+                self._show()
+                continue
+            item = self._read()
+            if item is None:
+                return
+            # Where the stamp was a guess until now (video), the true one may lie ahead.
+            due_ns = schedule.due_ns(Slot(item.index, item.stamp_ns))
+            if not self._sleep_until(due_ns):
+                return
+            self._pass_on(item, due_ns)
+
+    def _sleep_until(self, due_ns: int) -> bool:
+        """False where the process is to stop instead."""
+        ahead_ns = due_ns - time.monotonic_ns()
+        if ahead_ns > 0:
+            self._bus.pulse.idle()
+            if ahead_ns > _GAP_NS:
+                log.warning("the stamps pause: the next image is due in %.1f s", ahead_ns / 1e9)
+            self._bus.stopped.wait(ahead_ns / 1e9)
+        return not self._bus.stopped.is_set()
+
+    def _read(self) -> Image | Unreadable | None:
+        self._bus.pulse.working("reading", _READING_S)
+        return self._source.read()
+
+    def _pass_on(self, item: Image | Unreadable, captured_ns: int) -> bool:
+        """Publishes the item if it passes the checks; False where it is refused."""
+        verdict = self._checks.check(item)
+        if not verdict.released or isinstance(item, Unreadable):
+            if verdict.kind not in self._reported:
+                self._reported.add(verdict.kind)
+                log.warning("not released: %s (more of the kind are only counted)", verdict.reason)
+            self._show()
+            return False
+        image, colour = pack(item.pixels)
+        frame = Frame(
+            index=item.index,
+            stamp_ns=item.stamp_ns,
+            captured_monotonic_ns=captured_ns,
+            colour=colour,
+            duplicate=verdict.duplicate,
+            camera_model=self._source.camera.model,
+            camera=self._camera,
+            image=image,
+        )
+        self._bus.publish("frame", frame)
+        self._last_index = item.index
+        self._released_at.append(time.monotonic())
+        self._show()
+        return True
+
+    def _await_acknowledgements(self, index: int) -> None:
+        self._bus.pulse.idle()
+        assert self._acknowledgements is not None
+        deadline = time.monotonic() + self._patience_s
+        while missing := {name for name in self._peers if self._acknowledged.get(name, -1) < index}:
+            if self._bus.stopped.is_set():
+                return
+            if time.monotonic() > deadline:
+                names = ", ".join(sorted(missing))
+                log.warning("frame %d was not acknowledged by %s: going on without", index, names)
+                return
+            said = self._acknowledgements.take(_LOOK_S)
+            if said is not None:
+                self._acknowledged[said.process] = max(said.index, self._acknowledged.get(said.process, -1))
+
+    def _show(self) -> None:
+        counts = self._checks.counts
+        shown = ("frames", "released", "duplicates", "unreadable", "wrong_size", "bad_stamps", "skipped")
+        self._bus.pulse.values.update({name: str(getattr(counts, name)) for name in shown})
+        times = self._released_at
+        rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
+        self._bus.pulse.values["fps"] = f"{rate:.1f}"
+
+    def _end(self) -> None:
+        counts = self._checks.counts
+        end = EndOfStream(
+            frames=counts.frames,
+            released=counts.released,
+            duplicates=counts.duplicates,
+            unreadable=counts.unusable,
+            last_index=self._last_index,
+        )
+        self._bus.publish("end", end)
+        self._bus.pulse.ended()
+        log.info("the recording has ended: %s", counts)
+
+
+def main(config: Config, bus: Bus) -> None:
+    """Runs until ``bus.stopped``; raises SourceError or ConfigError where there is nothing to play."""
+    bus.pulse.working("opening the source", 60.0)
+    with open_source(config.source) as source:
+        log.info("%s; camera: %s", source.name, source.camera_origin)
+        SourceWorker(config, bus, source).run()

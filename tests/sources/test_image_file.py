@@ -1,0 +1,107 @@
+"""Telling whole images from truncated ones."""
+
+from __future__ import annotations
+
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sources.tiny_datasets import picture
+
+from prism_edge.sources.image_file import decode, read_image
+
+
+def encoded(suffix: str, image: np.ndarray, *settings: int) -> bytes:
+    done, data = cv2.imencode(suffix, image, list(settings))
+    assert done
+    return data.tobytes()
+
+
+@pytest.mark.parametrize("suffix", [".png", ".bmp", ".ppm", ".tiff"])
+@pytest.mark.parametrize("colour", [True, False])
+def test_lossless_formats_come_back_as_they_were(suffix: str, colour: bool) -> None:
+    image = picture(3, colour=colour)
+    if suffix == ".ppm" and not colour:
+        suffix = ".pgm"
+    np.testing.assert_array_equal(decode(encoded(suffix, image)), image)
+
+
+@pytest.mark.parametrize("colour", [True, False])
+@pytest.mark.parametrize("progressive", [0, 1])
+def test_jpeg_comes_back_nearly(colour: bool, progressive: int) -> None:
+    image = picture(4, colour=colour)
+    data = encoded(".jpg", image, cv2.IMWRITE_JPEG_QUALITY, 95, cv2.IMWRITE_JPEG_PROGRESSIVE, progressive)
+    pixels = decode(data)
+    assert not isinstance(pixels, str)
+    assert pixels.shape == image.shape
+    assert np.abs(pixels.astype(int) - image).mean() < 5
+
+
+def test_deep_and_transparent_images_become_plain_ones() -> None:
+    grey = picture(5, colour=False)
+    deep = decode(encoded(".png", grey.astype(np.uint16) * 257))
+    np.testing.assert_array_equal(deep, grey)
+    image = picture(5)
+    alpha = np.dstack([image, np.full(image.shape[:2], 255, np.uint8)])
+    np.testing.assert_array_equal(decode(encoded(".png", alpha)), image)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@settings(max_examples=60, deadline=None)
+@given(share=st.floats(0.0, 0.999))
+def test_a_file_cut_anywhere_is_no_image(suffix: str, share: float) -> None:
+    data = encoded(suffix, picture(6, 160, 120))
+    # the two bytes of the end marker, or the checksum of the last chunk, are the least that is missing
+    assert isinstance(decode(data[: min(int(len(data) * share), len(data) - 2)]), str)
+
+
+def test_a_progressive_jpeg_cut_after_a_scan_is_truncated() -> None:
+    data = encoded(".jpg", picture(6, 160, 120), cv2.IMWRITE_JPEG_PROGRESSIVE, 1)
+    last_scan = data.rfind(b"\xff\xda")
+    assert data.count(b"\xff\xda") > 1
+    assert "truncated" in str(decode(data[:last_scan]))
+
+
+def test_an_end_marker_in_a_thumbnail_does_not_count() -> None:
+    data = encoded(".jpg", picture(6, 160, 120))
+    thumbnail = encoded(".jpg", picture(7, 16, 12))
+    segment = b"\xff\xe1" + (len(thumbnail) + 2).to_bytes(2, "big") + thumbnail
+    whole = data[:2] + segment + data[2:]
+    assert not isinstance(decode(whole), str)
+    assert "truncated" in str(decode(whole[: len(whole) - 200]))
+
+
+def test_bytes_behind_the_end_are_allowed() -> None:
+    for suffix in (".jpg", ".png"):
+        assert not isinstance(decode(encoded(suffix, picture(8)) + b"\0" * 100), str)
+
+
+def test_a_png_damaged_in_the_middle_fails_its_checksum() -> None:
+    data = bytearray(encoded(".png", picture(9, 160, 120)))
+    data[len(data) // 2] ^= 0xFF
+    assert isinstance(decode(bytes(data)), str)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.binary(max_size=200), st.sampled_from([b"", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"BM", b"P6\n"]))
+def test_any_bytes_are_an_image_or_a_reason(data: bytes, start: bytes) -> None:
+    result = decode(start + data)
+    assert isinstance(result, str) or result.dtype == np.uint8
+
+
+def test_a_header_that_promises_too_much_is_refused() -> None:
+    data = encoded(".png", picture(1))
+    header = b"IHDR" + (2**30).to_bytes(4, "big") + (2**30).to_bytes(4, "big") + data[24:29]
+    huge = data[:12] + header + zlib.crc32(header).to_bytes(4, "big") + data[33:]
+    assert isinstance(decode(huge), str)
+
+
+def test_reasons_name_the_file(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.png", tmp_path):
+        reason = read_image(path)
+        assert isinstance(reason, str)
+        assert str(path) in reason

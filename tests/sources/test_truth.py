@@ -1,0 +1,153 @@
+"""Ground truth and sensor depth of datasets, read by other parts than those that estimate."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from sources import tiny_datasets as tiny
+
+from prism_edge.errors import SourceError
+from prism_edge.sources.sensor_depth import SensorDepth
+from prism_edge.sources.truth import read_truth
+
+PACKAGE = Path(__file__).resolve().parents[2] / "prism_edge"
+
+
+def test_tum(tmp_path: Path) -> None:
+    truth = read_truth(str(tiny.write_tum(tmp_path)))
+    assert truth is not None
+    stamps, poses = truth
+    assert stamps[1] == 1305031102275304000
+    np.testing.assert_allclose(poses[:, 0, 3], [0.0, 0.1, 0.2, 0.3, 0.4])
+    np.testing.assert_allclose(poses[:, :3, :3], np.broadcast_to(np.eye(3), (5, 3, 3)))
+
+
+def test_quaternions_are_x_y_z_w(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path)
+    (folder / "groundtruth.txt").write_text("1.0 1 2 3 0 0 0.70710678 0.70710678\n")  # 90 degrees about z
+    truth = read_truth(str(folder))
+    assert truth is not None
+    np.testing.assert_allclose(truth[1][0, :3, :3] @ [1, 0, 0], [0, 1, 0], atol=1e-7)
+
+
+def test_seven_scenes_leaves_out_what_was_not_tracked(tmp_path: Path) -> None:
+    folder = tiny.write_seven_scenes(tmp_path)
+    (folder / "frame-000001.pose.txt").write_text("nan nan nan nan\n" * 4)
+    (folder / "frame-000003.pose.txt").unlink()
+    truth = read_truth(str(folder))
+    assert truth is not None
+    assert truth[0].tolist() == [0, 66666667]
+    np.testing.assert_allclose(truth[1][:, 0, 3], [0.0, 0.2])
+
+
+def test_kitti_beside_the_images_or_as_the_benchmark_has_it(tmp_path: Path) -> None:
+    folder = tiny.write_kitti(tmp_path / "dataset" / "sequences" / "07")
+    inside = read_truth(str(folder))
+    (tmp_path / "dataset" / "poses").mkdir()
+    (folder / "poses.txt").rename(tmp_path / "dataset" / "poses" / "07.txt")
+    beside = read_truth(str(folder))
+    assert inside is not None
+    assert beside is not None
+    np.testing.assert_array_equal(inside[1], beside[1])
+    assert inside[0].tolist() == [0, 100000000, 200000000]
+    np.testing.assert_allclose(inside[1][:, 2, 3], [0, 1, 2])
+
+
+def test_sequences_without_truth(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path / "tum")
+    (folder / "groundtruth.txt").unlink()
+    assert read_truth(str(folder)) is None
+    assert read_truth(str(tiny.write_images(tmp_path / "images"))) is None
+    assert read_truth(str(tiny.write_video(tmp_path / "v" / "clip.avi"))) is None
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["1.0 0 0 0 0 0 0", "1.0 0 0 0 0 0 0 a", "1.0 0 0 0 0 0 0 0", "x 0 0 0 0 0 0 1", "1 nan 0 0 0 0 0 1"],
+)
+def test_damaged_truth_is_named(tmp_path: Path, line: str) -> None:
+    folder = tiny.write_tum(tmp_path)
+    (folder / "groundtruth.txt").write_text(f"# c\n{line}\n")
+    with pytest.raises(SourceError, match=r"groundtruth\.txt line 2"):
+        read_truth(str(folder))
+
+
+def test_damaged_poses_are_named(tmp_path: Path) -> None:
+    scenes = tiny.write_seven_scenes(tmp_path / "scenes")
+    (scenes / "frame-000002.pose.txt").write_text("1 0 0\n")
+    with pytest.raises(SourceError, match="frame-000002"):
+        read_truth(str(scenes))
+    kitti = tiny.write_kitti(tmp_path / "kitti")
+    (kitti / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n")
+    with pytest.raises(SourceError, match="1 poses for the 3 times"):
+        read_truth(str(kitti))
+    (kitti / "poses.txt").write_text("2 0 0 0 0 1 0 0 0 0 1 0\n" * 3)
+    with pytest.raises(SourceError, match=r"poses\.txt line 1"):
+        read_truth(str(kitti))
+
+
+def test_only_the_scorer_imports_the_truth() -> None:
+    allowed = {"evaluation", "cli"}
+    for path in PACKAGE.rglob("*.py"):
+        names = set()
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+            elif isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+        if "prism_edge.sources.truth" in names:
+            assert path.relative_to(PACKAGE).parts[0] in allowed, path
+
+
+def write_depth(folder: Path, stamps: list[str]) -> None:
+    rows = []
+    for i, stamp in enumerate(stamps):
+        raw = np.full((24, 32), 5000 * (i + 1), np.uint16)
+        raw[0, 0] = 0
+        tiny.write_image(folder / "depth" / f"{stamp}.png", raw)
+        rows.append(f"{stamp} depth/{stamp}.png")
+    (folder / "depth.txt").write_text("\n".join(rows) + "\n")
+
+
+def test_tum_depth_is_paired_by_time_and_in_metres(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path)
+    write_depth(folder, ["1305031102.460000", "1305031102.180000", "1305031102.600000"])
+    sensor = SensorDepth(folder)
+    first, second, third = (sensor.read(i) for i in range(3))
+    assert first is not None
+    assert first.dtype == np.float32
+    assert (first[0, 0], first[5, 5]) == (0.0, 2.0)
+    assert second is None  # the nearest is 95 ms away
+    assert third is None  # 84 ms
+    write_depth(folder, ["1305031102.375305"])
+    paired = SensorDepth(folder).read(2)
+    assert paired is not None
+    assert paired[5, 5] == 1.0
+    assert sensor.read(99) is None
+
+
+def test_seven_scenes_depth(tmp_path: Path) -> None:
+    folder = tiny.write_seven_scenes(tmp_path, count=2)
+    raw = np.array([[1500, 0], [65535, 3000]], np.uint16)
+    assert cv2.imwrite(str(folder / "frame-000001.depth.png"), raw)
+    sensor = SensorDepth(folder)
+    assert sensor.read(0) is None
+    np.testing.assert_allclose(sensor.read(1), [[1.5, 0.0], [0.0, 3.0]])
+
+
+def test_damaged_depth_is_none_and_no_depth_an_error(tmp_path: Path) -> None:
+    folder = tiny.write_seven_scenes(tmp_path / "a", count=2)
+    with pytest.raises(SourceError, match="no depth"):
+        SensorDepth(folder)
+    assert cv2.imwrite(str(folder / "frame-000000.depth.png"), np.full((9, 9), 1000, np.uint16))
+    tiny.truncate(folder / "frame-000000.depth.png", 0.4)
+    tiny.write_image(folder / "frame-000001.depth.png", tiny.picture(1))  # eight bits, colour
+    sensor = SensorDepth(folder)
+    assert sensor.read(0) is None
+    assert sensor.read(1) is None
+    with pytest.raises(SourceError, match="no depth"):
+        SensorDepth(tiny.write_images(tmp_path / "b"))

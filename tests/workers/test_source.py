@@ -1,0 +1,386 @@
+"""The source worker on a bus of its own: what it releases, when, and what it waits for."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from sources import tiny_datasets as tiny
+
+from prism_edge.config import Config, DepthConfig, SourceConfig
+from prism_edge.errors import ConfigError, SourceError
+from prism_edge.messages import Acknowledged, EndOfStream, Frame, Heartbeat
+from prism_edge.sources import Image, Slot, Source, open_source
+from prism_edge.sources.pack import bgr, grey
+from prism_edge.workers.source import SourceWorker, main
+
+DEADLINE_S = 20.0
+
+
+class Box:
+    """An Inbox without a network."""
+
+    def __init__(self, stopped: threading.Event) -> None:
+        self._messages: queue.Queue[Any] = queue.Queue()
+        self._stopped = stopped
+        self.put = self._messages.put
+
+    def take(self, timeout_s: float = 0.0) -> Any | None:
+        deadline = time.monotonic() + timeout_s
+        while not self._stopped.is_set():
+            try:
+                return self._messages.get(timeout=max(0.001, min(0.02, timeout_s)))
+            except queue.Empty:
+                if time.monotonic() >= deadline:
+                    return None
+        return None
+
+    def close(self) -> None:
+        pass
+
+
+class Recorder:
+    """Stands in for the bus: keeps what is published, delivers what a test says."""
+
+    def __init__(self) -> None:
+        self.stopped = threading.Event()
+        self.published: queue.Queue[tuple[str, Any]] = queue.Queue()
+        self.states: list[str] = []
+        self.boxes: dict[str, Box] = {}
+        self.pulse = SimpleNamespace(
+            values={},
+            ready=lambda: self.states.append("ready"),
+            working=lambda activity, budget_s=5.0: self.states.append("working"),
+            idle=lambda: self.states.append("idle"),
+            ended=lambda: self.states.append("ended"),
+        )
+
+    def queue(self, topic: str, capacity: int = 256) -> Box:
+        return self.boxes.setdefault(topic, Box(self.stopped))
+
+    def publish(self, topic: str, message: Any) -> None:
+        self.published.put((topic, message))
+
+    def say(self, topic: str, message: Any) -> None:
+        self.queue(topic).put(message)
+
+    def beat(self, process: str, state: str = "idle") -> None:
+        self.say("heartbeat", Heartbeat(process, 1, 0, state, "", 0, 5.0, {}))
+
+    def next(self) -> tuple[str, Any]:
+        return self.published.get(timeout=DEADLINE_S)
+
+    def until_end(self) -> tuple[list[Frame], EndOfStream]:
+        frames = []
+        while True:
+            topic, message = self.next()
+            if topic == "end":
+                return frames, message
+            assert topic == "frame"
+            frames.append(message)
+
+
+@contextmanager
+def running(work: Callable[[Recorder], None]) -> Iterator[Recorder]:
+    """Runs ``work`` in a thread; it must end soon after the bus is stopped, and without an error."""
+    bus = Recorder()
+    errors: list[BaseException] = []
+
+    def body() -> None:
+        try:
+            work(bus)
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=body, daemon=True)
+    thread.start()
+    try:
+        yield bus
+    finally:
+        bus.stopped.set()
+        thread.join(DEADLINE_S)
+    assert not thread.is_alive()
+    assert not errors, errors
+
+
+def settings(folder: Path, mode: str = "realtime", **source: Any) -> Config:
+    values = {"peers_s": 0.0} | source
+    return Config(mode=mode, source=SourceConfig(uri=str(folder), **values))
+
+
+def playing(config: Config) -> Any:
+    return running(lambda bus: main(config, bus))  # type: ignore[arg-type]
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
+def test_realtime_plays_everything_and_ends(tmp_path: Path) -> None:
+    with playing(settings(tiny.write_tum(tmp_path), rate_hz=50.0)) as bus:
+        frames, end = bus.until_end()
+        wait_for(lambda: "ended" in bus.states)
+        assert bus.states.index("ready") < bus.states.index("ended")
+        values = bus.pulse.values
+    assert end.frames == 5
+    assert end.released == len(frames)
+    assert int(values["released"]) + int(values["skipped"]) == 5
+    assert end.last_index == frames[-1].index
+    for frame in frames:
+        # captured is when the schedule says, whenever the image really went out
+        due_ns = (frame.index - frames[0].index) * 20_000_000
+        assert frame.captured_monotonic_ns - frames[0].captured_monotonic_ns == due_ns
+        assert frame.stamp_ns == 1305031102175304000 + 100_000_000 * frame.index
+        assert frame.colour
+        assert not frame.duplicate
+        assert frame.camera.tolist() == [64, 48, 60, 60, 31.5, 23.5]
+        assert np.abs(bgr(frame).astype(int) - tiny.picture(frame.index)).mean() < 8
+
+
+def test_the_recordings_own_stamps_set_the_pace(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path, count=3)
+    with playing(settings(folder)) as bus:
+        frames, _ = bus.until_end()
+    steps = [f.captured_monotonic_ns - f.stamp_ns for f in frames]
+    assert len(set(steps)) == 1
+
+
+def test_grey_recordings_stay_grey(tmp_path: Path) -> None:
+    with playing(settings(tiny.write_kitti(tmp_path), rate_hz=50.0)) as bus:
+        frames, _ = bus.until_end()
+    assert not frames[0].colour
+    np.testing.assert_array_equal(grey(frames[0]), tiny.picture(frames[0].index, 63, 47, colour=False))
+
+
+@pytest.fixture
+def mishaps(tmp_path: Path) -> Path:
+    """Ten images: 2 copies 1, 3 is cut short, 4 is small, 5 missing, 7 repeats a stamp, 8 goes back."""
+    folder = tiny.write_tum(tmp_path, count=10, suffix="jpg")
+    rows = [line.split() for line in (folder / "rgb.txt").read_text().splitlines()[2:]]
+    files = [folder / name for _, name in rows]
+    files[2].write_bytes(files[1].read_bytes())
+    tiny.truncate(files[3])
+    tiny.write_image(files[4], tiny.picture(4, 32, 24))
+    files[5].unlink()
+    rows[7][0], rows[8][0] = rows[6][0], rows[0][0]
+    (folder / "rgb.txt").write_text("\n".join(" ".join(row) for row in rows) + "\n")
+    return folder
+
+
+def acknowledging(bus: Recorder, *names: str) -> tuple[list[Frame], EndOfStream]:
+    frames = []
+    while True:
+        topic, message = bus.next()
+        if topic == "end":
+            return frames, message
+        frames.append(message)
+        for name in names:
+            bus.say("acknowledged", Acknowledged(name, message.index))
+
+
+def test_mishaps_in_a_recording_are_refused_and_counted(
+    mishaps: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with playing(settings(mishaps, "lockstep")) as bus:
+        frames, end = acknowledging(bus, "tracker", "backend")
+        values = dict(bus.pulse.values)
+    assert [frame.index for frame in frames] == [0, 1, 2, 6, 9]
+    assert [frame.duplicate for frame in frames] == [False, False, True, False, False]
+    assert end == EndOfStream(frames=10, released=5, duplicates=1, unreadable=5, last_index=9)
+    shown = {"frames": 10, "released": 5, "duplicates": 1, "unreadable": 2, "wrong_size": 1, "bad_stamps": 2}
+    assert {name: int(values[name]) for name in shown} == shown
+    warnings = [record.message for record in caplog.records if record.levelname == "WARNING"]
+    assert len([line for line in warnings if "not released" in line]) == 3  # one of each kind
+    assert any("truncated" in line for line in warnings)
+
+
+def test_mishaps_do_not_disturb_the_schedule(mishaps: Path) -> None:
+    with playing(settings(mishaps, rate_hz=25.0)) as bus:
+        frames, end = bus.until_end()
+        skipped = int(bus.pulse.values["skipped"])
+    assert end.frames == 10
+    assert end.released + end.unreadable + skipped == 10
+    assert {frame.index for frame in frames} <= {0, 1, 2, 6, 7, 8, 9}
+
+
+def test_lockstep_waits_for_everyone_of_the_run(tmp_path: Path) -> None:
+    config = replace(settings(tiny.write_tum(tmp_path), "lockstep"), depth=DepthConfig(model="some.onnx"))
+    with playing(config) as bus:
+        assert bus.next()[1].index == 0
+        for name in ("tracker", "depth", "scale"):
+            bus.say("acknowledged", Acknowledged(name, 0))
+        bus.say("acknowledged", Acknowledged("stranger", 0))
+        with pytest.raises(queue.Empty):
+            bus.published.get(timeout=0.3)
+        bus.say("acknowledged", Acknowledged("backend", 0))
+        assert bus.next()[1].index == 1
+        for name in ("tracker", "depth", "scale", "backend"):
+            bus.say("acknowledged", Acknowledged(name, 4))  # of later frames: as good
+        rest, end = bus.until_end()
+    assert [frame.index for frame in rest] == [2, 3, 4]
+    assert end.released == 5
+
+
+def test_without_a_network_nobody_waits_for_depth_and_scale(tmp_path: Path) -> None:
+    with playing(settings(tiny.write_tum(tmp_path), "lockstep")) as bus:
+        frames, _ = acknowledging(bus, "tracker", "backend")
+    assert len(frames) == 5
+
+
+def test_lockstep_goes_on_without_who_has_died(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    config = settings(tiny.write_tum(tmp_path, count=2), "lockstep")
+
+    def work(bus: Recorder) -> None:
+        with open_source(config.source) as source:
+            SourceWorker(config, bus, source, patience_s=0.1).run()  # type: ignore[arg-type]
+
+    with running(work) as bus:
+        frames, _ = acknowledging(bus, "tracker")
+    assert len(frames) == 2
+    assert "not acknowledged by backend" in caplog.text
+
+
+def test_the_first_frame_waits_for_the_others(tmp_path: Path) -> None:
+    with playing(settings(tiny.write_tum(tmp_path), rate_hz=50.0, peers_s=600.0)) as bus:
+        wait_for(lambda: "ready" in bus.states)
+        bus.beat("tracker", "starting")
+        bus.beat("backend", "idle")
+        with pytest.raises(queue.Empty):
+            bus.published.get(timeout=0.3)
+        bus.beat("tracker", "ready")
+        frames, _ = bus.until_end()
+    assert frames[0].index == 0
+
+
+def test_the_wait_for_the_others_has_an_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with playing(settings(tiny.write_tum(tmp_path), rate_hz=50.0, peers_s=0.1)) as bus:
+        bus.beat("tracker")
+        bus.until_end()
+    assert "backend" in caplog.text
+    assert "tracker" not in caplog.text
+
+
+def test_stopping_ends_every_wait(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path)
+    waiting_for_peers = settings(folder, peers_s=600.0)
+    waiting_by_wish = settings(folder, wait_s=600.0)
+    waiting_for_acknowledgement = settings(folder, "lockstep")
+    waiting_for_a_late_image = settings(folder, rate_hz=0.001)
+    for config in (
+        waiting_for_peers,
+        waiting_by_wish,
+        waiting_for_acknowledgement,
+        waiting_for_a_late_image,
+    ):
+        with playing(config) as bus:
+            wait_for(lambda bus=bus: "ready" in bus.states)
+        assert "ended" not in bus.states
+
+
+def test_loop_plays_on(tmp_path: Path) -> None:
+    with playing(settings(tiny.write_tum(tmp_path, count=3), "lockstep", loop=True)) as bus:
+        frames = []
+        for _ in range(8):
+            frames.append(bus.next()[1])
+            for name in ("tracker", "backend"):
+                bus.say("acknowledged", Acknowledged(name, frames[-1].index))
+    assert [frame.index for frame in frames] == list(range(8))
+    assert len({frame.stamp_ns for frame in frames}) == 8
+
+
+class SlowSource(Source):
+    """Images a millisecond apart, of which the first takes a hundred to read."""
+
+    def __init__(self, source: Source) -> None:
+        self._inner = source
+        self.name, self.camera, self.camera_origin = "slow", source.camera, ""
+        self.frame_count, self.period_ns = 50, 1_000_000
+        self._next = 0
+
+    def open(self) -> None:
+        self._inner.open()
+
+    def peek(self) -> Slot | None:
+        return Slot(self._next, self._next * 1_000_000) if self._next < 50 else None
+
+    def read(self) -> Image:
+        item = self._inner.read()
+        assert isinstance(item, Image)
+        if self._next == 0:
+            time.sleep(0.1)
+        index, self._next = self._next, self._next + 1
+        return Image(index, index * 1_000_000, np.roll(item.pixels, index, axis=1))
+
+    def skip(self) -> None:
+        self._next += 1
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+def test_a_late_source_skips_and_counts(tmp_path: Path) -> None:
+    config = settings(tiny.write_tum(tmp_path), loop=True)
+
+    def work(bus: Recorder) -> None:
+        with SlowSource(open_source(config.source)) as source:
+            SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
+
+    with running(work) as bus:
+        frames, end = bus.until_end()
+        skipped = int(bus.pulse.values["skipped"])
+    assert end.frames == 50
+    assert skipped == 50 - len(frames) > 0
+    for frame in frames:  # none of those that went out was late by more than a period when it was read
+        assert frame.captured_monotonic_ns - frames[0].captured_monotonic_ns == frame.stamp_ns
+
+
+class Camera(SlowSource):
+    """A live source: only reading tells when an image is there."""
+
+    live = True
+
+    def peek(self) -> None:
+        return None
+
+    def read(self) -> Image | None:  # type: ignore[override]
+        return super().read() if self._next < 3 else None
+
+
+def test_a_live_source_stamps_on_arrival(tmp_path: Path) -> None:
+    config = settings(tiny.write_tum(tmp_path), loop=True)
+
+    def work(bus: Recorder) -> None:
+        with Camera(open_source(config.source)) as source:
+            SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
+
+    before = time.monotonic_ns()
+    with running(work) as bus:
+        frames, end = bus.until_end()
+    captured = [frame.captured_monotonic_ns for frame in frames]
+    assert before < captured[0] < captured[1] < captured[2] < time.monotonic_ns()
+    assert end.released == 3
+
+
+def test_what_cannot_be_played_is_an_error_before_ready(tmp_path: Path) -> None:
+    bus = Recorder()
+    folder = tiny.write_tum(tmp_path)
+    broken = tmp_path / "camera2.yaml"
+    broken.write_text(tiny.CAMERA.replace("fx: 60", "fx: -60"))
+    with pytest.raises(SourceError):
+        main(settings(tmp_path / "missing"), bus)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError):
+        main(settings(folder, camera=str(broken)), bus)  # type: ignore[arg-type]
+    assert "ready" not in bus.states
+    assert bus.published.empty()
