@@ -1,0 +1,84 @@
+"""What has arrived on one topic, for the worker's own thread to take."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+# How long a waiting thread sleeps before it looks whether the process is to stop: a signal handler can't
+# wake it safely.
+_LOOK_S = 0.1
+
+
+class Inbox:
+    """Messages of one topic, newest only (capacity 1) or in order; unpacked in the thread that takes them.
+
+    Zenoh's ring channel receives, so that a full inbox never holds up the network or the publisher: the
+    oldest goes. A small thread moves samples from there to where a wait can have a timeout, which Zenoh's
+    own ``recv`` lacks.
+    """
+
+    def __init__(
+        self,
+        subscriber: Any,
+        capacity: int,
+        unpack: Callable[[Any], Any | None],
+        stopped: threading.Event,
+        overflowed: Callable[[], None] | None = None,
+    ) -> None:
+        """``unpack`` turns a sample into a message, or None for a malformed one (which it has counted)."""
+        self._subscriber, self._unpack = subscriber, unpack
+        self._stopped, self._overflowed = stopped, overflowed
+        self._samples: deque[Any] = deque(maxlen=capacity)
+        self._arrival = threading.Condition(threading.Lock())
+        self._thread = threading.Thread(target=self._receive, name="inbox", daemon=True)
+        self._thread.start()
+
+    def take(self, timeout_s: float = 0.0) -> Any | None:
+        """The next message, waiting at most ``timeout_s``; None if there is none, or the bus is stopped."""
+        deadline = time.monotonic() + timeout_s
+        while not self._stopped.is_set():
+            with self._arrival:
+                while not self._samples:
+                    left = deadline - time.monotonic()
+                    if left <= 0 or self._stopped.is_set():
+                        return None
+                    self._arrival.wait(min(left, _LOOK_S))
+                sample = self._samples.popleft()
+            message = self._unpack(sample)
+            if message is not None:
+                return message
+        return None
+
+    def drain(self) -> list[Any]:
+        """Everything that has arrived, in order."""
+        with self._arrival:
+            samples = list(self._samples)
+            self._samples.clear()
+        messages = (self._unpack(sample) for sample in samples)
+        return [message for message in messages if message is not None]
+
+    def close(self) -> None:
+        """Ends the subscription and its thread."""
+        self._subscriber.undeclare()
+        self._thread.join(timeout=1.0)
+
+    def _receive(self) -> None:
+        # the handler, because a subscriber that waits in its own recv() can't be undeclared
+        handler = self._subscriber.handler
+        while True:
+            try:
+                sample = handler.recv()
+            except zenoh.ZError:  # undeclared
+                return
+            with self._arrival:
+                full = len(self._samples) == self._samples.maxlen
+                self._samples.append(sample)
+                self._arrival.notify()
+            if full and self._overflowed is not None:
+                self._overflowed()

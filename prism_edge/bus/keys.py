@@ -1,0 +1,67 @@
+"""Keys on the bus: ``prism/<robot>/<topic>``."""
+
+from __future__ import annotations
+
+import re
+
+from prism_edge.errors import BusError, ConfigError
+from prism_edge.topics import Topic
+
+# What Zenoh gives a meaning of its own inside a key: the separator, wildcards, parameters, fragments.
+_SPECIAL = "/*$#?"
+# Links that Zenoh knows and that carry messages of any size reliably.
+_PROTOCOLS = ("tcp", "tls", "quic", "ws", "unixsock-stream")
+
+
+def check_robot_name(name: str) -> str:
+    """The name, if it can stand as one chunk of a Zenoh key expression; else ConfigError."""
+    problem = ""
+    if not name:
+        problem = "is empty"
+    elif found := [c for c in _SPECIAL if c in name]:
+        problem = f"contains {' '.join(found)}"
+    elif name.startswith("@"):
+        problem = "starts with @, which hides a key from wildcards"
+    elif name != name.strip() or not name.isprintable():
+        problem = "contains control characters, or spaces at its ends"
+    if problem:
+        raise ConfigError(f"robot: {name!r} {problem}; it becomes part of the keys prism/<robot>/...")
+    return name
+
+
+def key(robot: str, topic: Topic) -> str:
+    """The topic's key for this robot."""
+    return f"prism/{robot}/{topic.key}"
+
+
+def alive_key(robot: str, process: str) -> str:
+    """The liveliness token that says that a process is there."""
+    return f"prism/{robot}/alive/{process}"
+
+
+def ready_key(robot: str, process: str) -> str:
+    """The liveliness token that says that a process has declared all it listens to."""
+    return f"prism/{robot}/internal/ready/{process}"
+
+
+def check_endpoint(endpoint: str) -> str:
+    """The endpoint, if Zenoh could listen on it or connect to it; else BusError.
+
+    Without this, a mistyped endpoint would be retried for ever.
+    """
+    protocol, _, rest = endpoint.partition("/")
+    address = re.split(r"[?#]", rest, maxsplit=1)[0]
+    problem = ""
+    if protocol not in _PROTOCOLS:
+        problem = f"it must start with one of {', '.join(p + '/' for p in _PROTOCOLS)}"
+    elif protocol != "unixsock-stream":
+        host, colon, port = address.rpartition(":")
+        if not (host and colon and re.fullmatch(r"[0-9]{1,5}", port) and 0 < int(port) < 65536):
+            problem = "it needs HOST:PORT after the slash, with a port from 1 to 65535"
+        elif not re.fullmatch(r"\[[0-9a-fA-F:.%\w]+\]|[\w.-]+", host):
+            problem = f"{host!r} is no host name or address"
+    elif not address:
+        problem = "it needs a path after the slash"
+    if problem:
+        raise BusError(f"bus.endpoint: {endpoint!r} is no endpoint: {problem}")
+    return endpoint

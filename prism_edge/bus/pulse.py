@@ -1,0 +1,93 @@
+"""The heartbeat of one process: a thread that says what the others are doing."""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+
+from prism_edge.errors import BusError
+from prism_edge.messages import Heartbeat
+
+PERIOD_S = 0.5
+
+log = logging.getLogger("prism_edge.bus")
+
+
+class Pulse:
+    """Publishes a :class:`Heartbeat` twice a second from its own thread.
+
+    The worker stamps what it is doing (cheap: no message goes out), so that the supervisor can tell
+    a hang, an activity beyond its budget, from work and from idleness. ``values`` are shown on `health`.
+    """
+
+    def __init__(
+        self, process: str, publish: Callable[[Heartbeat], None], announce: Callable[[], None]
+    ) -> None:
+        """``publish`` sends a heartbeat; ``announce`` tells the others, once, that this process is ready."""
+        self.values: dict[str, str] = {}
+        self._process, self._publish, self._announce = process, publish, announce
+        self._doing: tuple[str, str, int, float] = ("starting", "", time.monotonic_ns(), 60.0)
+        self._due = threading.Event()
+        self._closing = False
+        self._ready = False
+        self._thread = threading.Thread(target=self._run, name="pulse", daemon=True)
+        self._thread.start()
+
+    def ready(self) -> None:
+        """Everything is loaded and subscribed to; the others may send. Said at once."""
+        self._stamp("ready")
+        if not self._ready:
+            self._ready = True
+            self._announce()
+        self._due.set()
+
+    def working(self, activity: str, budget_s: float = 5.0) -> None:
+        """An activity begins that should take no longer than ``budget_s``."""
+        self._stamp("working", activity, budget_s)
+
+    def idle(self) -> None:
+        """Nothing to do: waiting for messages."""
+        self._stamp("idle")
+
+    def ended(self) -> None:
+        """The stream has ended and all that it caused is done. Said at once."""
+        self._stamp("ended")
+        self._due.set()
+
+    def count(self, name: str) -> int:
+        """Adds one to a counter among ``values`` and returns it."""
+        total = int(self.values.get(name, "0")) + 1
+        self.values[name] = str(total)
+        return total
+
+    def beat(self) -> Heartbeat:
+        """The heartbeat of this moment."""
+        state, activity, since, budget = self._doing
+        values = {k: str(v) for k, v in dict(self.values).items()}
+        return Heartbeat(
+            self._process, os.getpid(), time.monotonic_ns(), state, activity, since, budget, values
+        )
+
+    def close(self) -> None:
+        """Ends the thread."""
+        self._closing = True
+        self._due.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout=1.0)
+
+    def _stamp(self, state: str, activity: str = "", budget_s: float = 0.0) -> None:
+        # One tuple, so that the thread never sees halves of two stamps.
+        self._doing = (state, activity, time.monotonic_ns(), budget_s)
+
+    def _run(self) -> None:
+        while not self._closing:
+            try:
+                self._publish(self.beat())
+            except BusError as error:
+                if not self._closing:
+                    log.warning("heartbeat not sent: %s", error)
+            self._due.wait(PERIOD_S)
+            self._due.clear()

@@ -1,0 +1,225 @@
+"""One process's place on the bus: a Zenoh session with the topics of topics.py (docs/TOPICS.md)."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterable
+from types import TracebackType
+from typing import Any
+
+import zenoh
+
+from prism_edge.bus import codec, keys, ros
+from prism_edge.bus.inbox import Inbox
+from prism_edge.bus.links import encoding, open_session, quality
+from prism_edge.bus.pulse import Pulse
+from prism_edge.config import Config
+from prism_edge.errors import BusError
+from prism_edge.topics import TOPICS, Topic
+
+log = logging.getLogger("prism_edge.bus")
+
+
+class Bus:
+    """Publishes, subscribes, answers and asks; a context manager. Every method may be called from any thread.
+
+    The supervisor's session listens on the configured endpoint; those of the workers connect to it, learn of
+    each other there (gossip) and then talk directly, over loopback listeners of their own. So a worker needs
+    the supervisor to find the others, and no longer.
+    """
+
+    def __init__(self, session: Any, robot: str, process: str, lossless: bool) -> None:
+        self.robot, self.process = robot, process
+        self.stopped = threading.Event()
+        self._session, self._lossless = session, lossless
+        self._lock = threading.RLock()
+        self._publishers: dict[str, Any] = {}
+        self._answers: dict[str, Any] = {}
+        self._last: dict[str, Any] = {}
+        self._inboxes: list[Inbox] = []
+        self._tokens = [session.liveliness().declare_token(keys.alive_key(robot, process))]
+        self._closed = False
+        for name, topic in TOPICS.items():
+            if topic.latched and topic.producer == process:
+                self._answer_with_last(name)
+        self.pulse = Pulse(process, lambda beat: self.publish("heartbeat", beat), self._announce)
+
+    @classmethod
+    def open(cls, config: Config, process: str, listen: bool = False) -> Bus:
+        """Joins the bus as ``process``; with ``listen``, as the one whom everybody connects to.
+
+        Returns at once even where nobody listens yet. Raises ConfigError for a robot name that can't be part
+        of a key, BusError for an endpoint that is malformed or in use.
+        """
+        keys.check_robot_name(config.robot)
+        session = open_session(config.bus, listen)
+        return cls(session, config.robot, process, config.is_lockstep)
+
+    def __enter__(self) -> Bus:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def publish(self, topic: str, message: Any) -> None:
+        """Sends a dataclass of messages.py or a ROS message, whichever the topic carries.
+
+        Raises BusError if it is of another type or has a value that the type does not allow.
+        """
+        payload = _payload(TOPICS[topic], message)
+        if TOPICS[topic].latched:
+            self._last[topic] = payload
+            self._answer_with_last(topic)
+        try:
+            (self._publishers.get(topic) or self._declare(topic)).put(payload)
+        except zenoh.ZError as error:
+            if not self._closed:
+                raise BusError(f"can't publish {topic}: {error}") from None
+
+    def latest(self, topic: str) -> Inbox:
+        """An inbox that keeps only the newest message."""
+        return self._subscribe(topic, 1)
+
+    def queue(self, topic: str, capacity: int = 256) -> Inbox:
+        """An inbox with every message in order. If it is full, the oldest is lost, counted and logged."""
+        return self._subscribe(topic, capacity)
+
+    def answer(self, topic: str, function: Callable[[], Any | None]) -> None:
+        """Answers get()s on the topic's key with what ``function`` returns (None: no answer).
+
+        It is called in a thread of its own. Takes the place of the last value of a latched topic.
+        """
+
+        def payload() -> bytes | None:
+            message = function()
+            return None if message is None else _payload(TOPICS[topic], message)
+
+        with self._lock:
+            if topic in self._answers:
+                self._answers.pop(topic).undeclare()
+            self._answers[topic] = self._reply_with(topic, payload)
+
+    def ask(self, topic: str, timeout_s: float = 1.0) -> Any | None:
+        """The last value of a topic, from whoever answers first; None if nobody does in time."""
+        try:
+            replies = self._session.get(
+                keys.key(self.robot, TOPICS[topic]),
+                timeout=timeout_s,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+            for reply in replies:
+                if reply.ok is not None:
+                    return self._unpack(topic, reply.ok)
+        except zenoh.ZError as error:
+            log.warning("asking for %s failed: %s", topic, error)
+        return None
+
+    def await_ready(self, processes: Iterable[str], timeout_s: float) -> set[str]:
+        """Waits until these processes are ready *and linked to this one*; returns those still missing.
+
+        Messages published before that may not reach them. Ends early when the bus is stopped.
+        """
+        wanted = set(processes) - {self.process}
+        everybody = self._session.liveliness().declare_subscriber(
+            keys.ready_key(self.robot, "*"), zenoh.handlers.FifoChannel(64), history=True
+        )
+        inbox = Inbox(everybody, 64, lambda sample: sample, self.stopped)
+        deadline = time.monotonic() + timeout_s
+        present: set[str] = set()
+        try:
+            while not wanted <= present:
+                token = inbox.take(max(deadline - time.monotonic(), 0.0))
+                if token is None:
+                    break
+                name = str(token.key_expr).rsplit("/", 1)[1]
+                (present.add if token.kind == zenoh.SampleKind.PUT else present.discard)(name)
+        finally:
+            inbox.close()
+        return wanted - present
+
+    def close(self) -> None:
+        """Leaves the bus: ends the threads, undeclares everything, closes the session. Twice is no error."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+        self.stopped.set()
+        self.pulse.close()
+        for inbox in self._inboxes:
+            inbox.close()
+        for declared in (*self._answers.values(), *self._tokens, *self._publishers.values()):
+            declared.undeclare()
+        self._session.close()
+
+    def _announce(self) -> None:
+        with self._lock:
+            key = keys.ready_key(self.robot, self.process)
+            self._tokens.append(self._session.liveliness().declare_token(key))
+
+    def _declare(self, topic: str) -> Any:
+        with self._lock:
+            if topic not in self._publishers:
+                self._publishers[topic] = self._session.declare_publisher(
+                    keys.key(self.robot, TOPICS[topic]), **quality(TOPICS[topic], self._lossless)
+                )
+            return self._publishers[topic]
+
+    def _answer_with_last(self, topic: str) -> None:
+        with self._lock:
+            if topic not in self._answers:
+                self._answers[topic] = self._reply_with(topic, lambda: self._last.get(topic))
+
+    def _reply_with(self, topic: str, payload: Callable[[], bytes | None]) -> Any:
+        key = keys.key(self.robot, TOPICS[topic])
+
+        def reply(query: Any) -> None:
+            with query:
+                try:
+                    data = payload()
+                    if data is not None:
+                        query.reply(key, data, encoding=encoding(TOPICS[topic]))
+                except Exception as error:  # a thread of Zenoh's: it would go unseen
+                    log.error("can't answer for %s: %s", topic, error)
+                    query.reply_err(f"{type(error).__name__}: {error}")
+
+        return self._session.declare_queryable(key, zenoh.handlers.Callback(reply, indirect=True))
+
+    def _subscribe(self, topic: str, capacity: int) -> Inbox:
+        key = keys.key(self.robot, TOPICS[topic])
+        subscriber = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(capacity))
+        inbox = Inbox(
+            subscriber,
+            capacity,
+            lambda sample: self._unpack(topic, sample),
+            self.stopped,
+            (lambda: self._overflowed(topic)) if capacity > 1 else None,
+        )
+        with self._lock:
+            self._inboxes.append(inbox)
+        return inbox
+
+    def _overflowed(self, topic: str) -> None:
+        if self.pulse.count(f"lost {topic}") == 1:
+            log.warning("%s messages come faster than they are taken: losing the oldest", topic)
+
+    def _unpack(self, topic: str, sample: Any) -> Any | None:
+        kind = TOPICS[topic].type
+        data = sample.payload.to_bytes()
+        try:
+            return ros.deserialise(kind, data) if isinstance(kind, str) else codec.unpack(data, kind)
+        except BusError as error:
+            self.pulse.count("malformed")
+            log.warning("%s: %s", sample.key_expr, error)
+            return None
+
+
+def _payload(topic: Topic, message: Any) -> bytes:
+    if isinstance(topic.type, str):
+        return ros.serialise(topic.type, message)
+    if type(message) is not topic.type:
+        raise BusError(f"{topic.key} carries {topic.type.__name__}, not {type(message).__name__}")
+    return codec.pack(message)
