@@ -50,6 +50,6 @@ TOPICS = {
         Topic("internal/map_update", m.MapUpdate, 3, "backend", ("tracker",)),
         Topic("internal/map_snapshot", m.MapSnapshot, 0, "backend", ("tracker",), latched=True),
         Topic("internal/acknowledged", m.Acknowledged, 30, "all", ("source",)),
-        Topic("internal/heartbeat", m.Heartbeat, 2, "all", ("supervisor", "source"), priority="data_low"),
+        Topic("internal/heartbeat", m.Heartbeat, 2, "all", ("supervisor",), priority="data_low"),
     )
 }

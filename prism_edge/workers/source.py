@@ -32,7 +32,6 @@ class SourceWorker:
         self._config, self._bus, self._source, self._patience_s = config, bus, source, patience_s
         self._peers = {process.name for process in processes_for(config)} - {"source"}
         self._acknowledgements = bus.queue("acknowledged", 1024) if config.is_lockstep else None
-        self._heartbeats = bus.queue("heartbeat")
         self._checks = FrameChecks(source.camera)
         self._camera = source.camera.to_array()
         self._acknowledged: dict[str, int] = {}
@@ -57,17 +56,14 @@ class SourceWorker:
         self._bus.stopped.wait()
 
     def _await_peers(self) -> None:
-        """Until every process of the run has said that it listens: the first frames are for them all."""
-        missing = set(self._peers)
-        deadline = time.monotonic() + self._config.source.peers_s
-        while missing and not self._bus.stopped.is_set() and time.monotonic() < deadline:
-            beat = self._heartbeats.take(_LOOK_S)
-            if beat is not None and beat.state != "starting":
-                missing.discard(beat.process)
-        if missing and self._config.source.peers_s > 0 and not self._bus.stopped.is_set():
-            waited, names = self._config.source.peers_s, ", ".join(sorted(missing))
+        """Until every process of the run listens and is linked to this one: the first frames are for all."""
+        waited = self._config.source.peers_s
+        if waited == 0:
+            return
+        missing = self._bus.await_ready(self._peers, waited)
+        if missing and not self._bus.stopped.is_set():
+            names = ", ".join(sorted(missing))
             log.warning("not ready after %g s: %s; playing all the same", waited, names)
-        self._heartbeats.close()
 
     def _play_live(self) -> None:
         """A camera: every image is captured when it arrives."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import queue
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -16,11 +17,12 @@ import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
 
-from prism_edge.config import Config, DepthConfig, SourceConfig
+from prism_edge.bus.session import Bus
+from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
 from prism_edge.errors import ConfigError, SourceError
-from prism_edge.messages import Acknowledged, EndOfStream, Frame, Heartbeat
+from prism_edge.messages import Acknowledged, EndOfStream, Frame
 from prism_edge.sources import Image, Slot, Source, open_source
-from prism_edge.sources.pack import bgr, grey
+from prism_edge.sources.pack import bgr, grey, pack
 from prism_edge.workers.source import SourceWorker, main
 
 DEADLINE_S = 20.0
@@ -43,9 +45,6 @@ class Box:
                 if time.monotonic() >= deadline:
                     return None
         return None
-
-    def close(self) -> None:
-        pass
 
 
 class Recorder:
@@ -73,8 +72,11 @@ class Recorder:
     def say(self, topic: str, message: Any) -> None:
         self.queue(topic).put(message)
 
-    def beat(self, process: str, state: str = "idle") -> None:
-        self.say("heartbeat", Heartbeat(process, 1, 0, state, "", 0, 5.0, {}))
+    def await_ready(self, processes: set[str], timeout_s: float) -> set[str]:
+        missing, deadline = set(processes), time.monotonic() + timeout_s
+        while missing and time.monotonic() < deadline and not self.stopped.is_set():
+            missing.discard(self.queue("ready").take(0.02))
+        return missing
 
     def next(self) -> tuple[str, Any]:
         return self.published.get(timeout=DEADLINE_S)
@@ -255,18 +257,17 @@ def test_lockstep_goes_on_without_who_has_died(tmp_path: Path, caplog: pytest.Lo
 def test_the_first_frame_waits_for_the_others(tmp_path: Path) -> None:
     with playing(settings(tiny.write_tum(tmp_path), rate_hz=50.0, peers_s=600.0)) as bus:
         wait_for(lambda: "ready" in bus.states)
-        bus.beat("tracker", "starting")
-        bus.beat("backend", "idle")
+        bus.say("ready", "backend")
         with pytest.raises(queue.Empty):
             bus.published.get(timeout=0.3)
-        bus.beat("tracker", "ready")
+        bus.say("ready", "tracker")
         frames, _ = bus.until_end()
     assert frames[0].index == 0
 
 
 def test_the_wait_for_the_others_has_an_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with playing(settings(tiny.write_tum(tmp_path), rate_hz=50.0, peers_s=0.1)) as bus:
-        bus.beat("tracker")
+        bus.say("ready", "tracker")
         bus.until_end()
     assert "backend" in caplog.text
     assert "tracker" not in caplog.text
@@ -384,3 +385,44 @@ def test_what_cannot_be_played_is_an_error_before_ready(tmp_path: Path) -> None:
         main(settings(folder, camera=str(broken)), bus)  # type: ignore[arg-type]
     assert "ready" not in bus.states
     assert bus.published.empty()
+
+
+@pytest.fixture
+def unused_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def test_over_the_real_bus(tmp_path: Path, unused_endpoint: str) -> None:
+    config = settings(tiny.write_tum(tmp_path, count=8), "lockstep", peers_s=DEADLINE_S)
+    config = replace(config, bus=BusConfig(endpoint=unused_endpoint))
+
+    def work(stop: Recorder) -> None:
+        with Bus.open(config, "source") as bus:
+            threading.Thread(target=lambda: (stop.stopped.wait(), bus.stopped.set()), daemon=True).start()
+            main(config, bus)
+
+    with (
+        Bus.open(config, "supervisor", listen=True),
+        Bus.open(config, "tracker") as tracker,
+        Bus.open(config, "backend") as backend,
+    ):
+        frames, ends = tracker.queue("frame"), tracker.queue("end")
+        with running(work):
+            backend.pulse.ready()
+            tracker.pulse.ready()
+            seen = []
+            for _ in range(8):
+                frame = frames.take(DEADLINE_S)
+                assert frame is not None
+                seen.append(frame.index)
+                np.testing.assert_array_equal(frame.image, pack(tiny.picture(frame.index))[0])
+                for peer in (tracker, backend):
+                    peer.publish("acknowledged", Acknowledged(peer.process, frame.index))
+            end = ends.take(DEADLINE_S)
+            late_comer = tracker.ask("end")
+    assert seen == list(range(8))
+    assert end == late_comer
+    assert end is not None
+    assert end.released == 8
