@@ -1,0 +1,1 @@
+"""Starts, watches and restarts the five processes; holds the bus's listener."""

@@ -1,0 +1,34 @@
+"""What `health` says: one row for the run as a whole and one for each process."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+# Levels of diagnostic_msgs/DiagnosticStatus.
+OK, WARN, ERROR, STALE = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Row:
+    """One diagnostic_msgs/DiagnosticStatus."""
+
+    name: str
+    level: int
+    message: str
+    values: dict[str, str]
+
+    @property
+    def essence(self) -> tuple[str, int, str, str]:
+        """What makes a row worth publishing before its time; counters and activities don't."""
+        return self.name, self.level, self.values.get("pid", ""), self.values.get("restarts", "")
+
+
+def summary(rows: Sequence[Row], pid: int, ready_s: float | None) -> Row:
+    """The supervisor's own row: the worst of the others, and seconds from start to ready (None: not yet)."""
+    troubled = [f"{row.name} {row.message}" for row in rows if row.level != OK]
+    # STALE is the highest number but less of a trouble than ERROR.
+    worst = max((row.level for row in rows), key=(OK, WARN, STALE, ERROR).index, default=OK)
+    state = "starting" if ready_s is None else "ready"
+    values = {"state": state, "pid": str(pid), "ready_s": "" if ready_s is None else f"{ready_s:.3f}"}
+    return Row("supervisor", worst, "; ".join(troubled) or state, values)

@@ -1,0 +1,31 @@
+"""When a process that died is started again, and when it is given up."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from prism_edge.config import SupervisorConfig
+
+LONGEST_PAUSE_S = 10.0  # doubling stops here: a robot waits for this process
+
+
+class RestartPolicy:
+    """Back-off for one process: the pause doubles with each death that is still within the window."""
+
+    def __init__(self, config: SupervisorConfig) -> None:
+        self._config = config
+        self._deaths: deque[float] = deque()
+
+    def died(self, now_s: float) -> float | None:
+        """Seconds to wait before starting again after a death at ``now_s``; None: give up.
+
+        ``now_s`` is on any clock that never goes back. A process may die ``max_restarts`` times
+        within ``window_s``; deaths older than that are forgotten.
+        """
+        while self._deaths and now_s - self._deaths[0] > self._config.window_s:
+            self._deaths.popleft()
+        self._deaths.append(now_s)
+        if len(self._deaths) > self._config.max_restarts:
+            return None
+        # The exponent is bounded as well: 2.0 ** 1024 overflows.
+        return min(self._config.backoff_s * 2.0 ** min(len(self._deaths) - 1, 30), LONGEST_PAUSE_S)

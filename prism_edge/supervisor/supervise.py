@@ -1,0 +1,50 @@
+"""A whole run in the foreground: from start to SIGTERM, Ctrl-C or the end of the recording."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+
+from prism_edge.config import Config
+from prism_edge.processes import Process
+from prism_edge.supervisor.child import Command, worker_command
+from prism_edge.supervisor.supervisor import Supervisor
+from prism_edge.supervisor.watch import StartRefusedError
+from prism_edge.workers.stopping import StopSignals
+
+log = logging.getLogger("prism_edge.supervisor")
+
+
+def supervise(
+    config: Config,
+    on_ready: Callable[[Supervisor], None] | None = None,
+    stay: bool = True,
+    processes: Sequence[Process] | None = None,
+    command: Command = worker_command,
+) -> int:
+    """Run the daemon until SIGTERM or SIGINT; returns the exit code. Call from the main thread.
+
+    ``on_ready`` is called once, when every process is ready. Without ``stay`` the run also ends when the
+    recording has, and all that followed from it is done; a recording that loops never does. A worker that
+    refuses to start has said why in a line of its own: its exit code is returned. Raises BusError for the
+    listener and SupervisionError for a process that keeps dying; nothing is left running in any case.
+    """
+    signals = StopSignals()
+    announced = False
+
+    def finished() -> bool:
+        nonlocal announced
+        if supervisor.ready_s is not None and not announced:
+            announced = True
+            if on_ready is not None:
+                on_ready(supervisor)
+        return signals.stopped.is_set() or (not stay and supervisor.ended)
+
+    try:
+        with Supervisor(config, processes, command) as supervisor:
+            supervisor.run(finished)
+            log.info("stopping" if signals.stopped.is_set() else "the recording has ended; stopping")
+    except StartRefusedError as error:
+        log.error("%s; stopped", error)
+        return error.exit_code
+    return 0

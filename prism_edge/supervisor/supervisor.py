@@ -1,0 +1,164 @@
+"""Starts the workers, watches them, starts the dead again, and ends them all."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import time
+from collections.abc import Callable, Sequence
+from types import TracebackType
+
+from prism_edge.bus import ros
+from prism_edge.bus.session import Bus
+from prism_edge.config import Config
+from prism_edge.config_file import dump
+from prism_edge.processes import Process, processes_for
+from prism_edge.supervisor.child import Child, Command, worker_command
+from prism_edge.supervisor.health import Row, summary
+from prism_edge.supervisor.liveness import OVERDUE, QUIET_S
+from prism_edge.supervisor.run_directory import RunDirectory
+from prism_edge.supervisor.watch import Watch
+
+log = logging.getLogger("prism_edge.supervisor")
+
+LOOK_S = 0.1  # a death is noticed within this
+HEALTH_S = 1.0
+PAUSED_S = 1.0  # a round later than this: we were stopped ourselves, and heartbeats with us
+
+
+class Supervisor:
+    """The processes of one run. Use it as a context manager from the thread that outlives the run.
+
+    ``processes`` and ``command`` (what starts each of them) default to what the configuration asks for.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        processes: Sequence[Process] | None = None,
+        command: Command = worker_command,
+    ) -> None:
+        self._config, self._command = config, command
+        chosen = processes_for(config) if processes is None else processes
+        self._watches = {process.name: Watch(process, config.supervisor) for process in chosen}
+        self._children: dict[str, Child] = {}
+        self._cleanup = contextlib.ExitStack()
+        self.started_s = time.monotonic()
+        self.ready_s: float | None = None  # seconds from construction until every process was ready
+        self._published_s = -HEALTH_S
+        self._essence: list[tuple[str, int, str, str]] = []
+        self._looked_s = self.started_s
+        self._lenient_until_s = 0.0
+
+    def __enter__(self) -> Supervisor:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    @property
+    def processes(self) -> dict[str, int]:
+        """Process id of every worker that runs."""
+        return {name: child.pid for name, child in self._children.items() if child.exit_code is None}
+
+    @property
+    def ready(self) -> bool:
+        """Whether every process is ready at this moment."""
+        return all(watch.ready for watch in self._watches.values())
+
+    @property
+    def ended(self) -> bool:
+        """Whether the recording is over and every process has done all that followed from it."""
+        return all(watch.state == "ended" for watch in self._watches.values())
+
+    def start(self) -> None:
+        """Open the bus's listener and start every process. Raises BusError, then with nothing left behind."""
+        try:
+            self._bus = Bus.open(self._config, "supervisor", listen=True)
+            self._cleanup.callback(self._bus.close)
+            self._heartbeats = self._bus.queue("heartbeat", capacity=1024)
+            directory = RunDirectory()
+            self._cleanup.callback(directory.remove)
+            self._file = directory.write("config.yaml", dump(self._config))
+            for name in self._watches:
+                self._launch(name)
+            self._bus.pulse.ready()
+        except BaseException:
+            self.stop()
+            raise
+
+    def run(self, until: Callable[[], bool]) -> None:
+        """Watch over the processes until ``until()`` holds.
+
+        Raises StartRefusedError when a worker can't start for a reason that only the user can mend, and
+        SupervisionError when one keeps dying.
+        """
+        while not until():
+            self._look()
+
+    def stop(self) -> None:
+        """End every process within ``supervisor.stop_s``, then close the bus and remove the run's files."""
+        running = [child for child in self._children.values() if child.poll() is None]
+        for child in running:
+            child.terminate()
+        deadline = time.monotonic() + self._config.supervisor.stop_s
+        while running and time.monotonic() < deadline:
+            time.sleep(0.02)
+            running = [child for child in running if child.poll() is None]
+        for name, child in self._children.items():
+            if child.exit_code is None:
+                log.warning("%s did not end in %g s and is killed", name, self._config.supervisor.stop_s)
+                child.kill()
+        self._cleanup.close()
+
+    def _launch(self, name: str) -> None:
+        child = Child(self._command(self._watches[name].process, self._file))
+        self._children[name] = child
+        self._watches[name].started(child.pid, time.monotonic())
+
+    def _look(self) -> None:
+        """One round: hear, collect the dead, kill the hung, start again, publish."""
+        first = self._heartbeats.take(timeout_s=LOOK_S)
+        now = time.monotonic()
+        for heartbeat in [first, *self._heartbeats.drain()]:
+            if heartbeat is not None and heartbeat.process in self._watches:
+                self._watches[heartbeat.process].heard(heartbeat, now)
+        if now - self._looked_s > PAUSED_S:
+            self._lenient_until_s = now + QUIET_S
+        self._looked_s = now
+        for name, watch in self._watches.items():
+            self._look_at(name, watch, now)
+        if self.ready_s is None and self.ready:
+            self.ready_s = now - self.started_s
+            log.info("ready after %.2f s: %s", self.ready_s, " ".join(self._watches))
+        self._publish(now)
+
+    def _look_at(self, name: str, watch: Watch, now: float) -> None:
+        if watch.restart_at_s is not None:
+            if now >= watch.restart_at_s:
+                self._launch(name)
+                log.info("%s started again (process %d)", name, self._children[name].pid)
+            return
+        child = self._children[name]
+        verdict = watch.verdict(now)
+        if verdict.liveness == OVERDUE and now >= self._lenient_until_s and child.poll() is None:
+            log.error("%s hangs (%s) and is killed", name, verdict.why)
+            watch.killed(verdict.why)
+            child.kill()
+        code = child.poll()
+        if code is not None:
+            how = watch.exited(code, now)
+            log.error("%s ended with %s; starting it again", name, how)
+
+    def _publish(self, now: float) -> None:
+        rows: list[Row] = [watch.row(now) for watch in self._watches.values()]
+        rows.insert(0, summary(rows, os.getpid(), self.ready_s))
+        essence = [row.essence for row in rows]
+        if essence != self._essence or now - self._published_s >= HEALTH_S:
+            self._essence, self._published_s = essence, now
+            statuses = [(row.name, row.level, row.message, row.values) for row in rows]
+            self._bus.publish("health", ros.diagnostics(time.time_ns(), statuses))

@@ -1,0 +1,116 @@
+"""What the supervisor knows of one process and decides about it; no I/O, times are given."""
+
+from __future__ import annotations
+
+from prism_edge.config import SupervisorConfig
+from prism_edge.errors import BusError, ConfigError, ModelError, PrismError, SourceError, SupervisionError
+from prism_edge.messages import Heartbeat
+from prism_edge.processes import Process
+from prism_edge.supervisor.child import describe_exit
+from prism_edge.supervisor.health import ERROR, OK, STALE, WARN, Row
+from prism_edge.supervisor.liveness import ALIVE, OVERDUE, Verdict, judge
+from prism_edge.supervisor.liveness import STALE as QUIET
+from prism_edge.supervisor.restart import RestartPolicy
+
+USER_ERRORS = tuple(error.exit_code for error in (ConfigError, SourceError, ModelError, BusError))
+
+
+class StartRefusedError(PrismError):
+    """A worker ended with a user's error before it was ever ready; it has said what is wrong itself."""
+
+    def __init__(self, process: str, exit_code: int) -> None:
+        super().__init__(f"{process} can't start (exit code {exit_code})")
+        self.exit_code = exit_code
+
+
+class Watch:
+    """One process through its lives. All times are seconds on one clock that never goes back."""
+
+    def __init__(self, process: Process, config: SupervisorConfig) -> None:
+        self.process = process
+        self.restarts = 0
+        self.restart_at_s: float | None = None  # set while it is down
+        self.was_ready = False  # in any of its lives
+        self._config, self._policy = config, RestartPolicy(config)
+        self._pid = 0
+        self._started_s = 0.0
+        self._heartbeat: Heartbeat | None = None
+        self._heard_s = 0.0
+        self._last_exit = ""
+        self._why_killed = ""
+
+    def started(self, pid: int, now_s: float) -> None:
+        """It has been started, for the first time or again."""
+        self.restarts += self._pid != 0
+        self._pid, self._started_s, self.restart_at_s, self._heartbeat = pid, now_s, None, None
+
+    def heard(self, heartbeat: Heartbeat, now_s: float) -> None:
+        """A heartbeat has come; one that a previous life left in the queue is ignored."""
+        if heartbeat.pid == self._pid:
+            self._heartbeat, self._heard_s = heartbeat, now_s
+            self.was_ready |= self.ready
+
+    @property
+    def state(self) -> str:
+        """starting | ready | working | idle | ended, as it says itself, or restarting."""
+        if self.restart_at_s is not None:
+            return "restarting"
+        return "starting" if self._heartbeat is None else self._heartbeat.state
+
+    @property
+    def ready(self) -> bool:
+        """Whether it is running and has finished starting."""
+        return self.state not in ("starting", "restarting")
+
+    def verdict(self, now_s: float) -> Verdict:
+        """Whether it lives, from its heartbeats and the time that it may take to start."""
+        if self.restart_at_s is not None:
+            return Verdict(ALIVE)
+        if not self.ready and now_s - self._started_s > self._config.start_s:
+            return Verdict(OVERDUE, f"not ready after {self._config.start_s:.0f} s")
+        return judge(self._heartbeat, now_s - self._heard_s)
+
+    def killed(self, why: str) -> None:
+        """It is being killed for ``why``, which its exit is then put down to."""
+        self._why_killed = why
+
+    def exited(self, code: int, now_s: float) -> str:
+        """It has ended, untold; says how. ``restart_at_s`` is when to start it again.
+
+        Raises StartRefusedError for a user's error before it was ever ready, and SupervisionError when it
+        died too often.
+        """
+        self._last_exit = describe_exit(code) + (f" ({self._why_killed})" if self._why_killed else "")
+        self._why_killed = ""
+        if code in USER_ERRORS and not self.was_ready:
+            raise StartRefusedError(self.process.name, code)
+        pause = self._policy.died(now_s)
+        if pause is None:
+            raise SupervisionError(
+                f"{self.process.name} died more than {self._config.max_restarts} times within "
+                f"{self._config.window_s:g} s, the last time with {self._last_exit}: giving up; "
+                "its log lines above say why"
+            )
+        self.restart_at_s = now_s + pause
+        return self._last_exit
+
+    def row(self, now_s: float) -> Row:
+        """Its line on `health`."""
+        verdict = self.verdict(now_s)
+        if self.restart_at_s is not None:
+            level, message = ERROR, f"ended with {self._last_exit}; starting again"
+        elif verdict.liveness != ALIVE:
+            level, message = STALE if verdict.liveness == QUIET else ERROR, verdict.why
+        elif not self.ready:
+            level, message = WARN, "starting"
+        else:
+            level, message = OK, self.state
+        values = {
+            "state": self.state,
+            "pid": str(self._pid),
+            "restarts": str(self.restarts),
+            "last_exit": self._last_exit,
+        }
+        if self._heartbeat is not None:
+            values |= {"activity": self._heartbeat.activity, **self._heartbeat.values}
+        return Row(self.process.name, level, message, values)

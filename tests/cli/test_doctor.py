@@ -1,0 +1,86 @@
+"""`prism-edge doctor`: it fails where something is broken, and says what to do."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from prism_edge.cli import checks
+from prism_edge.cli.checks import FAIL, OK, WARN, Finding
+from prism_edge.cli.main import main
+from prism_edge.config import BusConfig, Config, DepthConfig
+
+
+def levels(findings: Iterator[Finding]) -> list[str]:
+    return [finding.level for finding in findings]
+
+
+def test_this_machine_passes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "nothing failed"
+    assert all(line.split()[0] in (OK, WARN) for line in lines[:-1])
+    assert all(any(name in line for line in lines) for name in ("gtsam", "zenoh", "memlock", "model", "disk"))
+
+
+def test_failure_ends_with_1(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--model", "missing.onnx"]) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith(FAIL)] == [
+        line for line in lines if "missing.onnx" in line
+    ]
+    assert lines[-1] == "1 failed"
+
+
+def test_wheel_that_does_not_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "broken_wheel.py").write_text("raise ImportError('libGL.so.1:\\n  cannot open')")
+    monkeypatch.syspath_prepend(tmp_path)
+    [finding] = checks.check_wheels({"broken_wheel": "broken-wheel"})
+    assert finding.level == FAIL
+    assert finding.found == "libGL.so.1: cannot open"
+    assert "broken-wheel" in finding.advice
+    assert levels(checks.check_wheels({"no_such_module": "nothing"})) == [FAIL]
+
+
+def test_model_that_is_no_network(tmp_path: Path) -> None:
+    file = tmp_path / "net.onnx"
+    file.write_bytes(b"no network")
+    [finding] = checks.check_model(Config(depth=DepthConfig(model=str(file))))
+    assert finding.level == FAIL
+    assert "\n" not in finding.found
+    assert levels(checks.check_model(Config())) == [WARN]
+
+
+def test_provider_that_is_not_there() -> None:
+    findings = checks.check_providers(Config(depth=DepthConfig(providers=("AbacusExecutionProvider",))))
+    assert levels(findings) == [OK, WARN]
+
+
+@pytest.mark.parametrize("config", [Config(robot="a/b"), Config(bus=BusConfig("nonsense"))])
+def test_settings_that_zenoh_would_refuse(config: Config) -> None:
+    assert levels(checks.check_zenoh(config)) == [FAIL]
+
+
+def test_too_little_memory_or_disk() -> None:
+    assert levels(checks.check_memory(1 << 40)) == [WARN]
+    assert levels(checks.check_disk(1 << 40)) == [WARN]
+
+
+def test_no_temporary_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse() -> None:
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
+    assert levels(checks.check_disk())[-1] == FAIL
+
+
+def test_cameras_are_found_and_access_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pattern = str(tmp_path / "video*")
+    assert "no video device" in next(checks.check_cameras(pattern)).found
+    (tmp_path / "video0").touch()
+    assert next(checks.check_cameras(pattern)).found.endswith("video0")
+    monkeypatch.setattr("os.access", lambda path, mode: False)
+    assert levels(checks.check_cameras(pattern)) == [WARN]

@@ -1,0 +1,121 @@
+"""The command line as a user meets it: help, one-line errors, exit codes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from prism_edge import errors
+from prism_edge.cli import main as cli
+from prism_edge.cli.main import COMMANDS, EXIT_CODES, main
+
+
+def fails(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str]:
+    """Exit code and the only line on stderr."""
+    code = main(list(arguments))
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("prism-edge: error: ")
+    assert said.err.count("\n") == 1
+    return code, said.err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_of_each_command(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main([command, "--help"])
+    assert ended.value.code == 0
+    assert f"prism-edge {command}" in capsys.readouterr().out
+
+
+def test_help_names_every_command_and_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    said = capsys.readouterr().out
+    assert all(f"    {command} " in said for command in COMMANDS)
+    assert EXIT_CODES in said
+
+
+def test_exit_codes_are_documented(tmp_path: Path) -> None:
+    page = (Path(__file__).resolve().parents[2] / "docs" / "TROUBLESHOOTING.md").read_text(encoding="utf-8")
+    kinds = [kind for kind in errors.PrismError.__subclasses__() if kind.__module__ == errors.__name__]
+    codes = {kind.exit_code for kind in kinds}
+    for code in {0, 1, 2, 70, *codes}:
+        assert f"\n| {code} | " in page
+        assert f"\n  {code} " in "\n" + EXIT_CODES
+
+
+def test_help_loads_no_heavy_library() -> None:
+    script = (
+        "import sys; from prism_edge.cli.main import build_parser; build_parser(None).format_help();"
+        "print([m for m in ('numpy', 'cv2', 'zenoh', 'gtsam', 'onnxruntime', 'yaml') if m in sys.modules])"
+    )
+    assert subprocess.check_output([sys.executable, "-c", script], text=True).strip() == "[]"
+
+
+@pytest.mark.parametrize("arguments", [[], ["fly"], ["run", "--fly"], ["worker", "pilot", "--config", "x"]])
+def test_wrong_command_line_is_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    assert ended.value.code == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "words"),
+    [
+        (["run"], 4, "no source"),
+        (["run", "missing"], 4, "missing"),
+        (["run", ".", "--set", "depth.threads"], 3, "KEY=VALUE"),
+        (["run", ".", "--set", "depth.thread=2"], 3, "did you mean depth.threads?"),
+        (["run", ".", "--set", "depth.threads=many"], 3, "depth.threads"),
+        (["run", ".", "--seed", "x"], 3, "seed"),
+        (["run", ".", "--config", "missing.yaml"], 3, "missing.yaml"),
+        (["run", ".", "--robot", "a/b"], 3, "a/b"),
+        (["run", ".", "--robot", "*"], 3, "robot"),
+        (["run", ".", "--robot", ""], 3, "robot"),
+        (["run", ".", "--endpoint", "tcp/127.0.0.1"], 6, "tcp/127.0.0.1"),
+        (["run", ".", "--endpoint", "nonsense"], 6, "nonsense"),
+        (["run", ".", "--camera", "missing.yaml"], 3, "missing.yaml"),
+        (["config", "--check", "missing.yaml"], 3, "missing.yaml"),
+        (["config", "--set", "mode=fast"], 3, "realtime or lockstep"),
+    ],
+)
+def test_users_error_is_one_line_before_anything_starts(
+    arguments: list[str],
+    code: int,
+    words: str,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "0001.png").write_bytes(b"")  # a folder of images
+    given, line = fails(capsys, *arguments)
+    assert given == code
+    assert words in line
+
+
+def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("prism_edge.cli.config.run", interrupted)
+    assert cli.main(["config"]) == 130
+
+
+def test_reader_that_goes_away_is_no_error() -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "prism_edge.cli", "config", "--explain"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        cwd=Path(__file__).resolve().parents[2],
+    )
+    assert process.stdout is not None
+    process.stdout.close()
+    assert process.stderr is not None
+    assert process.stderr.read() == b""
+    assert process.wait() == 0

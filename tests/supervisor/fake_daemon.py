@@ -1,0 +1,43 @@
+"""A whole daemon of fake workers: ``fake_daemon.py CONFIG NAME:BEHAVIOUR...``; prints `ready` when it is."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from prism_edge.config_file import load
+from prism_edge.errors import PrismError
+from prism_edge.processes import Process
+from prism_edge.supervisor.child import Command
+from prism_edge.supervisor.supervise import supervise
+from prism_edge.supervisor.supervisor import Supervisor
+from prism_edge.workers.launch import log_to_stderr
+
+WORKER = Path(__file__).with_name("fake_worker.py")
+
+
+def cast(behaviours: Sequence[str]) -> tuple[list[Process], Command]:
+    """The processes and what starts them, from ``NAME:BEHAVIOUR`` texts."""
+    plan = dict(text.split(":", 1) for text in behaviours)
+
+    def command(process: Process, config_file: Path) -> list[str]:
+        behaviour = plan[process.name]
+        return [sys.executable, str(WORKER), process.name, behaviour, str(config_file), str(os.getpid())]
+
+    return [Process(name, "fake_worker", "pretends", required=True) for name in plan], command
+
+
+def ready(supervisor: Supervisor) -> None:
+    print("ready", *(f"{name}={pid}" for name, pid in supervisor.processes.items()), flush=True)
+
+
+if __name__ == "__main__":
+    log_to_stderr("supervisor")
+    processes, command = cast(sys.argv[2:])
+    try:
+        sys.exit(supervise(load(sys.argv[1]), ready, processes=processes, command=command))
+    except PrismError as error:
+        print(f"prism-edge: error: {error}", file=sys.stderr, flush=True)
+        sys.exit(error.exit_code)

@@ -1,0 +1,243 @@
+"""Whole runs of fake workers: death, restart, giving up, hangs, and nothing left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from prism_edge.bus.session import Bus
+from prism_edge.config import BusConfig, Config, SupervisorConfig
+from prism_edge.config_file import dump
+from prism_edge.errors import BusError, SupervisionError
+from prism_edge.supervisor.health import ERROR, OK
+from prism_edge.supervisor.run_directory import PREFIX
+from prism_edge.supervisor.supervisor import Supervisor
+from prism_edge.supervisor.watch import StartRefusedError
+from tests.supervisor.fake_daemon import cast
+
+DAEMON = Path(__file__).with_name("fake_daemon.py")
+CHECKOUT = Path(__file__).resolve().parents[2]
+DEADLINE_S = 30.0
+
+
+def running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in ("Z", "X")
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def until(condition: Callable[[], object]) -> None:
+    end = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.02)
+
+
+def in_time(condition: Callable[[], object]) -> Callable[[], bool]:
+    """The condition, for ``Supervisor.run``; fails the test after the deadline."""
+    end = time.monotonic() + DEADLINE_S
+
+    def check() -> bool:
+        assert time.monotonic() < end, "waited in vain"
+        return bool(condition())
+
+    return check
+
+
+@pytest.fixture
+def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    supervisor = SupervisorConfig(stop_s=1.5, max_restarts=2, backoff_s=0.05)
+    return Config(robot="fake", bus=BusConfig(endpoint), supervisor=supervisor)
+
+
+@pytest.fixture
+def left_behind(tmp_path: Path, config: Config) -> Iterator[None]:
+    """Checks after the test that the run's folder is gone and its port is free."""
+    yield
+    assert not list(tmp_path.glob("*" + PREFIX + "*"))
+    assert_port_free(config)
+
+
+def assert_port_free(config: Config) -> None:
+    host, port = config.bus.endpoint.removeprefix("tcp/").split(":")
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what waits to time out owns nothing
+        probe.bind((host, int(port)))
+
+
+def supervisor(config: Config, *behaviours: str) -> Supervisor:
+    processes, command = cast(behaviours)
+    return Supervisor(config, processes, command)
+
+
+def levels(health: Any) -> dict[str, int]:
+    return {status.name: int(status.level) for status in health.status}
+
+
+def values(health: Any, name: str) -> dict[str, str]:
+    status = next(status for status in health.status if status.name == name)
+    return {pair.key: pair.value for pair in status.values}
+
+
+@pytest.mark.usefixtures("left_behind")
+class TestSupervisor:
+    def test_ready_when_all_are_and_health_says_so(self, config: Config) -> None:
+        with supervisor(config, "source:steady", "tracker:steady") as run, Bus.open(config, "test") as bus:
+            run.run(in_time(lambda: run.ready_s is not None))
+            pids = run.processes
+            assert pids.keys() == {"source", "tracker"}
+            health = bus.ask("health", 5.0)
+            assert levels(health) == {"supervisor": OK, "source": OK, "tracker": OK}
+            assert values(health, "supervisor")["state"] == "ready"
+            assert values(health, "supervisor")["pid"] == str(os.getpid())
+            assert float(values(health, "supervisor")["ready_s"]) > 0
+            assert all(values(health, name)["pid"] == str(pid) for name, pid in pids.items())
+        assert not any(running(pid) for pid in pids.values())
+
+    def test_death_is_reported_and_mended(self, config: Config) -> None:
+        with supervisor(config, "source:steady", "tracker:steady") as run, Bus.open(config, "test") as bus:
+            inbox = bus.queue("health")
+            run.run(in_time(lambda: run.ready))
+            before = run.processes
+            os.kill(before["tracker"], signal.SIGKILL)
+            run.run(in_time(lambda: run.processes.get("tracker", 0) not in (0, before["tracker"])))
+            run.run(in_time(lambda: run.ready))
+            assert run.processes["source"] == before["source"]
+            heard: list[Any] = []
+            until(lambda: heard.extend(inbox.drain()) or any(mended(h) for h in heard))
+            lost = [h for h in heard if levels(h)["tracker"] == ERROR]
+            assert lost
+            assert values(lost[0], "tracker")["last_exit"] == "killed by SIGKILL"
+            assert levels(lost[0])["supervisor"] == ERROR
+            assert levels(lost[0])["source"] == OK
+
+    def test_gives_up_on_what_keeps_dying(self, config: Config) -> None:
+        run = supervisor(config, "source:steady", "tracker:dies")
+        with pytest.raises(SupervisionError, match="tracker died more than 2 times"), run:
+            run.run(in_time(lambda: False))
+        assert run.processes == {}
+
+    def test_hang_is_told_from_work_and_ended(self, config: Config) -> None:
+        with supervisor(config, "depth:hangs") as run, Bus.open(config, "test") as bus:
+            inbox = bus.queue("health")
+            first = run.processes["depth"]
+            run.run(in_time(lambda: run.processes.get("depth", first) != first))
+            assert not running(first)
+            heard: list[Any] = []
+            until(lambda: heard.extend(inbox.drain()) or any(levels(h)["depth"] == ERROR for h in heard))
+            lost = next(h for h in heard if levels(h)["depth"] == ERROR)
+            assert "inference has taken" in values(lost, "depth")["last_exit"]
+
+    def test_stubborn_worker_is_killed(self, config: Config) -> None:
+        with supervisor(config, "source:stubborn", "tracker:steady") as run:
+            run.run(in_time(lambda: run.ready))
+            pids = run.processes
+        assert not any(running(pid) for pid in pids.values())
+
+    def test_what_a_worker_started_dies_with_it(self, config: Config, tmp_path: Path) -> None:
+        note = tmp_path / "pid"
+        with supervisor(config, f"backend:breeds={note}") as run:
+            run.run(in_time(lambda: note.exists() and note.read_text().endswith("\n")))
+            bred = int(note.read_text())
+            assert running(bred)
+        until(lambda: not running(bred))
+
+    def test_users_error_ends_the_run_with_its_code_and_one_line(
+        self, config: Config, capfd: pytest.CaptureFixture[str]
+    ) -> None:
+        run = supervisor(config, "source:steady", "depth:refuses")
+        with pytest.raises(StartRefusedError) as caught, run:
+            run.run(in_time(lambda: False))
+        assert caught.value.exit_code == 5
+        assert run.processes == {}
+        said = capfd.readouterr().err
+        assert "prism-edge depth: error: net.onnx is no ONNX model; give another\n" in said
+        assert "Traceback" not in said
+
+    def test_endpoint_in_use_is_the_users_error(self, config: Config) -> None:
+        with socket.socket() as other:
+            host, port = config.bus.endpoint.removeprefix("tcp/").split(":")
+            other.bind((host, int(port)))
+            other.listen()
+            run = supervisor(config, "source:steady")
+            with pytest.raises(BusError):
+                run.start()
+            assert run.processes == {}
+
+    def test_ended_when_every_process_has(self, config: Config) -> None:
+        with supervisor(config, "source:ends", "tracker:ends") as run:
+            run.run(in_time(lambda: run.ended))
+
+
+def mended(health: Any) -> bool:
+    return values(health, "tracker")["restarts"] == "1" and levels(health)["tracker"] == OK
+
+
+def test_defect_of_a_worker_is_logged_and_counts_as_a_death(
+    config: Config, capfd: pytest.CaptureFixture[str]
+) -> None:
+    run = supervisor(config, "scale:raises")
+    with pytest.raises(SupervisionError, match="exit code 70"), run:
+        run.run(in_time(lambda: False))
+    assert "RuntimeError: a defect" in capfd.readouterr().err
+
+
+@pytest.fixture
+def daemon(config: Config, tmp_path: Path) -> Iterator[Callable[..., tuple[Any, dict[str, int]]]]:
+    """Starts fake_daemon.py as a process of its own and waits until it is ready."""
+    started: list[subprocess.Popen[str]] = []
+
+    def start(*behaviours: str) -> tuple[Any, dict[str, int]]:
+        file = tmp_path / "given.yaml"
+        file.write_text(dump(config))
+        command = [sys.executable, str(DAEMON), str(file), *behaviours]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        started.append(process)
+        assert process.stdout is not None
+        word, *pairs = process.stdout.readline().split()
+        assert word == "ready"
+        return process, {name: int(pid) for name, _, pid in (pair.partition("=") for pair in pairs)}
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.usefixtures("left_behind")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_signal_ends_everything(daemon: Any, number: signal.Signals) -> None:
+    process, pids = daemon("source:steady", "tracker:steady", "depth:steady")
+    process.send_signal(number)
+    assert process.wait(DEADLINE_S) == 0
+    assert not any(running(pid) for pid in pids.values())
+
+
+def test_kill_of_the_supervisor_leaves_no_orphan_and_the_next_start_clears_up(
+    daemon: Any, config: Config, tmp_path: Path
+) -> None:
+    process, pids = daemon("source:steady", "tracker:stubborn")
+    process.kill()
+    process.wait(DEADLINE_S)
+    until(lambda: not any(running(pid) for pid in pids.values()))
+    assert_port_free(config)
+    assert list(tmp_path.glob(PREFIX + "*"))
+    process, _ = daemon("source:steady")
+    process.terminate()
+    assert process.wait(DEADLINE_S) == 0
+    assert not list(tmp_path.glob("*" + PREFIX + "*"))

@@ -1,0 +1,97 @@
+"""One process through its lives."""
+
+from __future__ import annotations
+
+import pytest
+
+from prism_edge.config import SupervisorConfig
+from prism_edge.errors import SupervisionError
+from prism_edge.messages import Heartbeat
+from prism_edge.processes import PROCESSES
+from prism_edge.supervisor.health import ERROR, OK, STALE, WARN
+from prism_edge.supervisor.liveness import OVERDUE
+from prism_edge.supervisor.watch import StartRefusedError, Watch
+
+
+def beat(pid: int, state: str, **values: str) -> Heartbeat:
+    return Heartbeat("depth", pid, 0, state, "", 0, 60.0, values)
+
+
+@pytest.fixture
+def watch() -> Watch:
+    watch = Watch(PROCESSES["depth"], SupervisorConfig(backoff_s=0.5, max_restarts=2, start_s=20.0))
+    watch.started(100, 0.0)
+    return watch
+
+
+def test_ready_once_it_says_so(watch: Watch) -> None:
+    assert not watch.ready
+    watch.heard(beat(100, "starting"), 0.1)
+    assert not watch.ready
+    assert watch.row(0.2).level == WARN
+    watch.heard(beat(100, "ready", provider="CPU"), 0.3)
+    assert watch.ready
+    row = watch.row(0.4)
+    assert (row.level, row.values["pid"], row.values["provider"]) == (OK, "100", "CPU")
+
+
+def test_heartbeat_of_a_previous_life_is_ignored(watch: Watch) -> None:
+    watch.exited(1, 1.0)
+    watch.started(101, 1.5)
+    watch.heard(beat(100, "ready"), 1.6)
+    assert watch.state == "starting"
+
+
+def test_loss_and_restart_show_in_its_row(watch: Watch) -> None:
+    watch.heard(beat(100, "idle"), 0.5)
+    assert watch.exited(-9, 2.0) == "killed by SIGKILL"
+    assert watch.restart_at_s == 2.5
+    row = watch.row(2.1)
+    assert (row.level, row.values["state"]) == (ERROR, "restarting")
+    assert row.values["last_exit"] == "killed by SIGKILL"
+    watch.started(101, 2.5)
+    watch.heard(beat(101, "ready"), 3.0)
+    row = watch.row(3.1)
+    assert (row.level, row.values["restarts"], row.values["pid"]) == (OK, "1", "101")
+
+
+def test_silence_shows_in_its_row(watch: Watch) -> None:
+    watch.heard(beat(100, "idle"), 1.0)
+    assert watch.row(4.0).level == STALE
+
+
+@pytest.mark.parametrize("code", [3, 4, 5, 6])
+def test_users_error_before_ready_ends_the_run_with_its_code(watch: Watch, code: int) -> None:
+    with pytest.raises(StartRefusedError) as caught:
+        watch.exited(code, 1.0)
+    assert caught.value.exit_code == code
+
+
+def test_same_code_after_it_was_ready_is_a_death_like_any_other(watch: Watch) -> None:
+    watch.heard(beat(100, "ready"), 0.5)
+    watch.exited(5, 1.0)
+    assert watch.restart_at_s == 1.5
+    watch.started(101, 1.5)
+    watch.exited(5, 2.0)
+    assert watch.restart_at_s == 3.0
+
+
+@pytest.mark.parametrize("code", [0, 1, 2, 70, -11])
+def test_any_other_end_is_a_death(watch: Watch, code: int) -> None:
+    watch.exited(code, 1.0)
+    assert watch.restart_at_s == 1.5
+
+
+def test_dying_too_often_gives_up_naming_process_and_exit(watch: Watch) -> None:
+    watch.exited(1, 1.0)
+    watch.exited(1, 2.0)
+    with pytest.raises(SupervisionError, match=r"depth died more than 2 times.*exit code 70"):
+        watch.exited(70, 3.0)
+
+
+def test_never_getting_ready_is_a_hang(watch: Watch) -> None:
+    assert watch.verdict(19.0).liveness != OVERDUE
+    verdict = watch.verdict(21.0)
+    assert verdict.liveness == OVERDUE
+    watch.killed(verdict.why)
+    assert "not ready after 20 s" in watch.exited(-9, 21.1)
