@@ -1,0 +1,103 @@
+"""`prism-edge watch` hears what is published, as any subscriber would."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prism_edge.bus import ros
+from prism_edge.bus.session import Bus
+from prism_edge.cli.main import main
+from prism_edge.cli.watch import on_this_host
+from prism_edge.config import BusConfig, Config
+from prism_edge.messages import Tracked
+
+MS = 1_000_000
+COVARIANCE = np.diag([0.01, 0.01, 0.02, 0, 0, 0])
+SCALE = ros.scale(0, "map", np.log(1.5), 0.1, 0.02, metric=True)
+
+
+def pose_at(x: float) -> np.ndarray:
+    pose = np.eye(4)
+    pose[0, 3] = x
+    return pose
+
+
+@pytest.fixture
+def endpoint() -> Iterator[str]:
+    """Where a daemon publishes: one metre a second along x, 33 ms a frame, until the test is over."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    over = threading.Event()
+
+    def publish() -> None:
+        with Bus.open(Config(robot="fake", bus=BusConfig(endpoint)), "tracker", listen=True) as bus:
+            stamp = 0
+            while not over.wait(0.005):
+                stamp += 33 * MS
+                pose, captured = pose_at(stamp * 1e-9), time.monotonic_ns() - 20 * MS
+                twist, still = np.zeros(6), COVARIANCE
+                bus.publish("odom", ros.odometry(stamp, "odom", "base_link", pose, COVARIANCE, twist, still))
+                bus.publish("tracked", Tracked(0, stamp, captured, "ok", True, -1, 0, np.eye(4)))
+                bus.publish("scale", SCALE)
+                bus.publish("status", ros.diagnostics(stamp, [("tracking", 0, "ok building", {})]))
+                bus.publish("pose", ros.pose_with_covariance(stamp, "map", pose, COVARIANCE))
+
+    thread = threading.Thread(target=publish)
+    thread.start()
+    yield endpoint
+    over.set()
+    thread.join()
+
+
+def test_prints_one_line_a_pose(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", "--robot", "fake", "--endpoint", endpoint, "--plain", "--count", "60"]) == 0
+    said = capsys.readouterr()
+    lines = said.out.splitlines()
+    assert len(lines) == 60
+    assert "watching prism/fake" in said.err
+    last = lines[-1]
+    assert "sigma 0.200 m" in last
+    assert "speed 1.00 m/s" in last
+    assert "scale 1.500 ± 0.150" in last
+    assert "state ok building" in last
+    latency_ms = float(last.partition("latency ")[2].split()[0])
+    assert 20.0 <= latency_ms < 5000.0
+
+
+def test_records_the_cameras_poses(endpoint: str, tmp_path: Path) -> None:
+    file = tmp_path / "poses.tum"
+    arguments = ["--robot", "fake", "--endpoint", endpoint, "--count", "20", "--tum", str(file)]
+    assert main(["watch", *arguments]) == 0
+    rows = np.loadtxt(file)
+    assert rows.shape == (20, 8)
+    assert rows[:, 1] == pytest.approx(rows[:, 0])
+    # the default camera looks along the robot's x axis
+    assert np.abs(rows[:, 4:] - [-0.5, 0.5, -0.5, 0.5]).max() < 1e-9
+
+
+def test_place_that_can_not_be_written_is_one_line(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", "--endpoint", endpoint, "--tum", "/proc/nowhere/poses.tum"]) == 8
+    assert "/proc/nowhere/poses.tum" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "local"),
+    [
+        ("tcp/127.0.0.1:7447", True),
+        ("tcp/localhost:7447", True),
+        ("tcp/[::1]:7447", True),
+        ("unixsock-stream//run/prism", True),
+        ("tcp/192.168.1.7:7447", False),
+        ("tcp/robot.local:7447", False),
+    ],
+)
+def test_latency_is_measured_on_one_host_only(endpoint: str, local: bool) -> None:
+    assert on_this_host(endpoint) is local
