@@ -182,7 +182,7 @@ class SourceWorker:
         )
         self._bus.publish("end", end)
         self._bus.pulse.ended()
-        log.info("the recording has ended: %s", counts)
+        log.info("the recording has ended: %s", ", ".join(f"{n} {name}" for name, n in vars(counts).items()))
 
 
 def main(config: Config, bus: Bus) -> None:
