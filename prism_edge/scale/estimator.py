@@ -39,6 +39,11 @@ class ScaleEstimator:
         """Observations refused as outliers since this epoch began."""
         return self._filter.rejected
 
+    @property
+    def metric(self) -> bool:
+        """Whether network depth has fixed the map's unit or been compared with it; else scale is a guess."""
+        return not self._filter.is_open
+
     def process(self, keyframe: Keyframe, depth: Depth | None) -> tuple[Scale, Gate] | None:
         """The scale after a keyframe, and the weights of its keypoints; None where its epoch is over.
 

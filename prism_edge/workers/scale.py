@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
+from typing import Any
 
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
-from prism_edge.messages import Acknowledged, Depth, Keyframe, Tracked
+from prism_edge.messages import Acknowledged, Depth, Keyframe, Scale, Tracked
 from prism_edge.scale.estimator import ScaleEstimator
 from prism_edge.scale.rendezvous import Rendezvous
 
@@ -26,6 +27,7 @@ class ScaleWorker:
     def __init__(self, config: Config, bus: Bus, patience_s: float = _PATIENCE_S) -> None:
         self._bus = bus
         self._patience_s = patience_s
+        self._map_frame = config.frames.map
         self._keyframes = bus.queue("keyframe", 64)
         self._depths = bus.queue("depth", 64)
         self._ends = bus.queue("end")
@@ -102,7 +104,22 @@ class ScaleWorker:
             )
         self._bus.publish("log_scale", scale)
         self._bus.publish("gate", gate)
-        self._bus.publish("scale", ros.scale(scale))
+        self._bus.publish("scale", self._public(scale))
+
+    def _public(self, scale: Scale) -> Any:
+        return ros.scale(
+            scale.stamp_ns,
+            self._map_frame,
+            scale.log_scale,
+            scale.sigma,
+            scale.filter_sigma,
+            metric=self._estimator.metric,
+            keyframe=scale.keyframe,
+            observation=scale.observation,
+            observation_sigma=scale.observation_sigma,
+            points=scale.points,
+            accepted=scale.accepted,
+        )
 
 
 def main(config: Config, bus: Bus) -> None:

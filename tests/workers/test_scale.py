@@ -10,8 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from prism_edge.bus import codec, ros
 from prism_edge.config import Config
 from prism_edge.messages import Acknowledged, EndOfStream, Gate, Scale, Tracked
+from prism_edge.topics import TOPICS
 from prism_edge.workers.scale import ScaleWorker, main
 from tests.scale.scene import depth_of, keyframe_of_wall
 
@@ -40,6 +42,8 @@ class ListBus:
         return self.inboxes.setdefault(topic, ListInbox(self))
 
     def publish(self, topic, message):
+        kind = TOPICS[topic].type  # what the real bus would refuse is refused here
+        assert ros.serialise(kind, message) if isinstance(kind, str) else codec.pack(message)
         with self._changed:
             self.sent.append((topic, message))
             self._changed.notify_all()
@@ -115,7 +119,11 @@ def test_each_pair_gives_scale_gate_and_the_public_scale(bus, start):
     assert 0.02 < scales[-1].log_scale < np.log(1.1)
     assert all(isinstance(g, Gate) and (g.weights == 1).all() for g in bus.of("gate"))
     public = bus.of("scale")[-1]
-    assert public.__msgtype__ == "prism_edge_msgs/msg/Scale"
+    assert public.scale == pytest.approx(np.exp(scales[-1].log_scale))
+    assert (public.sigma_log, public.filter_sigma_log) == (scales[-1].sigma, scales[-1].filter_sigma)
+    assert (public.keyframe, public.points, public.accepted, public.metric) == (11, 200, True, True)
+    assert public.header.frame_id == "map"
+    assert public.header.stamp.sec * 10**9 + public.header.stamp.nanosec == keyframes[-1].stamp_ns
     assert bus.pulse.values["observations"] == "11"
     assert bus.pulse.values["rejected"] == "0"
     assert float(bus.pulse.values["log_scale"]) == pytest.approx(scales[-1].log_scale, abs=1e-4)
@@ -142,6 +150,7 @@ def test_an_unusable_depth_is_answered_without_an_observation(bus, start):
     assert np.isnan(scale.observation)
     assert not scale.accepted
     assert scale.log_scale == 0.0
+    assert not bus.of("scale")[0].metric
 
 
 def test_an_outlier_is_counted_and_said(bus, start, caplog):
