@@ -53,7 +53,11 @@ def open_network(spec: str, config: DepthConfig) -> DepthNetwork:
 
 def open_onnx(spec: str, config: DepthConfig) -> OnnxNetwork:
     """One network of any kind by file or registered name, warmed up. Raises ModelError."""
-    return OnnxNetwork(locate(spec), config.providers, config.threads)
+    path = locate(spec)
+    # A file found through its registered name must be that file.
+    entry = None if path == Path(spec).expanduser() else find(spec)
+    pinned = entry.card.sha256 if entry and entry.card else ""
+    return OnnxNetwork(path, config.providers, config.threads, pinned)
 
 
 def locate(spec: str) -> Path:

@@ -49,8 +49,9 @@ def fit_inverse_depth(relative: F64, metric: F64) -> Fit | None:
     d, z = relative[usable], metric[usable]
     if d.size < LEAST_SAMPLES:
         return None
-    middle, extent = float(np.median(d)), float(np.percentile(d, 95) - np.percentile(d, 5))
-    if extent <= 1e-6 * max(1.0, abs(middle)):
+    low, middle, high = (float(value) for value in np.percentile(d, (5, 50, 95)))
+    extent = high - low
+    if not extent > 1e-6 * max(abs(low), abs(high)):
         return None
     d = (d - middle) / extent  # well conditioned whatever the network's unit
     design, target = np.stack([d, np.ones_like(d)], axis=1), 1.0 / z

@@ -34,10 +34,19 @@ class OnnxNetwork:
     """
 
     def __init__(
-        self, path: Path, providers: Sequence[str] = ("CPUExecutionProvider",), threads: int = 1
+        self,
+        path: Path,
+        providers: Sequence[str] = ("CPUExecutionProvider",),
+        threads: int = 1,
+        pinned: str = "",
     ) -> None:
+        """``pinned`` is the SHA-256 that the file must have; empty: any."""
         self.path = path
         self.digest = sha256_of(path)
+        if pinned and self.digest != pinned:
+            raise ModelError(
+                f"{path}: its SHA-256 is {self.digest[:12]}..., not the registered {pinned[:12]}..."
+            )
         self._session = _load(path, providers, threads)
         self.provider: str = self._session.get_providers()[0]
         props = self._session.get_modelmeta().custom_metadata_map

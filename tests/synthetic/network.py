@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 import onnx
+import yaml
 from onnx import TensorProto, helper, numpy_helper
 
 from prism_edge.depth.contract import FOCAL_NORMALISED, INVERSE_RELATIVE, METRIC, ModelCard
@@ -61,8 +62,14 @@ class TinyNetwork:
 
 
 def write_tiny_network(path: Path, what: TinyNetwork | None = None) -> Path:
-    """Writes the network to ``path`` and returns it: mean over 4 x 4 pixels, weighted sum of R, G, B, exp."""
+    """Writes the network to ``path`` and returns it."""
     what = what or TinyNetwork()
+    save(path, tiny_graph(what), what.card() if what.describes_itself else None)
+    return path
+
+
+def tiny_graph(what: TinyNetwork) -> onnx.GraphProto:
+    """Mean over 4 x 4 pixels, weighted sum of R, G, B, exp."""
     if what.misbehaviour not in MISBEHAVIOURS:
         raise ValueError(f"{what.misbehaviour!r} is none of {MISBEHAVIOURS}")
     weights, offset = log_depth_weights()
@@ -92,9 +99,16 @@ def write_tiny_network(path: Path, what: TinyNetwork | None = None) -> Path:
         outputs.append(helper.make_tensor_value_info("descriptor", TensorProto.FLOAT, [1, None]))
     image = helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, what.height, what.width])
     tensors = [numpy_helper.from_array(value, name) for name, value in constants.items()]
-    graph = helper.make_graph(nodes, what.name, [image], outputs, tensors)
-    save(path, graph, what.card() if what.describes_itself else None)
-    return path
+    return helper.make_graph(nodes, what.name, [image], outputs, tensors)
+
+
+def write_sidecar(path: Path, card: ModelCard) -> Path:
+    """Describes the network file ``path`` in a YAML file beside it; returns that."""
+    values = {key: value for key, value in asdict(card).items() if value not in (None, "")}
+    values = {key: list(value) if isinstance(value, tuple) else value for key, value in values.items()}
+    sidecar = path.with_name(path.name + ".yaml")
+    sidecar.write_text(yaml.safe_dump({"contract": 1, **values}), encoding="utf-8")
+    return sidecar
 
 
 def save(path: Path, graph: onnx.GraphProto, card: ModelCard | None) -> None:

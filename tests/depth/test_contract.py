@@ -1,0 +1,147 @@
+"""Model cards: read from every form, and refused in one line for every defect."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.depth.contract import PREFIX, card_from_mapping, card_from_metadata, card_from_sidecar
+from prism_edge.errors import ModelError
+from tests.synthetic.network import TinyNetwork
+
+GOOD = {
+    "contract": 1,
+    "name": "some_net",
+    "revision": 2,
+    "licence": "MIT",
+    "depth_kind": "focal_normalised",
+    "canonical_focal_length": 300,
+    "input_width": 336,
+    "input_height": 252,
+    "mean": [0.485, 0.456, 0.406],
+    "std": [0.229, 0.224, 0.225],
+    "scale_bias_sigma": 0.1,
+}
+
+
+def test_a_complete_card_is_read_with_its_types():
+    card = card_from_mapping(GOOD, "here")
+    assert card.revision == "2"
+    assert card.canonical_focal_length == 300.0
+    assert card.std == (0.229, 0.224, 0.225)
+    assert card.pixel_scale == pytest.approx(1 / 255)
+    assert card.confidence_output == ""
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"name": None}, "name"),
+        ({"name": "../etc"}, "no name"),
+        ({"contract": 2}, "contract is 2"),
+        ({"contract": None}, "contract"),
+        ({"surprise": 1}, "unknown key 'surprise'"),
+        ({"depth_kind": "metres"}, "none of metric"),
+        ({"canonical_focal_length": "long"}, "a number is needed"),
+        ({"canonical_focal_length": -1}, "not within"),
+        ({"canonical_focal_length": float("nan")}, "not within"),
+        ({"input_width": 224.5}, "whole number"),
+        ({"input_width": 0}, "not within"),
+        ({"input_width": True}, "a number is needed"),
+        ({"mean": [0.1, 0.2]}, "three numbers"),
+        ({"mean": "grey"}, "three numbers"),
+        ({"std": [1, 0, 1]}, "not within"),
+        ({"layout": "NHWC"}, "none of NCHW"),
+        ({"resize": "letterbox"}, "none of stretch, crop"),
+        ({"colours": ["rgb"]}, "none of rgb"),
+        ({"sha256": "abc"}, "64 hexadecimal"),
+        ({"licence": "a\nb"}, "one line"),
+        ({"licence": ["MIT"]}, "text is needed"),
+        ({"scale_bias_sigma": 10**400}, "too large"),
+        ({"dsug_tau": 0.1}, "come together"),
+        ({"depth_kind": "metric"}, "belongs to depth_kind focal_normalised"),
+    ],
+)
+def test_each_defect_is_one_line_that_names_it(change, says):
+    with pytest.raises(ModelError, match=says) as error:
+        card_from_mapping({**GOOD, **change}, "here")
+    assert str(error.value).startswith("here: ")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("key", ["name", "revision", "licence", "depth_kind", "input_width", "input_height"])
+def test_a_missing_key_is_named(key):
+    with pytest.raises(ModelError, match=f"'{key}' is missing"):
+        card_from_mapping({k: v for k, v in GOOD.items() if k != key}, "here")
+
+
+@pytest.mark.parametrize("key", ["canonical_focal_length", "scale_bias_sigma"])
+def test_a_focal_normalised_network_needs_its_focal_length_and_bias(key):
+    with pytest.raises(ModelError, match=key):
+        card_from_mapping({k: v for k, v in GOOD.items() if k != key}, "here")
+
+
+@pytest.mark.parametrize("thing", [None, 3, "text", [1], []])
+def test_what_is_no_table_is_refused(thing):
+    with pytest.raises(ModelError, match="table of keys"):
+        card_from_mapping(thing, "here")
+
+
+def test_yaml_writes_small_numbers_that_pyyaml_reads_as_text(tmp_path: Path):
+    path = tmp_path / "net.onnx.yaml"
+    path.write_text("\n".join(f"{k}: {v}" for k, v in {**GOOD, "pixel_scale": "1e-2"}.items()))
+    assert card_from_sidecar(path).pixel_scale == 0.01
+
+
+BROKEN = [b"a: [1", b"\xff\xfe\x00", b"[" * 1500, b"x" * 70_000, b"a: 2020-99-99", b""]
+
+
+@pytest.mark.parametrize("content", BROKEN)
+def test_a_broken_sidecar_is_one_line(tmp_path: Path, content: bytes):
+    path = tmp_path / "net.onnx.yaml"
+    path.write_bytes(content)
+    with pytest.raises(ModelError) as error:
+        card_from_sidecar(path)
+    assert "\n" not in str(error.value)
+
+
+def test_metadata_of_a_foreign_file_is_no_card():
+    assert card_from_metadata({"onnx.infer": "quant", "author": "somebody"}, "here") is None
+
+
+def test_a_half_written_card_in_metadata_is_refused():
+    with pytest.raises(ModelError, match="contract"):
+        card_from_metadata({PREFIX + "name": "x"}, "here")
+
+
+@pytest.mark.parametrize("kind", ["metric", "focal_normalised", "relative", "inverse_relative"])
+@pytest.mark.parametrize("outputs", [False, True])
+def test_metadata_gives_the_card_back(kind: str, outputs: bool):
+    card = TinyNetwork(depth_kind=kind, confidence=outputs, descriptor=outputs).card()
+    assert card_from_metadata({**card.to_metadata(), "onnx.infer": "quant"}, "here") == card
+
+
+NUMBERS = st.booleans() | st.floats() | st.integers()
+ANYTHING = st.none() | NUMBERS | st.text(max_size=20) | st.lists(st.integers())
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    st.dictionaries(st.sampled_from(sorted(GOOD)), ANYTHING),
+    st.dictionaries(st.sampled_from([PREFIX + key for key in GOOD]), st.text(max_size=30)),
+)
+def test_anything_else_is_a_model_error_or_a_card(values: dict, props: dict):
+    for read in (
+        lambda: card_from_mapping({**GOOD, **values}, "here"),
+        lambda: card_from_metadata({**TinyNetwork().card().to_metadata(), **props}, "here"),
+    ):
+        try:
+            card = read()
+        except ModelError as error:
+            lines = str(error).count("\n")
+        else:
+            lines = 0 if card and card.input_width > 0 else -1
+        assert lines == 0

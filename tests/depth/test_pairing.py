@@ -1,0 +1,151 @@
+"""A relative network in a metric one's metres: the fit against known truth, and when it is refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.depth.pairing import PairedNetwork, fit_inverse_depth, metres
+from prism_edge.depth.session import OnnxNetwork
+from prism_edge.errors import ModelError
+from prism_edge.geometry.cameras import Camera
+from tests.synthetic.network import TinyNetwork, write_tiny_network
+from tests.synthetic.sequence import synthetic_camera
+from tests.synthetic.tint import tinted
+
+DEPTHS = np.random.default_rng(0).uniform(0.8, 6.0, 2000)
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    slope=st.floats(1e-3, 1e3),
+    shift=st.floats(-0.1, 2.0),
+    unit=st.floats(1e-3, 1e3),
+)
+def test_an_exact_relation_is_found_whatever_the_unit(slope, shift, unit):
+    relative = (1 / DEPTHS - shift) / slope * unit
+    fit = fit_inverse_depth(relative, DEPTHS)
+    assert fit is not None
+    assert metres(relative.astype(np.float64)[None], fit, 1e3)[0] == pytest.approx(DEPTHS, rel=1e-4)
+
+
+def test_outliers_do_not_move_the_fit():
+    rng = np.random.default_rng(1)
+    relative = (1 / DEPTHS - 0.05) / 0.01
+    metric = DEPTHS * np.exp(rng.normal(0, 0.05, DEPTHS.size))
+    spoilt = rng.random(DEPTHS.size) < 0.3
+    metric[spoilt] = rng.uniform(4.0, 8.0, spoilt.sum())
+    fit = fit_inverse_depth(relative, metric)
+    assert fit is not None
+    assert fit.slope == pytest.approx(0.01, rel=0.06)
+    # least squares is off by far more: the test would notice a fit that is not robust
+    plain = np.polyfit(relative, 1 / metric, 1)
+    assert abs(plain[0] / 0.01 - 1) > 0.15
+
+
+@pytest.mark.parametrize(
+    ("relative", "metric"),
+    [
+        (-1 / DEPTHS, DEPTHS),  # runs the wrong way
+        (np.ones_like(DEPTHS), DEPTHS),  # constant
+        (np.full_like(DEPTHS, np.nan), DEPTHS),
+        (1 / DEPTHS, np.zeros_like(DEPTHS)),  # no metric depth at all
+        (1 / DEPTHS[:50], DEPTHS[:50]),  # too few
+        (1 / DEPTHS, np.random.default_rng(2).permutation(10.0 ** (DEPTHS - 3))),  # unrelated
+    ],
+)
+def test_networks_that_do_not_fit_are_not_joined(relative, metric):
+    assert fit_inverse_depth(relative, metric) is None
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.floats(width=32), min_size=100, max_size=120), st.integers(0, 2**32 - 1))
+def test_any_values_give_a_finite_fit_or_none(values, seed):
+    relative = np.array(values)
+    fit = fit_inverse_depth(relative, np.random.default_rng(seed).uniform(0.5, 5.0, len(values)))
+    assert fit is None or np.isfinite([fit.slope, fit.shift, fit.spread]).all()
+
+
+def test_nothing_lies_beyond_the_farthest():
+    fit = fit_inverse_depth(1 / DEPTHS, DEPTHS)
+    assert fit is not None
+    out = metres(np.array([[1.0, 0.2, 0.05, 0.0, -1.0, np.nan]], np.float32), fit, farthest=10.0)
+    assert out[0] == pytest.approx([1.0, 5.0, 0, 0, 0, 0], rel=1e-3)
+
+
+CAMERA = synthetic_camera()
+
+
+def view() -> tuple[np.ndarray, np.ndarray]:
+    """RGB image of two walls, and the depth they are at."""
+    depth = np.tile(np.linspace(1.0, 4.0, CAMERA.width, dtype=np.float32), (CAMERA.height, 1))
+    depth[300:] *= 0.5
+    return np.ascontiguousarray(tinted(np.full(depth.shape, 120, np.uint8), depth)[:, :, ::-1]), depth
+
+
+def network(folder: Path, name: str, **options: object) -> OnnxNetwork:
+    return OnnxNetwork(write_tiny_network(folder / f"{name}.onnx", TinyNetwork(name=name, **options)))
+
+
+@pytest.mark.parametrize("kind", ["relative", "inverse_relative"])
+def test_relative_detail_comes_in_the_metric_networks_metres(tmp_path: Path, kind: str):
+    relative = network(tmp_path, "fine", depth_kind=kind, gain=37.0, width=640, height=480)
+    metric = network(tmp_path, "coarse", gain=1.2, width=160, height=120)
+    paired = PairedNetwork(relative, metric)
+    image, depth = view()
+    answer = paired.infer(image, CAMERA)
+    assert answer.valid
+    assert answer.depth.shape == (120, 160)  # the relative network's resolution
+    truth = 1.2 * cv2.resize(depth, (160, 120), interpolation=cv2.INTER_AREA)
+    assert np.median(answer.depth / truth) == pytest.approx(1.0, abs=0.01)
+    assert np.percentile(np.abs(np.log(answer.depth / truth)), 95) < 0.03
+    assert paired.bias_sigma == metric.bias_sigma > 0
+    assert paired.name == "nested:fine,coarse"
+    assert paired.counters == {"unpaired": 0}
+
+
+@pytest.mark.parametrize("misbehaviour", ["nan", "zero", "negative", "constant"])
+def test_the_metric_network_stands_alone_where_the_relative_one_fails(tmp_path: Path, misbehaviour: str):
+    relative = network(tmp_path, "bad", depth_kind="inverse_relative", misbehaviour=misbehaviour)
+    metric = network(tmp_path, "good")
+    paired = PairedNetwork(relative, metric)
+    image, _ = view()
+    assert np.array_equal(paired.infer(image, CAMERA).depth, metric.infer(image, CAMERA).depth)
+    assert paired.counters == {"unpaired": 1}
+
+
+def test_without_metric_depth_there_is_none(tmp_path: Path):
+    relative = network(tmp_path, "good", depth_kind="inverse_relative")
+    paired = PairedNetwork(relative, network(tmp_path, "bad", misbehaviour="nan"))
+    answer = paired.infer(view()[0], CAMERA)
+    assert not answer.valid
+    assert "NaN" in answer.reason
+
+
+def test_each_network_must_be_of_its_kind(tmp_path: Path):
+    relative, metric = network(tmp_path, "r", depth_kind="relative"), network(tmp_path, "m")
+    with pytest.raises(ModelError, match="first network must be a relative one"):
+        PairedNetwork(metric, metric)
+    with pytest.raises(ModelError, match="second network must be a metric one"):
+        PairedNetwork(relative, relative)
+
+
+@pytest.mark.realdata
+def test_depth_anything_in_fastdepths_metres(shared: Path, fastdepth: Path, redkitchen: Path):
+    relative = OnnxNetwork(shared / "models" / "depth_anything_v2_small_252x336_int8.onnx")
+    paired = PairedNetwork(relative, OnnxNetwork(fastdepth))
+    errors = []
+    for i in range(0, 1000, 199):
+        image = cv2.imread(str(redkitchen / f"frame-{i:06d}.color.jpg"))
+        kinect = cv2.imread(str(redkitchen / f"frame-{i:06d}.depth.png"), cv2.IMREAD_UNCHANGED) / 1000.0
+        answer = paired.infer(np.ascontiguousarray(image[:, :, ::-1]), Camera(640, 480, 525, 525, 320, 240))
+        truth = cv2.resize(kinect, answer.depth.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        seen = (truth > 0.3) & (answer.depth > 0)
+        errors.append(np.mean(np.abs(answer.depth[seen] / truth[seen] - 1)))
+    assert paired.counters == {"unpaired": 0}
+    assert np.mean(errors) < 0.22

@@ -1,0 +1,74 @@
+"""Where the image lies in the network's input, judged by where a spot really lands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.depth.placement import place, tensor
+from tests.synthetic.network import TinyNetwork
+
+CARD = TinyNetwork().card()
+
+
+def spot(width: int, height: int, x: float, y: float, sigma: float = 6.0) -> np.ndarray:
+    """RGB image with a bright Gaussian spot at (x, y)."""
+    dx, dy = np.arange(width) - x, np.arange(height)[:, None] - y
+    value = 255.0 * np.exp(-(dx**2 + dy**2) / (2 * sigma**2))
+    return np.repeat(np.round(value).astype(np.uint8)[:, :, None], 3, axis=2)
+
+
+def centroid(plane: np.ndarray) -> tuple[float, float]:
+    weights = plane / plane.sum()
+    rows, columns = np.arange(plane.shape[0]), np.arange(plane.shape[1])
+    return float(weights.sum(0) @ columns), float(weights.sum(1) @ rows)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    width=st.integers(160, 500),
+    height=st.integers(160, 500),
+    input_width=st.integers(100, 400),
+    input_height=st.integers(100, 400),
+    resize=st.sampled_from(["stretch", "crop"]),
+    off=st.tuples(st.floats(-20, 20), st.floats(-20, 20)),
+)
+def test_a_spot_lands_where_image_to_depth_says(width, height, input_width, input_height, resize, off):
+    card = replace(CARD, input_width=input_width, input_height=input_height, resize=resize)
+    placement = place(card, width, height)
+    x, y = width / 2 + off[0], height / 2 + off[1]
+    values = tensor(spot(width, height, x, y), card, placement)
+    assert values.shape == (1, 3, input_height, input_width)
+    assert values.dtype == np.float32
+    a, b, c, d = placement.image_to_depth(input_width, input_height)
+    found = centroid(values[0, 0])
+    low, high = 30 * max(a, c), min(input_width, input_height) - 30 * max(a, c)
+    if low < a * x + b < high and low < c * y + d < high:  # else the crop cuts the spot
+        assert found == pytest.approx((a * x + b, c * y + d), abs=0.06)
+
+
+def test_a_depth_map_of_another_size_keeps_corners_on_corners():
+    placement = place(CARD, 640, 480)
+    a, b, c, d = placement.image_to_depth(80, 60)
+    # the image's outer corners, half a pixel beyond the outermost centres
+    assert (a * -0.5 + b, c * -0.5 + d) == pytest.approx((-0.5, -0.5))
+    assert (a * 639.5 + b, c * 479.5 + d) == pytest.approx((79.5, 59.5))
+
+
+def test_crop_keeps_the_aspect_and_the_centre():
+    placement = place(replace(CARD, input_width=224, input_height=224, resize="crop"), 640, 480)
+    assert placement.scale_x == pytest.approx(placement.scale_y, rel=0.01)
+    a, b, c, d = placement.image_to_depth(224, 224)
+    assert (a * 319.5 + b, c * 239.5 + d) == pytest.approx((111.5, 111.5), abs=0.51)
+
+
+def test_normalisation_and_order_of_colours():
+    card = replace(CARD, mean=(0.1, 0.2, 0.3), std=(0.5, 0.25, 2.0), colours="bgr")
+    image = np.empty((240, 320, 3), np.uint8)
+    image[:] = (255, 51, 0)  # R, G, B
+    values = tensor(image, card, place(card, 320, 240))[0, :, 5, 5]
+    assert values == pytest.approx([(0.0 - 0.1) / 0.5, (0.2 - 0.2) / 0.25, (1.0 - 0.3) / 2.0], abs=1e-6)
