@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from prism_edge.messages import Heartbeat
+if TYPE_CHECKING:
+    from prism_edge.messages import Heartbeat
+
 
 ALIVE, STALE, OVERDUE = "alive", "stale", "overdue"
 

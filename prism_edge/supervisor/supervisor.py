@@ -5,12 +5,12 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import socket
 import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
 
-from prism_edge.bus import ros
-from prism_edge.bus.session import Bus
+from prism_edge.bus.keys import check_endpoint, check_robot_name
 from prism_edge.config import Config
 from prism_edge.config_file import dump
 from prism_edge.processes import Process, processes_for
@@ -76,17 +76,23 @@ class Supervisor:
         return all(watch.state == "ended" for watch in self._watches.values())
 
     def start(self) -> None:
-        """Open the bus's listener and start every process. Raises BusError, then with nothing left behind."""
+        """Open the bus's listener and start every process.
+
+        Raises ConfigError for the robot's name and BusError for the endpoint, with nothing left behind.
+        """
+        check_robot_name(self._config.robot)
+        check_endpoint(self._config.bus.endpoint)
+        directory = RunDirectory()
+        self._cleanup.callback(directory.remove)
+        self._file = directory.write("config.yaml", dump(self._config))
         try:
-            self._bus = Bus.open(self._config, "supervisor", listen=True)
-            self._cleanup.callback(self._bus.close)
-            self._heartbeats = self._bus.queue("heartbeat", capacity=1024)
-            directory = RunDirectory()
-            self._cleanup.callback(directory.remove)
-            self._file = directory.write("config.yaml", dump(self._config))
-            for name in self._watches:
-                self._launch(name)
-            self._bus.pulse.ready()
+            # Workers load their libraries while we load ours; but none may join a stranger's listener.
+            early = can_listen(self._config.bus.endpoint)
+            if early:
+                self._launch_all()
+            self._open_bus()
+            if not early:
+                self._launch_all()
         except BaseException:
             self.stop()
             raise
@@ -114,6 +120,20 @@ class Supervisor:
                 log.warning("%s did not end in %g s and is killed", name, self._config.supervisor.stop_s)
                 child.kill()
         self._cleanup.close()
+
+    def _open_bus(self) -> None:
+        from prism_edge.bus import ros
+        from prism_edge.bus.session import Bus
+
+        self._bus = Bus.open(self._config, "supervisor", listen=True)
+        self._cleanup.callback(self._bus.close)
+        self._heartbeats = self._bus.queue("heartbeat", capacity=1024)
+        self._diagnostics = ros.diagnostics
+        self._bus.pulse.ready()
+
+    def _launch_all(self) -> None:
+        for name in self._watches:
+            self._launch(name)
 
     def _launch(self, name: str) -> None:
         child = Child(self._command(self._watches[name].process, self._file))
@@ -161,4 +181,19 @@ class Supervisor:
         if essence != self._essence or now - self._published_s >= HEALTH_S:
             self._essence, self._published_s = essence, now
             statuses = [(row.name, row.level, row.message, row.values) for row in rows]
-            self._bus.publish("health", ros.diagnostics(time.time_ns(), statuses))
+            self._bus.publish("health", self._diagnostics(time.time_ns(), statuses))
+
+
+def can_listen(endpoint: str) -> bool:
+    """Whether a TCP endpoint is free at this moment; False where that can't be told."""
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    if protocol != "tcp" or not port.isdigit() or host.startswith("["):
+        return False
+    try:
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what waits to time out owns nothing
+            probe.bind((host, int(port)))
+    except OSError:
+        return False
+    return True

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from prism_edge.config import SupervisorConfig
 from prism_edge.errors import BusError, ConfigError, ModelError, PrismError, SourceError, SupervisionError
-from prism_edge.messages import Heartbeat
 from prism_edge.processes import Process
 from prism_edge.supervisor.child import describe_exit
 from prism_edge.supervisor.health import ERROR, OK, STALE, WARN, Row
 from prism_edge.supervisor.liveness import ALIVE, OVERDUE, Verdict, judge
 from prism_edge.supervisor.liveness import STALE as QUIET
 from prism_edge.supervisor.restart import RestartPolicy
+
+if TYPE_CHECKING:
+    from prism_edge.messages import Heartbeat
 
 USER_ERRORS = tuple(error.exit_code for error in (ConfigError, SourceError, ModelError, BusError))
 

@@ -4,6 +4,6 @@ from __future__ import annotations
 
 import os
 
-# One thread each: the camera-rate path shares few cores with the solvers. BLAS reads this when NumPy loads.
-for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+# One thread each: the camera-rate path shares few cores with the solvers. Read when the libraries load.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OPENCV_FOR_THREADS_NUM"):
     os.environ.setdefault(_name, "1")

@@ -40,11 +40,12 @@ def run_worker(process: Process, config_file: str, parent: int | None = None) ->
     try:
         config = load(config_file)
         os.nice(process.nice)
-        _single_threaded_opencv()
         # Imported late, as each worker stands on libraries that the others need not load.
         from prism_edge.bus.session import Bus
 
         main = importlib.import_module(process.module).main
+        if "cv2" in sys.modules:  # else the environment sees to it
+            sys.modules["cv2"].setNumThreads(1)
         with Bus.open(config, process.name) as bus:
             signals.also(bus.stopped)
             main(config, bus)
@@ -57,9 +58,3 @@ def run_worker(process: Process, config_file: str, parent: int | None = None) ->
     except Exception:
         log.exception("unexpected error; please report it with the lines below")
         return UNEXPECTED
-
-
-def _single_threaded_opencv() -> None:
-    import cv2
-
-    cv2.setNumThreads(1)
