@@ -27,9 +27,9 @@ from prism_edge.processes import processes_for
 from prism_edge.sources import open_source
 from prism_edge.sources.truth import read_truth
 
-# The first frame waits this long after the daemon is ready, so that a subscriber who connects at the same
-# time misses nothing; it is part of no figure.
-_WAIT_S = 0.5
+# The first frame waits this long after the daemon is ready, so that we, who connect at the same time, are
+# linked to every process by then; it is part of no figure.
+_WAIT_S = 1.0
 _SAMPLE_S = 1.0
 _LOOK_S = 0.1
 _LAST_FRAME_S = 10.0  # for the last frames to be tracked once the source has ended
@@ -122,6 +122,7 @@ def _run(
         )
         bus = stack.enter_context(Bus.open(config, "eval"))
         recorder = Recorder(bus, config.frames)
+        bus.pulse.ready()
         progress = stack.enter_context(Progress(frame_count))
         meter = Meter(daemon.pid, "supervisor")
         ready_s = _listen(config, daemon, recorder, meter, progress)

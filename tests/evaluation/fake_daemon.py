@@ -14,9 +14,9 @@ import threading
 import time
 
 import numpy as np
-from prism_edge.bus.session import Bus
 from rosbags.typesys import Stores, get_typestore
 
+from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.config_file import load
 from prism_edge.evaluation.recorder import base_from_camera
@@ -24,6 +24,7 @@ from prism_edge.geometry.poses import inverse, quaternion_from_rotation
 from prism_edge.messages import EndOfStream, Heartbeat, MapSnapshot, Tracked
 
 FRAMES = 24
+PERIOD_NS = 10_000_000
 T = get_typestore(Stores.ROS2_HUMBLE).types
 
 
@@ -49,6 +50,7 @@ def pose_message(stamp_ns: int, map_from_base: np.ndarray, frame: str) -> object
 
 
 def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threading.Event) -> int:
+    assert not bus.await_ready({"eval"}, 30.0)
     now = time.monotonic_ns()
     for name in ("source", "tracker", "depth", "scale", "backend"):
         bus.publish("heartbeat", Heartbeat(name, worker, now, "ready", "", now, 5.0, {}))
@@ -64,10 +66,9 @@ def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threadin
         return MapSnapshot(0, 1, settled, float(np.log(0.5)), ids, ids, world, no_ids, np.zeros((0, 3)))
 
     bus.answer("map_snapshot", snapshot)
-    stopped.wait(config.source.wait_s)
     begin = time.monotonic_ns()
     for i in range(FRAMES):
-        stamp, due = 100 * 10**9 + round(i * 1e6 / 30) * 1000, begin + i * 10_000_000
+        stamp, due = 100 * 10**9 + round(i * 1e6 / 30) * 1000, begin + i * PERIOD_NS
         stopped.wait(max(0.0, (due - time.monotonic_ns()) / 1e9))
         if scenario == "dies" and i == 6:
             print("prism-edge tracker: error: out of luck", file=sys.stderr, flush=True)
