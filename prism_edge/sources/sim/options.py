@@ -1,0 +1,95 @@
+"""The address of a simulated sequence: ``sim:KIND?option=value&...``, parsed and checked (docs/SIMULATOR.md)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from difflib import get_close_matches
+from typing import Any
+
+from prism_edge.config import limits, one_of
+from prism_edge.errors import SourceError
+
+SCHEME = "sim:"
+KINDS = ("room", "loop", "static")
+HANDHELD, WHEELED, TURN, STILL = "handheld", "wheeled", "turn", "still"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a ``sim:`` address says. 0 stands for 'as the kind and path have it' where noted."""
+
+    kind: str = one_of("room", *KINDS, help="world: one room, a ring of eight, or one room from a tripod")
+    seed: int = limits(0, 0, 2**31 - 1, "the world, the way and the noise; equal seeds, equal pictures")
+    frames: int = limits(0, 0, 100_000_000, "length; 0: 900, or for loop one lap and 6 m more")
+    path: str = one_of(HANDHELD, HANDHELD, WHEELED, TURN, STILL, help="how the camera moves")
+    rate: float = limits(30.0, 0.1, 1000.0, "frames a second")
+    width: int = limits(640, 32, 4096, "pixels of a row, even")
+    height: int = limits(480, 32, 4096, "rows, even")
+    focal: float = limits(0.0, 0.0, 20_000.0, "focal length in pixels; 0: 525 at a width of 640")
+    speed: float = limits(0.0, 0.0, 5.0, "metres a second; 0: 0.22 handheld and 0.3 wheeled in a room, 0.9 and 0.6 in loop")
+    actors: int = limits(0, 0, 3, "people who walk about")
+    noise: float = limits(1.0, 0.0, 10.0, "sensor noise, times 2.5 grey levels; 0: none")
+    blur: float = limits(1.0, 0.0, 10.0, "exposure time that smears motion, times 8 ms; 0: none")
+    exposure: float = limits(1.0, 0.0, 3.0, "changes of exposure, times a fifth of a stop and more; 0: none")
+
+    @property
+    def several_rooms(self) -> bool:
+        """Whether the world is the ring of rooms."""
+        return self.kind == "loop"
+
+    @property
+    def focal_length(self) -> float:
+        """Focal length in pixels."""
+        return self.focal or 525.0 * self.width / 640.0
+
+
+def is_simulated(uri: str) -> bool:
+    """Whether an address is one of ours."""
+    return uri.startswith(SCHEME)
+
+
+def parse(uri: str) -> Options:
+    """The options of an address; raises SourceError, in one line, for anything that it can't mean."""
+    kind, _, query = uri.removeprefix(SCHEME).partition("?")
+    if kind not in KINDS:
+        raise SourceError(f"{uri}: no simulated world is called {kind!r}; there are {', '.join(KINDS)}")
+    known = {field.name: field for field in fields(Options) if field.name != "kind"}
+    values: dict[str, Any] = {"kind": kind}
+    for item in query.split("&") if query else []:
+        name, equals, text = item.partition("=")
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"options are {', '.join(known)}"
+            raise SourceError(f"{uri}: unknown option {name!r}; {hint}")
+        if name in values:
+            raise SourceError(f"{uri}: option {name} is given twice")
+        if not equals or not text:
+            raise SourceError(f"{uri}: option {name} has no value; write {name}=VALUE")
+        values[name] = _value(uri, name, text, type(known[name].default), known[name].metadata)
+    if kind == "static":
+        if values.setdefault("path", STILL) != STILL:
+            raise SourceError(f"{uri}: the camera of static stands still; use room for path={values['path']}")
+    options = Options(**values)
+    if options.width % 2 or options.height % 2:
+        raise SourceError(f"{uri}: width and height must be even, not {options.width}x{options.height}")
+    if options.speed and options.path in (TURN, STILL):
+        raise SourceError(f"{uri}: speed has no meaning with path={options.path}")
+    return options
+
+
+def _value(uri: str, name: str, text: str, kind: type, metadata: Any) -> Any:
+    choices = metadata.get("choices")
+    if choices:
+        if text not in choices:
+            raise SourceError(f"{uri}: {name} must be one of {', '.join(choices)}, not {text!r}")
+        return text
+    try:
+        value = kind(text)
+    except ValueError:
+        what = "a whole number" if kind is int else "a number"
+        raise SourceError(f"{uri}: {name} must be {what}, not {text!r}") from None
+    low, high = metadata["low"], metadata["high"]
+    if not math.isfinite(value) or not low <= value <= high:
+        raise SourceError(f"{uri}: {name} must be between {low:g} and {high:g}, not {text}")
+    return value

@@ -1,0 +1,126 @@
+"""The simulator as a source: an endless camera in a world that exists only by its seed."""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from prism_edge.errors import SourceError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
+from prism_edge.messages import F32, I64
+from prism_edge.sources.base import Image, Slot, Source
+from prism_edge.sources.sim.actors import Walker, walkers_at
+from prism_edge.sources.sim.effects import Sensor
+from prism_edge.sources.sim.floorplan import Plan, make_plan
+from prism_edge.sources.sim.options import Options, parse
+from prism_edge.sources.sim.paths import OVERLAP, SPEEDS, CameraPath, lap_length, make_path
+from prism_edge.sources.sim.renderer import Renderer
+from prism_edge.sources.sim.world import World, build_world
+from prism_edge.sources.stamps import at_rate
+
+log = logging.getLogger("prism_edge.sources")
+
+_USUAL_FRAMES = 900
+
+
+class SimSource(Source):
+    """Pictures from ``sim:`` addresses. Poses and depth of any frame are to be had at any time.
+
+    Nothing is built before :meth:`open`; the truth needs no world and can be asked before.
+    """
+
+    live = False
+
+    def __init__(self, uri: str, rate_hz: float = 0.0) -> None:
+        """Raises SourceError where the address is wrong. ``rate_hz`` above 0 stands in for its rate."""
+        self.options: Options = parse(uri)
+        self._rate = rate_hz or self.options.rate
+        o = self.options
+        self.name = f"simulated {o.kind}, seed {o.seed}, {o.path}, {o.width}x{o.height}"
+        self.camera = Camera(
+            o.width, o.height, o.focal_length, o.focal_length, (o.width - 1) / 2, (o.height - 1) / 2
+        )
+        self.camera_origin = "the simulator's own"
+        self.period_ns = at_rate(1, self._rate)
+        self.plan: Plan = make_plan(o.several_rooms, o.seed)
+        self.path: CameraPath = make_path(self.plan, o.path, o.speed, o.seed)
+        self.frame_count: int = o.frames or self._usual_frames()
+        self._next = 0
+        self._renderer: Renderer | None = None
+        self._walkers: list[Walker] = []
+        self._sensor: Sensor | None = None
+
+    def _usual_frames(self) -> int:
+        lap = lap_length(self.path)
+        if not (self.options.several_rooms and lap):
+            return _USUAL_FRAMES
+        speed = self.options.speed or SPEEDS[self.options.path, True]
+        return int(np.ceil((lap + OVERLAP) / speed * self._rate))
+
+    def open(self) -> None:
+        """Builds the world."""
+        o = self.options
+        world = build_world(self.plan, o.seed)
+        rng = np.random.default_rng([o.seed, 7])
+        lanes = [self.plan.lanes[k] for k in rng.permutation(len(self.plan.lanes))[: o.actors]]
+        textures = list(world.textures)
+        self._walkers = [Walker.random(rng, lane, textures) for lane in lanes]
+        self._renderer = Renderer(World(world.cells, textures, world.plan), self.camera)
+        self._sensor = Sensor(self.camera, self.path, o.seed, o.noise, o.blur, o.exposure)
+        self._next = 0
+
+    def close(self) -> None:
+        """Gives the world's memory back."""
+        self._renderer = self._sensor = None
+        self._walkers = []
+
+    def peek(self) -> Slot | None:
+        """Number and stamp of the next frame."""
+        if self._next >= self.frame_count:
+            return None
+        return Slot(self._next, self.stamp_ns(self._next))
+
+    def read(self) -> Image | None:
+        """The next frame; None at the end."""
+        slot = self.peek()
+        if slot is None:
+            return None
+        self._next += 1
+        return self.image(slot.index)
+
+    def skip(self) -> None:
+        """Passes over a frame, which costs nothing: it never was."""
+        self._next += 1
+
+    def stamp_ns(self, index: int) -> int:
+        """When frame ``index`` is taken: the middle of its exposure."""
+        return at_rate(index, self._rate)
+
+    def image(self, index: int) -> Image:
+        """Frame ``index`` (0 or more), in any order."""
+        renderer, sensor = self._opened()
+        stamp = self.stamp_ns(index)
+        seconds = stamp * 1e-9
+        picture = renderer.draw(self.pose(index), walkers_at(self._walkers, seconds))
+        return Image(index, stamp, sensor.take(picture.pixels, index, seconds, picture.depth))
+
+    def depth(self, index: int) -> F32:
+        """Exact depth (h, w) of frame ``index``, metres along the optical axis, at pixel centres."""
+        renderer, _ = self._opened()
+        return renderer.depth(self.pose(index), walkers_at(self._walkers, self.stamp_ns(index) * 1e-9))
+
+    def pose(self, index: int) -> Array:
+        """Exact world_from_camera (4, 4) of frame ``index``; world: metres, z up, on the floor."""
+        return self.path.pose(self.stamp_ns(index) * 1e-9)
+
+    def truth(self) -> tuple[I64, Array]:
+        """Stamps (n,) in nanoseconds and world_from_camera (n, 4, 4) of all frames: what scorers compare with."""
+        stamps = np.array([self.stamp_ns(k) for k in range(self.frame_count)], dtype=np.int64)
+        return stamps, np.array([self.pose(k) for k in range(self.frame_count)])
+
+    def _opened(self) -> tuple[Renderer, Sensor]:
+        if self._renderer is None or self._sensor is None:
+            raise SourceError(f"{self.name} is not open")
+        return self._renderer, self._sensor
