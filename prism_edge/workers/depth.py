@@ -9,6 +9,7 @@ from statistics import median
 
 import numpy as np
 
+from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.depth import DepthNetwork, open_network
@@ -54,30 +55,36 @@ class DepthWorker:
     def run(self) -> None:
         """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""
         self._bus.pulse.ready()
+        over = said_so = False
         while not self._bus.stopped.is_set():
-            if self._ticks is not None:
-                tick = self._ticks.take(_WAIT_S)
-                if tick is not None:
-                    self._acknowledge(tick)
-            else:
-                self._newest()
-            if self._ends.drain():
+            worked = self._newest() if self._ticks is None else self._next_tick(self._ticks)
+            over = over or bool(self._ends.drain())
+            if over and not worked and not said_so:
                 self._bus.pulse.ended()
+            said_so = over and not worked
 
-    def _newest(self) -> None:
-        """Real time: the newest picture, after which the one that came meanwhile is at hand at once."""
+    def _next_tick(self, ticks: Inbox) -> bool:
+        """Lockstep: acknowledge the next frame; whether there was one."""
+        tick = ticks.take(_WAIT_S)
+        if tick is not None:
+            self._acknowledge(tick)
+        return tick is not None
+
+    def _newest(self) -> bool:
+        """Real time: answer the newest picture; whether there was one."""
         image = self._images.take(0.0)
         self._bus.pulse.values["queue"] = "0" if image is None else "1"
         if image is None:
             image = self._images.take(_WAIT_S)
         if image is None:
-            return
+            return False
         passed_over = image.keyframe - self._last - 1
         if self._last >= 0 and passed_over > 0:  # ids are given in order; a restarted tracker goes back
             values = self._bus.pulse.values
             values["dropped"] = str(int(values["dropped"]) + passed_over)
         self._last = image.keyframe
         self._answer(image)
+        return True
 
     def _acknowledge(self, tick: Tracked) -> None:
         """Lockstep: frame ``tick.index`` is done here once its keyframe, if it became one, has its depth."""

@@ -16,6 +16,7 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 _NEAR = 0.05  # m
+_SEAM = 1e-4  # m by which faces overlap, so that rounding leaves no gap between neighbours
 _LEVELS = 4  # mip-map
 _BORDER = 4  # texels between textures of the atlas
 
@@ -63,23 +64,22 @@ class Renderer:
         if np.any(high <= low):
             return
         area = (slice(low[1], high[1]), slice(low[0], high[0]))
-        mask = np.zeros(tuple((high - low)[::-1]), np.uint8)
-        cv2.fillConvexPoly(mask, np.round((pixels - low) * 256).astype(np.int32), 1, shift=8)
         rotation = pose[:3, :3]
         normal, corner = rotation @ face.normal, transform(pose, face.corner[None])[0]
         x, y = self._x[area[1]], self._y[area[0]][:, None]
         # On a plane, inverse depth is linear in the pixel: n . (z ray) = n . corner.
         a = (normal / (normal @ corner)).astype(np.float32)
         inverse_depth = a[0] * x + a[1] * y + a[2]
-        seen = (mask > 0) & (inverse_depth > nearest[area])
+        seen = inverse_depth > nearest[area]
         depth = 1.0 / np.where(seen, inverse_depth, 1.0)
-        for axis, out, extent, start in (
-            (face.right, u, face.texture.shape[1], 0),
-            (face.down, v, face.texture.shape[0], row),
-        ):
-            e = rotation @ axis
-            texel = (e[0] * x + e[1] * y + e[2]).astype(np.float32) * depth - np.float32(e @ corner)
-            texel = np.clip(texel * TEXELS_PER_M - 0.5, 0.0, extent - 1.0) + start
+        along = []
+        for axis, extent in ((face.right, face.width), (face.down, face.height)):
+            e = (rotation @ axis).astype(np.float32)
+            metres = (e[0] * x + e[1] * y + e[2]) * depth - np.float32(e @ corner)
+            seen &= (metres > -_SEAM) & (metres < extent + _SEAM)
+            along.append(metres)
+        for metres, out, extent, start in zip(along, (u, v), face.texture.shape[::-1], (0, row), strict=True):
+            texel = np.clip(metres * TEXELS_PER_M - 0.5, 0.0, extent - 1.0) + start
             np.copyto(out[area], texel.astype(np.float32), where=seen)
         # texels a pixel along the direction in which the face is foreshortened
         cosine = np.abs(inverse_depth * np.float32(normal @ corner)) / self._ray_length[area]

@@ -1,0 +1,77 @@
+"""`prism-edge models`: names, licences, states, and one line for what can't be described."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from prism_edge.cli.main import main
+from prism_edge.depth import entries, find
+from tests.synthetic.network import TinyNetwork, write_tiny_network
+
+
+@pytest.fixture(autouse=True)
+def plain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A wide terminal, and no network files but those of the test."""
+    monkeypatch.setenv("COLUMNS", "160")
+    monkeypatch.setenv("PRISM_EDGE_MODELS", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def test_list_names_every_network_with_licence_and_state(tmp_path: Path, capsys):
+    write_tiny_network(tmp_path / find("fastdepth_nyu").file)  # not the file it should be
+    assert main(["models", "list"]) == 0
+    out = capsys.readouterr().out
+    rows = {line.split("│")[1].strip(): line for line in out.splitlines() if line.startswith("│")}
+    for entry in entries():
+        assert entry.licence in rows[entry.name]
+    assert "wrong digest" in rows["fastdepth_nyu"]
+    assert "no file here" in rows["depth_anything_v2_small"]
+    assert "needs export" in rows["da3_small"]
+
+
+def test_a_narrow_terminal_cuts_no_name(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["models", "list"]) == 0
+    out = capsys.readouterr().out
+    assert all(entry.name in out and entry.licence in out for entry in entries())
+
+
+def test_info_checks_a_file_and_shows_its_card(tmp_path: Path, capsys):
+    path = write_tiny_network(tmp_path / "tiny.onnx", TinyNetwork(depth_kind="inverse_relative"))
+    assert main(["models", "info", str(path)]) == 0
+    out = capsys.readouterr().out
+    for text in ("tiny_tint", "inverse_relative", "CPUExecutionProvider", str(path), "nested:THIS,METRIC"):
+        assert text in out
+
+
+@pytest.mark.parametrize(("name", "says"), [("fastdepth_nyu", "229.7"), ("da3_small", "must be exported")])
+def test_info_describes_a_network_whose_file_is_not_here(capsys, name: str, says: str):
+    assert main(["models", "info", name]) == 0
+    assert says in capsys.readouterr().out
+
+
+@pytest.mark.realdata
+def test_a_registered_network_is_ready_where_its_file_is(shared: Path, monkeypatch, capsys):
+    monkeypatch.setenv("PRISM_EDGE_MODELS", str(shared / "models"))
+    assert main(["models", "list"]) == 0
+    assert "ready" in next(line for line in capsys.readouterr().out.splitlines() if "fastdepth_nyu" in line)
+    assert main(["models", "info", "fastdepth_nyu"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [(["info", "nothing"], 5), (["info", "none/such.onnx"], 5), ([], 2), (["info"], 2), (["shout"], 2)],
+)
+def test_what_can_not_be_done_is_one_line_and_a_code(capsys, arguments: list[str], code: int):
+    try:
+        result = main(["models", *arguments])
+    except SystemExit as error:  # argparse's own way out
+        result = error.code
+    assert result == code
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "Traceback" not in captured.err
+    if code == 5:
+        assert captured.err.count("\n") == 1

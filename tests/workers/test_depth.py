@@ -1,0 +1,253 @@
+"""The depth worker on a bus of lists; what it sends is packed and unpacked as on the real one."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prism_edge.bus import codec
+from prism_edge.bus.pulse import Pulse
+from prism_edge.config import Config, DepthConfig
+from prism_edge.depth import open_network
+from prism_edge.errors import ModelError
+from prism_edge.messages import Acknowledged, Depth, EndOfStream, KeyframeImage, Tracked
+from prism_edge.sources.pack import pack
+from prism_edge.workers.depth import DepthWorker, answer, main
+from tests.synthetic.network import TinyNetwork, write_tiny_network
+from tests.synthetic.sequence import synthetic_camera
+from tests.synthetic.tint import tinted
+
+CAMERA = synthetic_camera()
+DEPTH = np.tile(np.linspace(1.0, 4.0, CAMERA.width, dtype=np.float32), (CAMERA.height, 1))
+
+
+def picture(keyframe: int, grey: bool = False) -> KeyframeImage:
+    bgr = tinted(np.full(DEPTH.shape, 125, np.uint8), DEPTH)
+    image, colour = pack(bgr[:, :, 1] if grey else bgr)
+    made = KeyframeImage(
+        keyframe=keyframe,
+        index=10 * keyframe,
+        stamp_ns=keyframe * 333_000_000,
+        epoch=2,
+        colour=colour,
+        camera_model=CAMERA.model,
+        camera=CAMERA.to_array(),
+        image=image,
+    )
+    return codec.unpack(codec.pack(made), KeyframeImage)  # arrays that can't be written to, as they arrive
+
+
+def tick(index: int, keyframe: int = -1) -> Tracked:
+    return Tracked(index, index * 33_000_000, 0, "ok", True, keyframe, 0, np.eye(4))
+
+
+class Inbox:
+    """Gives what it holds; a None in it is a wait that ends without a message."""
+
+    def __init__(self, bus: ListBus, ends: bool) -> None:
+        self.bus, self.ends, self.waiting = bus, ends, deque()
+
+    def take(self, timeout_s: float = 0.0):
+        if self.waiting:
+            return self.waiting.popleft()
+        if self.ends and timeout_s > 0:
+            self.bus.stopped.set()
+        return None
+
+    def drain(self):
+        messages, self.waiting = list(self.waiting), deque()
+        return messages
+
+
+class ListBus:
+    """Stops the worker once the inbox that drives it is empty."""
+
+    def __init__(self, driver: str) -> None:
+        self.stopped = threading.Event()
+        self.driver = driver
+        self.sent: list[tuple[str, object]] = []
+        self.states: list[str] = []
+        self.inboxes: dict[str, Inbox] = {}
+        self.kinds: dict[str, str] = {}
+        self.pulse = Pulse("depth", lambda beat: None, lambda: self.states.append("ready"))
+
+    def latest(self, topic: str) -> Inbox:
+        return self._inbox(topic, "latest")
+
+    def queue(self, topic: str, capacity: int = 256) -> Inbox:
+        return self._inbox(topic, "queue")
+
+    def _inbox(self, topic: str, kind: str) -> Inbox:
+        self.kinds[topic] = kind
+        return self.inboxes.setdefault(topic, Inbox(self, topic == self.driver))
+
+    def give(self, topic: str, *messages: object) -> None:
+        self.inboxes.setdefault(topic, Inbox(self, topic == self.driver)).waiting.extend(messages)
+
+    def publish(self, topic: str, message: object) -> None:
+        self.sent.append((topic, codec.unpack(codec.pack(message), type(message))))
+
+    def depths(self) -> list[Depth]:
+        return [message for topic, message in self.sent if topic == "depth"]
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> str:
+    return str(write_tiny_network(tmp_path / "tiny.onnx"))
+
+
+def live(model: str) -> tuple[ListBus, Config]:
+    return ListBus("keyframe_image"), Config(depth=DepthConfig(model=model))
+
+
+def lockstep(model: str) -> tuple[ListBus, Config]:
+    return ListBus("tracked"), Config(mode="lockstep", depth=DepthConfig(model=model))
+
+
+def test_a_keyframes_picture_becomes_its_metric_depth(tiny: str):
+    bus, config = live(tiny)
+    bus.give("keyframe_image", picture(7))
+    main(config, bus)
+    (depth,) = bus.depths()
+    assert (depth.keyframe, depth.index, depth.stamp_ns, depth.epoch) == (7, 70, 7 * 333_000_000, 2)
+    assert (depth.valid, depth.reason, depth.model) == (True, "", "tiny_tint")
+    assert depth.bias_sigma == pytest.approx(0.05)
+    a, b, c, d = depth.image_to_depth
+    assert depth.depth[round(c * 240 + d), round(a * 320 + b)] == pytest.approx(DEPTH[240, 320], rel=0.03)
+    assert depth.confidence.shape == (0, 0)
+    assert bus.states == ["ready"]
+    values = bus.pulse.values
+    assert (values["model"], values["provider"]) == ("tiny_tint", "CPUExecutionProvider")
+    assert values["keyframes"] == "1"
+    assert float(values["inference_ms"]) > 0
+    assert float(values["inference_ms_median"]) > 0
+
+
+def test_the_newest_keyframe_wins_and_those_passed_over_are_counted(tiny: str):
+    bus, config = live(tiny)
+    bus.give("keyframe_image", picture(0), picture(1), picture(5), picture(2), picture(3))
+    main(config, bus)  # 2 after 5: a tracker that started again
+    assert bus.kinds["keyframe_image"] == "latest"
+    assert [depth.keyframe for depth in bus.depths()] == [0, 1, 5, 2, 3]
+    assert bus.pulse.values["dropped"] == "3"
+
+
+def test_a_grey_picture_is_answered_too(tiny: str):
+    bus, config = live(tiny)
+    bus.give("keyframe_image", picture(0, grey=True))
+    main(config, bus)
+    (depth,) = bus.depths()
+    assert not depth.valid  # the tint is gone: the tiny network sees one depth everywhere
+    assert "constant" in depth.reason
+
+
+@pytest.mark.parametrize("misbehaviour", ["nan", "zero", "negative", "constant"])
+def test_a_misbehaving_network_is_reported_and_counted(tmp_path: Path, misbehaviour: str):
+    path = write_tiny_network(tmp_path / "bad.onnx", TinyNetwork(misbehaviour=misbehaviour))
+    bus, config = live(str(path))
+    bus.give("keyframe_image", picture(0), picture(1))
+    main(config, bus)
+    assert [depth.valid for depth in bus.depths()] == [False, False]
+    assert not any(depth.depth.any() for depth in bus.depths())
+    assert all(depth.reason for depth in bus.depths())
+    assert bus.pulse.values["invalid"] == "2"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"image": np.zeros((10, 10), np.uint8)},
+        {"image": np.zeros((0, 0), np.uint8)},
+        {"camera": np.array([640.0, 480.0, -1.0, 525.0, 320.0, 240.0])},
+        {"camera": np.array([640.0])},
+        {"camera_model": "mirror"},
+    ],
+)
+def test_an_inference_that_fails_is_an_invalid_answer(tiny: str, change: dict):
+    bus, config = live(tiny)
+    bus.give("keyframe_image", replace(picture(0), **change), picture(1))
+    main(config, bus)
+    failed, fine = bus.depths()
+    assert (failed.valid, fine.valid) == (False, True)
+    assert failed.reason.startswith("inference failed: ")
+    assert "\n" not in failed.reason
+    assert bus.pulse.values["invalid"] == "1"
+
+
+def test_lockstep_acknowledges_each_frame_after_its_depth(tiny: str):
+    bus, config = lockstep(tiny)
+    bus.give("keyframe_image", picture(0), picture(1))  # the second is early
+    bus.give("tracked", tick(0, keyframe=0), tick(1), tick(2), tick(10, keyframe=1), tick(11))
+    bus.give("end", EndOfStream(12, 12, 0, 0, 11))
+    main(config, bus)
+    assert bus.kinds["keyframe_image"] == "queue"
+    order = [message.index if isinstance(message, Acknowledged) else "depth" for _, message in bus.sent]
+    assert order == ["depth", 0, 1, 2, "depth", 10, 11]
+    assert [depth.keyframe for depth in bus.depths()] == [0, 1]
+    assert all(m.process == "depth" for t, m in bus.sent if t == "acknowledged")
+    assert bus.pulse.beat().state == "ended"
+
+
+def test_lockstep_does_without_a_picture_that_never_comes(tiny: str):
+    bus, config = lockstep(tiny)
+    bus.give("keyframe_image", picture(4))
+    bus.give("tracked", tick(0, keyframe=3), tick(1, keyframe=4))
+    DepthWorker(config, bus, patience_s=0.05).run()
+    assert [depth.keyframe for depth in bus.depths()] == [4]
+    assert [m.index for t, m in bus.sent if t == "acknowledged"] == [0, 1]
+    assert bus.pulse.values["dropped"] == "1"
+
+
+def test_two_lockstep_runs_are_identical(tiny: str):
+    runs = []
+    for _ in range(2):
+        bus, config = lockstep(tiny)
+        bus.give("keyframe_image", picture(0))
+        bus.give("tracked", tick(0, keyframe=0))
+        main(config, bus)
+        runs.append(bus.depths()[0].depth)
+    assert np.array_equal(*runs)
+
+
+@pytest.mark.parametrize("mode", [live, lockstep])
+def test_without_a_network_nobody_waits_for_depth(mode):
+    bus, config = mode("")
+    bus.give("keyframe_image", picture(0))
+    bus.give("tracked", tick(0, keyframe=0))
+    main(config, bus)
+    (depth,) = bus.depths()
+    assert not depth.valid
+    assert depth.reason == "no depth network is configured"
+    assert depth.model == "none"
+
+
+def test_a_network_that_can_not_be_run_ends_the_worker_before_it_is_ready():
+    bus, config = live("no/such.onnx")
+    with pytest.raises(ModelError, match="no such file"):
+        main(config, bus)
+    assert bus.states == []
+
+
+def test_pairing_that_fails_shows_on_health(tmp_path: Path):
+    bad = TinyNetwork(name="r", depth_kind="relative", misbehaviour="nan")
+    relative = write_tiny_network(tmp_path / "r.onnx", bad)
+    metric = write_tiny_network(tmp_path / "m.onnx", TinyNetwork(name="m"))
+    bus, config = live(f"nested:{relative},{metric}")
+    bus.give("keyframe_image", picture(0))
+    main(config, bus)
+    assert bus.depths()[0].valid
+    assert bus.pulse.values["unpaired"] == "1"
+    assert bus.pulse.values["model"] == "nested:r,m"
+
+
+@pytest.mark.realdata
+def test_a_real_network_answers(fastdepth: Path):
+    depth = answer(open_network(str(fastdepth), DepthConfig()), picture(0))
+    assert depth.valid
+    assert depth.depth.shape == (224, 224)
+    assert depth.bias_sigma == pytest.approx(0.10)
