@@ -55,6 +55,7 @@ def metrics(
         "keyframes": len(snapshot.keyframes) if snapshot is not None else None,
         "map_points": len(snapshot.points) if snapshot is not None else None,
         "log_scale": snapshot.log_scale if snapshot is not None else None,
+        "scale": recording.last_scale(),
         "violations": recording.violations(),
         "seed": config.seed,
         "versions": versions(),

@@ -10,11 +10,12 @@ from typing import Any, Self
 
 import numpy as np
 
+from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import FramesConfig
 from prism_edge.errors import EvaluationError
 from prism_edge.evaluation.recording import Published, Recording
-from prism_edge.evaluation.trajectory import NS, tum_line
+from prism_edge.evaluation.trajectory import tum_line
 from prism_edge.geometry.poses import Array, from_rt, rotation_from_quaternion
 from prism_edge.messages import EndOfStream, Heartbeat, Tracked
 
@@ -33,11 +34,8 @@ def camera_pose(message: Any, mount: Array) -> tuple[int, Array]:
 
     The message holds map_from_base_link; ``mount`` is base_from_camera. Values that are not finite stay so.
     """
-    stamp, pose = message.header.stamp, message.pose.pose
-    p, q = pose.position, pose.orientation
     with np.errstate(invalid="ignore", divide="ignore"):  # what is not finite is for the caller to judge
-        rotation = rotation_from_quaternion(np.array([q.x, q.y, q.z, q.w]))
-        return int(stamp.sec) * NS + int(stamp.nanosec), from_rt(rotation, np.array([p.x, p.y, p.z])) @ mount
+        return ros.stamp_ns(message), ros.pose_matrix(message.pose.pose) @ mount
 
 
 class PoseRecorder:
@@ -85,7 +83,8 @@ class Recorder:
         self._end: EndOfStream | None = None
         self._changed = threading.Event()
         self._closing = False
-        self._ends, self._heartbeats = bus.queue("end"), bus.queue("heartbeat")
+        self._scale: Any | None = None
+        self._ends, self._heartbeats, self._scales = map(bus.queue, ("end", "heartbeat", "scale"))
         self._threads = [
             threading.Thread(target=self._listen, args=(bus.queue(topic, _QUEUE), keep), daemon=True)
             for topic, keep in (("pose", self._pose), ("tracked", self._tracked))
@@ -97,6 +96,8 @@ class Recorder:
         """Takes what has come on the slow topics; returns the heartbeats."""
         for end in self._ends.drain():
             self._end = end
+        for scale in self._scales.drain():
+            self._scale = scale
         beats: list[Heartbeat] = self._heartbeats.drain()
         return beats
 
@@ -133,7 +134,7 @@ class Recorder:
             thread.join()
         self.poll()
         heard = self._recording
-        return Recording(heard.poses, heard.frames, heard.arrivals_ns, self._end)
+        return Recording(heard.poses, heard.frames, heard.arrivals_ns, self._end, self._scale)
 
     def _listen(self, inbox: Any, keep: Any) -> None:
         while True:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +30,7 @@ class Recording:
     frames: list[Tracked] = field(default_factory=list)
     arrivals_ns: list[int] = field(default_factory=list)
     end: EndOfStream | None = None
+    scale: Any | None = None  # the last prism_edge_msgs/Scale
 
     @cached_property
     def published(self) -> dict[int, Published]:
@@ -84,6 +86,14 @@ class Recording:
             at = strange[0].stamp_ns / NS
             found.append(f"{len(strange)} poses that are not finite were published, the first for {at:.3f} s")
         return found
+
+    def last_scale(self) -> dict[str, object] | None:
+        """What the daemon said last about its scale; None where it never did."""
+        if self.scale is None:
+            return None
+        names = ("log_scale", "sigma_log", "filter_sigma_log", "metric")
+        values = {name: getattr(self.scale, name) for name in names}
+        return {k: v if isinstance(v, bool) or np.isfinite(v) else None for k, v in values.items()}
 
     def flow(self, first_stamp_ns: int | None) -> dict[str, object]:
         """Counts, coverage, rate and latency, under their names in metrics.json (docs/EVALUATION.md).

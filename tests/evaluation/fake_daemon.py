@@ -14,39 +14,23 @@ import threading
 import time
 
 import numpy as np
-from rosbags.typesys import Stores, get_typestore
 
+from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.config_file import load
 from prism_edge.evaluation.recorder import base_from_camera
-from prism_edge.geometry.poses import inverse, quaternion_from_rotation
+from prism_edge.geometry.poses import inverse
 from prism_edge.messages import EndOfStream, Heartbeat, MapSnapshot, Tracked
 
 FRAMES = 24
 PERIOD_NS = 10_000_000
-T = get_typestore(Stores.ROS2_HUMBLE).types
-
 
 def camera_at(i: int) -> np.ndarray:
     """map_from_camera of frame i: half of the truth's path."""
     pose = np.eye(4)
     pose[:2, 3] = i / 30, (i / 15) ** 2 / 8
     return pose
-
-
-def pose_message(stamp_ns: int, map_from_base: np.ndarray, frame: str) -> object:
-    x, y, z, w = (float(v) for v in quaternion_from_rotation(map_from_base[:3, :3]))
-    p = [float(v) for v in map_from_base[:3, 3]]
-    pose = T["geometry_msgs/msg/Pose"](
-        position=T["geometry_msgs/msg/Point"](*p), orientation=T["geometry_msgs/msg/Quaternion"](x, y, z, w)
-    )
-    return T["geometry_msgs/msg/PoseWithCovarianceStamped"](
-        header=T["std_msgs/msg/Header"](
-            stamp=T["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9), frame_id=frame
-        ),
-        pose=T["geometry_msgs/msg/PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
-    )
 
 
 def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threading.Event) -> int:
@@ -75,7 +59,8 @@ def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threadin
             return 7
         lost = 10 <= i < 12
         if i > 0 and (not lost or scenario == "lost"):
-            bus.publish("pose", pose_message(stamp, camera_at(i) @ inverse(mount), config.frames.map))
+            robot = camera_at(i) @ inverse(mount)
+            bus.publish("pose", ros.pose_with_covariance(stamp, config.frames.map, robot, np.eye(6)))
         reference = 4 * (i >= 4)
         relative = inverse(camera_at(reference)) @ camera_at(i)
         relative[:3, 3] *= 2.0
@@ -84,6 +69,7 @@ def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threadin
             "tracked",
             Tracked(i, stamp, due, state, i > 0 and not lost, -1, 9 if i == 5 else reference, relative, 0),
         )
+    bus.publish("scale", ros.scale(stamp, config.frames.map, float(np.log(0.5)), 0.11, 0.05, metric=True))
     bus.publish("end", EndOfStream(FRAMES, FRAMES, 3, 0, FRAMES - 1))
     ended = True
     stopped.wait(120.0)

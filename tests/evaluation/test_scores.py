@@ -59,7 +59,7 @@ def evo_rpe(estimate: Trajectory, truth: Trajectory, frames: int, relation: metr
     return float(error.get_statistic(metrics.StatisticsType.rmse))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(SEEDS)
 def test_ate_and_rpe_are_evos(seed: int) -> None:
     truth = walk(seed)

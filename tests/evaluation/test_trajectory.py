@@ -44,7 +44,7 @@ def test_files_written_by_evo_are_read(tmp_path: Path) -> None:
     np.testing.assert_allclose(back.poses, ours.poses, atol=1e-12)
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.lists(st.integers(-(10**18), 4 * 10**18), min_size=1, max_size=8))
 def test_stamps_survive_to_the_nanosecond(stamps: list[int]) -> None:
     ours = random_trajectory(np.array(sorted(stamps)))
@@ -83,7 +83,7 @@ def test_bad_lines_are_named(tmp_path: Path, line: str, reason: str) -> None:
         read_tum(file)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30, deadline=None)
 @given(st.text(max_size=60))
 def test_any_text_is_read_or_refused(text: str) -> None:
     with TemporaryDirectory() as folder:
