@@ -12,6 +12,7 @@ from prism_edge.errors import BusError
 from prism_edge.messages import Heartbeat
 
 PERIOD_S = 0.5
+STARTING_S = 60.0
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -29,7 +30,7 @@ class Pulse:
         """``publish`` sends a heartbeat; ``announce`` tells the others, once, that this process is ready."""
         self.values: dict[str, str] = {}
         self._process, self._publish, self._announce = process, publish, announce
-        self._doing: tuple[str, str, int, float] = ("starting", "", time.monotonic_ns(), 60.0)
+        self._doing: tuple[str, str, int, float] = ("starting", "", time.monotonic_ns(), STARTING_S)
         self._due = threading.Event()
         self._closing = False
         self._ready = False
@@ -79,6 +80,9 @@ class Pulse:
             self._thread.join(timeout=1.0)
 
     def _stamp(self, state: str, activity: str = "", budget_s: float = 0.0) -> None:
+        # Work before `ready`, such as loading a network, is still a part of starting.
+        if not self._ready and state in ("working", "idle"):
+            state, budget_s = "starting", budget_s or STARTING_S
         # One tuple, so that the thread never sees halves of two stamps.
         self._doing = (state, activity, time.monotonic_ns(), budget_s)
 

@@ -24,6 +24,8 @@ def main(config: Config, bus: Bus) -> None:
     for behaviour in sys.argv[2].split("+"):
         word, _, value = behaviour.partition("=")
         if word == "refuses":
+            bus.pulse.working("loading the network", 60.0)
+            time.sleep(1.2)  # heard at work, and yet never ready
             raise ModelError("net.onnx is no ONNX model; give another")
         if word == "raises":
             raise RuntimeError("a defect")
