@@ -14,6 +14,8 @@ from prism_edge.topics import Topic
 
 # Where a worker accepts the others' direct links: loopback alone, so that internal messages stay on the host.
 _DIRECT = "tcp/127.0.0.1:0"
+# How long a publisher waits, once, for a receiver that is megabytes behind, before it drops what is for it.
+_PATIENCE_US = 50_000
 
 
 def open_session(config: BusConfig, listen: bool) -> Any:
@@ -45,6 +47,9 @@ def _zenoh_config(endpoint: str, retry_ms: int, listen: bool) -> Any:
             "period_max_ms": retry_ms,
             "period_increase_factor": 1,
         },
+        # A frame of 460 kB is eight batches: with the default of two it would wait for the receiver's thread.
+        "transport/link/tx/queue/size/data": 16,
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _PATIENCE_US,
         # With a small memlock limit, subscribers would silently receive nothing.
         "transport/shared_memory/enabled": False,
     }
@@ -68,14 +73,18 @@ def encoding(topic: Topic) -> Any:
 
 
 def quality(topic: Topic, lossless: bool) -> dict[str, Any]:
-    """Arguments of ``declare_publisher``; ``lossless``: lockstep, where even frames must all arrive."""
+    """Arguments of ``declare_publisher``; ``lossless``: lockstep, where everything must arrive.
+
+    In real time nothing blocks: a subscriber that hangs (a suspended terminal is enough) would hold up the
+    tracker for five seconds, after which Zenoh cuts the link and does not restore it. Links are TCP and
+    receivers never stop reading, so only one that hangs, megabytes behind, loses messages.
+    """
     reliable = topic.reliable or lossless
-    block = (topic.reliable and topic.internal) or lossless
     return {
         "encoding": encoding(topic),
         "priority": getattr(zenoh.Priority, topic.priority.upper()),
         "reliability": zenoh.Reliability.RELIABLE if reliable else zenoh.Reliability.BEST_EFFORT,
-        "congestion_control": zenoh.CongestionControl.BLOCK if block else zenoh.CongestionControl.DROP,
+        "congestion_control": zenoh.CongestionControl.BLOCK if lossless else zenoh.CongestionControl.DROP,
         # Batching waits for more messages to share a packet; at these rates that is only delay.
         "express": topic.rate_hz >= 10.0,
     }
