@@ -1,0 +1,90 @@
+"""A worker alone from the command line: starts, gets ready, ends when told; and users' errors."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from prism_edge.bus.session import Bus
+from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
+from prism_edge.config_file import dump
+from prism_edge.processes import PROCESSES
+from tests.sources.tiny_datasets import write_tum
+from tests.synthetic.network import write_tiny_network
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+DEADLINE_S = 60.0
+
+
+def command(name: str, file: Path) -> list[str]:
+    return [sys.executable, "-m", "prism_edge.workers", name, "--config", str(file)]
+
+
+def run(name: str, file: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(command(name, file), cwd=CHECKOUT, capture_output=True, text=True, timeout=DEADLINE_S)
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Config:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    (tmp_path / "tum").mkdir()
+    recording = write_tum(tmp_path / "tum")
+    model = write_tiny_network(tmp_path / "tiny.onnx")
+    return Config(
+        bus=BusConfig(endpoint), source=SourceConfig(str(recording)), depth=DepthConfig(model=str(model))
+    )
+
+
+@pytest.mark.parametrize("name", PROCESSES)
+def test_each_process_runs_alone_and_ends_when_told(name: str, config: Config, tmp_path: Path) -> None:
+    file = tmp_path / "effective.yaml"
+    file.write_text(dump(config))
+    log = tmp_path / "log"
+    with Bus.open(config, "supervisor", listen=True) as bus, log.open("w") as stderr:
+        beats = bus.queue("heartbeat")
+        process = subprocess.Popen(command(name, file), cwd=CHECKOUT, stderr=stderr)
+        try:
+            end = time.monotonic() + DEADLINE_S
+            beat = None
+            while beat is None or beat.process != name or beat.state == "starting":
+                assert time.monotonic() < end, "never ready"
+                assert process.poll() is None, log.read_text()
+                beat = beats.take(0.2)
+            assert beat.pid == process.pid
+            assert os.getpriority(os.PRIO_PROCESS, process.pid) == min(
+                os.getpriority(os.PRIO_PROCESS, 0) + PROCESSES[name].nice, 19
+            )
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(DEADLINE_S) == 0
+        finally:
+            process.kill()
+            process.wait()
+
+
+@pytest.mark.parametrize(
+    ("content", "code", "words"),
+    [("robot: 5\n", 3, "robot: expected text"), ("bus:\n  endpoint: nonsense\n", 6, "nonsense")],
+)
+def test_users_error_is_one_line_and_its_code(content: str, code: int, words: str, tmp_path: Path) -> None:
+    file = tmp_path / "config.yaml"
+    file.write_text(content)
+    ended = run("scale", file)
+    assert ended.returncode == code
+    assert ended.stderr.startswith("prism-edge scale: error: ")
+    assert words in ended.stderr
+    assert ended.stderr.count("\n") == 1
+
+
+def test_unknown_name_is_refused(tmp_path: Path) -> None:
+    ended = run("pilot", tmp_path / "c.yaml")
+    assert ended.returncode == 2
+    assert "pilot" in ended.stderr

@@ -1,0 +1,73 @@
+"""SIGTERM and SIGINT reach a worker whatever its main thread is doing."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+DEADLINE_S = 30.0
+
+SETUP = (
+    "import re, threading\n"
+    "from prism_edge.workers.stopping import StopSignals\n"
+    "signals = StopSignals(); other = threading.Event(); signals.also(other)\n"
+    "print('up', flush=True)\n"
+)
+WAITS = SETUP + "assert other.wait(60)\nassert signals.stopped.is_set()\nprint('stopped', flush=True)\n"
+# Native code that never lets the interpreter run a signal handler, but lets other threads run.
+STUCK = SETUP + "import ctypes; ctypes.CDLL(None).sleep(60); ctypes.CDLL(None).sleep(60)\n"
+DEAF = SETUP + "import time\nwhile True: time.sleep(1)\n"
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[[str], subprocess.Popen[str]]]:
+    started = []
+
+    def start(script: str) -> subprocess.Popen[str]:
+        command = [sys.executable, "-c", script]
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=CHECKOUT)
+        started.append(process)
+        assert process.stdout is not None
+        assert process.stdout.readline() == "up\n"
+        return process
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_first_signal_sets_every_event(
+    start: Callable[[str], subprocess.Popen[str]], number: signal.Signals
+) -> None:
+    process = start(WAITS)
+    process.send_signal(number)
+    assert process.stdout is not None
+    assert process.stdout.readline() == "stopped\n"
+    assert process.wait(DEADLINE_S) == 0
+
+
+@pytest.mark.parametrize("script", [STUCK, DEAF])
+def test_second_signal_ends_a_worker_that_does_not_listen(
+    start: Callable[[str], subprocess.Popen[str]], script: str
+) -> None:
+    process = start(script)
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(DEADLINE_S) in (128 + signal.SIGTERM, 128 + signal.SIGINT)
+
+
+def test_event_named_after_the_signal_is_set_at_once() -> None:
+    script = SETUP + (
+        "import os, signal\n"
+        "os.kill(os.getpid(), signal.SIGTERM); assert signals.stopped.wait(60)\n"
+        "late = threading.Event(); signals.also(late); assert late.is_set()\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], cwd=CHECKOUT, timeout=DEADLINE_S).returncode == 0
