@@ -190,6 +190,7 @@ class MapUpdate:
     poses: F64 = array("float64", -1, 4, 4)
     points: I64 = array("int64", -1)
     positions: F64 = array("float64", -1, 3)
+    parallax_deg: F32 = array("float32", -1)  # widest angle between the rays of each point
     dropped_keyframes: I64 = array("int64", -1)  # observations found to be wrong: keyframe,
     dropped_points: I64 = array("int64", -1)  # ... point
     covariance: F64 = array("float64", 6, 6)  # of based_on in the window: translation first, body frame

@@ -7,11 +7,10 @@ from functools import lru_cache
 import gtsam
 import numpy as np
 
+from prism_edge.backend.global_map import SCALE_FACTOR
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
-
-SCALE_FACTOR = 1.2  # between pyramid levels; keypoint noise grows with the level
 
 
 @lru_cache(maxsize=64)

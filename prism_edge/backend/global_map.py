@@ -10,6 +10,10 @@ from numpy.typing import NDArray
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse
 from prism_edge.messages import Keyframe
+from prism_edge.tracking.pose_refinement import refine_pose
+
+SCALE_FACTOR = 1.2  # between pyramid levels; keypoint noise grows with the level
+MIN_COMMON = 15
 
 
 @dataclass
@@ -47,13 +51,10 @@ class GlobalMap:
     def absorb(self, message: Keyframe) -> GlobalKeyframe:
         """Take in a keyframe message.
 
-        While corrections are on their way to the tracker, its world and this one differ. What it placed
-        (the keyframe, new points) goes where it stands relative to the keyframe before.
+        While corrections are on their way to the tracker, its world and this one differ: what it placed
+        (the keyframe, new points) is put where the keyframe fits the points that both know.
         """
-        world_correction = np.eye(4)
-        if message.anchor in self.keyframes:
-            anchor = self.keyframes[message.anchor].world_from_camera
-            world_correction = anchor @ inverse(message.world_from_anchor)
+        world_correction = self._correction(message)
         for point, position in zip(message.new_points.tolist(), message.new_positions, strict=True):
             moved = world_correction[:3, :3] @ position + world_correction[:3, 3]
             known = self.points.get(point)
@@ -88,6 +89,25 @@ class GlobalMap:
         for keypoint in keypoints.tolist():
             self._observe(message.id, int(message.points[keypoint]), keypoint)
         return added
+
+    def _correction(self, message: Keyframe) -> Array:
+        """This map's world from the tracker's (4, 4), near a new keyframe."""
+        new = set(message.new_points.tolist())
+        pairs = [(i, p) for i, p in enumerate(message.points.tolist()) if p in self.points and p not in new]
+        if len(pairs) >= MIN_COMMON:
+            keypoints = np.array([i for i, _ in pairs])
+            estimate = refine_pose(
+                Camera.from_array(message.camera_model, message.camera),
+                message.world_from_camera,
+                np.array([self.points[p].position for _, p in pairs]),
+                message.pixels[keypoints].astype(np.float64),
+                SCALE_FACTOR ** message.octaves[keypoints].astype(np.float64),
+            )
+            if estimate.inliers.sum() >= MIN_COMMON:
+                return estimate.world_from_camera @ inverse(message.world_from_camera)
+        if message.anchor in self.keyframes:
+            return self.keyframes[message.anchor].world_from_camera @ inverse(message.world_from_anchor)
+        return np.eye(4)
 
     def drop_observation(self, keyframe: int, point: int) -> None:
         """Forget that a keyframe sees a point; a point nobody sees is forgotten too."""

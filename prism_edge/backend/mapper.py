@@ -84,6 +84,7 @@ class Mapper:
             poses=np.array(list(solution.poses.values())).reshape(-1, 4, 4),
             points=np.array(alive, np.int64),
             positions=np.array([self.world.points[p].position for p in alive]).reshape(-1, 3),
+            parallax_deg=np.array([solution.parallax_deg[p] for p in alive], np.float32),
             dropped_keyframes=outliers[:, 0],
             dropped_points=outliers[:, 1],
             covariance=np.zeros((6, 6)),

@@ -8,8 +8,8 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from prism_edge.backend.factors import SCALE_FACTOR, held, metric_depth, reprojection
-from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.factors import held, metric_depth, reprojection
+from prism_edge.backend.global_map import SCALE_FACTOR, GlobalMap
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
@@ -31,6 +31,7 @@ class Solution:
 
     poses: dict[int, Array]
     points: dict[int, Array]
+    parallax_deg: dict[int, float]
     outliers: list[tuple[int, int]]  # keyframe, point
     iterations: int
     error_before: float
@@ -116,7 +117,25 @@ def solve(
     if not all(np.all(np.isfinite(v)) for v in (*poses.values(), *points.values())):
         return None
     outliers = _outliers(world, poses, points, observations, config)
-    return Solution(poses, points, outliers, iterations, before, optimiser.error())
+    parallax = widest_parallax(world, points)
+    return Solution(poses, points, parallax, outliers, iterations, before, optimiser.error())
+
+
+def widest_parallax(world: GlobalMap, points: dict[int, Array]) -> dict[int, float]:
+    """Angle (degrees) between the first ray of each point and the one farthest from it."""
+    centres = {k: keyframe.world_from_camera[:3, 3] for k, keyframe in world.keyframes.items()}
+    owner, rays = [], []
+    for i, (p, position) in enumerate(points.items()):
+        for k in sorted(world.points[p].keyframes):
+            owner.append(i)
+            rays.append(position - centres[k])
+    groups = np.array(owner)
+    directions = np.array(rays)
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
+    starts = np.flatnonzero(np.r_[True, groups[1:] != groups[:-1]])
+    cosine = np.einsum("ij,ij->i", directions, directions[starts][groups])
+    angles = np.degrees(np.arccos(np.clip(np.minimum.reduceat(cosine, starts), -1.0, 1.0)))
+    return dict(zip(points, angles.tolist(), strict=True))
 
 
 def _outliers(

