@@ -28,7 +28,8 @@ def command(name: str, file: Path) -> list[str]:
 
 
 def run(name: str, file: Path) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(command(name, file), cwd=CHECKOUT, capture_output=True, text=True, timeout=DEADLINE_S)
+    line = command(name, file)
+    return subprocess.run(line, cwd=CHECKOUT, capture_output=True, text=True, timeout=DEADLINE_S)
 
 
 @pytest.fixture

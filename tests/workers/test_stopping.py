@@ -20,8 +20,11 @@ SETUP = (
     "print('up', flush=True)\n"
 )
 WAITS = SETUP + "assert other.wait(60)\nassert signals.stopped.is_set()\nprint('stopped', flush=True)\n"
-# Native code that never lets the interpreter run a signal handler, but lets other threads run.
-STUCK = SETUP + "import ctypes; ctypes.CDLL(None).sleep(60); ctypes.CDLL(None).sleep(60)\n"
+# Native code that no signal brings back: a mutex locked twice. Other threads run on.
+STUCK = SETUP + (
+    "import ctypes; libc = ctypes.CDLL(None); mutex = ctypes.create_string_buffer(128)\n"
+    "libc.pthread_mutex_lock(mutex); libc.pthread_mutex_lock(mutex)\n"
+)
 DEAF = SETUP + "import time\nwhile True: time.sleep(1)\n"
 
 
