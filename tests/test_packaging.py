@@ -1,0 +1,70 @@
+"""What an installation rests on: the lock, the versions, the commands."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from prism_edge import __version__
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+LOCK = (CHECKOUT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_lock_holds_exact_versions_and_names_no_host() -> None:
+    lines = [line for line in LOCK if not line.startswith("#")]
+    assert lines
+    assert all(re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*", line) for line in lines)
+
+
+@pytest.mark.parametrize("wanted", PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"])
+def test_lock_covers_every_dependency(wanted: str) -> None:
+    name = re.match(r"[A-Za-z0-9._-]+", wanted)
+    assert name is not None
+    assert any(line.startswith(f"{normal(name.group())}==") for line in LOCK), "run `make lock`"
+
+
+def test_version_is_said_once() -> None:
+    assert PROJECT["version"] == __version__
+
+
+def test_installed_command_exists() -> None:
+    module, _, function = PROJECT["scripts"]["prism-edge"].partition(":")
+    assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_python_too_old_or_absent_is_said_in_one_line(tmp_path: Path) -> None:
+    """A path with nothing but a shim behind which there is no Python."""
+    (tmp_path / "python3.11").write_text("#!/bin/sh\necho 'no such version' >&2\nexit 127\n")
+    (tmp_path / "python3.11").chmod(0o755)
+    found = subprocess.run(
+        ["/bin/bash", CHECKOUT / "tools" / "find_python.sh"],
+        env={"PATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+    )
+    assert found.returncode == 1
+    assert found.stdout == ""
+    assert found.stderr.startswith("error: no Python >= 3.11 found")
+    assert found.stderr.count("\n") == 1
+
+
+def test_python_that_is_named_is_taken() -> None:
+    found = subprocess.run(
+        ["/bin/bash", CHECKOUT / "tools" / "find_python.sh"],
+        env={"PATH": "/nowhere", "PYTHON": sys.executable},
+        capture_output=True,
+        text=True,
+    )
+    assert found.stdout == f"{sys.executable}\n"
