@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import socket
 from typing import Any
 
 import zenoh
@@ -18,30 +20,59 @@ _DIRECT = "tcp/127.0.0.1:0"
 _PATIENCE_US = 50_000
 
 
-def open_session(config: BusConfig, listen: bool) -> Any:
-    """A Zenoh session that listens on the endpoint, or that goes on trying to connect to it.
+# How long a session on another host tries to reach the listener before it gives up.
+_REACH_MS = 5_000
 
-    Raises BusError if the endpoint is malformed, or can't be listened on.
+
+def open_session(config: BusConfig, listen: bool) -> Any:
+    """A Zenoh session that listens on the endpoint, or that connects to it and to those who do so too.
+
+    On the listener's host it opens at once and goes on trying; on another host it is a client of the
+    listener, because the direct links stay on the host. Raises BusError if the endpoint is malformed,
+    can't be listened on or, from another host, is not reached in time.
     """
     endpoint = check_endpoint(config.endpoint)
+    if listen:
+        links: dict[str, Any] = {"mode": "peer", "listen/endpoints": [endpoint], "connect/endpoints": []}
+    elif on_this_host(endpoint):
+        links = {
+            "mode": "peer",
+            "listen/endpoints": [_DIRECT],
+            "connect/endpoints": [endpoint],
+            "connect/timeout_ms": -1,
+            "connect/exit_on_failure": False,
+            "open/return_conditions/connect_scouted": False,  # or it waits half a second for company
+        }
+    else:
+        links = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": _REACH_MS}
     try:
-        return zenoh.open(_zenoh_config(endpoint, config.retry_ms, listen))
+        return zenoh.open(_zenoh_config(links, config.retry_ms))
     except zenoh.ZError as error:
         raise BusError(_why_not(endpoint, str(error))) from None
 
 
-def _zenoh_config(endpoint: str, retry_ms: int, listen: bool) -> Any:
+def on_this_host(endpoint: str) -> bool:
+    """Whether the endpoint's address is one of this host's own: one that a socket can be bound to."""
+    protocol, _, address = endpoint.partition("/")
+    if protocol == "unixsock-stream":
+        return True
+    host = address.rpartition(":")[0].strip("[]")
+    try:
+        for family, kind, _, _, own in socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM):
+            with socket.socket(family, kind) as probe:
+                probe.bind(own)
+                return True
+    except OSError:
+        pass
+    return False
+
+
+def _zenoh_config(links: dict[str, Any], retry_ms: int) -> Any:
     settings: dict[str, Any] = {
-        "mode": "peer",
+        **links,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": True,
-        "listen/endpoints": [endpoint if listen else _DIRECT],
         "listen/exit_on_failure": True,
-        "connect/endpoints": [] if listen else [endpoint],
-        # return from open() at once and try for ever, in the background
-        "open/return_conditions/connect_scouted": False,
-        "connect/timeout_ms": -1,
-        "connect/exit_on_failure": False,
         "connect/retry": {
             "period_init_ms": retry_ms,
             "period_max_ms": retry_ms,
@@ -62,7 +93,11 @@ def _zenoh_config(endpoint: str, retry_ms: int, listen: bool) -> Any:
 def _why_not(endpoint: str, error: str) -> str:
     if "in use" in error or "os error 98" in error:
         return f"bus.endpoint: {endpoint} is in use already; is another prism-edge running?"
-    return f"bus.endpoint: can't open {endpoint}: {error.splitlines()[0][:160]}"
+    if "Unable to connect" in error:
+        return f"bus.endpoint: nobody answers at {endpoint}; is prism-edge running there?"
+    # without the place in Zenoh's own source
+    reason = re.sub(r" at /\S+\.rs:\d+\.?\]?", "", error.splitlines()[0])
+    return f"bus.endpoint: can't open {endpoint}: {reason[:160]}"
 
 
 def encoding(topic: Topic) -> Any:
