@@ -83,10 +83,11 @@ class Recorder:
         self._end: EndOfStream | None = None
         self._changed = threading.Event()
         self._closing = False
+        self._stopped = bus.stopped
         self._scale: Any | None = None
         self._ends, self._heartbeats, self._scales = map(bus.queue, ("end", "heartbeat", "scale"))
         self._threads = [
-            threading.Thread(target=self._listen, args=(bus.queue(topic, _QUEUE), keep), daemon=True)
+            threading.Thread(target=self._listen, args=(bus.queue(topic, _QUEUE), keep), name="recorder", daemon=True)
             for topic, keep in (("pose", self._pose), ("tracked", self._tracked))
         ]
         for thread in self._threads:
@@ -128,7 +129,7 @@ class Recorder:
         return self._end is not None and self.position > self._end.last_index
 
     def close(self) -> Recording:
-        """Stops listening and returns everything heard."""
+        """Stops listening and returns everything heard. What comes after the bus has closed is lost."""
         self._closing = True
         for thread in self._threads:
             thread.join()
@@ -141,7 +142,7 @@ class Recorder:
             message = inbox.take(_LOOK_S)
             if message is not None:
                 keep(message, time.monotonic_ns())
-            elif self._closing:
+            elif self._closing or self._stopped.is_set():
                 return
 
     def _pose(self, message: Any, arrival_ns: int) -> None:

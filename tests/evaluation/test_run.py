@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -43,6 +44,10 @@ def _importable(monkeypatch: pytest.MonkeyPatch) -> None:
 def _nothing_left() -> Any:
     yield
     assert psutil.Process().children() == []
+    for thread in threading.enumerate():
+        if thread.name == "recorder":
+            thread.join(10.0)
+            assert not thread.is_alive()
 
 
 def test_a_run_is_recorded_and_scored(tiny_sequence: Path, tmp_path: Path) -> None:
