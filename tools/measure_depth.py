@@ -1,0 +1,175 @@
+"""Measures a depth network on a recording with sensor depth: how wrong, by what factor, for how long.
+
+    python tools/measure_depth.py FOLDER --model MODEL [--every N]
+
+FOLDER is a TUM RGB-D (or BONN) or 7-Scenes folder. Printed are AbsRel and delta < 1.25 over pixels, the mean
+ratio true / predicted (what the scale of a perfect run would settle at), its spread from frame to frame and
+the autocorrelation of that spread, which says how many frames are worth one independent one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from prism_edge.config import DepthConfig, SourceConfig
+from prism_edge.depth import DepthNetwork, open_network
+from prism_edge.depth.prediction import Prediction
+from prism_edge.errors import PrismError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.base import Image
+from prism_edge.sources.open import open_source
+from prism_edge.sources.pack import pack, rgb
+from prism_edge.sources.sensor_depth import SensorDepth
+
+F64 = NDArray[np.float64]
+
+NEAREST, FARTHEST = 0.3, 10.0  # m, what depth cameras are good for
+LEAST_PIXELS = 500
+LAGS_S = (1 / 3, 1.0, 3.0)
+# 7-Scenes' depth camera, in pixels of a 640 wide image; its images are not registered to colour.
+SEVEN_SCENES_DEPTH_FOCAL = 585.0
+
+
+@dataclass(frozen=True)
+class FrameScore:
+    """One frame: errors over its pixels, and the log of its median ratio true / predicted."""
+
+    stamp_ns: int
+    absrel: float
+    within_125: float
+    log_ratio: float
+    inference_ms: float
+
+
+def main(arguments: list[str] | None = None) -> int:
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
+    parser.add_argument("folder", metavar="FOLDER", type=Path)
+    parser.add_argument("--model", required=True, help="ONNX file, known name, or nested:RELATIVE,METRIC")
+    parser.add_argument("--every", type=int, default=3, metavar="N", help="take each N-th frame (default 3)")
+    parser.add_argument("--threads", type=int, default=1, metavar="N", help="threads of one inference")
+    args = parser.parse_args(arguments)
+    cv2.setNumThreads(1)
+    try:
+        network = open_network(args.model, DepthConfig(model=args.model, threads=args.threads))
+        scores, failed = measure(args.folder, network, max(1, args.every))
+    except PrismError as error:
+        print(f"measure_depth: error: {error}", file=sys.stderr)
+        return error.exit_code
+    if not scores:
+        print("measure_depth: error: no frame had both a prediction and sensor depth", file=sys.stderr)
+        return 1
+    print(f"{network.name} on {args.folder.name}, provider {network.provider}")
+    for line in summary(scores):
+        print("  " + line)
+    print(f"  frames without a score: {failed}")
+    for name, count in network.counters.items():
+        print(f"  {name}: {count}")
+    return 0
+
+
+def measure(folder: Path, network: DepthNetwork, every: int) -> tuple[list[FrameScore], int]:
+    """Scores of each ``every``-th frame, and how many of those could not be scored."""
+    scores, failed = [], 0
+    sensor = SensorDepth(folder)
+    with open_source(SourceConfig(uri=str(folder))) as source:
+        focal = SEVEN_SCENES_DEPTH_FOCAL if "7-Scenes" in source.name else None
+        while (slot := source.peek()) is not None:
+            if slot.index % every:
+                source.skip()
+                continue
+            image, truth = source.read(), sensor.read(slot.index)
+            score = None
+            if isinstance(image, Image) and truth is not None:
+                predicted = network.infer(_as_on_the_bus(image, source.camera), source.camera)
+                score = score_frame(image.stamp_ns, predicted, truth, source.camera, focal)
+            if score is None:
+                failed += 1
+            else:
+                scores.append(score)
+    return scores, failed
+
+
+def score_frame(
+    stamp_ns: int, predicted: Prediction, truth: NDArray[np.float32], camera: Camera, focal: float | None
+) -> FrameScore | None:
+    """Compares at the network's pixels; None where too few have both depths."""
+    a, b, c, d = predicted.image_to_depth
+    rows, columns = np.mgrid[0 : predicted.depth.shape[0], 0 : predicted.depth.shape[1]]
+    x, y = (columns - b) / a, (rows - d) / c
+    if focal is not None:  # the depth camera sees the same direction elsewhere
+        x = (x - camera.cx) * (focal / camera.fx) + camera.cx
+        y = (y - camera.cy) * (focal / camera.fy) + camera.cy
+    x = (x + 0.5) * truth.shape[1] / camera.width - 0.5
+    y = (y + 0.5) * truth.shape[0] / camera.height - 0.5
+    # Nearest: blending across an edge, or with the 0 of an invalid pixel, gives a depth that nothing has.
+    seen = cv2.remap(
+        truth, x.astype(np.float32), y.astype(np.float32), cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, 0
+    )
+    both = (seen > NEAREST) & (seen < FARTHEST) & (predicted.depth > 0)
+    if not predicted.valid or both.sum() < LEAST_PIXELS:
+        return None
+    ratio = seen[both].astype(np.float64) / predicted.depth[both]
+    return FrameScore(
+        stamp_ns,
+        absrel=float(np.mean(np.abs(1.0 / ratio - 1.0))),
+        within_125=float(np.mean(np.maximum(ratio, 1.0 / ratio) < 1.25)),
+        log_ratio=float(np.log(np.median(ratio))),
+        inference_ms=predicted.inference_ms,
+    )
+
+
+def summary(scores: list[FrameScore]) -> list[str]:
+    """The figures in words."""
+    logs = np.array([score.log_ratio for score in scores])
+    stamps = np.array([score.stamp_ns for score in scores], dtype=np.float64) / 1e9
+    lines = [
+        f"frames: {len(scores)} over {stamps[-1] - stamps[0]:.1f} s",
+        f"AbsRel: {np.mean([score.absrel for score in scores]):.3f}",
+        f"delta < 1.25: {np.mean([score.within_125 for score in scores]):.3f}",
+        f"mean ratio true / predicted: {np.exp(logs.mean()):.3f}",
+        f"spread of the frames' log ratio: {logs.std():.3f}",
+        f"inference: median {np.median([score.inference_ms for score in scores]):.1f} ms",
+    ]
+    for lag in LAGS_S:
+        value = autocorrelation(stamps, logs, lag)
+        lines.append(f"autocorrelation at {lag:.2f} s: " + ("-" if np.isnan(value) else f"{value:.2f}"))
+    return lines
+
+
+def autocorrelation(stamps: F64, values: F64, lag_s: float) -> float:
+    """Correlation of values (n,) with those ``lag_s`` later; nan where there are too few pairs."""
+    order = np.searchsorted(stamps, stamps + lag_s - 1e-6)
+    first = np.flatnonzero(order < len(stamps))
+    second = order[first]
+    near = np.abs(stamps[second] - stamps[first] - lag_s) < 0.25 * lag_s
+    if near.sum() < 10 or np.std(values) == 0:
+        return float("nan")
+    centred = values - values.mean()
+    return float(np.mean(centred[first[near]] * centred[second[near]]) / np.var(values))
+
+
+def _as_on_the_bus(image: Image, camera: Camera) -> NDArray[np.uint8]:
+    """The RGB image as the depth worker gets it, with the chroma that messages carry."""
+    packed, colour = pack(image.pixels)
+    return rgb(_Packed(colour, camera.to_array(), packed))
+
+
+@dataclass(frozen=True)
+class _Packed:
+    colour: bool
+    camera: F64
+    image: NDArray[np.uint8]
+
+
+if __name__ == "__main__":
+    sys.exit(main())
