@@ -210,8 +210,9 @@ def _checked(leaf: Leaf, value: Any, place: str, node: yaml.Node | None = None) 
     """``value`` as the leaf's type, in its bounds; ConfigError otherwise."""
 
     def refuse(found: Any) -> ConfigError:
-        shown = _describe(found if isinstance(found, yaml.Node) else node or found)
-        return ConfigError(f"{place}: expected {leaf.expects}, got {shown}")
+        # The node shows what was written, such as quotes; an item of a list stands for itself.
+        written = node if found is value and not isinstance(found, yaml.Node) and node else found
+        return ConfigError(f"{place}: expected {leaf.expects}, got {_describe(written)}")
 
     if typing.get_origin(leaf.type) is tuple:
         if not isinstance(value, (tuple, list)) or leaf.length not in (None, len(value)):

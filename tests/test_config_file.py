@@ -208,6 +208,7 @@ def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
         ("source.rate_hz", 10**400, "a number"),
         ("frames.base_from_camera_xyz", (1.0, 2.0), "3 numbers"),
         ("depth.providers", "CPU", "a list of words"),
+        ("ablate", "[wls, wheels]", "got 'wheels'"),
     ],
 )
 def test_wrong_override_is_one_line(key: str, value: Any, words: str) -> None:
