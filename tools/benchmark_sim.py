@@ -99,8 +99,10 @@ def simulated(uri: str, frames: int, pairs: int) -> None:
         opened = time.process_time() - before
         wall, cpu, slowest = speed(source, min(frames, source.frame_count))
         size = f"{source.camera.width}x{source.camera.height}"
-        print(f"{uri}: {wall:.0f} frames/s ({cpu:.0f} by CPU time, slowest {slowest:.0f} ms) at {size}, "
-              f"opened in {opened:.1f} s")
+        print(
+            f"{uri}: {wall:.0f} frames/s ({cpu:.0f} by CPU time, slowest {slowest:.0f} ms) at {size}, "
+            f"opened in {opened:.1f} s"
+        )
         rows = []
         for index in np.linspace(0, source.frame_count - 2, pairs).astype(int).tolist():
             greys = [cv2.cvtColor(source.image(index + k).pixels, cv2.COLOR_BGR2GRAY) for k in (0, 1)]

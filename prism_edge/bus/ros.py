@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+TRUTH = "geometry_msgs/msg/PoseStamped"
 TF = "tf2_msgs/msg/TFMessage"
 SCALE = "prism_edge_msgs/msg/Scale"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
@@ -64,6 +65,11 @@ def odometry(
 def pose_with_covariance(stamp_ns: int, frame_id: str, pose: Array, covariance: Array) -> Any:
     """geometry_msgs/PoseWithCovarianceStamped: pose and covariance in ``frame_id``."""
     return _t[POSE](header=_header(stamp_ns, frame_id), pose=_pose_with_covariance(pose, covariance))
+
+
+def pose_stamped(stamp_ns: int, frame_id: str, pose: Array) -> Any:
+    """geometry_msgs/PoseStamped: a pose in ``frame_id`` that is known exactly."""
+    return _t[TRUTH](header=_header(stamp_ns, frame_id), pose=_pose(pose))
 
 
 def transforms(links: Iterable[tuple[int, str, str, Array]]) -> Any:
@@ -182,10 +188,11 @@ def _covariance(covariance: Array) -> Array:
     return np.ascontiguousarray(covariance, dtype=np.float64).reshape(36)
 
 
-def _pose_with_covariance(pose: Array, covariance: Array) -> Any:
+def _pose(pose: Array) -> Any:
     x, y, z = pose[:3, 3].tolist()
     position = _t["geometry_msgs/msg/Point"](x=x, y=y, z=z)
-    return _t["geometry_msgs/msg/PoseWithCovariance"](
-        pose=_t["geometry_msgs/msg/Pose"](position=position, orientation=_quaternion(pose)),
-        covariance=_covariance(covariance),
-    )
+    return _t["geometry_msgs/msg/Pose"](position=position, orientation=_quaternion(pose))
+
+
+def _pose_with_covariance(pose: Array, covariance: Array) -> Any:
+    return _t["geometry_msgs/msg/PoseWithCovariance"](pose=_pose(pose), covariance=_covariance(covariance))

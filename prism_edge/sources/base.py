@@ -8,6 +8,7 @@ from types import TracebackType
 from typing import Self
 
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
 from prism_edge.messages import U8
 
 # What a recording without stamps is taken to run at.
@@ -70,6 +71,10 @@ class Source(ABC):
     @abstractmethod
     def skip(self) -> None:
         """Pass over what :meth:`read` would give next, as cheaply as can be."""
+
+    def true_pose(self, index: int) -> Array | None:
+        """Exact world_from_camera (4, 4), metres, of an image that the source itself made; for scorers."""
+        return None
 
     @abstractmethod
     def close(self) -> None:

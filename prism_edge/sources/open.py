@@ -14,6 +14,7 @@ from prism_edge.sources.image_sequence import ImageSequence
 from prism_edge.sources.known_cameras import ROS_DEFAULT
 from prism_edge.sources.listing import Intrinsics, Listing
 from prism_edge.sources.loop import Looped
+from prism_edge.sources.sim import SimSource, is_simulated
 from prism_edge.sources.video import Video
 
 log = logging.getLogger("prism_edge.sources")
@@ -23,7 +24,7 @@ LAYOUTS = (tum.find, seven_scenes.find, kitti.find, image_folder.find)
 CAMERA_FILES = ("camera.yaml", "camera_info.yaml")
 RECOGNISED = (
     "TUM RGB-D or BONN (rgb.txt), 7-Scenes (frame-000000.color.png), KITTI odometry (image_0 or image_2, "
-    "calib.txt, times.txt), a folder of images, a video file"
+    "calib.txt, times.txt), a folder of images, a video file, the simulator (sim:room, sim:loop)"
 )
 
 
@@ -36,7 +37,12 @@ def open_source(config: SourceConfig) -> Source:
     if not config.uri:
         raise SourceError(f"no source given; name one of: {RECOGNISED}")
     path = Path(config.uri).expanduser()
-    if path.is_dir():
+    source: Source
+    if is_simulated(config.uri):
+        if config.camera:
+            raise ConfigError("a simulated camera is set in its address (width, height, focal), not by a file")
+        source = SimSource(config.uri)
+    elif path.is_dir():
         source = _folder(path, config)
     elif path.is_file():
         origin, camera = _camera_file(path.parent, config) or _no_camera(path)

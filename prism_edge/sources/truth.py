@@ -13,6 +13,7 @@ from prism_edge.messages import F64, I64
 from prism_edge.sources.kitti import read_times
 from prism_edge.sources.listing import lines_of
 from prism_edge.sources.open import find_listing
+from prism_edge.sources.sim import SimSource, is_simulated
 from prism_edge.sources.stamps import parse_seconds
 
 # A rotation written with few digits is off by less than this.
@@ -23,9 +24,11 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
     """(stamps_ns (n,), world_from_camera (n, 4, 4), metres) in order of time; None where there is none.
 
     TUM RGB-D: groundtruth.txt. 7-Scenes: the frames' .pose.txt, those not finite left out. KITTI odometry:
-    poses.txt, or ../../poses/NN.txt as the benchmark lays it out. Raises SourceError naming the file where
+    poses.txt, or ../../poses/NN.txt as the benchmark lays it out. Simulator: exact. Raises SourceError naming the file where
     it is damaged.
     """
+    if is_simulated(uri):
+        return SimSource(uri).truth()
     folder = Path(uri).expanduser()
     if not folder.is_dir():
         return None

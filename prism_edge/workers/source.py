@@ -6,6 +6,7 @@ import logging
 import time
 from collections import deque
 
+from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.messages import EndOfStream, Frame
@@ -19,6 +20,7 @@ log = logging.getLogger("prism_edge.source")
 
 _READING_S = 5.0  # a disk or network share that takes longer hangs
 _LOOK_S = 0.2
+_TRUTH_FRAME = "simulated_world"
 _GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
 # Lockstep: whoever takes longer over a frame died with it, and all wait for us.
 _PATIENCE_S = 60.0
@@ -143,6 +145,9 @@ class SourceWorker:
             image=image,
         )
         self._bus.publish("frame", frame)
+        true_pose = self._source.true_pose(item.index)
+        if true_pose is not None:
+            self._bus.publish("truth", ros.pose_stamped(item.stamp_ns, _TRUTH_FRAME, true_pose))
         self._last_index = item.index
         self._released_at.append(time.monotonic())
         self._show()

@@ -31,7 +31,9 @@ class Walker:
         """Someone of random build and dress; their textures are appended to ``textures``."""
         shop = Shop(rng, textures)
         tall = float(rng.uniform(1.58, 1.9))
-        first, second = (colour(rng.random(), rng.uniform(0.1, 0.8), rng.uniform(0.2, 0.9)) for _ in range(2))
+        first, second = (
+            colour(rng.random(), rng.uniform(0.05, 0.55), rng.uniform(0.2, 0.75)) for _ in range(2)
+        )
         shirt = cloth(first, second, int(rng.integers(3)))
         trousers = cloth(colour(rng.uniform(0.5, 0.7), 0.4, rng.uniform(0.15, 0.6)), second, 0)
         skin = plain(colour(0.06, rng.uniform(0.3, 0.55), rng.uniform(0.5, 0.95)))
@@ -48,7 +50,9 @@ class Walker:
             shop.add_box(middle, np.array([0.1, 0.09, neck - hip]), 0.0, limb)
             swing.append(-0.6 * _SWING * side)
         torso = dict.fromkeys(("front", "back", "side", "top", "bottom"), shirt)
-        shop.add_box(np.array([0.0, 0.0, (hip + neck) / 2 + 0.001]), np.array([0.24, 0.46, neck - hip]), 0.0, torso)
+        shop.add_box(
+            np.array([0.0, 0.0, (hip + neck) / 2 + 0.001]), np.array([0.24, 0.46, neck - hip]), 0.0, torso
+        )
         looks = {"front": skin, "back": skin, "top": hair, "bottom": skin}
         size = np.array([0.2, 0.17, tall - neck - 0.003])
         head = np.array([0.0, 0.0, (tall + neck) / 2 + 0.002])
@@ -59,7 +63,9 @@ class Walker:
             corner = head + np.array([sign * size[0] / 2, 0.0, size[2] / 2]) - across / 2
             shop.add(corner, across, np.array([0.0, 0.0, -size[2]]), paint, 300.0, body)
         swing += [0.0, 0.0]
-        return cls(lane, shop.done(), np.array(swing), float(rng.uniform(0.6, 1.0)), float(rng.uniform(0, 2 * np.pi)))
+        return cls(
+            lane, shop.done(), np.array(swing), float(rng.uniform(0.6, 1.0)), float(rng.uniform(0, 2 * np.pi))
+        )
 
     def where(self, seconds: float) -> tuple[Array, float, float]:
         """Position on the floor (2,), yaw (rad), and metres walked, at a time."""
@@ -102,8 +108,5 @@ def walkers_at(walkers: list[Walker], seconds: float) -> dict[int, Surfaces]:
     for walker in walkers:
         moving = walker.at(seconds)
         other = out.get(walker.lane.room)
-        if other is not None:
-            moving = moving._replace(body=moving.body + len(other.body_low))
-            moving = Surfaces(*(np.concatenate(pair) for pair in zip(other, moving, strict=True)))
-        out[walker.lane.room] = moving
+        out[walker.lane.room] = moving if other is None else other.joined(moving)
     return out

@@ -57,13 +57,15 @@ class Plan:
     doors: tuple[Door, ...]
     lanes: tuple[Lane, ...]
     zone: Array | None  # (2, 2)
-    route: Array | None  # (n, 2) corners of a closed polygon, in order of travel
+    route: Array | None  # (n, 2) points of a closed curve every centimetre, in order of travel
 
     def is_clear(self, low: Array, high: Array) -> bool:
         """Whether the rectangle keeps off zone, route and lanes."""
-        if self.zone is not None and _overlap(low, high, self.zone[0] - ZONE_CLEAR, self.zone[1] + ZONE_CLEAR):
+        if self.zone is not None and _overlap(
+            low, high, self.zone[0] - ZONE_CLEAR, self.zone[1] + ZONE_CLEAR
+        ):
             return False
-        if self.route is not None and rectangle_distance(low, high, sampled(self.route, 0.1)) < ROUTE_CLEAR:
+        if self.route is not None and rectangle_distance(low, high, self.route[::8]) < ROUTE_CLEAR:
             return False
         for lane in self.lanes:
             ends = np.stack([lane.start, lane.end])
@@ -81,13 +83,21 @@ def rectangle_distance(low: Array, high: Array, points: Array) -> float:
     return float(np.linalg.norm(np.maximum(0.0, np.maximum(low - points, points - high)), axis=1).min())
 
 
-def sampled(corners: Array, step: float) -> Array:
-    """Points (n, 2) every ``step`` m or less along the closed polygon of ``corners``."""
+def rounded(corners: Array, sigma: float = 0.5, step: float = 0.01) -> Array:
+    """Points (n, 2) every ``step`` m along a closed polygon (k, 2), filtered by a Gaussian of ``sigma`` m."""
     pieces = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         n = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))
         pieces.append(a + (b - a) * (np.arange(n) / n)[:, None])
-    return np.concatenate(pieces)
+    return smoothed(np.concatenate(pieces), sigma / step)
+
+
+def smoothed(rows: Array, sigma: float) -> Array:
+    """Rows (n, k) of a closed curve, filtered along it by a Gaussian of ``sigma`` rows."""
+    n = len(rows)
+    frequency = np.fft.rfftfreq(n)[:, None]
+    gain = np.exp(-2.0 * (np.pi * sigma * frequency) ** 2)
+    return np.fft.irfft(np.fft.rfft(rows, axis=0) * gain, n, axis=0)
 
 
 def make_plan(several_rooms: bool, seed: int) -> Plan:
@@ -107,8 +117,8 @@ def one_room(rng: np.random.Generator) -> Plan:
     reach = half + ZONE_CLEAR + LANE_CLEAR - 0.1
     corners = [middle + reach * np.array(sign) for sign in ((-1, 1), (1, 1), (1, -1), (-1, -1))]
     # Lanes end short of each other's, so that two walkers never meet at a corner.
-    lanes = []
-    for a, b in (((corners[0]), corners[1]), (corners[2], corners[3]), (corners[1], corners[2])):
+    lanes: list[Lane] = []
+    for a, b in ((corners[0], corners[1]), (corners[2], corners[3]), (corners[1], corners[2])):
         inset = (b - a) / np.linalg.norm(b - a) * (0.95 if len(lanes) == 2 else 0.15)
         lanes.append(Lane(0, a + inset, b - inset))
     return Plan((room,), (), tuple(lanes), zone, None)
@@ -117,7 +127,9 @@ def one_room(rng: np.random.Generator) -> Plan:
 def ring(rng: np.random.Generator) -> Plan:
     """Eight rooms round a block, each joined to the next by a door; the way round is 40 m and more."""
     edges = [np.concatenate([[0.0], np.cumsum(rng.uniform(4.9, 5.9, 3))]) for _ in range(2)]
-    kinds = list(rng.permutation(["kitchen", "office", "office", "living", "library", "living"])) + ["hall"] * 2
+    kinds = (
+        list(rng.permutation(["kitchen", "office", "office", "living", "library", "living"])) + ["hall"] * 2
+    )
     heights = rng.uniform(2.5, 2.8, 8)
     rooms = []
     for number, (column, row) in enumerate(RING):
@@ -154,13 +166,12 @@ def _route(rooms: list[Room], doors: list[Door]) -> Array:
             corner = door.middle.copy()
             corner[door.axis] = following.middle[door.axis]
             corners.append(corner)
-    return np.array(corners)
+    return rounded(np.array(corners))
 
 
 def _lanes(rng: np.random.Generator, rooms: list[Room], route: Array) -> tuple[Lane, ...]:
     """At most one stretch of 1.2 to 2.4 m in each room, away from the route and the walls."""
     lanes = []
-    way = sampled(route, 0.1)
     for number, room in enumerate(rooms):
         for _ in range(80):
             along = int(rng.integers(2))
@@ -169,7 +180,7 @@ def _lanes(rng: np.random.Generator, rooms: list[Room], route: Array) -> tuple[L
             middle = rng.uniform(room.low + half + 0.45, room.high - half - 0.45)
             start, end = middle - half, middle + half
             low, high = np.minimum(start, end) - LANE_CLEAR, np.maximum(start, end) + LANE_CLEAR
-            if rectangle_distance(low, high, way) > ROUTE_CLEAR:
+            if rectangle_distance(low, high, route[::8]) > ROUTE_CLEAR:
                 lanes.append(Lane(number, start, end))
                 break
     return tuple(lanes)

@@ -80,7 +80,8 @@ def _fits(here: Placed, wall: Wall, x: float, plan: Plan, room: Room, placed: li
 def _free(here: Placed, plan: Plan, room: Room, placed: list[Placed]) -> bool:
     inside = np.all(here.low > room.low - 1e-9) and np.all(here.high < room.high + 1e-9)
     apart = all(
-        np.any(here.high < other.low + _GAP / 2) or np.any(here.low > other.high - _GAP / 2) for other in placed
+        np.any(here.high < other.low + _GAP / 2) or np.any(here.low > other.high - _GAP / 2)
+        for other in placed
     )
     return bool(inside and apart) and plan.is_clear(here.low, here.high)
 

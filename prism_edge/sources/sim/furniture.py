@@ -49,8 +49,8 @@ class Style:
     def random(cls, rng: np.random.Generator) -> Style:
         """A style of its own for each room."""
         return cls(
-            timber=colour(rng.uniform(0.05, 0.11), rng.uniform(0.35, 0.65), rng.uniform(0.35, 0.85)),
-            lacquer=colour(rng.random(), rng.uniform(0.1, 0.85), rng.uniform(0.4, 0.85)),
+            timber=colour(rng.uniform(0.075, 0.115), rng.uniform(0.35, 0.65), rng.uniform(0.35, 0.85)),
+            lacquer=colour(rng.random(), rng.uniform(0.02, 0.75), rng.uniform(0.35, 0.9)),
             metal=colour(0.6, 0.05, rng.uniform(0.5, 0.9)),
             fabric=colour(rng.random(), rng.uniform(0.2, 0.7), rng.uniform(0.25, 0.8)),
             fabric_second=colour(rng.random(), rng.uniform(0.1, 0.6), rng.uniform(0.3, 0.95)),
@@ -66,13 +66,18 @@ def _board(paint: Painter) -> dict[str, Painter]:
 
 
 def clutter(
-    rng: np.random.Generator, z: float, x: tuple[float, float], y: tuple[float, float], sheets: int, things: int
+    rng: np.random.Generator,
+    z: float,
+    x: tuple[float, float],
+    y: tuple[float, float],
+    sheets: int,
+    things: int,
 ) -> list[Part]:
     """What lies and stands about on a flat surface at height ``z``: sheets overlap, things keep apart."""
     parts = []
     for layer in range(sheets):
         size = (float(rng.uniform(0.16, 0.3)), float(rng.uniform(0.2, 0.34)), 0.0)
-        paint = pictures.page if rng.random() < 0.5 else pictures.cover
+        paint: Painter = pictures.page if rng.random() < 0.5 else pictures.cover
         reach = 0.5 * np.hypot(size[0], size[1])
         if x[1] - x[0] <= 2 * reach or y[1] - y[0] <= 2 * reach:
             continue
@@ -86,13 +91,22 @@ def clutter(
         if kind == 0:  # a packet
             size, paint = tuple(rng.uniform((0.08, 0.05, 0.1), (0.26, 0.16, 0.3))), pictures.carton
         elif kind == 1:  # a mug
-            size, paint = (0.085, 0.085, 0.1), plain(colour(rng.random(), rng.uniform(0, 0.6), rng.uniform(0.4, 1)))
+            size, paint = (
+                (0.085, 0.085, 0.1),
+                plain(colour(rng.random(), rng.uniform(0, 0.6), rng.uniform(0.4, 1))),
+            )
         else:  # a frame or book that stands
-            size, paint = (float(rng.uniform(0.15, 0.28)), 0.04, float(rng.uniform(0.18, 0.32))), pictures.cover
+            size, paint = (
+                (float(rng.uniform(0.15, 0.28)), 0.04, float(rng.uniform(0.18, 0.32))),
+                pictures.cover,
+            )
         reach = 0.5 * float(np.hypot(size[0], size[1])) + 0.01
         if x[1] - x[0] <= 2 * reach or y[1] - y[0] <= 2 * reach:
             continue
-        cx, cy = float(rng.uniform(x[0] + reach, x[1] - reach)), float(rng.uniform(y[0] + reach, y[1] - reach))
+        cx, cy = (
+            float(rng.uniform(x[0] + reach, x[1] - reach)),
+            float(rng.uniform(y[0] + reach, y[1] - reach)),
+        )
         if any(max(abs(cx - ox), abs(cy - oy)) < reach + other for ox, oy, other in taken):
             continue
         taken.append((cx, cy, reach))
@@ -111,11 +125,15 @@ def counter(rng: np.random.Generator, style: Style) -> Item:
     top = plain(colour(0.6, 0.1, rng.uniform(0.1, 0.6)), 0.10) if rng.random() < 0.6 else wood(style.timber)
     parts = [
         Part((0, 0.29, height / 2 + 0.04), (width, 0.56, height - 0.08), {"front": front, "side": side}),
-        Part((0, 0.3, height + 0.02), (width, 0.6, 0.04), {"front": top, "side": top, "top": top}, density=260),
+        Part(
+            (0, 0.3, height + 0.02), (width, 0.6, 0.04), {"front": top, "side": top, "top": top}, density=260
+        ),
         Part((0, 0.26, 0.02), (width, 0.5, 0.04), {"front": plain(colour(0, 0, 0.15))}),
     ]
     inside = ((-width / 2, width / 2), (0.0, depth))
-    parts += clutter(rng, height + 0.04, *inside, sheets=int(rng.integers(1, 4)), things=int(rng.integers(3, 8)))
+    parts += clutter(
+        rng, height + 0.04, *inside, sheets=int(rng.integers(1, 4)), things=int(rng.integers(3, 8))
+    )
     if rng.random() < 0.7:
         over = cupboard(style.lacquer, doors, style.metal)
         sides = {"front": over, "side": side, "bottom": side}
@@ -139,7 +157,11 @@ def bookcase(rng: np.random.Generator, style: Style) -> Item:
             tall, room = (gap - 0.03) * rng.uniform(0.72, 0.95), width - 0.05
             share = rng.uniform(0.55, 1.0)
             place = rng.uniform(-0.5, 0.5) * room * (1 - share)
-            sides = {"front": pictures.books, "side": plain(colour(rng.random(), 0.5, 0.4)), "top": pictures.page}
+            sides = {
+                "front": pictures.books,
+                "side": plain(colour(rng.random(), 0.5, 0.4)),
+                "top": pictures.page,
+            }
             middle = (place, 0.12, z + 0.0135 + tall / 2)
             parts.append(Part(middle, (room * share, 0.19, tall), sides, density=430))
     return Item(width, depth, parts)
@@ -151,13 +173,21 @@ def desk(rng: np.random.Generator, style: Style) -> Item:
     top, metal = wood(style.timber), plain(style.metal)
     parts = [Part((0, 0.35, height - 0.015), (width, 0.7, 0.03), _board(top), density=260)]
     for sign in (-1, 1):
-        parts.append(Part((sign * (width / 2 - 0.03), 0.35, height / 2 - 0.02), (0.04, 0.6, height - 0.05), _board(metal)))
+        parts.append(
+            Part(
+                (sign * (width / 2 - 0.03), 0.35, height / 2 - 0.02),
+                (0.04, 0.6, height - 0.05),
+                _board(metal),
+            )
+        )
     drawers = cupboard(style.lacquer, 1, style.metal, 3)
     sides = {"front": drawers, "side": plain(style.lacquer)}
     parts.append(Part((width / 2 - 0.28, 0.33, 0.34), (0.4, 0.5, 0.6), sides))
     screen = {"front": pictures.screen, "back": metal, "side": metal, "top": metal}
     x = float(rng.uniform(-0.25, 0.15))
-    parts.append(Part((x, 0.14, height + 0.03), (0.2, 0.16, 0.06), {"front": metal, "side": metal, "top": metal}))
+    parts.append(
+        Part((x, 0.14, height + 0.03), (0.2, 0.16, 0.06), {"front": metal, "side": metal, "top": metal})
+    )
     parts.append(Part((x, 0.12, height + 0.24), (0.55, 0.04, 0.34), screen, density=420))
     inside = ((-width / 2, width / 2), (0.24, depth))
     parts += clutter(rng, height, *inside, sheets=int(rng.integers(2, 5)), things=int(rng.integers(1, 4)))
@@ -225,7 +255,9 @@ def sofa(rng: np.random.Generator, style: Style) -> Item:
 def cabinet(rng: np.random.Generator, style: Style) -> Item:
     """A sideboard or chest with things on top."""
     width, depth, height = float(rng.uniform(0.7, 1.4)), 0.45, float(rng.uniform(0.6, 1.1))
-    front = cupboard(style.timber if rng.random() < 0.5 else style.lacquer, 2, style.metal, int(rng.integers(1, 4)))
+    front = cupboard(
+        style.timber if rng.random() < 0.5 else style.lacquer, 2, style.metal, int(rng.integers(1, 4))
+    )
     side = wood(style.timber)
     sides = {"front": front, "side": side, "top": side}
     parts = [Part((0, depth / 2, height / 2), (width, depth, height), sides, density=240)]
@@ -239,7 +271,8 @@ def cartons(rng: np.random.Generator, style: Style) -> Item:
     parts, z = [], 0.0
     for _ in range(int(rng.integers(2, 5))):
         size = (float(rng.uniform(0.3, 0.5)), float(rng.uniform(0.25, 0.4)), float(rng.uniform(0.2, 0.4)))
-        sides = dict.fromkeys(("front", "side", "back", "top"), pictures.carton)
+        paint: Painter = pictures.carton
+        sides = dict.fromkeys(("front", "side", "back", "top"), paint)
         parts.append(Part((0, 0.27, z + size[2] / 2), size, sides, rng.uniform(-0.15, 0.15), 300))
         z += size[2] + 0.001
     return Item(0.6, 0.54, parts)

@@ -1,4 +1,4 @@
-"""The address of a simulated sequence: ``sim:KIND?option=value&...``, parsed and checked (docs/SIMULATOR.md)."""
+"""The address of a simulated sequence, ``sim:KIND?option=value&...``, checked (docs/SIMULATOR.md)."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Options:
     width: int = limits(640, 32, 4096, "pixels of a row, even")
     height: int = limits(480, 32, 4096, "rows, even")
     focal: float = limits(0.0, 0.0, 20_000.0, "focal length in pixels; 0: 525 at a width of 640")
-    speed: float = limits(0.0, 0.0, 5.0, "metres a second; 0: 0.22 handheld and 0.3 wheeled in a room, 0.9 and 0.6 in loop")
+    speed: float = limits(0.0, 0.0, 5.0, "metres a second; 0: handheld 0.22 (loop: 0.9), wheeled 0.3 (0.5)")
     actors: int = limits(0, 0, 3, "people who walk about")
     noise: float = limits(1.0, 0.0, 10.0, "sensor noise, times 2.5 grey levels; 0: none")
     blur: float = limits(1.0, 0.0, 10.0, "exposure time that smears motion, times 8 ms; 0: none")
@@ -67,9 +67,8 @@ def parse(uri: str) -> Options:
         if not equals or not text:
             raise SourceError(f"{uri}: option {name} has no value; write {name}=VALUE")
         values[name] = _value(uri, name, text, type(known[name].default), known[name].metadata)
-    if kind == "static":
-        if values.setdefault("path", STILL) != STILL:
-            raise SourceError(f"{uri}: the camera of static stands still; use room for path={values['path']}")
+    if kind == "static" and values.setdefault("path", STILL) != STILL:
+        raise SourceError(f"{uri}: the camera of static stands still; use room for path={values['path']}")
     options = Options(**values)
     if options.width % 2 or options.height % 2:
         raise SourceError(f"{uri}: width and height must be even, not {options.width}x{options.height}")

@@ -12,13 +12,12 @@ from typing import Protocol
 import numpy as np
 
 from prism_edge.geometry.poses import Array, from_rt
-from prism_edge.sources.sim.floorplan import Plan, sampled
+from prism_edge.sources.sim.floorplan import Plan, rounded, smoothed
 from prism_edge.sources.sim.options import HANDHELD, STILL, TURN, WHEELED
 
-SPEEDS = {(HANDHELD, False): 0.22, (WHEELED, False): 0.3, (HANDHELD, True): 0.9, (WHEELED, True): 0.6}
+SPEEDS = {(HANDHELD, False): 0.22, (WHEELED, False): 0.3, (HANDHELD, True): 0.9, (WHEELED, True): 0.5}
 OVERLAP = 6.0  # metres walked again after a lap, so that places are seen twice
 _STEP = 0.01  # m between samples of a route
-_ROUNDING = 0.3  # m, sigma of the filter that rounds a route's corners
 _LOOKAHEAD = 0.35  # m; people look where they will be
 _TURN_RATE = 0.35  # rad/s
 
@@ -47,7 +46,7 @@ class Wander:
 
 
 def looking(position: Array, yaw: float, pitch: float, roll: float) -> Array:
-    """The pose (4, 4) of a camera that looks along ``yaw`` (from x to y), up by ``pitch``, turned by ``roll``."""
+    """Pose (4, 4) of a camera that looks along ``yaw`` (from x to y), up by ``pitch``, and has ``roll``."""
     cy, sy, cp, sp = np.cos(yaw), np.sin(yaw), np.cos(pitch), np.sin(pitch)
     cr, sr = np.cos(roll), np.sin(roll)
     level = np.array([[sy, cy * sp, cy * cp], [-cy, sy * sp, sy * cp], [0.0, -cp, sp]])  # right, down, ahead
@@ -62,7 +61,7 @@ class HandheldInZone:
         self._middle = plan.zone.mean(axis=0)
         self._half = (plan.zone[1] - plan.zone[0]) / 2
         self._place = [Wander(rng, 0.03, 0.12), Wander(rng, 0.03, 0.12), Wander(rng, 0.03, 0.15)]
-        self._look = [Wander(rng, 0.03, 0.2), Wander(rng, 0.04, 0.25), Wander(rng, 0.05, 0.3)]
+        self._look = [Wander(rng, 0.03, 0.14), Wander(rng, 0.04, 0.2), Wander(rng, 0.05, 0.3)]
         self._tremor = [Wander(rng, 0.8, 3.0) for _ in range(6)]
         self._yaw = float(rng.uniform(-np.pi, np.pi))
         self._pace = 1.0
@@ -86,30 +85,28 @@ class HandheldInZone:
 
 @dataclass(frozen=True)
 class Ring:
-    """A closed way on the floor with rounded corners, sampled at equal steps of its length."""
+    """A closed way on the floor, sampled at equal steps of its length."""
 
     points: Array  # (n, 2)
     heading: Array  # (n + 1,) rad, unwrapped: the last is the first and whole turns
     length: float
 
     @classmethod
-    def of(cls, corners: Array, heading_sigma: float) -> Ring:
-        """Rounds the closed polygon of corners (k, 2)."""
-        dense = sampled(corners, _STEP)
-        smooth = _smoothed(dense, _ROUNDING / _STEP)
-        steps = np.linalg.norm(np.roll(smooth, -1, axis=0) - smooth, axis=1)
+    def of(cls, curve: Array, heading_sigma: float) -> Ring:
+        """From dense points (n, 2) of a closed curve; headings are filtered over ``heading_sigma`` m."""
+        steps = np.linalg.norm(np.roll(curve, -1, axis=0) - curve, axis=1)
         length = float(steps.sum())
         count = int(np.ceil(length / _STEP))
         at = np.arange(count) * (length / count)
         travelled = np.concatenate([[0.0], np.cumsum(steps)])
-        closed = np.concatenate([smooth, smooth[:1]])
+        closed = np.concatenate([curve, curve[:1]])
         points = np.stack([np.interp(at, travelled, closed[:, k]) for k in (0, 1)], axis=1)
         ahead = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
         angle = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
         turns = round((angle[-1] - angle[0]) / (2 * np.pi)) * 2 * np.pi
         if heading_sigma:
             slope = np.arange(count) * (turns / count)
-            angle = _smoothed((angle - slope)[:, None], heading_sigma * count / length)[:, 0] + slope
+            angle = smoothed((angle - slope)[:, None], heading_sigma * count / length)[:, 0] + slope
         return cls(points, np.append(angle, angle[0] + turns), length)
 
     def at(self, metres: float) -> tuple[Array, float]:
@@ -124,19 +121,11 @@ class Ring:
         return position, float(heading)
 
 
-def _smoothed(rows: Array, sigma: float) -> Array:
-    """Rows (n, k) of a closed curve, filtered along it by a Gaussian of ``sigma`` rows."""
-    n = len(rows)
-    frequency = np.fft.rfftfreq(n)[:, None]
-    gain = np.exp(-2.0 * (np.pi * sigma * frequency) ** 2)
-    return np.fft.irfft(np.fft.rfft(rows, axis=0) * gain, n, axis=0)
-
-
 class HandheldOnRoute:
     """Someone walks a closed way with a camera in hand."""
 
-    def __init__(self, rng: np.random.Generator, corners: Array, speed: float) -> None:
-        self.ring = Ring.of(corners, 0.5)
+    def __init__(self, rng: np.random.Generator, curve: Array, speed: float) -> None:
+        self.ring = Ring.of(curve, 0.9)
         self._speed = speed
         self._start = float(rng.uniform(-1.8, -1.2))
         self._look = [Wander(rng, 0.05, 0.25), Wander(rng, 0.05, 0.3), Wander(rng, 0.05, 0.3)]
@@ -164,8 +153,8 @@ class HandheldOnRoute:
 class Wheeled:
     """A robot follows a closed way: level, at one height, always looking where it drives."""
 
-    def __init__(self, corners: Array, speed: float) -> None:
-        self.ring = Ring.of(corners, 0.0)
+    def __init__(self, curve: Array, speed: float) -> None:
+        self.ring = Ring.of(curve, 0.0)
         self._speed = speed
 
     def pose(self, seconds: float) -> Array:
@@ -190,10 +179,10 @@ def make_path(plan: Plan, kind: str, speed: float, seed: int) -> CameraPath:
     rng = np.random.default_rng([seed, 4])
     speed = speed or SPEEDS.get((kind, plan.route is not None), 0.0)
     if kind in (TURN, STILL):
-        place = plan.zone.mean(axis=0) if plan.zone is not None else Ring.of(_corners(plan), 0.0).at(-1.5)[0]
+        place = plan.zone.mean(axis=0) if plan.zone is not None else Ring.of(_curve(plan), 0.0).at(-1.5)[0]
         return Turning(place, float(rng.uniform(-np.pi, np.pi)), _TURN_RATE if kind == TURN else 0.0)
     if kind == WHEELED:
-        return Wheeled(_corners(plan), speed)
+        return Wheeled(_curve(plan), speed)
     if plan.route is not None:
         return HandheldOnRoute(rng, plan.route, speed)
     return HandheldInZone(rng, plan, speed)
@@ -205,9 +194,9 @@ def lap_length(path: CameraPath) -> float:
     return ring.length if isinstance(ring, Ring) else 0.0
 
 
-def _corners(plan: Plan) -> Array:
+def _curve(plan: Plan) -> Array:
     if plan.route is not None:
         return plan.route
     assert plan.zone is not None
     (x0, y0), (x1, y1) = plan.zone
-    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+    return rounded(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))

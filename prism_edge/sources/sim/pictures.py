@@ -12,7 +12,12 @@ from prism_edge.messages import U8
 from prism_edge.sources.sim.textures import Colour, colour, noise, tinted
 
 _LETTERS = "ABCDEFGHIJKLMNOPRSTUVWXYZabcdefghiklmnoprstuvwxyz0123456789"
-_FONTS = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX, cv2.FONT_HERSHEY_TRIPLEX)
+_FONTS = (
+    cv2.FONT_HERSHEY_SIMPLEX,
+    cv2.FONT_HERSHEY_DUPLEX,
+    cv2.FONT_HERSHEY_COMPLEX,
+    cv2.FONT_HERSHEY_TRIPLEX,
+)
 
 
 def _word(rng: np.random.Generator, low: int = 2, high: int = 9) -> str:
@@ -20,7 +25,7 @@ def _word(rng: np.random.Generator, low: int = 2, high: int = 9) -> str:
 
 
 def _random_colour(rng: np.random.Generator, value: tuple[float, float] = (0.3, 0.95)) -> Colour:
-    return colour(rng.random(), rng.uniform(0.1, 0.85), rng.uniform(*value))
+    return colour(rng.random(), rng.uniform(0.05, 0.7), rng.uniform(*value))
 
 
 def _ink(background: Colour, rng: np.random.Generator) -> Colour:
@@ -28,7 +33,9 @@ def _ink(background: Colour, rng: np.random.Generator) -> Colour:
     return _random_colour(rng, (0.05, 0.3)) if dark else colour(rng.random(), 0.15, rng.uniform(0.8, 1.0))
 
 
-def _write(image: U8, rng: np.random.Generator, box: tuple[int, int, int, int], pixels: float, ink: Colour) -> None:
+def _write(
+    image: U8, rng: np.random.Generator, box: tuple[int, int, int, int], pixels: float, ink: Colour
+) -> None:
     """Fills box (x0, y0, x1, y1) with lines of words of ``pixels`` height."""
     x0, y0, x1, y1 = box
     font = int(rng.choice(_FONTS))
@@ -175,7 +182,9 @@ def window(rng: np.random.Generator, height: int, width: int) -> U8:
 
 def carton(rng: np.random.Generator, height: int, width: int) -> U8:
     """Packaging: cardboard or print with a label."""
-    image = tinted(_random_colour(rng), 0.05 * noise(rng, height, width, (3, 10, 40)))
+    brown = colour(rng.uniform(0.07, 0.11), rng.uniform(0.3, 0.55), rng.uniform(0.5, 0.8))
+    ground = brown if rng.random() < 0.5 else _random_colour(rng)
+    image = tinted(ground, 0.05 * noise(rng, height, width, (3, 10, 40)))
     w, h = round(width * rng.uniform(0.4, 0.9)), round(height * rng.uniform(0.3, 0.8))
     if w > 10 and h > 10:
         y, x = int(rng.integers(0, height - h + 1)), int(rng.integers(0, width - w + 1))
@@ -185,12 +194,31 @@ def carton(rng: np.random.Generator, height: int, width: int) -> U8:
 
 def face(rng: np.random.Generator, height: int, width: int) -> U8:
     """A head seen from in front, as simply as a doll's."""
-    image = tinted(colour(0.06, rng.uniform(0.3, 0.55), rng.uniform(0.5, 0.95)), 0.04 * noise(rng, height, width, (4, 12)))
+    image = tinted(
+        colour(0.06, rng.uniform(0.3, 0.55), rng.uniform(0.5, 0.95)),
+        0.04 * noise(rng, height, width, (4, 12)),
+    )
     hair = colour(rng.uniform(0.02, 0.12), 0.6, rng.uniform(0.1, 0.6))
     image[: height // 4] = tinted(hair, 0.2 * noise(rng, height // 4, width, (2, 5)))
     for side in (0.3, 0.7):
         centre = (round(side * width), round(0.45 * height))
-        cv2.ellipse(image, centre, (max(2, width // 10), max(1, height // 18)), 0, 0, 360, (240, 240, 240), -1, cv2.LINE_AA)
+        cv2.ellipse(
+            image,
+            centre,
+            (max(2, width // 10), max(1, height // 18)),
+            0,
+            0,
+            360,
+            (240, 240, 240),
+            -1,
+            cv2.LINE_AA,
+        )
         cv2.circle(image, centre, max(1, width // 22), (40, 30, 20), -1, cv2.LINE_AA)
-    cv2.line(image, (round(0.35 * width), round(0.75 * height)), (round(0.65 * width), round(0.75 * height)), (60, 50, 140), 2)
+    cv2.line(
+        image,
+        (round(0.35 * width), round(0.75 * height)),
+        (round(0.65 * width), round(0.75 * height)),
+        (60, 50, 140),
+        2,
+    )
     return image

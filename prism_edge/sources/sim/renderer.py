@@ -26,7 +26,7 @@ _MOST_OCTAVES = 5  # octaves a texture is shrunk by at most
 _SHIFT = 4  # binary places of polygon corners
 _WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _OVERSAMPLING = 2  # of the numbers, to smooth edges
-# For depth they are painted this many times finer, an odd number, so that a sample lies at the centre of each pixel.
+# For depth they are finer by an odd number, so that a sample lies at the centre of each pixel.
 _DEPTH_OVERSAMPLING = 3
 
 
@@ -43,9 +43,15 @@ class Renderer:
     def __init__(self, world: World, camera: Camera) -> None:
         self.world = world
         self.camera = camera
-        self._numbers = np.zeros((camera.height * _OVERSAMPLING, camera.width * _OVERSAMPLING), dtype=np.uint16)
-        self._warped = np.zeros((camera.height, camera.width, 4), dtype=np.uint8)
-        self._weights = np.zeros_like(self._warped)
+        self._numbers = np.zeros(
+            (camera.height * _OVERSAMPLING, camera.width * _OVERSAMPLING), dtype=np.uint16
+        )
+        # Room for intermediate pictures of any part of the picture, so that none is allocated anew.
+        area = camera.height * camera.width
+        self._fine = np.zeros(area * _OVERSAMPLING**2, dtype=np.uint8)
+        self._covered = np.zeros(area, dtype=np.uint8)
+        self._warped = np.zeros(area * 4, dtype=np.uint8)
+        self._weights = np.zeros(area * 4, dtype=np.uint8)
         self._sizes = np.array([t.shape[1::-1] for t in world.textures], dtype=np.float64) - 2 * MARGIN
         self._shrunk: dict[tuple[int, tuple[int, int]], U8] = {}
 
@@ -55,23 +61,28 @@ class Renderer:
         _paint_numbers(visible, self._numbers, _OVERSAMPLING)
         sizes, to_textures = _shrinking(visible, self._sizes[visible.texture])
         picture = np.zeros((self.camera.height, self.camera.width, 4), dtype=np.uint8)
+        textures = visible.texture.tolist()
         n = _OVERSAMPLING
         for number, (left, top, right, bottom) in enumerate(_bounds(visible)):
             if left >= right or top >= bottom:
                 continue
-            fine = cv2.inRange(self._numbers[top * n : bottom * n, left * n : right * n], number + 1, number + 1)
-            covered = cv2.resize(fine, (right - left, bottom - top), interpolation=cv2.INTER_AREA)
-            x, y, width, height = cv2.boundingRect(covered)
-            if not width:
+            w, h = right - left, bottom - top
+            fine = self._fine[: w * h * n * n].reshape(h * n, w * n)
+            cv2.inRange(
+                self._numbers[top * n : bottom * n, left * n : right * n], number + 1, number + 1, fine
+            )
+            covered = cv2.resize(fine, (w, h), self._covered[: w * h].reshape(h, w), 0, 0, cv2.INTER_AREA)
+            x, y, w, h = cv2.boundingRect(covered)
+            if not w:
                 continue
-            texture = self._texture(visible.texture[number], sizes[number])
+            texture = self._texture(textures[number], sizes[number])
             to_texture = to_textures[number]
-            to_texture[:, 2] += to_texture[:, :2] @ (left + x, top + y)
-            warped, weights = self._warped[:height, :width], self._weights[:height, :width]
-            cv2.warpPerspective(texture, to_texture, (width, height), warped, _WARP)
-            cv2.cvtColor(covered[y : y + height, x : x + width], cv2.COLOR_GRAY2BGRA, weights)
+            to_texture[:, 2] += to_texture[:, 0] * (left + x) + to_texture[:, 1] * (top + y)
+            warped, weights = (room[: 4 * w * h].reshape(h, w, 4) for room in (self._warped, self._weights))
+            cv2.warpPerspective(texture, to_texture, (w, h), warped, _WARP)
+            cv2.cvtColor(covered[y : y + h, x : x + w], cv2.COLOR_GRAY2BGRA, weights)
             cv2.multiply(warped, weights, warped, 1.0 / 255.0)
-            target = picture[top + y : top + y + height, left + x : left + x + width]
+            target = picture[top + y : top + y + h, left + x : left + x + w]
             cv2.add(target, warped, target)
         return Picture(picture, self._usual_depth(visible))
 

@@ -8,13 +8,25 @@ from typing import NamedTuple
 import numpy as np
 
 from prism_edge.geometry.poses import Array
+from prism_edge.messages import U8
 from prism_edge.sources.sim import pictures
 from prism_edge.sources.sim.floorplan import DOOR_HEIGHT, DOOR_WIDTH, WALL, Door, Room
 from prism_edge.sources.sim.surfaces import DECAL, UP, Shop, upright
-from prism_edge.sources.sim.textures import Painter, carpet, ceiling, colour, plain, plaster, tiles, wood
+from prism_edge.sources.sim.textures import (
+    Colour,
+    Painter,
+    carpet,
+    ceiling,
+    colour,
+    plain,
+    plaster,
+    tiles,
+    wood,
+)
 
-# Surfaces are cut up no larger than this (m), because each piece is drawn at one sharpness.
-_PIECE = 1.6
+# Surfaces are cut up no larger than this (m), because each piece is drawn at one sharpness; most where
+# they are seen at the flattest angles.
+_FLOOR_PIECE, _WALL_PIECE, _CEILING_PIECE = 1.8, 3.0, 6.0
 _SKIRTING = 0.09
 _TRIM = 0.08
 
@@ -51,21 +63,21 @@ def walls(room: Room, doors: list[Door]) -> list[Wall]:
     return out
 
 
-def _pieces(length: float) -> list[tuple[float, float]]:
-    edges = np.linspace(0.0, length, max(1, int(np.ceil(length / _PIECE))) + 1)
+def _pieces(length: float, longest: float) -> list[tuple[float, float]]:
+    edges = np.linspace(0.0, length, max(1, int(np.ceil(length / longest))) + 1)
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
 
 def _panel(
-    shop: Shop, origin: Array, right: Array, down: Array, paint: Painter, density: float
+    shop: Shop, origin: Array, right: Array, down: Array, paint: Painter, density: float, piece: float
 ) -> None:
-    """One large rectangle, painted as a whole and cut into pieces along rows of its pixels."""
+    """One large rectangle, painted as a whole and cut along its pixels into pieces of ``piece`` m at most."""
     width, height = float(np.linalg.norm(right)), float(np.linalg.norm(down))
     columns, rows = max(8, round(width * density)), max(8, round(height * density))
     image = paint(shop.rng, rows, columns)
-    for top, bottom in _pieces(height):
+    for top, bottom in _pieces(height, piece):
         y0, y1 = round(top / height * rows), round(bottom / height * rows)
-        for left, stop in _pieces(width):
+        for left, stop in _pieces(width, piece):
             x0, x1 = round(left / width * columns), round(stop / width * columns)
             corner = origin + right * (x0 / columns) + down * (y0 / rows)
             shop.add(corner, right * ((x1 - x0) / columns), down * ((y1 - y0) / rows), image[y0:y1, x0:x1])
@@ -73,7 +85,7 @@ def _panel(
 
 def wall_paint(rng: np.random.Generator, kind: str, density: float) -> Painter:
     """What walls of this kind of room are covered with."""
-    base = colour(rng.random(), rng.uniform(0.02, 0.22), rng.uniform(0.6, 0.92))
+    base = colour(rng.random(), rng.uniform(0.02, 0.18), rng.uniform(0.65, 0.95))
     if kind == "kitchen" and rng.random() < 0.7:
         return tiles(base, density * rng.uniform(0.1, 0.16), rng.choice((-0.25, 0.15)))
     return plaster(base, rng.uniform(0.015, 0.035))
@@ -87,11 +99,13 @@ def floor_paint(rng: np.random.Generator, kind: str, density: float) -> Painter:
     if kind in ("living", "library") or rng.random() < 0.3:
         base = colour(rng.uniform(0.05, 0.1), rng.uniform(0.35, 0.6), rng.uniform(0.35, 0.7))
         return wood(base, plank=density * 0.14, contrast=0.14)
-    return carpet(colour(rng.random(), rng.uniform(0.05, 0.35), rng.uniform(0.25, 0.5)), bool(rng.random() < 0.6))
+    return carpet(
+        colour(rng.random(), rng.uniform(0.05, 0.35), rng.uniform(0.25, 0.5)), bool(rng.random() < 0.6)
+    )
 
 
-def _with_skirting(paint: Painter, rows: int, base: Array) -> Painter:
-    def painted(rng: np.random.Generator, height: int, width: int) -> Array:
+def _with_skirting(paint: Painter, rows: int, base: Colour) -> Painter:
+    def painted(rng: np.random.Generator, height: int, width: int) -> U8:
         image = paint(rng, height, width)
         image[-rows:] = plain(base)(rng, rows, width)
         image[-rows - 1] = image[-rows - 1] // 2
@@ -106,10 +120,10 @@ def build_room(shop: Shop, room: Room, sides: list[Wall], shade: Callable[[Paint
     low, high = np.array([*room.low, 0.0]), np.array([*room.high, room.height])
     size = high - low
     ex, ey = np.array([1.0, 0, 0]) * size[0], np.array([0, 1.0, 0]) * size[1]
-    _panel(shop, low + ey, ex, -ey, shade(floor_paint(rng, room.kind, 130.0)), 130.0)
+    _panel(shop, low + ey, ex, -ey, shade(floor_paint(rng, room.kind, 130.0)), 130.0, _FLOOR_PIECE)
     white = colour(0.12, 0.04, rng.uniform(0.75, 0.9))
     above = ceiling(white, 60 * 0.6) if room.kind in ("office", "hall") else plaster(white, 0.012)
-    _panel(shop, low + UP * room.height, ex, ey, above, 60.0)
+    _panel(shop, low + UP * room.height, ex, ey, above, 60.0, _CEILING_PIECE)
     density = 120.0
     paint = wall_paint(rng, room.kind, density)
     skirting = colour(rng.uniform(0.05, 0.1), rng.uniform(0.0, 0.5), rng.uniform(0.2, 0.9))
@@ -119,13 +133,14 @@ def build_room(shop: Shop, room: Room, sides: list[Wall], shade: Callable[[Paint
         top = wall.start + UP * room.height
         edge = 0.0
         for left, right in wall.openings:
-            _panel(shop, top + wall.along * edge, wall.along * (left - edge), -UP * room.height, lower, density)
-            lintel = room.height - DOOR_HEIGHT
-            _panel(shop, top + wall.along * left, wall.along * (right - left), -UP * lintel, paint, density)
+            before, above_door = wall.along * (left - edge), room.height - DOOR_HEIGHT
+            _panel(shop, top + wall.along * edge, before, -UP * room.height, lower, density, _WALL_PIECE)
+            across = wall.along * (right - left)
+            _panel(shop, top + wall.along * left, across, -UP * above_door, paint, density, _WALL_PIECE)
             _door_trim(shop, wall, left, right, trim)
             edge = right
         rest = wall.along * (wall.length - edge)
-        _panel(shop, top + wall.along * edge, rest, -UP * room.height, lower, density)
+        _panel(shop, top + wall.along * edge, rest, -UP * room.height, lower, density, _WALL_PIECE)
 
 
 def _door_trim(shop: Shop, wall: Wall, left: float, right: float, paint: Painter) -> None:
@@ -211,7 +226,7 @@ def lamps(shop: Shop, room: Room) -> Array:
     """Positions (k, 3) of the lamps of a room."""
     size = room.high - room.low
     places = []
-    for share in ((0.3, 0.7) if size.max() > 4.5 else (0.5,)):
+    for share in (0.3, 0.7) if size.max() > 4.5 else (0.5,):
         at = room.low + size / 2
         longer = int(np.argmax(size))
         at[longer] = room.low[longer] + share * size[longer]

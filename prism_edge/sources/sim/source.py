@@ -31,19 +31,16 @@ class SimSource(Source):
     Nothing is built before :meth:`open`; the truth needs no world and can be asked before.
     """
 
-    live = False
-
-    def __init__(self, uri: str, rate_hz: float = 0.0) -> None:
-        """Raises SourceError where the address is wrong. ``rate_hz`` above 0 stands in for its rate."""
+    def __init__(self, uri: str) -> None:
+        """Raises SourceError where the address is wrong."""
         self.options: Options = parse(uri)
-        self._rate = rate_hz or self.options.rate
         o = self.options
         self.name = f"simulated {o.kind}, seed {o.seed}, {o.path}, {o.width}x{o.height}"
         self.camera = Camera(
             o.width, o.height, o.focal_length, o.focal_length, (o.width - 1) / 2, (o.height - 1) / 2
         )
         self.camera_origin = "the simulator's own"
-        self.period_ns = at_rate(1, self._rate)
+        self.period_ns = at_rate(1, o.rate)
         self.plan: Plan = make_plan(o.several_rooms, o.seed)
         self.path: CameraPath = make_path(self.plan, o.path, o.speed, o.seed)
         self.frame_count: int = o.frames or self._usual_frames()
@@ -57,7 +54,7 @@ class SimSource(Source):
         if not (self.options.several_rooms and lap):
             return _USUAL_FRAMES
         speed = self.options.speed or SPEEDS[self.options.path, True]
-        return int(np.ceil((lap + OVERLAP) / speed * self._rate))
+        return int(np.ceil((lap + OVERLAP) / speed * self.options.rate))
 
     def open(self) -> None:
         """Builds the world."""
@@ -96,15 +93,16 @@ class SimSource(Source):
 
     def stamp_ns(self, index: int) -> int:
         """When frame ``index`` is taken: the middle of its exposure."""
-        return at_rate(index, self._rate)
+        return at_rate(index, self.options.rate)
 
     def image(self, index: int) -> Image:
         """Frame ``index`` (0 or more), in any order."""
         renderer, sensor = self._opened()
         stamp = self.stamp_ns(index)
-        seconds = stamp * 1e-9
-        picture = renderer.draw(self.pose(index), walkers_at(self._walkers, seconds))
-        return Image(index, stamp, sensor.take(picture.pixels, index, seconds, picture.depth))
+        exposure = sensor.exposure(stamp * 1e-9)
+        walkers = walkers_at(self._walkers, stamp * 1e-9)
+        picture = renderer.draw(self.path.pose(exposure.seconds), walkers)
+        return Image(index, stamp, sensor.take(picture.pixels, index, exposure, picture.depth))
 
     def depth(self, index: int) -> F32:
         """Exact depth (h, w) of frame ``index``, metres along the optical axis, at pixel centres."""
@@ -115,8 +113,12 @@ class SimSource(Source):
         """Exact world_from_camera (4, 4) of frame ``index``; world: metres, z up, on the floor."""
         return self.path.pose(self.stamp_ns(index) * 1e-9)
 
+    def true_pose(self, index: int) -> Array:
+        """See :meth:`pose`."""
+        return self.pose(index)
+
     def truth(self) -> tuple[I64, Array]:
-        """Stamps (n,) in nanoseconds and world_from_camera (n, 4, 4) of all frames: what scorers compare with."""
+        """Stamps (n,) in nanoseconds and world_from_camera (n, 4, 4) of all frames, for scorers."""
         stamps = np.array([self.stamp_ns(k) for k in range(self.frame_count)], dtype=np.int64)
         return stamps, np.array([self.pose(k) for k in range(self.frame_count)])
 

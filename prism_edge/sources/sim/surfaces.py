@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array
-from prism_edge.messages import F32, I64, U8
+from prism_edge.messages import I64, U8
 from prism_edge.sources.sim.textures import Painter
 
 SHELL, DECAL = -2, -1  # bodies of a cell's own walls and of what is stuck flat on them
@@ -35,6 +36,30 @@ class Surfaces(NamedTuple):
     body_low: Array  # (bodies, 3) axis-aligned bounds
     body_high: Array  # (bodies, 3)
 
+    def at(self, rows: NDArray[np.int64]) -> Surfaces:
+        """Some of the rectangles; all bodies keep their numbers."""
+        return self._replace(
+            origin=self.origin[rows],
+            right=self.right[rows],
+            down=self.down[rows],
+            normal=self.normal[rows],
+            texture=self.texture[rows],
+            body=self.body[rows],
+        )
+
+    def joined(self, other: Surfaces) -> Surfaces:
+        """These and then those of ``other``, all of whose rectangles belong to bodies."""
+        return Surfaces(
+            np.concatenate([self.origin, other.origin]),
+            np.concatenate([self.right, other.right]),
+            np.concatenate([self.down, other.down]),
+            np.concatenate([self.normal, other.normal]),
+            np.concatenate([self.texture, other.texture]),
+            np.concatenate([self.body, other.body + len(self.body_low)]),
+            np.concatenate([self.body_low, other.body_low]),
+            np.concatenate([self.body_high, other.body_high]),
+        )
+
 
 @dataclass(frozen=True)
 class Light:
@@ -52,7 +77,9 @@ class Light:
             ray = lamp - points
             distance = np.linalg.norm(ray, axis=1)
             facing = np.maximum(0.0, (ray @ normal) / np.maximum(distance, 1e-6))
-            brightness += 1.1 * (0.25 + 0.75 * facing) / (1.0 + (distance / 2.2) ** 2) / np.sqrt(len(self.lamps))
+            brightness += (
+                1.1 * (0.25 + 0.75 * facing) / (1.0 + (distance / 2.2) ** 2) / np.sqrt(len(self.lamps))
+            )
         for axis in range(3):
             for bound in (self.low[axis], self.high[axis]):
                 if abs(normal[axis]) < 0.9:
@@ -60,7 +87,7 @@ class Light:
         return brightness
 
 
-def lit(image: U8, brightness: F32) -> U8:
+def lit(image: U8, brightness: Array) -> U8:
     """An image (h, w, 3) times a coarse map of brightness stretched over it."""
     h, w = image.shape[:2]
     full = cv2.resize(brightness.astype(np.float32), (w, h), interpolation=cv2.INTER_LINEAR)
@@ -112,7 +139,9 @@ class Shop:
             a, b = np.meshgrid(across, along)
             points = origin + a.reshape(-1, 1) * right + b.reshape(-1, 1) * down
             image = lit(image, self.light.at(points, normal).reshape(a.shape))
-        self.textures.append(with_margin(cv2.cvtColor(image, cv2.COLOR_BGR2BGRA)))  # four channels warp fastest
+        self.textures.append(
+            with_margin(cv2.cvtColor(image, cv2.COLOR_BGR2BGRA))
+        )  # four channels warp fastest
         self._rows.append((origin, right, down, len(self.textures) - 1, body))
 
     def add_box(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import colorsys
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -18,6 +19,7 @@ from prism_edge.messages import F32, U8
 
 Painter = Callable[[np.random.Generator, int, int], U8]
 Colour = NDArray[np.float32]
+_SHEET = 400  # pixels
 
 
 def colour(hue: float, saturation: float, value: float) -> Colour:
@@ -26,24 +28,38 @@ def colour(hue: float, saturation: float, value: float) -> Colour:
     return np.array([b, g, r], dtype=np.float32) * 255.0
 
 
-def noise(rng: np.random.Generator, height: int, width: int, cells: Sequence[float], stretch: float = 1.0) -> F32:
-    """Smooth noise (height, width) of unit standard deviation: a sum over grids of ``cells`` pixels.
+def noise(
+    rng: np.random.Generator, height: int, width: int, cells: Sequence[float], stretch: float = 1.0
+) -> F32:
+    """Smooth noise (height, width) of about unit standard deviation: a sum over grids of ``cells`` pixels.
 
     Larger cells weigh more, by the root of their size. ``stretch`` draws the cells out along x.
     """
     total = np.zeros((height, width), dtype=np.float32)
-    power = 0.0
     for cell in cells:
-        reach = cell * stretch
-        rows, columns = int(height / cell) + 2, int(width / reach) + 2
-        grid = rng.standard_normal((rows, columns), dtype=np.float32)
-        full = cv2.resize(grid, (round(columns * reach), round(rows * cell)), interpolation=cv2.INTER_CUBIC)
-        # Cutting a window out at random keeps grid lines off the borders of the texture.
-        dy, dx = int(rng.integers(full.shape[0] - height)), int(rng.integers(full.shape[1] - width))
-        octave = full[dy : dy + height, dx : dx + width]
-        total += np.float32(np.sqrt(cell)) * octave
-        power += cell
-    return total * np.float32(1.4 / np.sqrt(power))
+        if max(height, width) < _SHEET // 2:
+            # Most textures are small and many: they are cut from one sheet of noise of about their scale.
+            octave = _sheet(2.0 ** (round(4.0 * np.log2(cell)) / 4.0), stretch)
+        else:
+            octave = _octave(rng, height + 1, width + 1, cell, stretch)
+        dy, dx = int(rng.integers(octave.shape[0] - height)), int(rng.integers(octave.shape[1] - width))
+        total += np.float32(np.sqrt(cell)) * octave[dy : dy + height, dx : dx + width]
+    return total * np.float32(1.4 / np.sqrt(sum(cells)))
+
+
+def _octave(rng: np.random.Generator, height: int, width: int, cell: float, stretch: float) -> F32:
+    """Noise of one scale, at least (height, width); a window cut out at random hides its grid."""
+    rows, columns = int(height / cell) + 2, int(width / (cell * stretch)) + 2
+    grid = rng.standard_normal((rows, columns), dtype=np.float32)
+    size = (round(columns * cell * stretch), round(rows * cell))
+    octave: F32 = cv2.resize(grid, size, interpolation=cv2.INTER_CUBIC)
+    return octave
+
+
+@lru_cache(maxsize=48)
+def _sheet(cell: float, stretch: float) -> F32:
+    rng = np.random.default_rng([round(1000 * cell), round(1000 * stretch)])
+    return np.ascontiguousarray(_octave(rng, _SHEET, _SHEET, cell, stretch)[:_SHEET, :_SHEET])
 
 
 def tinted(base: Colour, brightness: F32) -> U8:
@@ -146,11 +162,19 @@ def cupboard(base: Colour, doors: int, handle: Colour, drawers: int = 1) -> Pain
             for row in range(drawers):
                 top, bottom = round(row * height / drawers), round((row + 1) * height / drawers) - 1
                 cv2.rectangle(image, (left, top), (right, bottom), (base * 0.35).tolist(), 2)
-                cv2.line(image, (left + 3, top + 3), (right - 3, top + 3), np.minimum(base * 1.3, 255).tolist(), 1)
+                cv2.line(
+                    image, (left + 3, top + 3), (right - 3, top + 3), np.minimum(base * 1.3, 255).tolist(), 1
+                )
                 reach, y = (right - left) * 0.18, top + max(6, (bottom - top) * 0.12)
                 centre = (left + right) / 2
                 ends = (round(centre - reach), round(y)), (round(centre + reach), round(y))
-                cv2.line(image, (ends[0][0], ends[0][1] + 2), (ends[1][0], ends[1][1] + 2), (base * 0.45).tolist(), 3)
+                cv2.line(
+                    image,
+                    (ends[0][0], ends[0][1] + 2),
+                    (ends[1][0], ends[1][1] + 2),
+                    (base * 0.45).tolist(),
+                    3,
+                )
                 cv2.line(image, *ends, handle.tolist(), 2, cv2.LINE_AA)
         return image
 

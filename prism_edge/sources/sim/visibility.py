@@ -64,11 +64,13 @@ def see(world: World, walkers: Mapping[int, Surfaces], camera: Camera, world_fro
         polygon = clipped(projected[row])
         polygons[row] = polygon[np.minimum(np.arange(5), len(polygon) - 1)]
     rects = np.concatenate([np.tile(item.rect, (len(item.projected), 1)) for item in found])
-    edges = [np.concatenate([getattr(item.rows, name) for item in found]) for name in ("right", "down", "origin")]
-    edges[2] = edges[2] - centre
-    plane_to_image = np.stack([edge @ projection[:, :3].T for edge in edges], axis=2)
+    right = np.concatenate([item.rows.right for item in found])
+    down = np.concatenate([item.rows.down for item in found])
+    corner = np.concatenate([item.rows.origin for item in found]) - centre
+    plane_to_image = projection[:, :3] @ np.stack([right, down, corner], axis=2)
     texture = np.concatenate([item.rows.texture for item in found])
-    return Visible(polygons, rects, texture, np.linalg.inv(plane_to_image))
+    image_to_plane: Array = np.linalg.inv(plane_to_image)
+    return Visible(polygons, rects, texture, image_to_plane)
 
 
 def clipped(corners: Array) -> Array:
@@ -103,13 +105,10 @@ def _visit(
     rows, projected = _facing(cell.surfaces, centre, projection, rect)
     if number in walkers:
         moving, seen = _facing(walkers[number], centre, projection, rect)
-        bodies = len(rows.body_low)
-        moving = moving._replace(body=moving.body + bodies)
-        rows = Surfaces(*(np.concatenate(pair) for pair in zip(rows, moving, strict=True)))
+        rows = rows.joined(moving)
         projected = np.concatenate([projected, seen])
     order = _drawing_order(rows, centre)
-    rows = Surfaces(*(array[order] for array in rows[:6]), rows.body_low, rows.body_high)
-    found.append(_Found(rows, projected[order], rect))
+    found.append(_Found(rows.at(order), projected[order], rect))
 
 
 def _through(corners: Array, rect: Rect, centre: Array, projection: Array) -> Rect | None:
@@ -145,9 +144,7 @@ def _facing(surfaces: Surfaces, centre: Array, projection: Array, rect: Rect) ->
     area = 0.5 * np.abs(diagonals[:, 0, 0] * diagonals[:, 1, 1] - diagonals[:, 0, 1] * diagonals[:, 1, 0])
     outside |= (area < _LEAST_AREA) & (z > NEAR).all(axis=1)
     kept = ~outside
-    rows = rows[kept]
-    chosen = Surfaces(*(array[rows] for array in surfaces[:6]), surfaces.body_low, surfaces.body_high)
-    return chosen, seen[kept]
+    return surfaces.at(rows[kept]), seen[kept]
 
 
 def _drawing_order(rows: Surfaces, centre: Array) -> NDArray[np.int64]:
@@ -173,7 +170,8 @@ def body_order(low: Array, high: Array, centre: Array) -> NDArray[np.int64]:
     lower = (high[:, None] <= low[None] + slack) & beyond_high[:, None]
     hides = ~(higher | lower).any(axis=2)
     distance = np.linalg.norm((low + high) / 2 - centre, axis=1)
-    nearer = (distance[:, None] < distance[None]) | ((distance[:, None] == distance[None]) & np.tri(n, dtype=bool))
+    equal = (distance[:, None] == distance[None]) & np.tri(n, dtype=bool)
+    nearer = (distance[:, None] < distance[None]) | equal
     hides &= ~hides.T | nearer
     np.fill_diagonal(hides, False)
     waiting = hides.sum(axis=1)

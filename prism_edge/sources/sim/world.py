@@ -33,7 +33,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class World:
-    """Cells (rooms in the plan's order, then doorways), BGRA textures with margins, and the plan they follow."""
+    """Cells (rooms in the plan's order, then doorways), BGRA textures with margins, and their plan."""
 
     cells: tuple[Cell, ...]
     textures: list[U8]
@@ -56,7 +56,7 @@ def build_world(plan: Plan, seed: int) -> World:
         shop = Shop(np.random.default_rng([seed, 2, number]), textures)
         lamps = shell.lamps(shop, room)
         low, high = np.array([*room.low, 0.0]), np.array([*room.high, room.height])
-        shop.light = Light(lamps, float(shop.rng.uniform(0.3, 0.45)), low, high)
+        shop.light = Light(lamps, float(shop.rng.uniform(0.38, 0.55)), low, high)
         placed = furnish.arrange(shop.rng, plan, room, sides)
         shell.build_room(shop, room, sides, furnish.FloorShade(room, tuple(placed)))
         shell.show_lamps(shop, lamps)
