@@ -87,7 +87,9 @@ class Recorder:
         self._scale: Any | None = None
         self._ends, self._heartbeats, self._scales = map(bus.queue, ("end", "heartbeat", "scale"))
         self._threads = [
-            threading.Thread(target=self._listen, args=(bus.queue(topic, _QUEUE), keep), name="recorder", daemon=True)
+            threading.Thread(
+                target=self._listen, args=(bus.queue(topic, _QUEUE), keep), name="recorder", daemon=True
+            )
             for topic, keep in (("pose", self._pose), ("tracked", self._tracked))
         ]
         for thread in self._threads:
