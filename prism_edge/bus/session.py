@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import threading
 import time
@@ -12,6 +13,7 @@ from typing import Any
 import zenoh
 
 from prism_edge.bus import codec, keys, ros
+from prism_edge.bus.answer import Answer
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.links import encoding, open_session, quality
 from prism_edge.bus.pulse import Pulse
@@ -36,7 +38,7 @@ class Bus:
         self._session, self._lossless = session, lossless
         self._lock = threading.RLock()
         self._publishers: dict[str, Any] = {}
-        self._answers: dict[str, Any] = {}
+        self._answers: dict[str, Answer] = {}
         self._last: dict[str, Any] = {}
         self._inboxes: list[Inbox] = []
         self._tokens = [session.liveliness().declare_token(keys.alive_key(robot, process))]
@@ -44,6 +46,7 @@ class Bus:
         for name, topic in TOPICS.items():
             if topic.latched and topic.producer == process:
                 self._answer_with_last(name)
+        atexit.register(self.close)  # an open session would keep the process from ending
         self.pulse = Pulse(process, lambda beat: self.publish("heartbeat", beat), self._announce)
 
     @classmethod
@@ -100,7 +103,7 @@ class Bus:
 
         with self._lock:
             if topic in self._answers:
-                self._answers.pop(topic).undeclare()
+                self._answers.pop(topic).close()
             self._answers[topic] = self._reply_with(topic, payload)
 
     def ask(self, topic: str, timeout_s: float = 1.0) -> Any | None:
@@ -151,9 +154,12 @@ class Bus:
         self.pulse.close()
         for inbox in self._inboxes:
             inbox.close()
-        for declared in (*self._answers.values(), *self._tokens, *self._publishers.values()):
+        for answer in self._answers.values():
+            answer.close()
+        for declared in (*self._tokens, *self._publishers.values()):
             declared.undeclare()
         self._session.close()
+        atexit.unregister(self.close)
 
     def _announce(self) -> None:
         with self._lock:
@@ -173,20 +179,8 @@ class Bus:
             if topic not in self._answers:
                 self._answers[topic] = self._reply_with(topic, lambda: self._last.get(topic))
 
-    def _reply_with(self, topic: str, payload: Callable[[], bytes | None]) -> Any:
-        key = keys.key(self.robot, TOPICS[topic])
-
-        def reply(query: Any) -> None:
-            with query:
-                try:
-                    data = payload()
-                    if data is not None:
-                        query.reply(key, data, encoding=encoding(TOPICS[topic]))
-                except Exception as error:  # a thread of Zenoh's: it would go unseen
-                    log.error("can't answer for %s: %s", topic, error)
-                    query.reply_err(f"{type(error).__name__}: {error}")
-
-        return self._session.declare_queryable(key, zenoh.handlers.Callback(reply, indirect=True))
+    def _reply_with(self, topic: str, payload: Callable[[], bytes | None]) -> Answer:
+        return Answer(self._session, keys.key(self.robot, TOPICS[topic]), payload, encoding(TOPICS[topic]))
 
     def _subscribe(self, topic: str, capacity: int) -> Inbox:
         key = keys.key(self.robot, TOPICS[topic])

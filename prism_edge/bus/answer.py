@@ -1,0 +1,48 @@
+"""Answering get()s on one key, from a thread of its own."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import zenoh
+
+log = logging.getLogger("prism_edge.bus")
+
+
+class Answer:
+    """A queryable. Not one of Zenoh's callbacks: their threads keep the process from ending."""
+
+    def __init__(self, session: Any, key: str, payload: Callable[[], bytes | None], encoding: Any) -> None:
+        """``payload`` is called for each query, in this object's thread; None is no answer."""
+        self._key, self._payload, self._encoding = key, payload, encoding
+        self._queryable = session.declare_queryable(key, zenoh.handlers.FifoChannel(64))
+        self._thread = threading.Thread(target=self._run, name="answer", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Ends the queryable and its thread."""
+        self._queryable.undeclare()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout=1.0)
+
+    def _run(self) -> None:
+        handler = self._queryable.handler
+        while True:
+            try:
+                query = handler.recv()
+            except zenoh.ZError:  # undeclared
+                return
+            with query:
+                self._reply(query)
+            del query  # else it, and with it the asker, would wait for the next one
+
+    def _reply(self, query: Any) -> None:
+        try:
+            data = self._payload()
+            if data is not None:
+                query.reply(self._key, data, encoding=self._encoding)
+        except Exception as error:  # the worker's function may raise anything, and nobody else would see it
+            log.error("can't answer for %s: %s: %s", self._key, type(error).__name__, error)

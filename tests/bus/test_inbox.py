@@ -1,0 +1,127 @@
+"""Taking what has arrived."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+
+import pytest
+import zenoh
+
+from prism_edge.bus.inbox import Inbox
+
+
+class Subscriber:
+    """Stands for Zenoh's: a channel that ``put`` fills."""
+
+    def __init__(self):
+        self.channel, self.handler = queue.SimpleQueue(), self
+
+    def put(self, *samples):
+        for sample in samples:
+            self.channel.put(sample)
+
+    def recv(self):
+        sample = self.channel.get()
+        if sample is None:
+            raise zenoh.ZError("closed")
+        return sample
+
+    def undeclare(self):
+        self.channel.put(None)
+
+
+@pytest.fixture
+def stopped():
+    return threading.Event()
+
+
+@pytest.fixture
+def open_inbox(stopped):
+    opened = []
+
+    def make(capacity, unpack=lambda sample: sample, overflowed=None):
+        subscriber = Subscriber()
+        inbox = Inbox(subscriber, capacity, unpack, stopped, overflowed)
+        opened.append(inbox)
+        return subscriber, inbox
+
+    yield make
+    for inbox in opened:
+        inbox.close()
+        assert not inbox._thread.is_alive()
+
+
+def has_arrived(inbox, count):
+    return lambda: len(inbox._samples) == count
+
+
+def test_a_queue_gives_everything_in_order(open_inbox):
+    subscriber, inbox = open_inbox(10)
+    subscriber.put("a", "b", "c")
+    assert [inbox.take(5.0) for _ in range(3)] == ["a", "b", "c"]
+    assert inbox.take() is None
+
+
+def test_the_newest_wins_where_there_is_room_for_one(open_inbox, eventually):
+    subscriber, inbox = open_inbox(1)
+    subscriber.put("a", "b", "c")
+    eventually(subscriber.channel.empty)
+    eventually(lambda: inbox._samples and inbox._samples[-1] == "c")
+    assert inbox.take() == "c"
+    assert inbox.take() is None
+
+
+def test_a_full_queue_loses_the_oldest_and_says_so(open_inbox, eventually):
+    lost = []
+    subscriber, inbox = open_inbox(2, overflowed=lambda: lost.append(1))
+    subscriber.put("a", "b", "c")
+    eventually(lambda: lost)
+    assert inbox.drain() == ["b", "c"]
+
+
+def test_drain_takes_all(open_inbox, eventually):
+    subscriber, inbox = open_inbox(10)
+    subscriber.put("a", "b")
+    eventually(has_arrived(inbox, 2))
+    assert inbox.drain() == ["a", "b"]
+    assert inbox.drain() == []
+
+
+def test_malformed_messages_are_passed_over(open_inbox, eventually):
+    subscriber, inbox = open_inbox(10, unpack=lambda sample: None if sample == "bad" else sample)
+    subscriber.put("bad", "a", "bad", "b", "bad")
+    assert inbox.take(5.0) == "a"
+    eventually(has_arrived(inbox, 3))
+    assert inbox.drain() == ["b"]
+
+
+def test_taking_waits_for_an_arrival(open_inbox):
+    subscriber, inbox = open_inbox(1)
+    threading.Timer(0.05, subscriber.put, ["late"]).start()
+    assert inbox.take(10.0) == "late"
+
+
+def test_nothing_in_time_is_none(open_inbox):
+    _, inbox = open_inbox(1)
+    start = time.monotonic()
+    assert inbox.take(0.05) is None
+    assert time.monotonic() - start >= 0.05
+
+
+def test_a_stopped_bus_ends_the_wait(open_inbox, stopped):
+    _, inbox = open_inbox(1)
+    threading.Timer(0.05, stopped.set).start()
+    start = time.monotonic()
+    assert inbox.take(60.0) is None
+    assert time.monotonic() - start < 30.0
+
+
+def test_a_stopped_bus_gives_nothing_more(open_inbox, stopped, eventually):
+    subscriber, inbox = open_inbox(1)
+    subscriber.put("a")
+    eventually(has_arrived(inbox, 1))
+    stopped.set()
+    assert inbox.take(1.0) is None
+    assert inbox.drain() == ["a"]

@@ -1,0 +1,82 @@
+"""Endpoints of sessions and the quality of service of topics."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import zenoh
+
+from prism_edge.bus import links
+from prism_edge.bus.links import encoding, on_this_host, open_session, quality
+from prism_edge.config import BusConfig, Config
+from prism_edge.errors import BusError
+from prism_edge.topics import TOPICS
+from tests.bus.conftest import free_endpoint
+
+
+def test_an_endpoint_in_use_is_named(config):
+    with open_session(config.bus, listen=True), pytest.raises(BusError, match="is in use") as caught:
+        open_session(config.bus, listen=True)
+    assert config.bus.endpoint in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("endpoint", ["tcp/192.0.2.1:7447", "unixsock-stream//nowhere/at/all"])
+def test_an_endpoint_that_is_not_ours_can_not_be_listened_on(endpoint):
+    with pytest.raises(BusError, match="can't open") as caught:
+        open_session(BusConfig(endpoint=endpoint), listen=True)
+    assert endpoint in str(caught.value)
+    assert ".rs:" not in str(caught.value)
+
+
+def test_on_this_host_an_absent_listener_is_waited_for_in_the_background(config):
+    with open_session(config.bus, listen=False) as session:
+        assert not session.is_closed()
+
+
+def test_from_another_host_an_absent_listener_is_an_error(monkeypatch):
+    monkeypatch.setattr(links, "on_this_host", lambda endpoint: False)
+    monkeypatch.setattr(links, "_REACH_MS", 100)
+    with pytest.raises(BusError, match="nobody answers at"):
+        open_session(BusConfig(endpoint=free_endpoint()), listen=False)
+
+
+@pytest.mark.parametrize(
+    ("endpoint", "here"),
+    [
+        ("tcp/127.0.0.1:7447", True),
+        ("tcp/localhost:7447", True),
+        ("tcp/0.0.0.0:7447", True),
+        ("unixsock-stream//tmp/x", True),
+        ("tcp/192.0.2.1:7447", False),  # set aside for documentation (RFC 5737)
+        ("tcp/nowhere.invalid:7447", False),
+    ],
+)
+def test_this_host_is_told_from_others(endpoint, here):
+    assert on_this_host(endpoint) is here
+
+
+def test_in_real_time_nothing_blocks_and_in_lockstep_nothing_is_dropped():
+    for topic in TOPICS.values():
+        assert quality(topic, lossless=False)["congestion_control"] == zenoh.CongestionControl.DROP
+        assert quality(topic, lossless=True)["congestion_control"] == zenoh.CongestionControl.BLOCK
+    assert quality(TOPICS["frame"], lossless=False)["reliability"] == zenoh.Reliability.BEST_EFFORT
+    assert quality(TOPICS["frame"], lossless=True)["reliability"] == zenoh.Reliability.RELIABLE
+
+
+def test_every_topic_has_a_priority_that_zenoh_knows():
+    for topic in TOPICS.values():
+        assert isinstance(quality(topic, False)["priority"], zenoh.Priority)
+    assert quality(TOPICS["odom"], False)["priority"] == zenoh.Priority.REAL_TIME
+    with pytest.raises(AttributeError):
+        quality(replace(TOPICS["odom"], priority="urgent"), False)
+
+
+def test_encodings_name_the_type():
+    assert str(encoding(TOPICS["odom"])) == "application/cdr;nav_msgs/msg/Odometry"
+    assert str(encoding(TOPICS["frame"])) == "application/octet-stream;prism_edge.Frame"
+
+
+def test_the_default_endpoint_is_on_loopback():
+    assert Config().bus.endpoint.startswith("tcp/127.0.0.1:")

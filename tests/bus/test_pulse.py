@@ -1,0 +1,99 @@
+"""Heartbeats."""
+
+from __future__ import annotations
+
+import os
+import time
+
+import pytest
+
+from prism_edge.bus.pulse import Pulse
+from prism_edge.errors import BusError
+
+
+@pytest.fixture
+def sent():
+    return []
+
+
+@pytest.fixture
+def announced():
+    return []
+
+
+@pytest.fixture
+def pulse(sent, announced):
+    pulse = Pulse("depth", sent.append, lambda: announced.append("ready"))
+    yield pulse
+    pulse.close()
+
+
+def test_a_process_begins_by_starting(pulse, sent, eventually):
+    eventually(lambda: sent)
+    assert (sent[0].process, sent[0].pid, sent[0].state) == ("depth", os.getpid(), "starting")
+
+
+def test_it_beats_on_without_being_asked(pulse, sent, eventually):
+    eventually(lambda: len(sent) >= 3)
+    assert sent[2].monotonic_ns > sent[1].monotonic_ns > sent[0].monotonic_ns
+
+
+def test_ready_is_announced_once_and_said_at_once(pulse, sent, announced, eventually):
+    pulse.ready()
+    pulse.ready()
+    assert announced == ["ready"]
+    eventually(lambda: sent[-1].state == "ready", 0.4)  # sooner than the next regular beat
+
+
+def test_ended_is_said_at_once(pulse, sent, eventually):
+    pulse.ended()
+    eventually(lambda: sent[-1].state == "ended", 0.4)
+
+
+def test_an_activity_carries_its_start_and_budget(pulse):
+    pulse.ready()
+    before = time.monotonic_ns()
+    pulse.working("inference", 3.0)
+    beat = pulse.beat()
+    assert (beat.state, beat.activity, beat.budget_s) == ("working", "inference", 3.0)
+    assert before <= beat.activity_since_ns <= beat.monotonic_ns
+    pulse.idle()
+    assert (pulse.beat().state, pulse.beat().activity) == ("idle", "")
+
+
+def test_work_before_ready_is_a_part_of_starting(pulse):
+    pulse.working("loading the network", 30.0)
+    beat = pulse.beat()
+    assert (beat.state, beat.activity, beat.budget_s) == ("starting", "loading the network", 30.0)
+
+
+def test_values_are_copied_as_text(pulse):
+    pulse.values["queue"] = 3
+    beat = pulse.beat()
+    pulse.values["queue"] = 4
+    assert beat.values == {"queue": "3"}
+
+
+def test_counters(pulse):
+    assert [pulse.count("malformed"), pulse.count("malformed")] == [1, 2]
+    assert pulse.values == {"malformed": "2"}
+
+
+def test_a_beat_that_can_not_be_sent_does_not_end_the_thread(eventually):
+    calls = []
+
+    def fail(beat):
+        calls.append(beat)
+        raise BusError("no")
+
+    pulse = Pulse("depth", fail, lambda: None)
+    eventually(lambda: len(calls) >= 2)
+    pulse.close()
+
+
+def test_close_ends_the_thread(pulse, sent):
+    pulse.close()
+    count = len(sent)
+    pulse.ready()
+    time.sleep(0.05)  # time in which a thread that lived would answer to ready()
+    assert len(sent) == count
