@@ -62,7 +62,7 @@ class TrackingConfig:
     keyframe_ratio: float = limits(0.8, 0.1, 1.0, "new keyframe when matches fall below this share")
     keyframe_min_s: float = limits(0.15, 0.0, 10.0, "least time between keyframes")
     keyframe_max_s: float = limits(1.5, 0.0, 60.0, "a moving camera makes a keyframe at least this often")
-    max_local_points: int = limits(2000, 100, 50_000, "map points projected into a frame at most")
+    max_local_points: int = limits(5000, 100, 50_000, "map points projected into a frame at most")
     max_keyframes: int = limits(600, 10, 100_000, "keyframes the local map keeps at most")
 
 
@@ -103,7 +103,7 @@ class BackendConfig:
     observations: int = limits(300, 20, 2000, "observations a keyframe at most")
     pixel_sigma: float = limits(1.0, 0.1, 10.0, "keypoint noise at pyramid level 0 (pixels)")
     huber_pixels: float = limits(2.45, 0.1, 50.0, "Huber threshold of a reprojection, in sigmas")
-    depth_sigma: float = limits(0.2, 0.01, 2.0, "relative noise of one network depth")
+    depth_sigma: float = limits(0.6, 0.01, 5.0, "relative noise of a depth, what a network's pixels share included")
     huber_depth_m: float = limits(0.1, 0.001, 10.0, "Huber threshold of a depth residual (m)")
 
 

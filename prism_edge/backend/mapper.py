@@ -90,6 +90,27 @@ class Mapper:
             covariance=np.zeros((6, 6)),
         )
 
+    def nothing(self, message: Keyframe) -> MapUpdate:
+        """An update that changes nothing: lockstep's answer where there was nothing to solve."""
+        self.sequence += 1
+        ids, none = np.zeros(0, np.int64), np.zeros((0, 3))
+        return MapUpdate(
+            epoch=message.epoch,
+            sequence=self.sequence,
+            based_on=message.id,
+            index=message.index,
+            loop_closed=False,
+            solve_ms=0.0,
+            keyframes=ids,
+            poses=np.zeros((0, 4, 4)),
+            points=ids,
+            positions=none,
+            parallax_deg=np.zeros(0, np.float32),
+            dropped_keyframes=ids,
+            dropped_points=ids,
+            covariance=np.zeros((6, 6)),
+        )
+
     def step(
         self, message: Keyframe, depth: NDArray[np.float32], image_to_depth: Array, log_scale: float
     ) -> MapUpdate | None:

@@ -14,6 +14,7 @@ from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
 CHI2_2D_99 = 9.21
+CONVERGED = 1e-4  # relative decrease of the cost that is not worth another iteration
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ def solve(
         for iterations in range(1, config.iterations + 1):
             optimiser.iterate()
             error = optimiser.error()
-            if previous - error < 1e-3 * previous:
+            if previous - error < CONVERGED * previous:
                 break
             previous = error
         result = optimiser.values()

@@ -21,6 +21,9 @@ LOCAL_DISTANCE, LOCAL_RATIO = 72, 0.8
 SEARCH_RADII = (15.0, 40.0, 80.0)  # pixels at level 0, tried in turn when too little is found
 LOCAL_RADIUS = 5.0
 MIN_VIEW_COSINE = 0.5
+SEED_SIGMA = 0.1  # relative depth error beyond which a point counts as a seed
+ENOUGH_TRIANGULATED = 60
+SHARED_SEED_ERROR = 5.0
 
 
 @dataclass
@@ -183,7 +186,7 @@ class FrameTracker:
         seen = points[points >= 0]
         table.visible[table.rows(seen)] += 1
         # A seed's place is doubtful along its ray, so its window is wider.
-        radius = LOCAL_RADIUS * self._factors[octave] * np.where(table.log_depth_sigma[rows] > 0.1, 2.0, 1.0)
+        radius = LOCAL_RADIUS * self._factors[octave] * np.where(table.log_depth_sigma[rows] > SEED_SIGMA, 2.0, 1.0)
         query, keypoint = match_projected(
             features,
             centres,
@@ -197,12 +200,14 @@ class FrameTracker:
         points[keypoint] = table.ids[rows[query]]
 
     def _depth_error(self, world: LocalMap, rows: Index) -> Array:
-        import os
-        table = world.points
-        error = depth_error(table, rows, reference_origins(world, rows))
-        seeded = table.log_depth_sigma[rows] > 0.1
-        if (~seeded).sum() >= 60:
-            error[seeded] *= float(os.environ.get("SEEDX", "1"))
+        """Errors along the first rays; seeds of one network share theirs, so many of them tell little more.
+
+        Beside enough triangulated points a seed is left to fix what its first ray says, not its depth.
+        """
+        error = depth_error(world.points, rows, reference_origins(world, rows))
+        seeded = world.points.log_depth_sigma[rows] > SEED_SIGMA
+        if (~seeded).sum() >= ENOUGH_TRIANGULATED:
+            error[seeded] *= SHARED_SEED_ERROR
         return error
 
     def _solve(

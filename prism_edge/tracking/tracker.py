@@ -26,7 +26,7 @@ log = logging.getLogger("prism_edge.tracking")
 
 MIN_FIRST_FEATURES = 80
 INITIAL_PATIENCE_S = 1.0  # a first keyframe that can't be tracked for longer is replaced
-NEIGHBOURS = 4
+NEIGHBOURS = 10
 DEGRADED_MATCHES = 50
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
 
@@ -40,7 +40,6 @@ class FrameResult:
     covariance: Array  # (6, 6), translation first, camera frame
     reference: int  # keyframe that carries the frame, -1 for none
     reference_from_camera: Array
-    keyframe: LocalKeyframe | None  # created from this frame
     matched: int
 
 
@@ -66,9 +65,14 @@ class Tracker:
         self._since_refresh = 0
         self._initialised = False
         self._result: FrameResult | None = None
+        self._fresh: tuple[int, TrackedFrame] | None = None  # tracked, not yet judged as a keyframe
+        self._pending: LocalKeyframe | None = None  # the first keyframe, not yet handed out
 
     def process(self, index: int, stamp_ns: int, grey: NDArray[np.uint8], camera: Camera) -> FrameResult:
-        """Track one image (height, width) taken at ``stamp_ns``."""
+        """Track one image (height, width) taken at ``stamp_ns``; what is published follows from the result.
+
+        :meth:`maybe_keyframe` comes after, so that a pose need not wait for the mapping.
+        """
         features = self._extractor.extract(grey, camera)
         if not self.world.keyframes:
             self._result = self._begin(index, stamp_ns, camera, features)
@@ -76,30 +80,19 @@ class Tracker:
             self._result = self._continue(index, stamp_ns, camera, features)
         return self._result
 
-    def repeat(self) -> FrameResult | None:
-        """The result for an exact copy of the last frame: its pose, and no keyframe."""
-        if self._result is None:
-            return None
-        last = self._result
-        return FrameResult(
-            last.odometry,
-            last.world_from_camera,
-            last.covariance,
-            last.reference,
-            last.reference_from_camera,
-            None,
-            last.matched,
-        )
+    @property
+    def last_result(self) -> FrameResult | None:
+        """The result of the last frame: also that of an exact copy of it."""
+        return self._result
 
     # -- frames ---------------------------------------------------------------------------------
 
     def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
-        keyframe = None
         if len(features) >= MIN_FIRST_FEATURES:
             points = np.full(len(features), -1, np.int64)
-            keyframe = self._insert(index, stamp_ns, camera, features, np.eye(4), points)
+            self._pending = self._insert(index, stamp_ns, camera, features, np.eye(4), points)
             self._seen_at = stamp_ns
-        return self._nothing(INITIALISING, keyframe)
+        return _nothing(INITIALISING)
 
     def _continue(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
         frame = self._track(stamp_ns, camera, features)
@@ -109,12 +102,12 @@ class Tracker:
                 if silent_s > INITIAL_PATIENCE_S:
                     log.info("the first keyframe could not be tracked: starting again")
                     self._restart()
-                return self._nothing(INITIALISING)
+                return _nothing(INITIALISING)
             self._velocity[:] = 0.0
-            return self._nothing(LOST if silent_s > self._config.lost_after_s else DEGRADED)
+            return _nothing(LOST if silent_s > self._config.lost_after_s else DEGRADED)
         self._update_motion(frame, stamp_ns)
         self._initialised = True
-        keyframe = self._maybe_keyframe(index, stamp_ns, frame)
+        self._fresh = (index, frame)
         reference = self.world.newest()
         return FrameResult(
             OK if frame.matched >= DEGRADED_MATCHES else DEGRADED,
@@ -122,7 +115,6 @@ class Tracker:
             frame.covariance,
             reference.id,
             inverse(reference.world_from_camera) @ frame.world_from_camera,
-            keyframe,
             frame.matched,
         )
 
@@ -180,8 +172,14 @@ class Tracker:
 
     # -- keyframes ------------------------------------------------------------------------------
 
-    def _maybe_keyframe(self, index: int, stamp_ns: int, frame: TrackedFrame) -> LocalKeyframe | None:
-        reference = self.world.newest()
+    def maybe_keyframe(self) -> LocalKeyframe | None:
+        """Make the last frame a keyframe if it is worth one, with new points; None if not."""
+        pending, self._pending = self._pending, None
+        if pending is not None or self._fresh is None:
+            return pending
+        index, frame = self._fresh
+        self._fresh = None
+        stamp_ns, reference = self._last_stamp, self.world.newest()
         self._reference_matches = max(self._reference_matches, frame.matched)
         decision = decide(
             self._config,
@@ -196,10 +194,10 @@ class Tracker:
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
         )
-        neighbours = self.world.covisible(keyframe, 8)
+        neighbours = self.world.covisible(keyframe, NEIGHBOURS)
         mapping.mature(self.world, keyframe, self._factors)
-        mapping.triangulate_with_neighbours(self.world, keyframe, neighbours[:NEIGHBOURS], self._factors)
-        for other in neighbours[:NEIGHBOURS]:
+        mapping.triangulate_with_neighbours(self.world, keyframe, neighbours, self._factors)
+        for other in neighbours:
             mapping.share_points(self.world, keyframe, other, self._factors)
         mapping.cull_recent_points(self.world, keyframe.id)
         frame.points = keyframe.points.copy()
@@ -232,8 +230,6 @@ class Tracker:
         if keyframe is None:
             return 0
         most = self._config.features if not self._initialised else self._config.features // 3
-        import os
-        most = most if not self._initialised else int(os.environ.get("SEEDN","333"))
         units_per_metre = float(np.exp(-self.log_scale))
         ids = seed_from_depth(
             self.world, keyframe, depth, image_to_depth, units_per_metre, relative_sigma, most
@@ -284,11 +280,13 @@ class Tracker:
 
     # -- ends -----------------------------------------------------------------------------------
 
-    def _nothing(self, odometry: str, keyframe: LocalKeyframe | None = None) -> FrameResult:
-        return FrameResult(odometry, None, np.zeros((6, 6)), -1, np.eye(4), keyframe, 0)
-
     def _restart(self) -> None:
         """Begin a new map: nothing of the old one was ever published."""
         self.world = LocalMap()
         self.epoch += 1
+        self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
         self._last, self._initialised, self._velocity = None, False, np.zeros(6)
+
+
+def _nothing(odometry: str) -> FrameResult:
+    return FrameResult(odometry, None, np.zeros((6, 6)), -1, np.eye(4), 0)

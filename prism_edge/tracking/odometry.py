@@ -1,0 +1,34 @@
+"""Metric odometry: the camera's motion summed up, so that no correction of the map makes it jump."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prism_edge.geometry.poses import Array, inverse, normalised, scaled, se3_log
+
+
+class MetricOdometry:
+    """Integrates motion between consecutive frames, measured in one state of the map and turned to metres."""
+
+    def __init__(self) -> None:
+        self.odom_from_camera = np.eye(4)
+        self.twist = np.zeros(6)  # m/s and rad/s in the camera frame
+        self._stamp_ns: int | None = None
+
+    def advance(self, before: Array | None, after: Array, log_scale: float, stamp_ns: int) -> Array:
+        """odom_from_camera of a frame at ``after`` (world_from_camera, map units).
+
+        ``before`` is where the *present* map has the last tracked frame: a correction moves both alike.
+        """
+        if before is not None:
+            step = scaled(inverse(before) @ after, float(np.exp(log_scale)))
+            self.odom_from_camera = normalised(self.odom_from_camera @ step)
+            elapsed = (stamp_ns - (self._stamp_ns or 0)) * 1e-9
+            self.twist = se3_log(step) / elapsed if self._stamp_ns is not None and elapsed > 0 else np.zeros(6)
+        self._stamp_ns = stamp_ns
+        return self.odom_from_camera
+
+    def repeat(self, stamp_ns: int) -> Array:
+        """The same place again (an exact copy of the last frame)."""
+        self._stamp_ns = stamp_ns
+        return self.odom_from_camera

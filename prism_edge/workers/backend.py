@@ -1,0 +1,171 @@
+"""The backend worker: keyframes and their depth in, corrections of the map out."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import deque
+
+import numpy as np
+
+from prism_edge.backend.mapper import Mapper
+from prism_edge.bus.session import Bus
+from prism_edge.config import Config
+from prism_edge.messages import Acknowledged, Depth, Keyframe, MapSnapshot, MapUpdate, Tracked
+from prism_edge.processes import processes_for
+
+log = logging.getLogger("prism_edge.backend")
+
+_LOOK_S = 0.05
+_SOLVE_S = 20.0
+_PATIENCE_S = 30.0  # lockstep: a keyframe or depth that takes longer isn't coming
+# Real time: how long a keyframe waits for its depth before its window is solved without.
+_DEPTH_WAIT_S = 0.25
+
+
+class BackendWorker:
+    """Joins the mapper to the bus."""
+
+    def __init__(self, config: Config, bus: Bus) -> None:
+        self._config, self._bus = config, bus
+        self._peers = {process.name for process in processes_for(config)} - {"backend"}
+        self._use_depth = "depth_factor" not in config.ablate and "depth" in self._peers
+        self._keyframes = bus.queue("keyframe", 64)
+        self._depths = bus.queue("depth", 64)
+        self._scales = bus.queue("log_scale", 64)
+        self._ends = bus.queue("end")
+        self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
+        self._mapper = Mapper(config.backend, self._use_depth)
+        self._waiting: deque[tuple[float, Keyframe]] = deque()
+        self._early: dict[int, Depth] = {}
+        self._log_scale = 0.0
+        self._scaled: set[int] = set()
+        self._settled = False
+        self._snapshot = self._take_snapshot()
+        bus.answer("map_snapshot", lambda: self._snapshot)
+
+    def run(self) -> None:
+        """Works until the bus is stopped; the map stays available."""
+        self._bus.pulse.ready()
+        if self._ticks is not None:
+            self._bus.await_ready(self._peers, _PATIENCE_S)
+        ending = False
+        while not self._bus.stopped.is_set():
+            worked = self._realtime() if self._ticks is None else self._lockstep()
+            ending = ending or bool(self._ends.drain())
+            # The last keyframe may still be under way when the end is: one quiet look more.
+            if ending and not worked and not self._waiting and not self._settled:
+                self._receive(4 * _LOOK_S)
+                if not self._waiting:
+                    self._settled = True
+                    self._snapshot = self._take_snapshot()
+                    self._bus.pulse.ended()
+
+    # -- real time ----------------------------------------------------------------------------------
+
+    def _realtime(self) -> bool:
+        """Absorb every keyframe at once, solve the window of the newest; whether there was one."""
+        self._receive(_LOOK_S)
+        newest: Keyframe | None = None
+        while self._waiting:
+            arrived, keyframe = self._waiting[0]
+            if self._use_depth and keyframe.id not in self._early and time.monotonic() - arrived < _DEPTH_WAIT_S:
+                break
+            self._waiting.popleft()
+            self._absorb(keyframe)
+            newest = keyframe
+        if newest is None:
+            return False
+        self._solve(newest)
+        return True
+
+    def _receive(self, timeout_s: float) -> None:
+        first = self._keyframes.take(timeout_s)
+        now = time.monotonic()
+        for keyframe in ([first] if first is not None else []) + self._keyframes.drain():
+            self._waiting.append((now, keyframe))
+        for depth in self._depths.drain():
+            self._early[depth.keyframe] = depth
+        for scale in self._scales.drain():
+            self._scaled.add(scale.keyframe)
+            if scale.epoch == self._mapper.epoch and np.isfinite(scale.log_scale):
+                self._log_scale = scale.log_scale
+
+    def _absorb(self, keyframe: Keyframe) -> None:
+        if keyframe.epoch != self._mapper.epoch:
+            self._log_scale = 0.0
+        self._mapper.absorb(keyframe)
+        depth = self._early.pop(keyframe.id, None)
+        self._early = {k: kept for k, kept in self._early.items() if k > keyframe.id}
+        if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
+            self._mapper.add_depth(keyframe, depth.depth, depth.image_to_depth, self._log_scale)
+
+    def _solve(self, keyframe: Keyframe) -> MapUpdate | None:
+        self._bus.pulse.working(f"window of keyframe {keyframe.id}", _SOLVE_S)
+        update = self._mapper.optimise(keyframe.id, self._log_scale)
+        if update is not None:
+            self._bus.publish("map_update", update)
+            self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
+        self._snapshot = self._take_snapshot()
+        self._bus.pulse.values["keyframes"] = str(len(self._mapper.world.keyframes))
+        self._bus.pulse.values["points"] = str(len(self._mapper.world.points))
+        self._bus.pulse.values["behind"] = str(len(self._waiting))
+        self._bus.pulse.idle()
+        return update
+
+    # -- lockstep -----------------------------------------------------------------------------------
+
+    def _lockstep(self) -> bool:
+        """Do the next frame's work and acknowledge it; whether there was one."""
+        assert self._ticks is not None
+        tick = self._ticks.take(_LOOK_S)
+        if tick is None:
+            return False
+        if tick.keyframe >= 0:
+            self._one(tick)
+        self._bus.publish("acknowledged", Acknowledged("backend", tick.index))
+        return True
+
+    def _one(self, tick: Tracked) -> None:
+        """Wait for the keyframe, its depth and its scale; the tracker waits for an update of each."""
+        self._bus.pulse.working(f"waiting for keyframe {tick.keyframe}", _PATIENCE_S + 5.0)
+        deadline = time.monotonic() + _PATIENCE_S
+        while not self._complete(tick.keyframe) and not self._bus.stopped.is_set():
+            if time.monotonic() > deadline:
+                log.warning("keyframe %d is incomplete: going on with what there is", tick.keyframe)
+                break
+            self._receive(0.01)
+        while self._waiting and self._waiting[0][1].id <= tick.keyframe:
+            _, keyframe = self._waiting.popleft()
+            self._absorb(keyframe)
+            if self._solve(keyframe) is None:
+                self._bus.publish("map_update", self._mapper.nothing(keyframe))
+        self._scaled = {k for k in self._scaled if k > tick.keyframe}
+
+    def _complete(self, keyframe: int) -> bool:
+        here = any(waiting.id == keyframe for _, waiting in self._waiting)
+        has_depth = "depth" not in self._peers or keyframe in self._early
+        return here and has_depth and ("scale" not in self._peers or keyframe in self._scaled)
+
+    # -- the map for others -------------------------------------------------------------------------
+
+    def _take_snapshot(self) -> MapSnapshot:
+        world = self._mapper.world
+        poses = world.poses()
+        indices = [world.keyframes[k].index if k in world.keyframes else world.carried[k][2] for k in poses]
+        return MapSnapshot(
+            epoch=self._mapper.epoch,
+            sequence=self._mapper.sequence,
+            settled=self._settled,
+            log_scale=self._log_scale,
+            keyframes=np.array(list(poses), np.int64),
+            indices=np.array(indices, np.int64),
+            poses=np.array(list(poses.values())).reshape(-1, 4, 4),
+            points=np.array(list(world.points), np.int64),
+            positions=np.array([p.position for p in world.points.values()]).reshape(-1, 3),
+        )
+
+
+def main(config: Config, bus: Bus) -> None:
+    """Runs until ``bus.stopped``."""
+    BackendWorker(config, bus).run()

@@ -1,0 +1,88 @@
+"""Poses as subscribers get them: metres, REP 103 and 105 frames, ROS covariances."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prism_edge.bus import ros
+from prism_edge.bus.session import Bus
+from prism_edge.config import FramesConfig
+from prism_edge.geometry.poses import Array, from_rt, inverse, rotation_from_quaternion, scaled, skew
+from prism_edge.tracking.tracker import FrameResult
+
+
+class PosePublisher:
+    """Publishes `odom`, `pose` and `tf` of a tracked frame."""
+
+    def __init__(self, bus: Bus, frames: FramesConfig) -> None:
+        self._bus, self._frames = bus, frames
+        rotation = rotation_from_quaternion(np.array(frames.base_from_camera_xyzw))
+        self._mount = from_rt(rotation, np.array(frames.base_from_camera_xyz))
+        self._camera_from_base = inverse(self._mount)
+
+    def publish(
+        self,
+        stamp_ns: int,
+        result: FrameResult,
+        odom_from_camera: Array,
+        twist: Array,
+        log_scale: float,
+        scale_sigma: float,
+    ) -> None:
+        """Send the three messages of one frame; ``result`` must have a pose (map units)."""
+        assert result.world_from_camera is not None
+        metres = float(np.exp(log_scale))
+        # The map's frame is where the robot's base was at the first keyframe.
+        map_from_base = self._based(scaled(result.world_from_camera, metres))
+        odom_from_base = self._based(odom_from_camera)
+        local = self._covariance(result.covariance, metres, map_from_base)
+        in_map = with_scale_error(local, map_from_base[:3, 3], scale_sigma)
+        in_odom = with_scale_error(local, odom_from_base[:3, 3], scale_sigma)
+        names = self._frames
+        twist_in_base = self._twist(twist)
+        self._bus.publish("pose", ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map))
+        self._bus.publish(
+            "odom",
+            ros.odometry(
+                stamp_ns, names.odom, names.base_link, odom_from_base, in_odom, twist_in_base, local * 900.0
+            ),
+        )
+        self._bus.publish(
+            "tf",
+            ros.transforms(
+                [
+                    (stamp_ns, names.map, names.odom, map_from_base @ inverse(odom_from_base)),
+                    (stamp_ns, names.odom, names.base_link, odom_from_base),
+                    (stamp_ns, names.base_link, names.camera, self._mount),
+                ]
+            ),
+        )
+
+    def _based(self, start_from_camera: Array) -> Array:
+        """From a camera's pose relative to its start to the base's relative to the base's start."""
+        return self._mount @ start_from_camera @ self._camera_from_base
+
+    def _covariance(self, camera_covariance: Array, metres: float, map_from_base: Array) -> Array:
+        """Covariance of the base in the map's axes, of a camera-frame covariance in map units."""
+        unit = np.diag([metres] * 3 + [1.0] * 3)
+        rotation = map_from_base[:3, :3] @ self._mount[:3, :3]
+        lever = skew(map_from_base[:3, :3] @ self._mount[:3, 3])
+        carry = np.zeros((6, 6))
+        carry[:3, :3], carry[3:, 3:] = rotation, rotation
+        carry[:3, 3:] = lever @ rotation  # a turn of the camera swings the base about it
+        carry = carry @ unit
+        covariance = carry @ camera_covariance @ carry.T
+        return 0.5 * (covariance + covariance.T)
+
+    def _twist(self, twist: Array) -> Array:
+        """Twist of the base in its own axes, of the camera's in its own."""
+        rotation = self._mount[:3, :3]
+        angular = rotation @ twist[3:]
+        return np.concatenate([rotation @ twist[:3] - np.cross(angular, self._mount[:3, 3]), angular])
+
+
+def with_scale_error(covariance: Array, position: Array, sigma: float) -> Array:
+    """Add what an error of the scale does to a position: it moves along the line to the origin."""
+    out = covariance.copy()
+    out[:3, :3] += sigma**2 * np.outer(position, position)
+    return out

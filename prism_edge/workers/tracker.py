@@ -1,0 +1,257 @@
+"""The tracker worker: frames in, poses out at camera rate, keyframes for the others."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from typing import Any
+
+import cv2
+import numpy as np
+
+from prism_edge.bus import ros
+from prism_edge.bus.inbox import Inbox
+from prism_edge.bus.session import Bus
+from prism_edge.config import Config
+from prism_edge.geometry.cameras import Camera
+from prism_edge.messages import (
+    BUILDING,
+    DEGRADED,
+    INITIALISING,
+    LOST,
+    Acknowledged,
+    Depth,
+    Frame,
+    KeyframeImage,
+    MapUpdate,
+    Scale,
+    Tracked,
+)
+from prism_edge.processes import processes_for
+from prism_edge.sources.pack import grey
+from prism_edge.tracking.announcement import keyframe_message
+from prism_edge.tracking.local_map import LocalKeyframe
+from prism_edge.tracking.odometry import MetricOdometry
+from prism_edge.tracking.tracker import FrameResult, Tracker
+from prism_edge.workers.pose_publisher import PosePublisher
+
+log = logging.getLogger("prism_edge.tracker")
+
+_LOOK_S = 0.01  # between frames, for what the others have sent
+_FRAME_S = 5.0
+_PATIENCE_S = 30.0  # lockstep: an answer that takes longer isn't coming
+_STATUS_NS = 500_000_000
+SEED_SIGMA = 0.2  # relative error of one pixel of network depth
+UNKNOWN_SCALE_SIGMA = 1.0
+
+
+class TrackerWorker:
+    """Joins the tracker to the bus."""
+
+    def __init__(self, config: Config, bus: Bus) -> None:
+        self._config, self._bus = config, bus
+        self._lockstep = config.is_lockstep
+        self._peers = {process.name for process in processes_for(config)} - {"tracker"}
+        self._frames = bus.queue("frame", 64) if self._lockstep else bus.latest("frame")
+        self._inboxes = {name: bus.queue(name) for name in ("depth", "log_scale", "map_update")}
+        self._ends = bus.queue("end")
+        self._tracker = Tracker(config.tracking, config.seed)
+        self._odometry = MetricOdometry()
+        self._publisher = PosePublisher(bus, config.frames)
+        self._scale_sigma = UNKNOWN_SCALE_SIGMA
+        self._travelled = 0.0
+        self._update_sequence = -1
+        self._expected: list[tuple[int, str, int]] = []  # lockstep: due at frame, topic, keyframe
+        self._early: dict[tuple[str, int], Any] = {}
+        self._last_index, self._dropped = -1, 0
+        self._shown: tuple[str, int] | None = None
+
+    def run(self) -> None:
+        """Tracks until the bus is stopped."""
+        self._bus.pulse.ready()
+        if self._lockstep:
+            self._bus.await_ready(self._peers, _PATIENCE_S)
+        self._show(INITIALISING, 0, time.time_ns())
+        while not self._bus.stopped.is_set():
+            frame = self._frames.take(_LOOK_S)
+            if frame is not None:
+                self._bus.pulse.working(f"frame {frame.index}", _FRAME_S)
+                self._take_in(frame.index)
+                self._track(frame)
+                self._bus.pulse.idle()
+            elif self._lockstep:
+                self._note_end()
+            else:
+                self._take_in(-1)
+                self._note_end()
+
+    def _note_end(self) -> None:
+        if self._ends.drain():
+            self._bus.pulse.ended()
+
+    # -- one frame --------------------------------------------------------------------------------
+
+    def _track(self, frame: Frame) -> None:
+        camera = Camera.from_array(frame.camera_model, frame.camera)
+        self._dropped += max(frame.index - self._last_index - 1, 0)
+        self._last_index = frame.index
+        tracker, before = self._tracker, self._tracker.last_pose()
+        repeated = frame.duplicate and tracker.last_result is not None
+        result = tracker.last_result if repeated else None
+        if result is None:
+            result = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera)
+        published = result.world_from_camera is not None
+        if result.world_from_camera is not None:
+            self._publish(frame, result, before, repeated)
+        keyframe = None if repeated else tracker.maybe_keyframe()
+        if keyframe is not None:
+            self._announce(keyframe, frame)
+        self._bus.publish(
+            "tracked",
+            Tracked(
+                frame.index,
+                frame.stamp_ns,
+                frame.captured_monotonic_ns,
+                result.odometry,
+                published,
+                -1 if keyframe is None else keyframe.id,
+                result.reference,
+                result.reference_from_camera,
+                self._dropped,
+            ),
+        )
+        self._show(result.odometry, result.matched, frame.stamp_ns)
+        if self._lockstep:
+            self._bus.publish("acknowledged", Acknowledged("tracker", frame.index))
+
+    def _publish(self, frame: Frame, result: FrameResult, before: Any, repeated: bool) -> None:
+        assert result.world_from_camera is not None
+        tracker = self._tracker
+        if repeated:
+            self._odometry.repeat(frame.stamp_ns)
+        else:
+            self._odometry.advance(before, result.world_from_camera, tracker.log_scale, frame.stamp_ns)
+            if before is not None:
+                self._travelled += float(np.linalg.norm(result.world_from_camera[:3, 3] - before[:3, 3]))
+        self._publisher.publish(
+            frame.stamp_ns,
+            result,
+            self._odometry.odom_from_camera,
+            self._odometry.twist,
+            tracker.log_scale,
+            self._scale_sigma,
+        )
+
+    def _announce(self, keyframe: LocalKeyframe, frame: Frame) -> None:
+        message = keyframe_message(self._tracker, keyframe, self._travelled)
+        self._bus.publish("keyframe", message)
+        self._bus.publish(
+            "keyframe_image",
+            KeyframeImage(
+                keyframe.id,
+                frame.index,
+                frame.stamp_ns,
+                self._tracker.epoch,
+                frame.colour,
+                frame.camera_model,
+                frame.camera,
+                frame.image,
+            ),
+        )
+        if self._lockstep:
+            lags = self._config.lockstep
+            for topic, producer, lag in (
+                ("depth", "depth", lags.depth_lag),
+                ("log_scale", "scale", lags.depth_lag),
+                ("map_update", "backend", lags.map_lag),
+            ):
+                if producer in self._peers:
+                    self._expected.append((frame.index + lag, topic, keyframe.id))
+            self._expected.sort(key=lambda due: due[0])
+
+    # -- what the others send ---------------------------------------------------------------------
+
+    def _take_in(self, index: int) -> None:
+        """Apply what has arrived; in lockstep exactly what is due at frame ``index``, waiting for it."""
+        apply: dict[str, Callable[[Any], None]] = {
+            "depth": self._apply_depth,
+            "log_scale": self._apply_scale,
+            "map_update": self._apply_update,
+        }
+        if not self._lockstep:
+            for topic, inbox in self._inboxes.items():
+                for message in inbox.drain():
+                    apply[topic](message)
+            return
+        while self._expected and self._expected[0][0] <= index:
+            _, topic, keyframe = self._expected.pop(0)
+            message = self._await(topic, keyframe, self._inboxes[topic])
+            if message is not None:
+                apply[topic](message)
+
+    def _await(self, topic: str, keyframe: int, inbox: Inbox) -> Any | None:
+        deadline = time.monotonic() + _PATIENCE_S
+        while (topic, keyframe) not in self._early:
+            message = inbox.take(0.2)
+            if message is not None:
+                about = message.based_on if isinstance(message, MapUpdate) else message.keyframe
+                self._early[topic, about] = message
+            elif self._bus.stopped.is_set() or time.monotonic() > deadline:
+                log.warning("no %s of keyframe %d: going on without", topic, keyframe)
+                return None
+        return self._early.pop((topic, keyframe))
+
+    def _apply_depth(self, message: Depth) -> None:
+        if message.valid and message.epoch == self._tracker.epoch:
+            sigma = float(np.hypot(SEED_SIGMA, message.bias_sigma))
+            self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
+
+    def _apply_scale(self, message: Scale) -> None:
+        if message.epoch == self._tracker.epoch and np.isfinite(message.log_scale):
+            self._tracker.log_scale = message.log_scale
+            self._scale_sigma = message.sigma
+
+    def _apply_update(self, message: MapUpdate) -> None:
+        if message.epoch != self._tracker.epoch or message.sequence <= self._update_sequence:
+            return  # of a map that is gone, or overtaken
+        self._update_sequence = message.sequence
+        if len(message.keyframes):
+            self._tracker.apply_update(
+                message.based_on,
+                message.keyframes,
+                message.poses,
+                message.points,
+                message.positions,
+                message.parallax_deg,
+                (message.dropped_keyframes, message.dropped_points),
+            )
+
+    # -- status -----------------------------------------------------------------------------------
+
+    def _show(self, odometry: str, matched: int, stamp_ns: int) -> None:
+        """Publish `status` twice a second and whenever a word changes."""
+        due = stamp_ns // _STATUS_NS
+        if self._shown == (odometry, due):
+            return
+        self._shown = (odometry, due)
+        world = self._tracker.world
+        level = {INITIALISING: ros.LEVEL_WARN, DEGRADED: ros.LEVEL_WARN, LOST: ros.LEVEL_ERROR}
+        values = {
+            "odometry": odometry,
+            "map": BUILDING,
+            "matched": matched,
+            "keyframes": len(world.keyframes),
+            "points": int(world.points.alive.sum()),
+            "scale_sigma": f"{self._scale_sigma:.4f}",
+            "dropped": self._dropped,
+        }
+        row = ("tracking", level.get(odometry, ros.LEVEL_OK), f"{odometry} {BUILDING}", values)
+        self._bus.publish("status", ros.diagnostics(stamp_ns, [row]))
+        self._bus.pulse.values.update({name: str(value) for name, value in values.items()})
+
+
+def main(config: Config, bus: Bus) -> None:
+    """Runs until ``bus.stopped``."""
+    cv2.setNumThreads(1)
+    TrackerWorker(config, bus).run()
