@@ -103,7 +103,9 @@ class BackendConfig:
     observations: int = limits(300, 20, 2000, "observations a keyframe at most")
     pixel_sigma: float = limits(1.0, 0.1, 10.0, "keypoint noise at pyramid level 0 (pixels)")
     huber_pixels: float = limits(2.45, 0.1, 50.0, "Huber threshold of a reprojection, in sigmas")
-    depth_sigma: float = limits(0.6, 0.01, 5.0, "relative noise of a depth, what a network's pixels share included")
+    depth_sigma: float = limits(
+        0.6, 0.01, 5.0, "relative noise of a depth, what a network's pixels share included"
+    )
     huber_depth_m: float = limits(0.1, 0.001, 10.0, "Huber threshold of a depth residual (m)")
 
 

@@ -21,11 +21,11 @@ class Process:
 PROCESSES = {
     process.name: process
     for process in (
-        Process("source", "prism_edge.workers.source", "reads the camera or recording", required=True),
-        Process("tracker", "prism_edge.workers.tracker", "tracks the camera, owns the local map", required=True),
-        Process("depth", "prism_edge.workers.depth", "runs the depth network on keyframes", required=False, nice=5),
-        Process("scale", "prism_edge.workers.scale", "estimates metres per map unit", required=False, nice=5),
-        Process("backend", "prism_edge.workers.backend", "optimises the map", required=False, nice=5),
+        Process("source", "prism_edge.workers.source", "reads the camera or recording", True),
+        Process("tracker", "prism_edge.workers.tracker", "tracks the camera, owns the local map", True),
+        Process("depth", "prism_edge.workers.depth", "runs the depth network on keyframes", False, nice=5),
+        Process("scale", "prism_edge.workers.scale", "estimates metres per map unit", False, nice=5),
+        Process("backend", "prism_edge.workers.backend", "optimises the map", False, nice=5),
     )
 }
 

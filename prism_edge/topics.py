@@ -37,12 +37,21 @@ TOPICS = {
         Topic("tf", "tf2_msgs/msg/TFMessage", 30, "tracker", priority="interactive_high", latched=True),
         Topic("scale", "prism_edge_msgs/msg/Scale", 2, "scale", latched=True),
         Topic("status", "diagnostic_msgs/msg/DiagnosticArray", 2, "tracker", latched=True),
-        Topic("health", "diagnostic_msgs/msg/DiagnosticArray", 1, "supervisor", priority="data_low", latched=True),
+        Topic(
+            "health",
+            "diagnostic_msgs/msg/DiagnosticArray",
+            1,
+            "supervisor",
+            priority="data_low",
+            latched=True,
+        ),
         # for scorers alone: the exact camera pose of each frame, from sources that make their own images
         Topic("truth", "geometry_msgs/msg/PoseStamped", 30, "source"),
         # internal: what the five tell each other
         Topic("internal/frame", m.Frame, 30, "source", ("tracker",), reliable=False),
-        Topic("internal/end", m.EndOfStream, 0, "source", ("tracker", "depth", "scale", "backend"), latched=True),
+        Topic(
+            "internal/end", m.EndOfStream, 0, "source", ("tracker", "depth", "scale", "backend"), latched=True
+        ),
         Topic("internal/tracked", m.Tracked, 30, "tracker", ("depth", "scale", "backend")),
         Topic("internal/keyframe", m.Keyframe, 3, "tracker", ("scale", "backend")),
         Topic("internal/keyframe_image", m.KeyframeImage, 3, "tracker", ("depth",), reliable=False),

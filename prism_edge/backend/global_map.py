@@ -155,7 +155,8 @@ class GlobalMap:
         if gone is None or len(self.keyframes) < 2:
             return
         shared = self.covisible(keyframe)
-        anchor = shared[0][0] if shared else min(self.keyframes.keys() - {keyframe}, key=lambda k: abs(k - keyframe))
+        others = self.keyframes.keys() - {keyframe}
+        anchor = shared[0][0] if shared else min(others, key=lambda k: abs(k - keyframe))
         link = inverse(self.keyframes[anchor].world_from_camera) @ gone.world_from_camera
         self.carried[keyframe] = (anchor, link, gone.index)
         for point in list(gone.observed):

@@ -44,7 +44,8 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
 
     Exactly one pose is held while the window is the whole map: scale then rests on metric depth alone.
     """
-    free = [newest] + [k for k, shared in world.covisible(newest) if shared >= 15][: config.window - 1]
+    sharing = [k for k, shared in world.covisible(newest) if shared >= 15]
+    free = [newest, *sharing[: config.window - 1]]
     counts: dict[int, int] = {}
     for k in free:
         for point in world.keyframes[k].observed:
@@ -60,8 +61,8 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
             if k not in counts:
                 outside[k] = outside.get(k, 0) + 1
     inside = set(free)
-    ranked = sorted(((n, k) for k, n in outside.items() if k not in inside), key=lambda item: (-item[0], item[1]))
-    anchors = [k for n, k in ranked if n >= 10][: config.fixed]
+    ranked = sorted((-n, k) for k, n in outside.items() if k not in inside)
+    anchors = [k for n, k in ranked if -n >= 10][: config.fixed]
     if not anchors:
         anchors = [min(free)]
         free = [k for k in free if k not in anchors]
@@ -89,7 +90,8 @@ def solve(
             keyframe = world.keyframes[k]
             keypoint = keyframe.observed[p]
             pixel = keyframe.pixels[keypoint]
-            graph.add(reprojection(X(k), L(p), pixel, int(keyframe.octaves[keypoint]), keyframe.camera, config))
+            octave = int(keyframe.octaves[keypoint])
+            graph.add(reprojection(X(k), L(p), pixel, octave, keyframe.camera, config))
             observations.append((k, p, keypoint))
             if use_depth and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
                 depth = float(keyframe.depths[keypoint])
@@ -104,8 +106,9 @@ def solve(
         before = previous = optimiser.error()
         # Step by step, so that the interpreter breathes between iterations.
         iterations = 0
-        for iterations in range(1, config.iterations + 1):
+        while iterations < config.iterations:
             optimiser.iterate()
+            iterations += 1
             error = optimiser.error()
             if previous - error < CONVERGED * previous:
                 break
@@ -159,7 +162,7 @@ def _outliers(
         local = (np.array([points[p] for p in ids]) - pose[:3, 3]) @ pose[:3, :3]
         z = np.where(local[:, 2] > 1e-6, local[:, 2], 1e-6)
         camera = keyframe.camera
-        projected = np.stack([camera.fx * local[:, 0] / z + camera.cx, camera.fy * local[:, 1] / z + camera.cy], 1)
+        projected = local[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
         sigma = config.pixel_sigma * SCALE_FACTOR ** keyframe.octaves[keypoints].astype(float)
         chi2 = (((projected - keyframe.pixels[keypoints]) / sigma[:, None]) ** 2).sum(axis=1)
         wrong += [(k, ids[i]) for i in np.flatnonzero((chi2 > CHI2_2D_99) | (local[:, 2] <= 1e-6))]

@@ -47,7 +47,13 @@ def apply_correction(
             keyframe.world_from_camera = poses[index[keyframe.id]]
         elif keyframe.id > based_on:
             keyframe.world_from_camera = fit(
-                world, keyframe.camera, keyframe.features, keyframe.points, motion @ old, scale_factors, corrected
+                world,
+                keyframe.camera,
+                keyframe.features,
+                keyframe.points,
+                motion @ old,
+                scale_factors,
+                corrected,
             )
         else:
             continue

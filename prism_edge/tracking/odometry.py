@@ -24,7 +24,8 @@ class MetricOdometry:
             step = scaled(inverse(before) @ after, float(np.exp(log_scale)))
             self.odom_from_camera = normalised(self.odom_from_camera @ step)
             elapsed = (stamp_ns - (self._stamp_ns or 0)) * 1e-9
-            self.twist = se3_log(step) / elapsed if self._stamp_ns is not None and elapsed > 0 else np.zeros(6)
+            known = self._stamp_ns is not None and elapsed > 0
+            self.twist = se3_log(step) / elapsed if known else np.zeros(6)
         self._stamp_ns = stamp_ns
         return self.odom_from_camera
 

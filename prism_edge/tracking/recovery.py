@@ -30,7 +30,9 @@ def match_keyframe(features: Features, keyframe: LocalKeyframe) -> tuple[Ids, Id
     return a[close], keyframe.points[seen[b[close]]]
 
 
-def locate(world: LocalMap, camera: Camera, features: Features, keyframe: LocalKeyframe, seed: int) -> Array | None:
+def locate(
+    world: LocalMap, camera: Camera, features: Features, keyframe: LocalKeyframe, seed: int
+) -> Array | None:
     """Pose (world_from_camera) by perspective-n-point RANSAC on one keyframe's points; None if it fails."""
     keypoints, ids = match_keyframe(features, keyframe)
     known = world.points.known(ids)

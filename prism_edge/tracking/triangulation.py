@@ -73,7 +73,7 @@ def match_epipolar(
 def _project_at(camera: Camera, camera_from_other: Array, ray: Array, depth: float) -> Array:
     point = ray * depth @ camera_from_other[:3, :3].T + camera_from_other[:3, 3]
     z = np.where(np.abs(point[:, 2]) > 1e-6, point[:, 2], 1e-6)
-    return np.stack([camera.fx * point[:, 0] / z + camera.cx, camera.fy * point[:, 1] / z + camera.cy], axis=1)
+    return point[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
 
 
 def triangulate(

@@ -69,7 +69,8 @@ class BackendWorker:
         newest: Keyframe | None = None
         while self._waiting:
             arrived, keyframe = self._waiting[0]
-            if self._use_depth and keyframe.id not in self._early and time.monotonic() - arrived < _DEPTH_WAIT_S:
+            missing = self._use_depth and keyframe.id not in self._early
+            if missing and time.monotonic() - arrived < _DEPTH_WAIT_S:
                 break
             self._waiting.popleft()
             self._absorb(keyframe)
