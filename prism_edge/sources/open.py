@@ -40,7 +40,7 @@ def open_source(config: SourceConfig) -> Source:
     source: Source
     if is_simulated(config.uri):
         if config.camera:
-            raise ConfigError("a simulated camera is set in its address (width, height, focal), not by a file")
+            raise ConfigError("a simulated camera is set in its address (width, height, focal), not a file")
         source = SimSource(config.uri)
     elif path.is_dir():
         source = _folder(path, config)

@@ -24,8 +24,8 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
     """(stamps_ns (n,), world_from_camera (n, 4, 4), metres) in order of time; None where there is none.
 
     TUM RGB-D: groundtruth.txt. 7-Scenes: the frames' .pose.txt, those not finite left out. KITTI odometry:
-    poses.txt, or ../../poses/NN.txt as the benchmark lays it out. Simulator: exact. Raises SourceError naming the file where
-    it is damaged.
+    poses.txt, or ../../poses/NN.txt as the benchmark lays it out. Simulator: exact, and
+    computed. Raises SourceError naming the file where it is damaged.
     """
     if is_simulated(uri):
         return SimSource(uri).truth()

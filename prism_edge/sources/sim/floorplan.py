@@ -126,7 +126,7 @@ def one_room(rng: np.random.Generator) -> Plan:
 
 def ring(rng: np.random.Generator) -> Plan:
     """Eight rooms round a block, each joined to the next by a door; the way round is 40 m and more."""
-    edges = [np.concatenate([[0.0], np.cumsum(rng.uniform(4.9, 5.9, 3))]) for _ in range(2)]
+    edges = [np.concatenate([[0.0], np.cumsum(rng.uniform(5.15, 6.0, 3))]) for _ in range(2)]
     kinds = (
         list(rng.permutation(["kitchen", "office", "office", "living", "library", "living"])) + ["hall"] * 2
     )

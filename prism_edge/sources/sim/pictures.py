@@ -21,7 +21,8 @@ _FONTS = (
 
 
 def _word(rng: np.random.Generator, low: int = 2, high: int = 9) -> str:
-    return "".join(_LETTERS[i] for i in rng.integers(0, len(_LETTERS), int(rng.integers(low, high))))
+    letters = rng.integers(0, len(_LETTERS), high).tolist()
+    return "".join(_LETTERS[i] for i in letters[: low + letters[-1] % (high - low)])
 
 
 def _random_colour(rng: np.random.Generator, value: tuple[float, float] = (0.3, 0.95)) -> Colour:

@@ -27,7 +27,7 @@ _SHIFT = 4  # binary places of polygon corners
 _WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _OVERSAMPLING = 2  # of the numbers, to smooth edges
 # For depth they are finer by an odd number, so that a sample lies at the centre of each pixel.
-_DEPTH_OVERSAMPLING = 3
+_DEPTH_OVERSAMPLING = 5
 
 
 class Picture(NamedTuple):

@@ -45,6 +45,7 @@ class SimSource(Source):
         self.path: CameraPath = make_path(self.plan, o.path, o.speed, o.seed)
         self.frame_count: int = o.frames or self._usual_frames()
         self._next = 0
+        self._is_open = False
         self._renderer: Renderer | None = None
         self._walkers: list[Walker] = []
         self._sensor: Sensor | None = None
@@ -57,7 +58,10 @@ class SimSource(Source):
         return int(np.ceil((lap + OVERLAP) / speed * self.options.rate))
 
     def open(self) -> None:
-        """Builds the world."""
+        """Builds the world, unless it stands from an earlier time."""
+        self._next, self._is_open = 0, True
+        if self._renderer is not None:
+            return
         o = self.options
         world = build_world(self.plan, o.seed)
         rng = np.random.default_rng([o.seed, 7])
@@ -66,12 +70,10 @@ class SimSource(Source):
         self._walkers = [Walker.random(rng, lane, textures) for lane in lanes]
         self._renderer = Renderer(World(world.cells, textures, world.plan), self.camera)
         self._sensor = Sensor(self.camera, self.path, o.seed, o.noise, o.blur, o.exposure)
-        self._next = 0
 
     def close(self) -> None:
-        """Gives the world's memory back."""
-        self._renderer = self._sensor = None
-        self._walkers = []
+        """Ends reading. The world stays as long as this object, so that a looped source opens at once."""
+        self._is_open = False
 
     def peek(self) -> Slot | None:
         """Number and stamp of the next frame."""
@@ -123,6 +125,6 @@ class SimSource(Source):
         return stamps, np.array([self.pose(k) for k in range(self.frame_count)])
 
     def _opened(self) -> tuple[Renderer, Sensor]:
-        if self._renderer is None or self._sensor is None:
+        if not self._is_open or self._renderer is None or self._sensor is None:
             raise SourceError(f"{self.name} is not open")
         return self._renderer, self._sensor

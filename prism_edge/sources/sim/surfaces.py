@@ -134,7 +134,7 @@ class Shop:
             columns, rows = (int(np.clip(round(s * density), _SMALLEST, _LARGEST)) for s in (width, height))
             image = paint(self.rng, rows, columns)
         if self.light is not None and not bright:
-            normal = np.cross(down, right) / (width * height)
+            normal = _cross(down, right) / (width * height)
             across, along = (np.linspace(0, 1, int(np.clip(s / 0.12, 2, 24))) for s in (width, height))
             a, b = np.meshgrid(across, along)
             points = origin + a.reshape(-1, 1) * right + b.reshape(-1, 1) * down
@@ -182,9 +182,15 @@ class Shop:
 
 def upright(middle: Array, normal: Array, width: float, height: float) -> tuple[Array, Array, Array]:
     """(origin, right, down) of a vertical rectangle about ``middle`` that faces along ``normal``."""
-    right = np.cross(UP, normal) * width
+    right = np.array([-normal[1], normal[0], 0.0]) * width
     down = -UP * height
     return middle - right / 2 - down / 2, right, down
+
+
+def _cross(a: Array, b: Array) -> Array:
+    """np.cross of two vectors, without what it spends on other shapes."""
+    (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
+    return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def _sides(name: str, centre: Array, half: Array, ex: Array, ey: Array) -> list[tuple[Array, Array, Array]]:

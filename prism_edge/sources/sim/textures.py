@@ -19,7 +19,7 @@ from prism_edge.messages import F32, U8
 
 Painter = Callable[[np.random.Generator, int, int], U8]
 Colour = NDArray[np.float32]
-_SHEET = 400  # pixels
+_SHEET = 640  # pixels
 
 
 def colour(hue: float, saturation: float, value: float) -> Colour:
@@ -37,7 +37,7 @@ def noise(
     """
     total = np.zeros((height, width), dtype=np.float32)
     for cell in cells:
-        if max(height, width) < _SHEET // 2:
+        if max(height, width) < 0.7 * _SHEET:
             # Most textures are small and many: they are cut from one sheet of noise of about their scale.
             octave = _sheet(2.0 ** (round(4.0 * np.log2(cell)) / 4.0), stretch)
         else:
@@ -54,6 +54,11 @@ def _octave(rng: np.random.Generator, height: int, width: int, cell: float, stre
     size = (round(columns * cell * stretch), round(rows * cell))
     octave: F32 = cv2.resize(grid, size, interpolation=cv2.INTER_CUBIC)
     return octave
+
+
+def forget_sheets() -> None:
+    """Gives back the memory of what textures were cut from; painting again makes the same ones anew."""
+    _sheet.cache_clear()
 
 
 @lru_cache(maxsize=48)

@@ -11,6 +11,7 @@ from prism_edge.messages import U8
 from prism_edge.sources.sim import furnish, shell
 from prism_edge.sources.sim.floorplan import Plan
 from prism_edge.sources.sim.surfaces import Light, Shop, Surfaces
+from prism_edge.sources.sim.textures import forget_sheets
 
 
 @dataclass(frozen=True)
@@ -72,4 +73,5 @@ def build_world(plan: Plan, seed: int) -> World:
         low, high = shell.doorway_bounds(door)
         portals = tuple(Portal(shell.portal(door, plan.rooms[r]), r) for r in door.rooms)
         cells.append(Cell(low, high, shop.done(), portals))
+    forget_sheets()
     return World(tuple(cells), textures, plan)
