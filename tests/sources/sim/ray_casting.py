@@ -21,13 +21,13 @@ def cast(surfaces: list[Surfaces], centre: Array, rays: Array) -> Array:
     """How many lengths of each ray (n, 3) from ``centre`` it is to the first rectangle that faces it."""
     nearest = np.full(len(rays), np.inf)
     for one in surfaces:
-        for origin, right, down in zip(one.origin, one.right, one.down, strict=True):
-            normal = np.cross(down, right)
-            along = rays @ normal
-            with np.errstate(divide="ignore", invalid="ignore"):
-                reach = ((origin - centre) @ normal) / along
-                hit = centre + reach[:, None] * rays - origin
-                a, b = hit @ right / (right @ right), hit @ down / (down @ down)
-            inside = (along < 0) & (reach > 0) & (a >= 0) & (a <= 1) & (b >= 0) & (b <= 1)
-            nearest = np.where(inside & (reach < nearest), reach, nearest)
+        along = rays @ np.cross(one.down, one.right).T  # (rays, rectangles)
+        offset = one.origin - centre
+        with np.errstate(divide="ignore", invalid="ignore"):
+            reach = np.sum(offset * np.cross(one.down, one.right), axis=1) / along
+            inside = (along < 0) & (reach > 0)
+            for edge in (one.right, one.down):
+                share = (reach * (rays @ edge.T) - np.sum(offset * edge, axis=1)) / np.sum(edge * edge, axis=1)
+                inside &= (share >= 0) & (share <= 1)
+        nearest = np.minimum(nearest, np.where(inside, reach, np.inf).min(axis=1))
     return nearest
