@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
 
 Index = NDArray[np.intp]
 CELL = 20  # pixels; about the radius of a search, so that one touches few cells
@@ -56,13 +57,13 @@ class OrbExtractor:
     all over the image. So more are detected than wanted, and each grid cell keeps its strongest.
     """
 
-    surplus = 1.7  # detected per kept; more costs time and brings little
+    surplus = 1.4  # detected per kept; more costs time and brings little
     spread_cell = 32  # pixels
 
     def __init__(self, config: TrackingConfig) -> None:
         self._wanted = config.features
-        self.scale_factors = config.scale_factor ** np.arange(config.levels)
-        self._orb = cv2.ORB_create(
+        self.scale_factors: Array = config.scale_factor ** np.arange(config.levels, dtype=np.float64)
+        self._orb = cv2.ORB.create(
             nfeatures=int(config.features * self.surplus),
             scaleFactor=config.scale_factor,
             nlevels=config.levels,
@@ -74,20 +75,21 @@ class OrbExtractor:
 
     def extract(self, grey: NDArray[np.uint8], camera: Camera) -> Features:
         """Features of a grey image (height, width); an image without corners gives none."""
-        keypoints = self._orb.detect(grey, None)
-        if len(keypoints) > self._wanted:
-            pixels = cv2.KeyPoint_convert(keypoints)
-            strength = np.array([k.response for k in keypoints])
-            keypoints = [keypoints[i] for i in self._spread(pixels, strength, grey.shape[1])]
-        keypoints, descriptors = self._orb.compute(grey, keypoints)
+        keypoints, descriptors = self._orb.detectAndCompute(grey, None)
         if descriptors is None or not len(keypoints):
             keypoints, descriptors = (), np.zeros((0, 32), np.uint8)
-        raw = np.asarray(cv2.KeyPoint_convert(keypoints), dtype=np.float64).reshape(-1, 2)
+        if len(keypoints) > self._wanted:
+            pixels = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float32)
+            strength = np.array([k.response for k in keypoints])
+            chosen = self._spread(pixels, strength, grey.shape[1])
+            keypoints, descriptors = [keypoints[i] for i in chosen], descriptors[chosen]
+        raw = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64).reshape(-1, 2)
         octaves = np.array([k.octave for k in keypoints], dtype=np.intp)
         packed = np.ascontiguousarray(descriptors).view(np.uint64)
-        pixels = camera.undistort_pixels(raw)
-        inside = np.all(np.abs(pixels - raw) < 2.0 * max(grey.shape), axis=1)  # a fisheye's rim has no pinhole pixel
-        return Features.build(pixels[inside], octaves[inside], packed[inside], grey.shape[1], grey.shape[0])
+        ideal = camera.undistort_pixels(raw)
+        # A fisheye's rim has no pinhole pixel.
+        inside = np.all(np.abs(ideal - raw) < 2.0 * max(grey.shape), axis=1)
+        return Features.build(ideal[inside], octaves[inside], packed[inside], grey.shape[1], grey.shape[0])
 
     def _spread(self, pixels: NDArray[np.float32], strength: NDArray[np.float64], width: int) -> Index:
         columns = width // self.spread_cell + 1

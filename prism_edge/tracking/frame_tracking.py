@@ -148,7 +148,7 @@ class FrameTracker:
             )
             if len(query) >= enough:
                 points[keypoint] = ids[inside][query]
-                solved = self._solve(world, camera, features, predicted, points)
+                solved = self._solve(world, camera, features, predicted, points, rounds=1)
                 if solved is not None:
                     estimate, used = solved
                     points[used[~estimate.inliers]] = -1
@@ -186,7 +186,8 @@ class FrameTracker:
         seen = points[points >= 0]
         table.visible[table.rows(seen)] += 1
         # A seed's place is doubtful along its ray, so its window is wider.
-        radius = LOCAL_RADIUS * self._factors[octave] * np.where(table.log_depth_sigma[rows] > SEED_SIGMA, 2.0, 1.0)
+        doubtful = table.log_depth_sigma[rows] > SEED_SIGMA
+        radius = LOCAL_RADIUS * self._factors[octave] * np.where(doubtful, 2.0, 1.0)
         query, keypoint = match_projected(
             features,
             centres,
@@ -211,7 +212,7 @@ class FrameTracker:
         return error
 
     def _solve(
-        self, world: LocalMap, camera: Camera, features: Features, start: Array, points: Ids
+        self, world: LocalMap, camera: Camera, features: Features, start: Array, points: Ids, rounds: int = 3
     ) -> tuple[PoseEstimate, Index] | None:
         keypoints = np.flatnonzero(points >= 0)
         if len(keypoints) < 6:
@@ -226,6 +227,7 @@ class FrameTracker:
             self._factors[features.octaves[keypoints]],
             self._depth_error(world, rows),
             table.weight[rows],
+            rounds=rounds,
         )
         return estimate, keypoints
 

@@ -9,7 +9,7 @@ from prism_edge.geometry.poses import Array, inverse
 from prism_edge.tracking.frame_tracking import _project, reference_origins
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
-from prism_edge.tracking.point_table import Index
+from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.pose_refinement import CHI2_2D_95
 from prism_edge.tracking.triangulation import match_epipolar, rays, triangulate
 
@@ -67,9 +67,12 @@ def triangulate_with_neighbours(
     return created
 
 
-def _reprojects(keyframe: LocalKeyframe, points: Array, keypoints: Index, factors: Array) -> NDArray[np.bool_]:
+def _reprojects(
+    keyframe: LocalKeyframe, points: Array, keypoints: Index, factors: Array
+) -> NDArray[np.bool_]:
     pixels, _ = _project(keyframe.camera, keyframe.world_from_camera, points)
-    error = (pixels - keyframe.features.pixels[keypoints]) / factors[keyframe.features.octaves[keypoints], None]
+    sigma = factors[keyframe.features.octaves[keypoints]]
+    error = (pixels - keyframe.features.pixels[keypoints]) / sigma[:, None]
     return np.einsum("ij,ij->i", error, error) < CHI2_2D_95
 
 
@@ -147,39 +150,43 @@ def share_points(world: LocalMap, source: LocalKeyframe, target: LocalKeyframe, 
         FUSE_DISTANCE,
         FUSE_RATIO,
     )
-    changed = 0
-    for row, k in zip(rows[query], keypoint, strict=True):
-        point, present = int(table.ids[row]), int(target.points[k])
-        if not table.alive[row]:
-            continue
-        if present == NO_POINT:
-            world.add_observation(point, int(row), target, int(k))
-        else:
-            fuse(world, point, present)
-        changed += 1
-    return changed
+    present = target.points[keypoint]
+    for row, k in zip(rows[query][present == NO_POINT], keypoint[present == NO_POINT], strict=True):
+        world.add_observation(int(table.ids[row]), int(row), target, int(k))
+    doubles = present != NO_POINT
+    fuse(world, table.ids[rows[query][doubles]], present[doubles])
+    return len(query)
 
 
-def fuse(world: LocalMap, first: int, second: int) -> None:
-    """Make two points one: the better observed keeps its place and takes the other's observations."""
+def fuse(world: LocalMap, first: Ids, second: Ids) -> None:
+    """Make each pair of points one: the better observed keeps its place, and takes what saw the other."""
     table = world.points
-    rows = table.rows(np.array([first, second]))
-    if not table.alive[rows].all() or first == second:
+    into: dict[int, int] = {}
+    taken: set[int] = set()
+    for a, b in zip(first.tolist(), second.tolist(), strict=True):
+        if a == b or a in taken or b in taken:
+            continue  # a chain is left for the next keyframe
+        rows = table.rows(np.array([a, b]))
+        if table.alive[rows].all():
+            kept, dropped = (0, 1) if table.observations[rows[0]] >= table.observations[rows[1]] else (1, 0)
+            into[(a, b)[dropped]] = (a, b)[kept]
+            taken |= {a, b}
+            for counter in (table.found, table.visible):
+                counter[rows[kept]] += counter[rows[dropped]]
+            table.alive[rows[dropped]] = False
+    if not into:
         return
-    keep, drop = (0, 1) if table.observations[rows[0]] >= table.observations[rows[1]] else (1, 0)
-    kept, dropped = (first, second)[keep], (first, second)[drop]
+    dropped_ids = np.array(sorted(into))
+    kept_ids = np.array([into[int(p)] for p in dropped_ids])
     for keyframe in world.keyframes.values():
-        mine = np.flatnonzero(keyframe.points == dropped)
-        if len(mine):
-            if (keyframe.points == kept).any():
-                keyframe.points[mine] = NO_POINT
-            else:
-                keyframe.points[mine] = kept
-                table.observations[rows[keep]] += 1
-    table.found[rows[keep]] += table.found[rows[drop]]
-    table.visible[rows[keep]] += table.visible[rows[drop]]
-    table.alive[rows[drop]] = False
-    world.changes.fused.append((dropped, kept))
+        mine = np.flatnonzero(np.isin(keyframe.points, dropped_ids))
+        if len(mine) == 0:
+            continue
+        kept_here = kept_ids[np.searchsorted(dropped_ids, keyframe.points[mine])]
+        double = np.isin(kept_here, keyframe.points)
+        keyframe.points[mine] = np.where(double, NO_POINT, kept_here)
+        table.observations[table.rows(kept_here[~double])] += 1
+    world.changes.fused.extend(into.items())
 
 
 def cull_recent_points(world: LocalMap, newest: int) -> None:

@@ -52,8 +52,9 @@ def refine_pose(
     information = np.eye(6) * 1e-9
     chi2 = np.zeros(n)
     for _ in range(rounds):
+        used = np.where(inliers, share, 0.0)
         pose, information = _descend(
-            camera, pose, points, pixels, inverse_sigma, depth_error, np.where(inliers, share, 0.0), iterations
+            camera, pose, points, pixels, inverse_sigma, depth_error, used, iterations
         )
         _, _, chi2, visible = _linearise(camera, pose, points, pixels, inverse_sigma, depth_error)
         chosen = visible & (chi2 < CHI2_2D_95)
@@ -63,7 +64,7 @@ def refine_pose(
             break
     kept = max(int(inliers.sum()), 1)
     spread = float(np.sqrt(chi2[inliers].sum() / (2 * kept))) if inliers.any() else np.inf
-    covariance = np.linalg.pinv(information + 1e-9 * np.eye(6), hermitian=True)
+    covariance: Array = np.asarray(np.linalg.pinv(information + 1e-9 * np.eye(6), hermitian=True), np.float64)
     return PoseEstimate(pose, inliers, covariance, spread)
 
 
@@ -81,14 +82,16 @@ def _descend(
     best, best_cost, damping = pose, np.inf, 1e-6
     kept_information, kept_gradient = np.eye(6), np.zeros(6)
     for _ in range(iterations + 1):
-        residual, jacobian, chi2, visible = _linearise(camera, pose, points, pixels, inverse_sigma, depth_error)
+        residual, jacobian, chi2, visible = _linearise(
+            camera, pose, points, pixels, inverse_sigma, depth_error
+        )
         root = np.sqrt(np.maximum(chi2, 1e-12))
         huber = np.minimum(1.0, HUBER / root)
         rho = np.where(root <= HUBER, chi2, 2.0 * HUBER * root - HUBER**2)
         # A point behind the camera costs like a gross outlier, or steps that hide points would look good.
         cost = float((share * np.where(visible, rho, BEHIND)).sum())
         if cost < best_cost:
-            settled = best_cost - cost < 1e-4 * cost
+            settled = best_cost - cost < 1e-3 * cost
             weight = share * huber * visible
             flat = (jacobian * weight[:, None, None]).reshape(-1, 6)
             kept_information, kept_gradient = flat.T @ jacobian.reshape(-1, 6), flat.T @ residual.ravel()
@@ -98,7 +101,8 @@ def _descend(
         else:
             damping = max(damping, 1e-6) * 100.0
         damped = kept_information + damping * np.diag(np.diag(kept_information)) + 1e-9 * np.eye(6)
-        pose = best @ se3_exp(np.linalg.solve(damped, -kept_gradient))
+        step: Array = np.asarray(np.linalg.solve(damped, -kept_gradient), np.float64)
+        pose = best @ se3_exp(step)
     return best, kept_information
 
 

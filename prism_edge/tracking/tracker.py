@@ -26,8 +26,9 @@ log = logging.getLogger("prism_edge.tracking")
 
 MIN_FIRST_FEATURES = 80
 INITIAL_PATIENCE_S = 1.0  # a first keyframe that can't be tracked for longer is replaced
-NEIGHBOURS = 10
+NEIGHBOURS, SHARING, TRIANGULATING = 10, 8, 5  # covisible keyframes, best first
 DEGRADED_MATCHES = 50
+REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
 
 
@@ -46,16 +47,17 @@ class FrameResult:
 class Tracker:
     """Owns the local map. Not thread-safe; knows nothing of where frames come from."""
 
-    def __init__(self, config: TrackingConfig, seed: int = 0) -> None:
+    def __init__(self, config: TrackingConfig, seed: int = 0, first_id: int = 0) -> None:
+        """Epochs and keyframes are numbered from ``first_id``."""
         self._config = config
         self._seed = seed
         self._extractor = OrbExtractor(config)
         self._factors = self._extractor.scale_factors
         self._frames = FrameTracker(self._factors, config.max_local_points)
         self.world = LocalMap()
-        self.epoch = 0
+        self.epoch = first_id
         self.log_scale = 0.0
-        self._next_keyframe = 0
+        self._next_keyframe = first_id
         self._announced = -1  # newest keyframe whose message has gone out
         self._last: TrackedFrame | None = None
         self._last_stamp = 0
@@ -162,7 +164,7 @@ class Tracker:
             self._velocity = np.zeros(6)
         self._last, self._last_stamp, self._seen_at = frame, stamp_ns, stamp_ns
         self._since_refresh += 1
-        if self._since_refresh >= 5:
+        if self._since_refresh >= REFRESH_FRAMES:
             self._refresh(frame)
 
     def _refresh(self, frame: TrackedFrame) -> None:
@@ -196,8 +198,11 @@ class Tracker:
         )
         neighbours = self.world.covisible(keyframe, NEIGHBOURS)
         mapping.mature(self.world, keyframe, self._factors)
-        mapping.triangulate_with_neighbours(self.world, keyframe, neighbours, self._factors)
-        for other in neighbours:
+        # Known points first, so that fewer corners are triangulated a second time.
+        for other in neighbours[:SHARING]:
+            mapping.share_points(self.world, other, keyframe, self._factors)
+        mapping.triangulate_with_neighbours(self.world, keyframe, neighbours[:TRIANGULATING], self._factors)
+        for other in neighbours[:SHARING]:
             mapping.share_points(self.world, keyframe, other, self._factors)
         mapping.cull_recent_points(self.world, keyframe.id)
         frame.points = keyframe.points.copy()
@@ -249,7 +254,7 @@ class Tracker:
                 0.0,
             )
             self._last_stamp = keyframe.stamp_ns
-        self._since_refresh = 5
+        self._since_refresh = REFRESH_FRAMES
         return len(ids)
 
     def apply_update(
