@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import platform
 from importlib import metadata
 from typing import Any
@@ -41,7 +42,7 @@ def metrics(
         for name, estimate in (("live", live), ("final", final))
     }
     processed = len({frame.index for frame in recording.frames})
-    return {
+    report = {
         **recording.flow(first_stamp_ns),
         "ready_s": ready_s,
         **scores,
@@ -61,6 +62,7 @@ def metrics(
         "versions": versions(),
         "config": dataclasses.asdict(config),
     }
+    return {key: _finite(value) for key, value in report.items()}
 
 
 def versions() -> dict[str, str]:
@@ -79,6 +81,15 @@ def _cpu(usage: Usage, frames: int) -> dict[str, float | None]:
         return {"total": None}
     each = {name: 1000.0 * seconds / frames for name, seconds in usage.cpu_s.items()}
     return _with_total(each, sum(each.values()))
+
+
+def _finite(value: Any) -> Any:
+    """The value with None for every number that JSON has no word for."""
+    if isinstance(value, dict):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _with_total(each: dict[str, float], total: float | None) -> dict[str, float | None]:

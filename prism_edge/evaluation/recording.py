@@ -52,7 +52,7 @@ class Recording:
 
         In metres, map_from_camera: the snapshot's map units are multiplied by exp(log_scale), then brought
         from the map's world frame by ``map_from_world`` (4, 4). Also returns how many frames had to be
-        left out because the map no longer holds their reference keyframe.
+        left out because the map no longer holds their reference keyframe, or holds no numbers for it.
         """
         keyframes = {int(k): pose for k, pose in zip(snapshot.keyframes, snapshot.poses, strict=True)}
         factor = float(np.exp(snapshot.log_scale))
@@ -61,6 +61,7 @@ class Recording:
             for f in self.tracked
             if f.reference in keyframes
         ]
+        rows = [(stamp_ns, pose) for stamp_ns, pose in rows if np.isfinite(pose).all()]
         return Trajectory.of(rows), len(self.tracked) - len(rows)
 
     def latencies_ms(self) -> Array:

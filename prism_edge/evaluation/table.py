@@ -12,7 +12,7 @@ from rich.table import Table
 def show(metrics: dict[str, Any], out: Path) -> None:
     """Prints a short table of metrics.json's contents on stdout."""
     console = Console()
-    errors = Table("", "live", "final", title=f"against {metrics['truth'] or 'no truth'}")
+    errors = Table("", "live", "final", title="errors" if metrics["truth"] else "errors (no truth)")
     for label, key, factor, unit in (
         ("ATE SE(3)", "ate_se3_m", 100.0, "cm"),
         ("ATE Sim(3)", "ate_sim3_m", 100.0, "cm"),
@@ -38,7 +38,9 @@ def show(metrics: dict[str, Any], out: Path) -> None:
     ):
         run.add_row(label, value)
     console.print(run)
-    console.print(f"written to {out}", highlight=False)
+    if metrics["truth"]:
+        console.print(f"scored against {metrics['truth']}", highlight=False, soft_wrap=True)
+    console.print(f"written to {out}", highlight=False, soft_wrap=True)
 
 
 def _number(value: float | None, factor: float = 1.0, unit: str = "") -> str:

@@ -116,6 +116,17 @@ def test_what_is_not_known_is_null(capsys: pytest.CaptureFixture[str], tmp_path:
     assert "no truth" in capsys.readouterr().out
 
 
+def test_a_map_of_no_numbers_is_null_not_a_crash(tmp_path: Any) -> None:
+    ids = np.zeros(1, np.int64)
+    broken = MapSnapshot(0, 4, True, np.nan, ids, ids, np.eye(4)[None], ids, np.zeros((1, 3)))
+    found = report(snapshot=broken)
+    assert found["log_scale"] is None
+    json.dumps(found, allow_nan=False)
+    tracked = Tracked(0, 0, 0, OK, True, -1, 0, np.eye(4), 0)
+    final, missing = Recording([Published(0, 0, np.eye(4))], [tracked]).final(broken, np.eye(4))
+    assert (len(final), missing) == (0, 1)
+
+
 def test_the_table_shows_the_figures(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
     show(report(), tmp_path)
     shown = capsys.readouterr().out
