@@ -27,7 +27,7 @@ def cast(surfaces: list[Surfaces], centre: Array, rays: Array) -> Array:
             reach = np.sum(offset * np.cross(one.down, one.right), axis=1) / along
             inside = (along < 0) & (reach > 0)
             for edge in (one.right, one.down):
-                share = (reach * (rays @ edge.T) - np.sum(offset * edge, axis=1)) / np.sum(edge * edge, axis=1)
-                inside &= (share >= 0) & (share <= 1)
+                share = reach * (rays @ edge.T) - np.sum(offset * edge, axis=1)
+                inside &= (share >= 0) & (share <= np.sum(edge * edge, axis=1))
         nearest = np.minimum(nearest, np.where(inside, reach, np.inf).min(axis=1))
     return nearest
