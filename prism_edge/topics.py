@@ -52,7 +52,7 @@ TOPICS = {
         Topic(
             "internal/end", m.EndOfStream, 0, "source", ("tracker", "depth", "scale", "backend"), latched=True
         ),
-        Topic("internal/tracked", m.Tracked, 30, "tracker", ("depth", "scale", "backend")),
+        Topic("internal/tracked", m.Tracked, 30, "tracker", ("depth", "scale", "backend"), latched=True),
         Topic("internal/keyframe", m.Keyframe, 3, "tracker", ("scale", "backend")),
         Topic("internal/keyframe_image", m.KeyframeImage, 3, "tracker", ("depth",), reliable=False),
         Topic("internal/depth", m.Depth, 3, "depth", ("tracker", "scale", "backend")),

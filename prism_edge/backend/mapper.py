@@ -21,12 +21,13 @@ MIN_ALIGNED_PARALLAX_DEG = 1.0
 class Mapper:
     """Owns the global map of one epoch. Knows nothing of the bus."""
 
-    def __init__(self, config: BackendConfig, use_depth: bool = True) -> None:
+    def __init__(self, config: BackendConfig, use_depth: bool = True, first_id: int = 0) -> None:
+        """Updates are numbered from ``first_id``."""
         self._config = config
         self._use_depth = use_depth
         self.world = GlobalMap()
         self.epoch = 0
-        self.sequence = 0
+        self.sequence = first_id
 
     def absorb(self, message: Keyframe) -> None:
         """Take in a keyframe; a new epoch begins a new map."""

@@ -7,12 +7,12 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable
-from types import TracebackType
+from types import ModuleType, TracebackType
 from typing import Any
 
 import zenoh
 
-from prism_edge.bus import codec, keys, ros
+from prism_edge.bus import codec, keys
 from prism_edge.bus.answer import Answer
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.links import encoding, open_session, quality
@@ -22,6 +22,8 @@ from prism_edge.errors import BusError
 from prism_edge.topics import TOPICS, Topic
 
 log = logging.getLogger("prism_edge.bus")
+
+_IDS_A_LIFE = 1_000_000
 
 
 class Bus:
@@ -34,6 +36,7 @@ class Bus:
 
     def __init__(self, session: Any, robot: str, process: str, lossless: bool) -> None:
         self.robot, self.process = robot, process
+        self.life = 0  # how often this process was started before, in this run
         self.stopped = threading.Event()
         self._session, self._lossless = session, lossless
         self._lock = threading.RLock()
@@ -67,6 +70,11 @@ class Bus:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+    @property
+    def first_id(self) -> int:
+        """Where this life of the process begins to number things: what an earlier one gave never comes again."""
+        return self.life * _IDS_A_LIFE
 
     def publish(self, topic: str, message: Any) -> None:
         """Sends a dataclass of messages.py or a ROS message, whichever the topic carries.
@@ -204,16 +212,23 @@ class Bus:
         kind = TOPICS[topic].type
         data = sample.payload.to_bytes()
         try:
-            return ros.deserialise(kind, data) if isinstance(kind, str) else codec.unpack(data, kind)
+            return _ros().deserialise(kind, data) if isinstance(kind, str) else codec.unpack(data, kind)
         except BusError as error:
             self.pulse.count("malformed")
             log.warning("%s: %s", sample.key_expr, error)
             return None
 
 
+def _ros() -> ModuleType:
+    """ROS 2 types, which take a tenth of a second to load and which most processes never speak."""
+    from prism_edge.bus import ros
+
+    return ros
+
+
 def _payload(topic: Topic, message: Any) -> bytes:
     if isinstance(topic.type, str):
-        return ros.serialise(topic.type, message)
+        return _ros().serialise(topic.type, message)
     if type(message) is not topic.type:
         raise BusError(f"{topic.key} carries {topic.type.__name__}, not {type(message).__name__}")
     return codec.pack(message)

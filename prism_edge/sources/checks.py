@@ -71,6 +71,10 @@ class FrameChecks:
         self.counts.frames += 1
         self.counts.skipped += 1
 
+    def earlier(self) -> None:
+        """An item had its turn before this process was started again."""
+        self.counts.frames += 1
+
     def check(self, item: Image | Unreadable) -> Verdict:
         """Releases the item or says why not, and counts it.
 

@@ -12,13 +12,13 @@ from pathlib import Path
 
 from prism_edge.processes import Process
 
-Command = Callable[[Process, Path], list[str]]
+Command = Callable[[Process, Path, int], list[str]]  # the last: how often it was started before
 
 
-def worker_command(process: Process, config_file: Path) -> list[str]:
-    """The command line of a worker that dies with this process."""
+def worker_command(process: Process, config_file: Path, life: int) -> list[str]:
+    """The command line of a worker that dies with this process; ``life``: how often it was started before."""
     command = [sys.executable, "-m", "prism_edge.workers", process.name]
-    return [*command, "--config", str(config_file), "--parent", str(os.getpid())]
+    return [*command, "--config", str(config_file), "--parent", str(os.getpid()), "--life", str(life)]
 
 
 class Child:

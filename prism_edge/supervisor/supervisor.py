@@ -48,6 +48,7 @@ class Supervisor:
         self.ready_s: float | None = None  # seconds from construction until every process was ready
         self._published_s = -HEALTH_S
         self._essence: list[tuple[str, int, str, str]] = []
+        self._source_ended_s: float | None = None
         self._looked_s = self.started_s
         self._lenient_until_s = 0.0
 
@@ -73,7 +74,7 @@ class Supervisor:
     @property
     def ended(self) -> bool:
         """Whether the recording is over and every process has done all that followed from it."""
-        return all(watch.state == "ended" for watch in self._watches.values())
+        return all(watch.ended(self._source_ended_s) for watch in self._watches.values())
 
     def start(self) -> None:
         """Open the bus's listener and start every process.
@@ -136,9 +137,10 @@ class Supervisor:
             self._launch(name)
 
     def _launch(self, name: str) -> None:
-        child = Child(self._command(self._watches[name].process, self._file))
+        watch = self._watches[name]
+        child = Child(self._command(watch.process, self._file, watch.lives))
         self._children[name] = child
-        self._watches[name].started(child.pid, time.monotonic())
+        watch.started(child.pid, time.monotonic())
 
     def _look(self) -> None:
         """One round: hear, collect the dead, kill the hung, start again, publish."""
@@ -147,6 +149,8 @@ class Supervisor:
         for heartbeat in [first, *self._heartbeats.drain()]:
             if heartbeat is not None and heartbeat.process in self._watches:
                 self._watches[heartbeat.process].heard(heartbeat, now)
+                if heartbeat.process == "source" and heartbeat.state == "ended":
+                    self._source_ended_s = self._source_ended_s or now
         if now - self._looked_s > PAUSED_S:
             self._lenient_until_s = now + QUIET_S
         self._looked_s = now

@@ -38,6 +38,7 @@ class Watch:
         self._config, self._policy = config, RestartPolicy(config)
         self._pid = 0
         self._started_s = 0.0
+        self._ready_s: float | None = None  # when this life was first heard to be ready
         self._heartbeat: Heartbeat | None = None
         self._heard_s = 0.0
         self._last_exit = ""
@@ -47,12 +48,15 @@ class Watch:
         """It has been started, for the first time or again."""
         self.restarts += self._pid != 0
         self._pid, self._started_s, self.restart_at_s, self._heartbeat = pid, now_s, None, None
+        self._ready_s = None
 
     def heard(self, heartbeat: Heartbeat, now_s: float) -> None:
         """A heartbeat has come; one that a previous life left in the queue is ignored."""
         if heartbeat.pid == self._pid:
             self._heartbeat, self._heard_s = heartbeat, now_s
             self.was_ready |= self.ready
+            if self.ready and self._ready_s is None:
+                self._ready_s = now_s
 
     @property
     def state(self) -> str:
@@ -65,6 +69,21 @@ class Watch:
     def ready(self) -> bool:
         """Whether it is running and has finished starting."""
         return self.state not in ("starting", "restarting")
+
+    @property
+    def lives(self) -> int:
+        """How often it has been started."""
+        return self.restarts + (self._pid != 0)
+
+    def ended(self, source_ended_s: float | None) -> bool:
+        """Whether it has done all that the recording caused.
+
+        One that was not ready before the source had ended never heard of that, and has nothing to do.
+        """
+        if self.state == "ended":
+            return True
+        late = source_ended_s is not None and self._ready_s is not None and self._ready_s > source_ended_s
+        return late and self.restarts > 0
 
     def verdict(self, now_s: float) -> Verdict:
         """Whether it lives, from its heartbeats and the time that it may take to start."""

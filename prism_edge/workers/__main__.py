@@ -15,8 +15,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("name", choices=list(PROCESSES), help="which process")
     parser.add_argument("--config", metavar="FILE", required=True, help="the effective configuration (YAML)")
     parser.add_argument("--parent", metavar="PID", type=int, help="die with this process, which started us")
+    parser.add_argument("--life", metavar="N", type=int, default=0, help="how often it was started before")
     args = parser.parse_args(arguments)
-    return run_worker(PROCESSES[args.name], args.config, args.parent)
+    return run_worker(PROCESSES[args.name], args.config, args.parent, args.life)
 
 
 if __name__ == "__main__":

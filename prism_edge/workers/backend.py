@@ -35,7 +35,7 @@ class BackendWorker:
         self._scales = bus.queue("log_scale", 64)
         self._ends = bus.queue("end")
         self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
-        self._mapper = Mapper(config.backend, self._use_depth)
+        self._mapper = Mapper(config.backend, self._use_depth, bus.first_id)
         self._waiting: deque[tuple[float, Keyframe]] = deque()
         self._early: dict[int, Depth] = {}
         self._log_scale = 0.0
@@ -84,7 +84,8 @@ class BackendWorker:
         first = self._keyframes.take(timeout_s)
         now = time.monotonic()
         for keyframe in ([first] if first is not None else []) + self._keyframes.drain():
-            self._waiting.append((now, keyframe))
+            if keyframe.epoch >= self._mapper.epoch:  # else of a map that is gone
+                self._waiting.append((now, keyframe))
         for depth in self._depths.drain():
             self._early[depth.keyframe] = depth
         for scale in self._scales.drain():

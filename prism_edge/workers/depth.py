@@ -16,6 +16,7 @@ from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import no_confidence, no_descriptor
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked
+from prism_edge.processes import processes_for
 from prism_edge.sources.pack import rgb
 
 log = logging.getLogger("prism_edge.depth")
@@ -34,6 +35,7 @@ class DepthWorker:
         """Loads and warms up the network. Raises ModelError where it can't be run."""
         self._bus = bus
         self._patience_s = patience_s
+        self._peers = {process.name for process in processes_for(config)} - {"depth"}
         shown = {"model": "none", "provider": "none", "inference_ms": "-", "inference_ms_median": "-"}
         bus.pulse.values.update(shown, **dict.fromkeys(("queue", "keyframes", "dropped", "invalid"), "0"))
         # Subscribed first: what comes while the network loads is waiting when it is ready.
@@ -55,6 +57,8 @@ class DepthWorker:
     def run(self) -> None:
         """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""
         self._bus.pulse.ready()
+        if self._ticks is not None:
+            self._bus.await_ready(self._peers, self._patience_s)
         over = said_so = False
         while not self._bus.stopped.is_set():
             worked = self._newest() if self._ticks is None else self._next_tick(self._ticks)

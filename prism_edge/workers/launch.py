@@ -26,10 +26,11 @@ def log_to_stderr(process: str, level: int = logging.INFO) -> None:
     )
 
 
-def run_worker(process: Process, config_file: str, parent: int | None = None) -> int:
+def run_worker(process: Process, config_file: str, parent: int | None = None, life: int = 0) -> int:
     """Run ``process`` until it is told to stop; returns the exit code.
 
-    ``parent`` is the process id of the supervisor that started it: the worker dies with it. A user's error
+    ``parent`` is the process id of the supervisor that started it: the worker dies with it. ``life`` is how
+    often it was started before: what it numbers must not be taken for what an earlier life numbered. A user's error
     is one line on stderr and its own code; anything else is logged with its traceback and gives 70.
     """
     if parent is not None:
@@ -47,6 +48,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None) ->
         if "cv2" in sys.modules:  # else the environment sees to it
             sys.modules["cv2"].setNumThreads(1)
         with Bus.open(config, process.name) as bus:
+            bus.life = life
             signals.also(bus.stopped)
             main(config, bus)
         if not signals.stopped.is_set():

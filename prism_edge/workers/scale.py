@@ -11,6 +11,7 @@ from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.messages import Acknowledged, Depth, Keyframe, Scale, Tracked
+from prism_edge.processes import processes_for
 from prism_edge.scale.estimator import ScaleEstimator
 from prism_edge.scale.rendezvous import Rendezvous
 
@@ -27,6 +28,7 @@ class ScaleWorker:
     def __init__(self, config: Config, bus: Bus, patience_s: float = _PATIENCE_S) -> None:
         self._bus = bus
         self._patience_s = patience_s
+        self._peers = {process.name for process in processes_for(config)} - {"scale"}
         self._map_frame = config.frames.map
         self._keyframes = bus.queue("keyframe", 64)
         self._depths = bus.queue("depth", 64)
@@ -39,6 +41,8 @@ class ScaleWorker:
     def run(self) -> None:
         """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""
         self._bus.pulse.ready()
+        if self._ticks is not None:
+            self._bus.await_ready(self._peers, self._patience_s)
         while not self._bus.stopped.is_set():
             if self._ticks is None:
                 self._take_depth(_WAIT_S)

@@ -6,7 +6,7 @@ import logging
 import time
 from collections import deque
 
-from prism_edge.bus import ros
+from prism_edge.bus.lockstep import Gatekeeper
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.messages import EndOfStream, Frame
@@ -19,7 +19,6 @@ from prism_edge.sources.schedule import Schedule
 log = logging.getLogger("prism_edge.source")
 
 _READING_S = 5.0  # a disk or network share that takes longer hangs
-_LOOK_S = 0.2
 _TRUTH_FRAME = "simulated_world"
 _GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
 # Lockstep: whoever takes longer over a frame died with it, and all wait for us.
@@ -31,12 +30,12 @@ class SourceWorker:
 
     def __init__(self, config: Config, bus: Bus, source: Source, patience_s: float = _PATIENCE_S) -> None:
         """``source`` is open."""
-        self._config, self._bus, self._source, self._patience_s = config, bus, source, patience_s
+        self._config, self._bus, self._source = config, bus, source
         self._peers = {process.name for process in processes_for(config)} - {"source"}
-        self._acknowledgements = bus.queue("acknowledged", 1024) if config.is_lockstep else None
+        # Subscribed before we are ready: the others answer the first frame at once.
+        self._gatekeeper = Gatekeeper(bus, self._peers, patience_s) if config.is_lockstep else None
         self._checks = FrameChecks(source.camera)
         self._camera = source.camera.to_array()
-        self._acknowledged: dict[str, int] = {}
         self._last_index = -1
         self._reported: set[str] = set()
         self._released_at: deque[float] = deque(maxlen=60)
@@ -46,11 +45,13 @@ class SourceWorker:
         """Says it is ready, waits for the others, plays, says that it has ended; stays until stopped."""
         self._bus.pulse.ready()
         self._await_peers()
+        if self._bus.life and not self._source.live:
+            self._resume()
         self._bus.stopped.wait(self._config.source.wait_s)
         if self._source.live:
             self._play_live()
-        elif self._config.is_lockstep:
-            self._play_lockstep()
+        elif self._gatekeeper is not None:
+            self._play_lockstep(self._gatekeeper)
         else:
             self._play_realtime()
         if not self._bus.stopped.is_set():
@@ -67,6 +68,13 @@ class SourceWorker:
             names = ", ".join(sorted(missing))
             log.warning("not ready after %g s: %s; playing all the same", waited, names)
 
+    def _resume(self) -> None:
+        """Started again, a recording goes on after the last frame that was tracked."""
+        last = self._bus.ask("tracked")
+        while last is not None and (slot := self._source.peek()) is not None and slot.index <= last.index:
+            self._source.skip()
+            self._checks.earlier()
+
     def _play_live(self) -> None:
         """A camera: every image is captured when it arrives."""
         while not self._bus.stopped.is_set():
@@ -76,7 +84,7 @@ class SourceWorker:
                 return
             self._pass_on(item, time.monotonic_ns())
 
-    def _play_lockstep(self) -> None:
+    def _play_lockstep(self, gatekeeper: Gatekeeper) -> None:
         """The next image once everybody has done the last one and all that it caused."""
         while not self._bus.stopped.is_set():
             start_ns = time.monotonic_ns()
@@ -84,7 +92,7 @@ class SourceWorker:
             if item is None:
                 return
             if self._pass_on(item, start_ns):
-                self._await_acknowledgements(item.index)
+                self._await_acknowledgements(gatekeeper, item.index)
 
     def _play_realtime(self) -> None:
         """Each image at its scheduled time; once that is late by more than a period, images are skipped."""
@@ -147,26 +155,20 @@ class SourceWorker:
         self._bus.publish("frame", frame)
         true_pose = self._source.true_pose(item.index)
         if true_pose is not None:
+            from prism_edge.bus import ros  # slow to load, and recordings have no need of it
+
             self._bus.publish("truth", ros.pose_stamped(item.stamp_ns, _TRUTH_FRAME, true_pose))
         self._last_index = item.index
         self._released_at.append(time.monotonic())
         self._show()
         return True
 
-    def _await_acknowledgements(self, index: int) -> None:
+    def _await_acknowledgements(self, gatekeeper: Gatekeeper, index: int) -> None:
         self._bus.pulse.idle()
-        assert self._acknowledgements is not None
-        deadline = time.monotonic() + self._patience_s
-        while missing := {name for name in self._peers if self._acknowledged.get(name, -1) < index}:
-            if self._bus.stopped.is_set():
-                return
-            if time.monotonic() > deadline:
-                names = ", ".join(sorted(missing))
-                log.warning("frame %d was not acknowledged by %s: going on without", index, names)
-                return
-            said = self._acknowledgements.take(_LOOK_S)
-            if said is not None:
-                self._acknowledged[said.process] = max(said.index, self._acknowledged.get(said.process, -1))
+        missing = gatekeeper.wait(index)
+        if missing and not self._bus.stopped.is_set():
+            names = ", ".join(sorted(missing))
+            log.warning("frame %d was not acknowledged by %s: going on without", index, names)
 
     def _show(self) -> None:
         counts = self._checks.counts

@@ -56,7 +56,7 @@ class TrackerWorker:
         self._frames = bus.queue("frame", 64) if self._lockstep else bus.latest("frame")
         self._inboxes = {name: bus.queue(name) for name in ("depth", "log_scale", "map_update")}
         self._ends = bus.queue("end")
-        self._tracker = Tracker(config.tracking, config.seed)
+        self._tracker = Tracker(config.tracking, config.seed, bus.first_id)
         self._odometry = MetricOdometry()
         self._publisher = PosePublisher(bus, config.frames)
         self._scale_sigma = UNKNOWN_SCALE_SIGMA
@@ -94,7 +94,8 @@ class TrackerWorker:
 
     def _track(self, frame: Frame) -> None:
         camera = Camera.from_array(frame.camera_model, frame.camera)
-        self._dropped += max(frame.index - self._last_index - 1, 0)
+        if self._last_index >= 0 or not self._bus.life:  # what came while we were down was not dropped by us
+            self._dropped += max(frame.index - self._last_index - 1, 0)
         self._last_index = frame.index
         tracker, before = self._tracker, self._tracker.last_pose()
         repeated = frame.duplicate and tracker.last_result is not None

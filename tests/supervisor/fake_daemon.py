@@ -22,7 +22,7 @@ def cast(behaviours: Sequence[str]) -> tuple[list[Process], Command]:
     """The processes and what starts them, from ``NAME:BEHAVIOUR`` texts."""
     plan = dict(text.split(":", 1) for text in behaviours)
 
-    def command(process: Process, config_file: Path) -> list[str]:
+    def command(process: Process, config_file: Path, life: int) -> list[str]:
         behaviour = plan[process.name]
         return [sys.executable, str(WORKER), process.name, behaviour, str(config_file), str(os.getpid())]
 

@@ -92,6 +92,9 @@ class ListBus:
     def publish(self, topic: str, message: object) -> None:
         self.sent.append((topic, codec.unpack(codec.pack(message), type(message))))
 
+    def await_ready(self, processes, timeout_s):
+        return set()
+
     def depths(self) -> list[Depth]:
         return [message for topic, message in self.sent if topic == "depth"]
 

@@ -51,6 +51,9 @@ class ListBus:
     def give(self, topic, *messages):
         self.queue(topic).waiting.extend(messages)
 
+    def await_ready(self, processes, timeout_s):
+        return set()
+
     def of(self, topic):
         return [message for name, message in self.sent if name == topic]
 

@@ -51,6 +51,7 @@ class Recorder:
     """Stands in for the bus: keeps what is published, delivers what a test says."""
 
     def __init__(self) -> None:
+        self.life = 0
         self.stopped = threading.Event()
         self.published: queue.Queue[tuple[str, Any]] = queue.Queue()
         self.states: list[str] = []
