@@ -104,5 +104,6 @@ class PointTable:
         keep = np.flatnonzero(self.alive)
         for column in self._storage.values():
             column[: len(keep)] = column[keep]
+            column[len(keep) : self._size] = 0  # rows to come begin as empty as the first ones did
         self._size = len(keep)
         self._expose()

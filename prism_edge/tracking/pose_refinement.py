@@ -64,8 +64,14 @@ def refine_pose(
             break
     kept = max(int(inliers.sum()), 1)
     spread = float(np.sqrt(chi2[inliers].sum() / (2 * kept))) if inliers.any() else np.inf
-    covariance: Array = np.asarray(np.linalg.pinv(information + 1e-9 * np.eye(6), hermitian=True), np.float64)
-    return PoseEstimate(pose, inliers, covariance, spread)
+    return PoseEstimate(pose, inliers, _inverse_information(information), spread)
+
+
+def _inverse_information(information: Array) -> Array:
+    """Covariance (6, 6); a direction that nothing measures gets a huge variance (a pseudo-inverse: none)."""
+    values, vectors = np.linalg.eigh(information)
+    covariance: Array = np.asarray((vectors / np.maximum(values, 1e-9)) @ vectors.T, np.float64)
+    return covariance
 
 
 def _descend(

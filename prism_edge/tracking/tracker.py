@@ -205,6 +205,7 @@ class Tracker:
         for other in neighbours[:SHARING]:
             mapping.share_points(self.world, keyframe, other, self._factors)
         mapping.cull_recent_points(self.world, keyframe.id)
+        self.world.points.squeeze()
         frame.points = keyframe.points.copy()
         self._reference_matches = 0
         self._refresh(frame)

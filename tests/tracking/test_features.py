@@ -1,0 +1,140 @@
+"""ORB features: spread, number, hopeless images; the index against brute force."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.config import TrackingConfig
+from prism_edge.geometry.cameras import FISHEYE, Camera
+from prism_edge.tracking.features import Features, OrbExtractor
+from prism_edge.tracking.matching import candidate_pairs
+from tests.synthetic.scene import block_texture
+
+CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+
+
+def blocks(seed: int = 0) -> np.ndarray:
+    """Random blocks of many sizes all over an image."""
+    return block_texture(np.random.default_rng(seed), 640, 480)
+
+
+def test_as_many_as_wanted_from_a_textured_image():
+    features = OrbExtractor(TrackingConfig(features=1000)).extract(blocks(), CAMERA)
+    assert 900 <= len(features) <= 1000
+    assert features.descriptors.shape == (len(features), 4)
+    assert features.octaves.min() == 0
+    assert features.octaves.max() > 3
+
+
+def cells_with_features(pixels: np.ndarray, size: int) -> int:
+    return len(np.unique((pixels // size).astype(int) @ (1, 1000)))
+
+
+def test_every_textured_part_of_the_image_has_some():
+    features = OrbExtractor(TrackingConfig(features=1000)).extract(blocks(), CAMERA)
+    inside = features.pixels[np.all((features.pixels > 40) & (features.pixels < (600, 440)), axis=1)]
+    assert cells_with_features(inside - 40, 80) == 7 * 5
+
+
+def test_a_quarter_of_strong_corners_does_not_take_them_all():
+    image = blocks()
+    image[:, 160:] = 125 + (image[:, 160:].astype(float) - 125) * 0.6
+    plain = cv2.ORB.create(nfeatures=1000, edgeThreshold=19, fastThreshold=10, scoreType=cv2.ORB_FAST_SCORE)
+    clustered = cv2.KeyPoint.convert(plain.detect(image, None))
+    features = OrbExtractor(TrackingConfig(features=1000)).extract(image, CAMERA)
+    weak, weak_clustered = ((p[:, 0] > 200).sum() for p in (features.pixels, clustered))
+    assert weak > 1.5 * weak_clustered
+    assert cells_with_features(features.pixels, 64) > cells_with_features(clustered, 64)
+
+
+def test_the_strongest_of_a_cell_is_kept_first():
+    extractor = OrbExtractor(TrackingConfig(features=100))
+    rng = np.random.default_rng(3)
+    pixels = rng.uniform(0, (640, 480), (2000, 2)).astype(np.float32)
+    strength = rng.permutation(2000).astype(float)
+    chosen = extractor._spread(pixels, strength, 640)
+    assert len(chosen) == 100
+    cell = (pixels // extractor.spread_cell).astype(int) @ (1, 1000)
+    for c in np.unique(cell):
+        mine = np.flatnonzero(cell == c)
+        kept = np.intersect1d(mine, chosen)
+        best = mine[np.argsort(-strength[mine])][: len(kept)]
+        assert set(kept) == set(best)
+    # 300 cells and 100 places: nobody gets a second before everybody has a first
+    assert len(np.unique(cell[chosen])) == 100
+
+
+def test_an_image_without_corners_gives_none():
+    extractor = OrbExtractor(TrackingConfig())
+    for image in (np.zeros((480, 640), np.uint8), np.full((480, 640), 255, np.uint8)):
+        features = extractor.extract(image, CAMERA)
+        assert len(features) == 0
+        assert features.descriptors.shape == (0, 4)
+        query, _ = candidate_pairs(features, np.array([[320.0, 240.0]]), np.array([50.0]))
+        assert len(query) == 0
+
+
+def test_an_image_smaller_than_a_patch_gives_none():
+    image = np.random.default_rng(0).integers(0, 255, (24, 32), dtype=np.uint8)
+    assert len(OrbExtractor(TrackingConfig()).extract(image, CAMERA)) == 0
+
+
+def test_the_same_image_gives_the_same_features():
+    first, second = (OrbExtractor(TrackingConfig()).extract(blocks(), CAMERA) for _ in range(2))
+    assert np.array_equal(first.pixels, second.pixels)
+    assert np.array_equal(first.descriptors, second.descriptors)
+
+
+def test_pixels_of_a_distorted_camera_are_opencvs_ideal_ones():
+    k = (-0.28, 0.07, 0.0002, 0.00002)
+    camera = Camera(640, 480, 460.0, 455.0, 325.0, 245.0, "pinhole", k)
+    extractor = OrbExtractor(TrackingConfig())
+    raw, ideal = extractor.extract(blocks(), CAMERA), extractor.extract(blocks(), camera)
+    often = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 50, 1e-9)
+    expected = cv2.undistortPoints(
+        raw.pixels[:, None], camera.matrix, np.array(k), R=None, P=camera.matrix, criteria=often
+    )
+    assert np.abs(ideal.pixels - expected[:, 0]).max() < 1e-3
+
+
+def test_a_fisheyes_rim_is_left_out():
+    """Rays at a right angle to the axis have no pixel in any pinhole image."""
+    camera = Camera(640, 480, 150.0, 150.0, 319.5, 239.5, FISHEYE, (0.0, 0.0, 0.0, 0.0))
+    extractor = OrbExtractor(TrackingConfig())
+    raw, features = extractor.extract(blocks(), CAMERA), extractor.extract(blocks(), camera)
+    assert np.isfinite(features.pixels).all()
+    assert 100 < len(features) < len(raw)
+    # equidistant: the angle from the axis is radius / f
+    radius = np.linalg.norm(raw.pixels - (319.5, 239.5), axis=1)
+    usable = radius < 1.2 * 150
+    reach = 150.0 * np.tan(radius[usable] / 150.0)
+    got = np.linalg.norm(features.pixels - (319.5, 239.5), axis=1)
+    for r in reach:
+        assert np.abs(got - r).min() < 1e-3
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    count=st.integers(0, 150),
+    width=st.integers(5, 200),
+    height=st.integers(5, 150),
+)
+def test_the_index_finds_what_brute_force_finds(seed, count, width, height):
+    rng = np.random.default_rng(seed)
+    # Undistortion puts some keypoints outside of the image.
+    pixels = rng.uniform((-30.0, -30.0), (width + 30.0, height + 30.0), (count, 2))
+    words = rng.integers(0, 2**64, (count, 4), dtype=np.uint64)
+    features = Features.build(pixels, np.zeros(count, np.intp), words, width, height)
+    centres = rng.uniform((-50.0, -50.0), (width + 50.0, height + 50.0), (20, 2))
+    radii = rng.uniform(0.0, 60.0, 20)
+    query, keypoint = candidate_pairs(features, centres, radii)
+    expected = {
+        (q, k) for q in range(20) for k in range(count) if np.abs(pixels[k] - centres[q]).max() <= radii[q]
+    }
+    assert set(zip(query.tolist(), keypoint.tolist(), strict=True)) == expected
+    assert len(query) == len(expected)
+    assert np.all(np.diff(query) >= 0)

@@ -1,0 +1,191 @@
+"""Pose refinement against numerical derivatives, explicit covariances and repeated trials."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, se3_exp, se3_log, transform
+from prism_edge.tracking.pose_refinement import _linearise, refine_pose
+from tests.tracking.cloud import CAMERA
+
+TRUE = se3_exp(np.array([0.3, -0.2, 0.1, 0.1, -0.2, 0.05]))
+
+
+def scene(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """World points (n, 3) in front of the true camera, and their exact pixels."""
+    depth = rng.uniform(1.0, 5.0, count)
+    local = np.column_stack([rng.uniform((-0.6, -0.45), (0.6, 0.45), (count, 2)) * depth[:, None], depth])
+    return transform(TRUE, local), CAMERA.project(local)
+
+
+def error_of(pose: np.ndarray) -> np.ndarray:
+    """The right-hand twist from the true pose to another."""
+    return se3_log(inverse(TRUE) @ pose)
+
+
+@pytest.mark.parametrize("smeared", [False, True])
+def test_jacobian_is_the_numerical_derivative(smeared):
+    rng = np.random.default_rng(0)
+    points, pixels = scene(rng, 40)
+    pixels = pixels + rng.normal(0, 2.0, pixels.shape)
+    inverse_sigma = 1.0 / rng.uniform(1.0, 3.0, 40)
+    smear = rng.normal(0, 0.1, (40, 3)) if smeared else None
+    _, jacobian, _, visible = _linearise(CAMERA, TRUE, points, pixels, inverse_sigma, smear)
+    assert visible.all()
+    for axis in range(6):
+        step = np.zeros(6)
+        step[axis] = 1e-6
+        # The whitening is held at the linearisation point: rotate the error with the camera.
+        ahead, behind = (
+            _linearise(
+                CAMERA,
+                TRUE @ se3_exp(sign * step),
+                points,
+                pixels,
+                inverse_sigma,
+                None,
+            )[0]
+            for sign in (1.0, -1.0)
+        )
+        slope = (ahead - behind) / 2e-6
+        if smeared:
+            slope = np.array([w @ s for w, s in zip(whitening(points, inverse_sigma, smear), slope, strict=True)])
+        assert np.abs(slope - jacobian[:, :, axis]).max() < 1e-4 * np.abs(jacobian).max()
+
+
+def covariance_of_pixels(points, inverse_sigma, smear):
+    """I + J e e^T J^T of each point, by numerical derivative of the projection."""
+    for point, scale, error in zip(points, inverse_sigma, smear, strict=True):
+        ahead, behind = (
+            CAMERA.project(transform(inverse(TRUE), (point + sign * 1e-6 * error)[None]))[0]
+            for sign in (1.0, -1.0)
+        )
+        s = scale * (ahead - behind) / 2e-6
+        yield np.eye(2) + np.outer(s, s)
+
+
+def whitening(points, inverse_sigma, smear):
+    """Inverse square roots of those covariances."""
+    for covariance in covariance_of_pixels(points, inverse_sigma, smear):
+        values, vectors = np.linalg.eigh(covariance)
+        yield vectors @ np.diag(values**-0.5) @ vectors.T
+
+
+def test_depth_error_whitens_with_the_explicit_covariance():
+    rng = np.random.default_rng(1)
+    points, pixels = scene(rng, 50)
+    pixels = pixels + rng.normal(0, 3.0, pixels.shape)
+    inverse_sigma = 1.0 / rng.uniform(1.0, 3.0, 50)
+    smear = rng.normal(0, 0.2, (50, 3))
+    smear[:5] = 0.0
+    plain = _linearise(CAMERA, TRUE, points, pixels, inverse_sigma, None)[0]
+    residual, _, chi2, _ = _linearise(CAMERA, TRUE, points, pixels, inverse_sigma, smear)
+    covariances = covariance_of_pixels(points, inverse_sigma, smear)
+    expected = np.array([r @ np.linalg.inv(c) @ r for r, c in zip(plain, covariances, strict=True)])
+    assert chi2 == pytest.approx(expected, rel=1e-5)
+    assert (residual**2).sum(axis=1) == pytest.approx(expected, rel=1e-5)
+
+
+def test_exact_measurements_give_the_exact_pose():
+    rng = np.random.default_rng(2)
+    points, pixels = scene(rng, 60)
+    start = TRUE @ se3_exp(np.array([0.05, -0.05, 0.08, 0.03, 0.02, -0.04]))
+    estimate = refine_pose(CAMERA, start, points, pixels, np.ones(60), rounds=5, iterations=8)
+    assert np.abs(error_of(estimate.world_from_camera)).max() < 1e-4
+    assert estimate.inliers.all()
+    assert estimate.residual_px < 0.1
+
+
+def test_thirty_percent_outliers_are_told_apart():
+    rng = np.random.default_rng(3)
+    points, pixels = scene(rng, 200)
+    pixels = pixels + rng.normal(0, 0.7, pixels.shape)
+    wrong = rng.permutation(200)[:60]
+    pixels[wrong] += rng.uniform(15, 60, (60, 2)) * rng.choice((-1, 1), (60, 2))
+    start = TRUE @ se3_exp(np.array([0.03, 0.02, -0.03, 0.01, -0.01, 0.02]))
+    estimate = refine_pose(CAMERA, start, points, pixels, np.ones(200))
+    assert np.linalg.norm(error_of(estimate.world_from_camera)[:3]) < 0.01
+    assert rotation_angle((inverse(TRUE) @ estimate.world_from_camera)[:3, :3]) < 0.003
+    assert not estimate.inliers[wrong].any()
+    assert np.delete(estimate.inliers, wrong).mean() > 0.95
+
+
+def test_it_is_as_good_as_opencvs_least_squares():
+    rng = np.random.default_rng(4)
+    points, pixels = scene(rng, 80)
+    # Below Huber's threshold both minimise the same sum of squares.
+    pixels = pixels + rng.uniform(-1.0, 1.0, pixels.shape)
+    estimate = refine_pose(CAMERA, TRUE, points, pixels, np.ones(80), iterations=8)
+    start = inverse(TRUE)
+    r, t = cv2.solvePnPRefineLM(
+        points, pixels, CAMERA.matrix, None, cv2.Rodrigues(start[:3, :3])[0], start[:3, 3:].copy()
+    )
+    reference = inverse(from_rt(cv2.Rodrigues(r)[0], t.ravel()))
+    assert np.abs(se3_log(inverse(reference) @ estimate.world_from_camera)).max() < 5e-4
+
+
+@pytest.mark.parametrize("smeared", [False, True])
+def test_covariance_is_that_of_repeated_trials(smeared):
+    rng = np.random.default_rng(5)
+    points, pixels = scene(rng, 80)
+    sigmas = rng.uniform(0.8, 2.0, 80)
+    direction = points - TRUE[:3, 3]
+    smear = 0.02 * direction if smeared else None
+    errors, claimed = [], []
+    for _ in range(400):
+        noisy = pixels + rng.normal(size=pixels.shape) * sigmas[:, None]
+        seen_at = points if smear is None else points + smear * rng.normal(size=(80, 1))
+        estimate = refine_pose(CAMERA, TRUE, seen_at, noisy, sigmas, smear)
+        errors.append(error_of(estimate.world_from_camera))
+        claimed.append(estimate.covariance)
+    actual, stated = np.cov(np.array(errors).T), np.mean(claimed, axis=0)
+    ratio = np.sqrt(np.diag(actual) / np.diag(stated))
+    assert np.all((ratio > 0.8) & (ratio < 1.25)), ratio
+    # Not only the diagonal: the whitened errors have unit covariance in every direction.
+    root = np.linalg.inv(np.linalg.cholesky(stated))
+    assert np.all(np.abs(np.sqrt(np.linalg.eigvalsh(root @ actual @ root.T)) - 1.0) < 0.3)
+
+
+def test_a_point_of_weight_nothing_does_not_pull():
+    rng = np.random.default_rng(6)
+    points, pixels = scene(rng, 60)
+    pixels[:20] += 2.0  # within the bound of an inlier, all to one side
+    weights = np.r_[np.zeros(20), np.ones(40)]
+    pulled = refine_pose(CAMERA, TRUE, points, pixels, np.ones(60)).world_from_camera
+    free = refine_pose(CAMERA, TRUE, points, pixels, np.ones(60), weights=weights).world_from_camera
+    assert np.abs(error_of(free)).max() < 1e-6
+    assert np.abs(error_of(pulled)).max() > 1e-4
+
+
+def test_behind_is_no_way_out():
+    """From a start that looks the other way, no step that hides points may count as better."""
+    rng = np.random.default_rng(7)
+    points, pixels = scene(rng, 50)
+    for start in (TRUE @ se3_exp(np.array([0, 0, 0, 0, np.pi, 0])), TRUE @ se3_exp(np.array([0, 0, 20.0, 0, 0, 0]))):
+        estimate = refine_pose(CAMERA, start, points, pixels, np.ones(50))
+        assert np.isfinite(estimate.world_from_camera).all()
+        assert not estimate.inliers.any()
+        assert np.isfinite(estimate.covariance).all()
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 5])
+def test_few_points_give_numbers(count):
+    rng = np.random.default_rng(8)
+    points, pixels = scene(rng, count)
+    estimate = refine_pose(CAMERA, TRUE, points, pixels + 0.5, np.ones(count))
+    assert np.isfinite(estimate.world_from_camera).all()
+    assert np.isfinite(estimate.covariance).all()
+    assert estimate.inliers.shape == (count,)
+    # What the points don't fix is said to be uncertain.
+    if count < 3:
+        assert np.linalg.eigvalsh(estimate.covariance).max() > 1e3
+
+
+def test_points_on_one_spot_give_numbers():
+    points = np.tile(transform(TRUE, np.array([[0.0, 0.0, 2.0]])), (30, 1))
+    pixels = np.tile([[319.5, 239.5]], (30, 1))
+    estimate = refine_pose(CAMERA, TRUE, points, pixels, np.ones(30), np.zeros((30, 3)))
+    assert np.isfinite(estimate.world_from_camera).all()
+    assert np.linalg.eigvalsh(estimate.covariance).max() > 1e3
