@@ -73,7 +73,7 @@ class Bus:
 
     @property
     def first_id(self) -> int:
-        """Where this life of the process begins to number things: what an earlier one gave never comes again."""
+        """Where this life of the process begins to number things: no number of an earlier one comes again."""
         return self.life * _IDS_A_LIFE
 
     def publish(self, topic: str, message: Any) -> None:

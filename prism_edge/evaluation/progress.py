@@ -14,15 +14,15 @@ from rich.progress import Progress as Bars
 class Progress:
     """How much of a recording has been played; on stderr, as stdout is for results."""
 
-    def __init__(self, total: int | None) -> None:
-        """``total`` frames, None where nobody knows."""
+    def __init__(self, total: int | None, quiet: bool = False) -> None:
+        """``total`` frames, None where nobody knows; ``quiet`` shows nothing."""
         self._bars = Bars(
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TimeElapsedColumn(),
             console=Console(stderr=True),
-            disable=not sys.stderr.isatty(),
+            disable=quiet or not sys.stderr.isatty(),
             auto_refresh=False,  # a refreshing thread would take time from what is measured
         )
         self._task = self._bars.add_task("playing", total=total)

@@ -53,13 +53,15 @@ def evaluate(
     truth: Path | None = None,
     settle_s: float = 60.0,
     command: Sequence[str] = SUPERVISOR,
+    quiet: bool = False,
 ) -> dict[str, Any]:
     """Runs ``config`` through the daemon and writes live.tum, final.tum, metrics.json and more to ``out``.
 
     ``truth`` is a TUM file to score against instead of the sequence's own; either is read only after the
-    run. ``settle_s`` is how long the last optimisation may take. Returns the metrics. Call it from the main
-    thread. Raises SourceError or ConfigError for an unusable sequence, DaemonError with the daemon's own
-    exit code where it fails, and EvaluationError where the run broke a rule (the files are written then too).
+    run. ``settle_s`` is how long the last optimisation may take; ``quiet`` shows no progress on stderr.
+    Returns the metrics. Call it from the main thread. Raises SourceError or ConfigError for an unusable
+    sequence, DaemonError with the daemon's own exit code where it fails, and EvaluationError where the run
+    broke a rule (the files are written then too).
     """
     with open_source(config.source) as source:
         first = source.peek()
@@ -67,7 +69,7 @@ def evaluate(
     if truth is not None and not truth.is_file():
         raise EvaluationError(f"{truth}: no such file: nothing to score against")
     config = _prepared(config, out)
-    heard = _run(config, out, settle_s, frame_count, command)
+    heard = _run(config, out, settle_s, Progress(frame_count, quiet), command)
 
     live = heard.recording.live()
     final, missing = Trajectory.of([]), 0
@@ -114,7 +116,7 @@ def _prepared(config: Config, out: Path) -> Config:
 
 
 def _run(
-    config: Config, out: Path, settle_s: float, frame_count: int | None, command: Sequence[str]
+    config: Config, out: Path, settle_s: float, progress: Progress, command: Sequence[str]
 ) -> Heard:
     with contextlib.ExitStack() as stack:
         daemon = stack.enter_context(
@@ -123,7 +125,7 @@ def _run(
         bus = stack.enter_context(Bus.open(config, "eval"))
         recorder = Recorder(bus, config.frames)
         bus.pulse.ready()
-        progress = stack.enter_context(Progress(frame_count))
+        stack.enter_context(progress)
         meter = Meter(daemon.pid, "supervisor")
         ready_s = _listen(config, daemon, recorder, meter, progress)
         progress.say("waiting for the last optimisation")

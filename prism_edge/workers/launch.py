@@ -30,8 +30,10 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
     """Run ``process`` until it is told to stop; returns the exit code.
 
     ``parent`` is the process id of the supervisor that started it: the worker dies with it. ``life`` is how
-    often it was started before: what it numbers must not be taken for what an earlier life numbered. A user's error
-    is one line on stderr and its own code; anything else is logged with its traceback and gives 70.
+    often it was started before: what it numbers must not be taken for what an earlier life numbered.
+
+    A user's error is one line on stderr and its own code; anything else is logged with its traceback and
+    gives 70.
     """
     if parent is not None:
         die_with(parent)
