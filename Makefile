@@ -16,7 +16,7 @@ help: ## show this list
 setup: $(STAMP) ## make the environment in .venv
 
 # The interpreter is tried, not just found: a name on the path may be a shim without a version behind it.
-$(STAMP): requirements.lock pyproject.toml tools/find_python.sh
+$(STAMP): requirements.lock pyproject.toml setup.py tools/find_python.sh
 	@python="$$(tools/find_python.sh)"
 	# An environment that was interrupted half way, or whose Python has gone, is made anew.
 	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then

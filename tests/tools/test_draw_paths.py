@@ -21,7 +21,8 @@ def test_x_points_right_y_points_up_and_both_have_one_scale() -> None:
     left, right = pixels[:, 0].min(), pixels[:, 0].max()
     width, height = right - left, pixels[:, 1].max() - pixels[:, 1].min()
     assert width / height == pytest.approx(2.0, rel=0.05)
-    assert pixels[pixels[:, 1] == pixels[:, 1].min()][:, 0].mean() > right - 10  # the upper end is the right one
+    highest = pixels[pixels[:, 1] == pixels[:, 1].min()]
+    assert highest[:, 0].mean() > right - 10  # at the right end
 
 
 def test_what_is_not_finite_is_left_out_and_nothing_at_all_is_refused() -> None:
@@ -35,7 +36,9 @@ def test_a_camera_that_stands_still_is_drawn() -> None:
     assert len(drawn(draw_paths([("path", ESTIMATE, np.zeros((3, 2)))], ""), ESTIMATE))
 
 
-@pytest.mark.parametrize(("extent", "step"), [(0.1, 0.05), (1.5, 0.2), (7.0, 1.0), (800.0, 100.0), (9e4, 11250.0)])
+@pytest.mark.parametrize(
+    ("extent", "step"), [(0.1, 0.05), (1.5, 0.2), (7.0, 1.0), (800.0, 100.0), (9e4, 11250.0)]
+)
 def test_grid_lines_are_few(extent: float, step: float) -> None:
     assert grid_step(extent) == step
     assert extent / grid_step(extent) <= 9
