@@ -105,7 +105,8 @@ def check(world: LocalMap) -> None:
     """The map's own bookkeeping agrees with what its keyframes say."""
     seen, table = observations(world), world.points
     assert all(a < b for a, b in pairwise(table.ids.tolist()))
-    alive = {int(p): int(n) for p, n in zip(table.ids[table.alive], table.observations[table.alive], strict=True)}
+    ids, counts = table.ids[table.alive].tolist(), table.observations[table.alive].tolist()
+    alive = dict(zip(ids, counts, strict=True))
     assert set(seen) <= set(alive), "a keyframe sees a point that is gone"
     for point, count in alive.items():
         assert count == len(seen.get(point, {})), f"point {point} counts {count} keyframes"

@@ -42,7 +42,8 @@ class MapModel(RuleBasedStateMachine):
         rng = np.random.default_rng(seed)
         keyframe = self.world.keyframes[int(rng.integers(len(self.world.keyframes)))]
         free = rng.permutation(keyframe.free())[:count]
-        ids = self.world.add_points(keyframe, free, rng.normal(size=(len(free), 3)), np.full(len(free), 0.1), 0.0)
+        positions, sigmas = rng.normal(size=(len(free), 3)), np.full(len(free), 0.1)
+        ids = self.world.add_points(keyframe, free, positions, sigmas, 0.0)
         assert not set(ids.tolist()) & set(self.seen), "ids are never used twice"
         self.seen |= {p: {keyframe.id} for p in ids.tolist()}
 

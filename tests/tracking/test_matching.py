@@ -27,7 +27,9 @@ def reference_best(query, keypoint, distance, most, ratio):
 @settings(max_examples=150, deadline=None)
 @given(
     pairs=st.lists(
-        st.tuples(st.integers(0, 8), st.integers(0, 8), st.integers(0, 256)), max_size=40, unique_by=lambda p: p[:2]
+        st.tuples(st.integers(0, 8), st.integers(0, 8), st.integers(0, 256)),
+        max_size=40,
+        unique_by=lambda p: p[:2],
     ),
     most=st.integers(0, 256),
     ratio=st.sampled_from([0.5, 0.75, 0.9, 1.0]),

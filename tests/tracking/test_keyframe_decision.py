@@ -1,0 +1,109 @@
+"""When a frame becomes a keyframe."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.config import TrackingConfig
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.keyframe_decision import decide, uncovered_share
+from tests.tracking.cloud import CAMERA, Cloud, pose_at
+
+CONFIG = TrackingConfig()
+
+
+@pytest.fixture
+def reference():
+    return Cloud(300).keyframe(0, np.eye(4))[0]
+
+
+def frame_at(pose, matched=200, covered=True) -> TrackedFrame:
+    rng = np.random.default_rng(0)
+    pixels = rng.uniform((0, 0), (640, 480), (600, 2))
+    words = np.zeros((600, 4), np.uint64)
+    features = Features.build(pixels, np.zeros(600, np.intp), words, 640, 480)
+    points = np.where((pixels[:, 0] < 640 if covered else pixels[:, 0] < 300), 7, -1)
+    return TrackedFrame(CAMERA, features, pose, points, np.zeros((6, 6)), matched, 1.0)
+
+
+def judge(frame, reference, seconds=0.5, reference_matches=200, depth=3.0, config=CONFIG):
+    return decide(config, frame, reference, seconds, reference_matches, depth)
+
+
+@pytest.mark.parametrize(
+    ("frame", "seconds", "reason"),
+    [
+        (frame_at(pose_at(0.1), matched=150), 0.5, "few matches"),
+        (frame_at(pose_at(0.3)), 0.5, "baseline"),
+        (frame_at(pose_at(0.1)), 2.0, "time"),
+        (frame_at(pose_at(0.1), covered=False), 0.5, "new ground"),
+        (frame_at(pose_at(0, 0, 0, 0, 0.1), matched=100), 0.5, "few matches"),
+        (frame_at(pose_at(0, 0, 0, 0, 0.1)), 2.0, "time"),
+    ],
+)
+def test_reasons(reference, frame, seconds, reason):
+    decision = judge(frame, reference, seconds)
+    assert decision.wanted
+    assert decision.reason == reason
+
+
+@pytest.mark.parametrize(
+    ("frame", "seconds"),
+    [
+        (frame_at(pose_at(0.1)), 0.5),  # nothing new
+        (frame_at(pose_at(0.3), matched=150), 0.1),  # too soon
+        (frame_at(pose_at(0.01), matched=50, covered=False), 60.0),  # has not moved
+        (frame_at(pose_at(0, 0, 0, 0, 0.02), matched=50), 60.0),  # hardly turned
+    ],
+)
+def test_no_reason(reference, frame, seconds):
+    assert not judge(frame, reference, seconds).wanted
+
+
+def test_a_baseline_counts_relative_to_the_depth(reference):
+    near, far = frame_at(pose_at(0.3)), frame_at(pose_at(0.3))
+    assert judge(near, reference, depth=3.0).wanted
+    assert not judge(far, reference, depth=6.0).wanted
+
+
+def test_motion_is_relative_to_the_reference(reference):
+    away = replace(reference, world_from_camera=pose_at(5.0, 2.0, 1.0, 0.3, 0.2, 0.1))
+    still = frame_at(away.world_from_camera @ pose_at(0.01))
+    assert not judge(still, away, seconds=60.0).wanted
+    assert judge(frame_at(np.eye(4)), away).wanted
+
+
+def test_the_configuration_is_heeded(reference):
+    assert judge(
+        frame_at(pose_at(0.1)), reference, seconds=0.5, config=replace(CONFIG, keyframe_max_s=0.4)
+    ).wanted
+    assert not judge(
+        frame_at(pose_at(0.3)), reference, seconds=0.5, config=replace(CONFIG, keyframe_min_s=0.6)
+    ).wanted
+    assert not judge(
+        frame_at(pose_at(0.1), matched=150), reference, config=replace(CONFIG, keyframe_ratio=0.5)
+    ).wanted
+
+
+def test_uncovered_share_counts_textured_cells_without_points():
+    frame = frame_at(np.eye(4), covered=False)
+    pixels, points = frame.features.pixels, frame.points
+    textured, bare = 0, 0
+    for x in range(10):
+        for y in range(8):
+            mine = np.all(pixels // 64 == (x, y), axis=1)
+            if mine.sum() >= 3:
+                textured += 1
+                bare += not (points[mine] >= 0).any()
+    assert uncovered_share(frame) == pytest.approx(bare / textured)
+    assert uncovered_share(frame_at(np.eye(4))) == 0.0
+
+
+def test_an_image_without_corners_is_not_new_ground():
+    frame = frame_at(np.eye(4))
+    none = Features.build(np.zeros((0, 2)), np.zeros(0, np.intp), np.zeros((0, 4), np.uint64), 640, 480)
+    assert uncovered_share(replace(frame, features=none, points=np.zeros(0, np.int64))) == 0.0

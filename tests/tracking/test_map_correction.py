@@ -1,0 +1,145 @@
+"""Applying the backend's corrections to the local map."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.poses import inverse, se3_log, transform
+from prism_edge.tracking.map_correction import apply_correction, fit
+from tests.tracking.cloud import CAMERA, FACTORS, Cloud, check, pose_at
+
+MOTION = pose_at(0.3, -0.2, 0.1, 0.02, 0.1, -0.05)
+POSES = [pose_at(0.3 * i, 0.0, 0.0, 0.0, -0.04 * i) for i in range(6)]
+
+
+def apply(world, based_on, keyframes, points, motion=MOTION, parallax_deg=0.0):
+    """The correction that moves these keyframes and points rigidly."""
+    rows = world.points.rows(points)
+    # as they arrive: arrays that can't be written to
+    poses = np.array([motion @ world.keyframes[k].world_from_camera for k in keyframes]).reshape(-1, 4, 4)
+    positions = transform(motion, world.points.position[rows])
+    parallax = np.full(len(points), parallax_deg, np.float32)
+    for array in (poses, positions, parallax):
+        array.flags.writeable = False
+    return apply_correction(
+        world, based_on, np.array(keyframes, np.int64), poses, points, positions, parallax, FACTORS
+    )
+
+
+def test_a_rigid_motion_of_everything_moves_everything():
+    cloud = Cloud(400, seed=0)
+    world, _ = cloud.mapped(POSES)
+    before = world.points.position.copy()
+    motion = apply(world, 5, list(range(6)), world.points.ids.copy())
+    assert motion == pytest.approx(MOTION, abs=1e-9)
+    for keyframe, pose in zip(world.keyframes.values(), POSES, strict=True):
+        assert keyframe.world_from_camera == pytest.approx(MOTION @ pose, abs=1e-9)
+    assert world.points.position == pytest.approx(transform(MOTION, before), abs=1e-9)
+    check(world)
+
+
+def test_points_the_backend_does_not_name_go_with_their_keyframe():
+    cloud = Cloud(400, seed=0)
+    world, _ = cloud.mapped(POSES)
+    before = world.points.position.copy()
+    named = world.points.ids[::3].copy()
+    apply(world, 5, list(range(6)), named)
+    assert world.points.position == pytest.approx(transform(MOTION, before), abs=1e-9)
+
+
+def test_newer_keyframes_are_fitted_to_the_corrected_points():
+    """The backend had seen three of six; those it had not follow the points, and take theirs along."""
+    cloud = Cloud(600, seed=1)
+    world, _ = cloud.mapped(POSES)
+    before = world.points.position.copy()
+    known = world.points.ids[world.points.reference <= 2].copy()
+    motion = apply(world, 2, [0, 1, 2], known)
+    for k in (3, 4, 5):
+        error = se3_log(inverse(MOTION @ POSES[k]) @ world.keyframes[k].world_from_camera)
+        assert np.abs(error).max() < 1e-4
+    assert motion == pytest.approx(MOTION, abs=1e-4)
+    assert world.points.position == pytest.approx(transform(MOTION, before), abs=2e-3)
+
+
+def test_a_fit_absorbs_what_a_rigid_motion_would_carry_on():
+    """A newer keyframe that was misplaced before comes right: carried rigidly it would stay wrong."""
+    cloud = Cloud(600, seed=1)
+    world, _ = cloud.mapped(POSES)
+    world.keyframes[3].world_from_camera = POSES[3] @ pose_at(0.02, 0.01, -0.02, 0.005, 0.0, 0.0)
+    known = world.points.ids[world.points.reference <= 2].copy()
+    apply(world, 2, [0, 1, 2], known, motion=np.eye(4))
+    assert np.abs(se3_log(inverse(POSES[3]) @ world.keyframes[3].world_from_camera)).max() < 1e-3
+
+
+def test_newer_keyframes_that_share_too_little_are_carried():
+    cloud = Cloud(400, seed=2)
+    world, _ = cloud.mapped(POSES[:2])
+    far, _ = cloud.keyframe(2, POSES[1] @ pose_at(0, 0, 0, 0, 0.1))
+    world.add_keyframe(far)  # sees nothing of the map
+    old = far.world_from_camera.copy()
+    motion = apply(world, 1, [0, 1], world.points.ids.copy())
+    assert far.world_from_camera == pytest.approx(MOTION @ old, abs=1e-9)
+    assert motion == pytest.approx(MOTION, abs=1e-9)
+
+
+def test_older_keyframes_outside_the_window_stay():
+    cloud = Cloud(400, seed=0)
+    world, _ = cloud.mapped(POSES)
+    mine = world.points.reference <= 1
+    before = world.points.position[mine].copy()
+    apply(world, 5, [2, 3, 4, 5], world.points.ids[~mine].copy())
+    for k in (0, 1):
+        assert np.array_equal(world.keyframes[k].world_from_camera, POSES[k])
+    assert np.array_equal(world.points.position[mine], before)
+
+
+def test_what_is_gone_here_is_ignored():
+    cloud = Cloud(300, seed=3)
+    world, _ = cloud.mapped(POSES[:3])
+    ids = world.points.ids.copy()
+    world.cull_points(np.arange(20))
+    dead = world.points.position[:20].copy()
+    poses = np.array([MOTION @ POSES[0], np.eye(4)])
+    named = np.r_[ids, [10_000, 20_000]]
+    apply_correction(
+        world,
+        2,
+        np.array([0, 77]),
+        poses,
+        named,
+        np.zeros((len(named), 3)),
+        np.zeros(len(named), np.float32),
+        FACTORS,
+    )
+    assert 77 not in world.keyframes
+    assert np.array_equal(world.points.position[:20], dead)
+    assert not world.points.position[20:].any()
+    check(world)
+
+
+def test_parallax_only_grows_and_makes_points_firmer():
+    cloud = Cloud(200, seed=4)
+    world, _ = cloud.mapped(POSES[:3], sigma=0.2, parallax_deg=1.0)
+    ids = world.points.ids.copy()
+    apply(world, 2, [0, 1, 2], ids, np.eye(4), parallax_deg=4.0)
+    assert world.points.parallax_deg == pytest.approx(4.0)
+    # 1.4 px of disparity at 500 px of focal length, over 4 degrees
+    assert world.points.log_depth_sigma == pytest.approx(1.4 / (500.0 * np.radians(4.0)))
+    apply(world, 2, [0, 1, 2], ids, np.eye(4), parallax_deg=2.0)
+    assert world.points.parallax_deg == pytest.approx(4.0)
+    assert world.points.log_depth_sigma == pytest.approx(1.4 / (500.0 * np.radians(4.0)))
+
+
+def test_a_view_of_few_usable_points_stays_where_it_was():
+    cloud = Cloud(300, seed=5)
+    world, _ = cloud.mapped(POSES[:1])
+    features, _ = cloud.view(POSES[1])
+    start = pose_at(0.5)
+    nothing = np.full(len(features), -1, np.int64)
+    assert fit(world, CAMERA, features, nothing, start, FACTORS) is start
+    keyframe = world.keyframes[0]
+    unusable = np.zeros(len(world.points), bool)
+    unusable[:10] = True
+    same = fit(world, CAMERA, keyframe.features, keyframe.points, start, FACTORS, unusable)
+    assert same is start

@@ -1,0 +1,225 @@
+"""What a new keyframe gives the map, on a cloud of points whose places are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.poses import transform
+from prism_edge.tracking import mapping
+from prism_edge.tracking.local_map import LocalMap
+from tests.tracking.cloud import FACTORS, Cloud, check, pose_at
+
+
+def seeded(cloud: Cloud, every: int = 10, wrong: float = 1.0) -> tuple[LocalMap, np.ndarray]:
+    """One keyframe with points seeded at each tenth keypoint, ``wrong`` times as far as they are."""
+    world = LocalMap()
+    keyframe, shown = cloud.keyframe(0, np.eye(4), noise_px=0.3)
+    world.add_keyframe(keyframe)
+    chosen = np.arange(0, len(shown), every)
+    positions = cloud.positions[shown[chosen]] * wrong
+    world.add_points(keyframe, chosen, positions, np.full(len(chosen), 0.2), 0.0)
+    return world, shown
+
+
+def add(world, cloud, shown, number, pose, noise_px=0.3):
+    """A further keyframe, which observes those points of the first that it sees."""
+    first = world.keyframes[0]
+    keyframe, seen = cloud.keyframe(number, pose, noise_px)
+    at_first = dict(zip(shown.tolist(), first.points.tolist(), strict=True))
+    keyframe.points = np.array([at_first.get(p, -1) for p in seen.tolist()], np.int64)
+    world.add_keyframe(keyframe)
+    return keyframe, seen
+
+
+def test_new_points_are_where_the_corners_are():
+    cloud = Cloud(500, seed=0)
+    world, shown = seeded(cloud)
+    keyframe, seen = add(world, cloud, shown, 1, pose_at(0.4))
+    created = mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS)
+    assert created > 250
+    check(world)
+    new = world.points.rows(np.concatenate(world.changes.new_points[1:]))
+    assert len(new) == created
+    at = {int(p): i for i, p in enumerate(keyframe.points)}
+    true = cloud.positions[seen[[at[int(p)] for p in world.points.ids[new]]]]
+    error = np.linalg.norm(world.points.position[new] - true, axis=1)
+    depth = true[:, 2]
+    # The claimed relative error along the ray is honest: neither much too small nor much too large.
+    relative = error / depth / world.points.log_depth_sigma[new]
+    assert 0.1 < np.median(relative) < 1.0
+    assert np.quantile(relative, 0.95) < 2.5
+    to_now = true - (0.4, 0.0, 0.0)
+    cosine = (true * to_now).sum(1) / np.linalg.norm(true, axis=1) / np.linalg.norm(to_now, axis=1)
+    assert np.median(np.abs(world.points.parallax_deg[new] - np.degrees(np.arccos(cosine)))) < 0.1
+    # Both keyframes see each, and those of the earlier one are told as late.
+    assert (world.points.observations[new] == 2).all()
+    assert {(p, k) for p, k, _ in world.changes.late} == {(int(p), 0) for p in world.points.ids[new]}
+
+
+@pytest.mark.parametrize(
+    ("pose", "reason"), [(pose_at(0.01), "baseline"), (pose_at(0, 0, 0, 0, 0.1), "pure rotation")]
+)
+def test_nothing_is_triangulated_without_parallax(pose, reason):
+    cloud = Cloud(500, seed=0)
+    world, shown = seeded(cloud)
+    keyframe, _ = add(world, cloud, shown, 1, pose)
+    assert mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS) == 0, reason
+
+
+def test_wrong_poses_triangulate_next_to_nothing():
+    cloud = Cloud(500, seed=0)
+    world, shown = seeded(cloud)
+    keyframe, _ = add(world, cloud, shown, 1, pose_at(0.4))
+    keyframe.world_from_camera = pose_at(0.4, 0.0, 0.0, 0.15, 0.0, 0.0)
+    assert mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS) < 25
+
+
+def test_a_keyframe_that_knows_no_depths_triangulates_nothing():
+    cloud = Cloud(200, seed=0)
+    world = LocalMap()
+    for number in range(2):
+        world.add_keyframe(cloud.keyframe(number, pose_at(0.4 * number))[0])
+    assert mapping.triangulate_with_neighbours(world, world.newest(), [world.keyframes[0]], FACTORS) == 0
+
+
+def test_seeds_mature_to_their_true_places():
+    cloud = Cloud(500, seed=1)
+    world, shown = seeded(cloud, every=2, wrong=1.15)
+    keyframe, _ = add(world, cloud, shown, 1, pose_at(0.4))
+    rows = world.points.rows(keyframe.points[keyframe.observed()])
+    improved = mapping.mature(world, keyframe, FACTORS)
+    assert improved > 0.9 * len(rows)
+    done = rows[world.points.parallax_deg[rows] > 0]
+    true = cloud.positions[shown[world.points.reference_keypoint[done]]]
+    error = np.linalg.norm(world.points.position[done] - true, axis=1)
+    assert np.median(error / true[:, 2]) < 0.02
+    assert (world.points.log_depth_sigma[done] < 0.1).all()
+    # The backend hears of their new places.
+    assert np.array_equal(np.sort(world.changes.new_points[-1]), np.sort(world.points.ids[done]))
+    check(world)
+    # Nothing more to gain from the same view.
+    assert mapping.mature(world, keyframe, FACTORS) == 0
+
+
+def test_a_point_adjusted_over_many_views_keeps_its_place():
+    cloud = Cloud(300, seed=1)
+    world, shown = seeded(cloud, every=2)
+    world.points.parallax_deg[:] = 3.0
+    before = world.points.position.copy()
+    keyframe, _ = add(world, cloud, shown, 1, pose_at(0.6), noise_px=0.5)
+    assert mapping.mature(world, keyframe, FACTORS) > 20
+    assert np.array_equal(world.points.position, before)
+    assert world.points.parallax_deg.max() > 5.0
+
+
+def test_sharing_lets_a_keyframe_observe_what_another_has():
+    cloud = Cloud(400, seed=3)
+    world, shown = cloud.mapped([np.eye(4)])
+    other, seen = cloud.keyframe(1, pose_at(0.2), noise_px=0.3, bits=10)
+    world.add_keyframe(other)
+    first = world.keyframes[0]
+    added = mapping.share_points(world, first, other, FACTORS)
+    common = np.intersect1d(shown[0], seen)
+    assert added > 0.85 * len(common)
+    check(world)
+    # The right ones: a keypoint got the point of the corner that it shows.
+    point_of = dict(zip(shown[0].tolist(), first.points.tolist(), strict=True))
+    for k in other.observed().tolist():
+        assert other.points[k] == point_of[int(seen[k])]
+    assert len(world.changes.late) == added
+    assert mapping.share_points(world, first, other, FACTORS) == 0
+
+
+def test_doubles_are_fused_when_shared():
+    """Both keyframes made points of their own from the same corners."""
+    cloud = Cloud(300, seed=4)
+    world, shown = cloud.mapped([np.eye(4)])
+    other, seen = cloud.keyframe(1, pose_at(0.2), noise_px=0.2)
+    world.add_keyframe(other)
+    mine = other.free()
+    world.add_points(other, mine, cloud.positions[seen[mine]], np.full(len(mine), 0.01), 5.0)
+    common = len(np.intersect1d(shown[0], seen))
+    before = int(world.points.alive.sum())
+    changed = mapping.share_points(world, world.keyframes[0], other, FACTORS)
+    assert changed > 0.85 * common
+    assert before - world.points.alive.sum() == changed == len(world.changes.fused)
+    check(world)
+
+
+def test_points_that_look_away_or_are_doubtful_are_not_shared():
+    cloud = Cloud(200, seed=5)
+    for change in ("doubtful", "looks away"):
+        world, _ = cloud.mapped([np.eye(4)], sigma=0.2 if change == "doubtful" else 0.01)
+        if change == "looks away":
+            world.points.direction[:] *= -1
+        other, _ = cloud.keyframe(1, pose_at(0.1))
+        world.add_keyframe(other)
+        assert mapping.share_points(world, world.keyframes[0], other, FACTORS) == 0
+
+
+def test_fusing_keeps_the_better_observed_and_all_that_saw_either():
+    cloud = Cloud(100, seed=6)
+    world, _ = cloud.mapped([np.eye(4), pose_at(0.1)])
+    a = int(np.flatnonzero(world.points.observations == 2)[0])
+    third, _ = cloud.keyframe(2, pose_at(0.2))
+    world.add_keyframe(third)
+    b = int(world.add_points(third, np.array([0]), np.ones((1, 3)), np.array([0.1]), 0.0)[0])
+    table = world.points
+    table.visible[[a, b]], table.found[[a, b]] = (10, 5), (7, 4)
+    place = table.position[a].copy()
+    mapping.fuse(world, np.array([b]), np.array([a]))
+    assert table.known(np.array([a, b])).tolist() == [True, False]
+    assert (table.observations[a], table.visible[a], table.found[a]) == (3, 15, 11)
+    assert np.array_equal(table.position[a], place)
+    assert third.points[0] == a
+    assert world.changes.fused == [(b, a)]
+    # Nobody is fused with himself or with the dead.
+    mapping.fuse(world, np.array([a, a]), np.array([a, b]))
+    assert world.changes.fused == [(b, a)]
+    check(world)
+
+
+def test_rarely_found_and_lonely_points_are_culled():
+    cloud = Cloud(120, seed=7)
+    world, _ = cloud.mapped([pose_at(0.05 * i) for i in range(4)])
+    table = world.points
+    table.reference[:] = 0
+    table.visible[:], table.found[:] = 20, 20
+    table.found[:10] = 4  # below a quarter
+    table.visible[10:20], table.found[10:20] = 8, 0  # not looked for often enough to tell
+    lonely = table.observations < 2
+    lonely[:20] = False
+    mapping.cull_recent_points(world, newest=3)
+    assert not table.alive[:10].any()
+    assert table.alive[10:20].all() or (table.observations[10:20] < 2).any()
+    assert not table.alive[lonely].any()
+    check(world)
+    culled = np.concatenate(world.changes.culled_points)
+    assert np.array_equal(np.sort(culled), table.ids[~table.alive])
+
+
+def test_old_points_are_left_to_the_backend():
+    cloud = Cloud(120, seed=7)
+    world, _ = cloud.mapped([np.eye(4)])
+    world.points.found[:], world.points.visible[:] = 0, 100
+    mapping.cull_recent_points(world, newest=20)
+    assert world.points.alive.all()
+
+
+def test_triangulation_does_not_depend_on_where_the_world_s_origin_is():
+    cloud = Cloud(300, seed=8)
+    moved = pose_at(5.0, -3.0, 2.0, 0.3, 0.5, -0.2)
+    created = []
+    for motion in (np.eye(4), moved):
+        fresh = Cloud(300, seed=8)
+        world, shown = seeded(fresh)
+        keyframe, _ = add(world, fresh, shown, 1, pose_at(0.4))
+        for k in world.keyframes.values():
+            k.world_from_camera = motion @ k.world_from_camera
+        world.points.position[:] = transform(motion, world.points.position)
+        mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS)
+        back = transform(np.linalg.inv(motion), world.points.position)
+        created.append(back)
+    assert created[0] == pytest.approx(created[1], abs=1e-9)
+    assert len(created[0]) > len(cloud.positions) // 2

@@ -1,0 +1,90 @@
+"""Metric odometry is continuous, whatever happens to map and scale."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.geometry.poses import inverse, scaled, se3_exp, se3_log
+from prism_edge.tracking.odometry import MetricOdometry
+from tests.tracking.cloud import pose_at
+
+twists = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
+SECOND = 1_000_000_000
+
+
+@given(twists, st.lists(twists, min_size=1, max_size=8))
+@settings(max_examples=40, deadline=None)
+def test_without_corrections_it_is_the_pose_relative_to_the_first(first, steps):
+    odometry, pose = MetricOdometry(), se3_exp(first)
+    start = pose
+    odometry.advance(None, pose, 0.0, 0)
+    for i, step in enumerate(steps):
+        after = pose @ se3_exp(step)
+        odometry.advance(pose, after, 0.0, (i + 1) * SECOND)
+        pose = after
+    assert odometry.odom_from_camera == pytest.approx(inverse(start) @ pose, abs=1e-9)
+
+
+@given(correction=twists, step=twists)
+@settings(max_examples=40, deadline=None)
+def test_a_corrected_map_does_not_make_it_jump(correction, step):
+    """Between two frames the map moves; ``before`` is given as the corrected map has it."""
+    plain, corrected = MetricOdometry(), MetricOdometry()
+    at, after = pose_at(1.0, 0.2), pose_at(1.0, 0.2) @ se3_exp(step)
+    moved = se3_exp(correction)
+    for odometry in (plain, corrected):
+        odometry.advance(None, pose_at(0.5), 0.0, 0)
+        odometry.advance(pose_at(0.5), at, 0.0, SECOND)
+    plain.advance(at, after, 0.0, 2 * SECOND)
+    corrected.advance(moved @ at, moved @ after, 0.0, 2 * SECOND)
+    assert corrected.odom_from_camera == pytest.approx(plain.odom_from_camera, abs=1e-9)
+
+
+def test_a_new_scale_changes_only_what_is_to_come():
+    odometry = MetricOdometry()
+    odometry.advance(None, np.eye(4), 0.0, 0)
+    odometry.advance(np.eye(4), pose_at(1.0), 0.0, SECOND)
+    here = odometry.odom_from_camera.copy()
+    odometry.advance(pose_at(1.0), pose_at(1.0), np.log(3.0), 2 * SECOND)
+    assert odometry.odom_from_camera == pytest.approx(here)
+    odometry.advance(pose_at(1.0), pose_at(1.5), np.log(3.0), 3 * SECOND)
+    assert odometry.odom_from_camera[:3, 3] == pytest.approx([1.0 + 3 * 0.5, 0, 0])
+
+
+def test_twist_is_per_second_in_the_camera_s_axes():
+    odometry = MetricOdometry()
+    odometry.advance(None, pose_at(0, 0, 0, 0, 1.0), 0.0, 0)
+    assert not odometry.twist.any()
+    step = np.array([0.1, 0.0, 0.05, 0.0, 0.02, 0.01])
+    before = pose_at(0, 0, 0, 0, 1.0)
+    odometry.advance(before, before @ se3_exp(step), np.log(2.0), SECOND // 10)
+    metric = se3_log(scaled(se3_exp(step), 2.0))
+    assert odometry.twist == pytest.approx(10 * metric)
+
+
+def test_no_time_no_twist():
+    odometry = MetricOdometry()
+    odometry.advance(None, np.eye(4), 0.0, SECOND)
+    odometry.advance(np.eye(4), pose_at(0.1), 0.0, SECOND)
+    assert not odometry.twist.any()
+
+
+def test_an_exact_copy_stays_in_place():
+    odometry = MetricOdometry()
+    odometry.advance(None, np.eye(4), 0.0, 0)
+    odometry.advance(np.eye(4), pose_at(0.1), 0.0, SECOND)
+    here = odometry.odom_from_camera.copy()
+    assert odometry.repeat(2 * SECOND) == pytest.approx(here)
+    odometry.advance(pose_at(0.1), pose_at(0.2), 0.0, 3 * SECOND)
+    assert odometry.twist[0] == pytest.approx(0.1)
+
+
+def test_it_stays_a_rigid_pose_over_thousands_of_steps():
+    odometry, step = MetricOdometry(), pose_at(0.001, 0.0, 0.002, 0.01, -0.02, 0.005)
+    for _ in range(5_000):
+        odometry.advance(np.eye(4), step, 0.0, 0)
+    rotation = odometry.odom_from_camera[:3, :3]
+    assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-12
