@@ -23,8 +23,10 @@ def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float
     new = np.concatenate([*changes.new_points, np.zeros(0, np.int64)])
     new = np.unique(new[table.known(new)])
     into = dict(changes.fused)
-    late = np.array([(_survivor(p, into), k, i) for p, k, i in changes.late], np.int64).reshape(-1, 3)
-    late = late[table.known(late[:, 0]) & (late[:, 1] != keyframe.id)]
+    # Some observations were taken back, or lost to another of a fused point, before they were told.
+    survivors = ((_survivor(p, into), k, i) for p, k, i in changes.late if k != keyframe.id)
+    holds = [(p, k, i) for p, k, i in survivors if k in world.keyframes and world.keyframes[k].points[i] == p]
+    late = np.array(holds, np.int64).reshape(-1, 3)
     fused = np.array(changes.fused, np.int64).reshape(-1, 2)
     anchor = max((k for k in world.keyframes if k < keyframe.id), default=keyframe.id)
     return Keyframe(

@@ -14,6 +14,7 @@ from prism_edge.tracking.local_map import LocalKeyframe
 BASELINE = 0.08  # of the median depth: new rays are worth adding
 UNCOVERED = 0.4  # share of the image with corners but no points: new ground
 MOVED_BASELINE, MOVED_ANGLE = 0.01, np.radians(2.0)
+WEAK_MATCHES, WEAK_GAP_S = 120, 0.05  # so few points must be added to at once
 _CELL = 64
 
 
@@ -37,14 +38,14 @@ def decide(
 
     ``reference_matches`` is how many points the frame right after that keyframe matched.
     """
-    if seconds_since < config.keyframe_min_s:
+    if seconds_since < (config.keyframe_min_s if frame.matched >= WEAK_MATCHES else WEAK_GAP_S):
         return Decision(False)
     relative = inverse(reference.world_from_camera) @ frame.world_from_camera
     baseline = float(np.linalg.norm(relative[:3, 3])) / max(median_depth, 1e-9)
     turned = rotation_angle(relative[:3, :3])
     if baseline < MOVED_BASELINE and turned < MOVED_ANGLE:
         return Decision(False)
-    if frame.matched < config.keyframe_ratio * reference_matches:
+    if frame.matched < max(config.keyframe_ratio * reference_matches, WEAK_MATCHES):
         return Decision(True, "few matches")
     if baseline > BASELINE:
         return Decision(True, "baseline")

@@ -20,6 +20,8 @@ def sample_depth(
 ) -> tuple[NDArray[np.bool_], Array]:
     """Depth (n,) of the nearest pixel for image pixels (n, 2), and which are usable (valid, off edges)."""
     height, width = depth.shape
+    if min(height, width) < 3 or not np.all(np.isfinite(image_to_depth)):
+        return np.zeros(len(pixels), bool), np.zeros(len(pixels))
     x = np.rint(pixels[:, 0] * image_to_depth[0] + image_to_depth[1]).astype(np.intp)
     y = np.rint(pixels[:, 1] * image_to_depth[2] + image_to_depth[3]).astype(np.intp)
     inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
@@ -58,7 +60,11 @@ def seed_from_depth(
         pixels = raw_pixels(keyframe.camera, keyframe.features.pixels[keypoints[firm]])
         good, network = sample_depth(depth, image_to_depth, pixels)
         if good.sum() >= MIN_ALIGNED:
-            units_per_metre = float(np.exp(np.median(np.log(map_depth[firm][good] / network[good]))))
+            ratios = np.log(map_depth[firm][good] / network[good])
+            units_per_metre = float(np.exp(np.median(ratios)))
+            # Where the network is at a loss (outdoors, say), its depths scatter, and seeds must not be believed.
+            spread = 1.48 * float(np.median(np.abs(ratios - np.median(ratios))))
+            relative_sigma = max(relative_sigma, spread)
     free = keyframe.free()
     good, metres = sample_depth(
         depth, image_to_depth, raw_pixels(keyframe.camera, keyframe.features.pixels[free])
