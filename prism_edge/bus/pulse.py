@@ -21,7 +21,8 @@ class Pulse:
     """Publishes a :class:`Heartbeat` twice a second from its own thread.
 
     The worker stamps what it is doing (cheap: no message goes out), so that the supervisor can tell
-    a hang, an activity beyond its budget, from work and from idleness. ``values`` are shown on `health`.
+    a hang, an activity beyond its budget, from work and from idleness. ``values`` are shown on `health`;
+    one called ``warning`` becomes the process's message there, and its level a warning, while it stands.
     """
 
     def __init__(

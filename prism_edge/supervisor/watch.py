@@ -126,6 +126,8 @@ class Watch:
             level, message = STALE if verdict.liveness == QUIET else ERROR, verdict.why
         elif not self.ready:
             level, message = WARN, "starting"
+        elif self._heartbeat is not None and "warning" in self._heartbeat.values:
+            level, message = WARN, self._heartbeat.values["warning"]
         else:
             level, message = OK, self.state
         values = {

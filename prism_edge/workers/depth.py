@@ -123,9 +123,11 @@ class DepthWorker:
         self._bus.pulse.count("keyframes")
         if not depth.valid:
             self._bus.pulse.count("invalid")
+            self._bus.pulse.values["warning"] = f"no usable depth: {depth.reason}"
             if self._network is not None:
                 log.warning("keyframe %d has no depth: %s", image.keyframe, depth.reason)
         else:
+            self._bus.pulse.values.pop("warning", None)
             self._recent.append(depth.inference_ms)
             self._bus.pulse.values.update(
                 inference_ms=f"{depth.inference_ms:.1f}", inference_ms_median=f"{median(self._recent):.1f}"

@@ -95,3 +95,36 @@ def test_never_getting_ready_is_a_hang(watch: Watch) -> None:
     assert verdict.liveness == OVERDUE
     watch.killed(verdict.why)
     assert "not ready after 20 s" in watch.exited(-9, 21.1)
+
+
+def test_a_warning_of_its_own_shows_in_its_row_while_it_stands(watch: Watch) -> None:
+    watch.heard(beat(100, "idle", warning="no usable depth: all NaN"), 0.5)
+    row = watch.row(0.6)
+    assert (row.level, row.message) == (WARN, "no usable depth: all NaN")
+    watch.heard(beat(100, "idle"), 1.0)
+    assert watch.row(1.1).level == OK
+
+
+def test_each_start_is_a_life_more(watch: Watch) -> None:
+    assert watch.lives == 1
+    watch.exited(-9, 1.0)
+    watch.started(101, 1.5)
+    assert (watch.lives, watch.restarts) == (2, 1)
+
+
+def test_one_that_was_started_after_the_recording_had_ended_has_nothing_to_do(watch: Watch) -> None:
+    watch.heard(beat(100, "idle"), 0.5)
+    assert not watch.ended(None)
+    assert not watch.ended(1.0)  # it is to say itself that it has done its work
+    watch.exited(-9, 2.0)
+    assert not watch.ended(1.0)
+    watch.started(101, 2.5)
+    assert not watch.ended(1.0)
+    watch.heard(beat(101, "ready"), 3.0)
+    assert watch.ended(1.0)
+    assert not watch.ended(4.0)  # it was ready in time to hear of the end
+
+
+def test_one_that_says_so_has_ended(watch: Watch) -> None:
+    watch.heard(beat(100, "ended"), 0.5)
+    assert watch.ended(None)
