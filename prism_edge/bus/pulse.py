@@ -12,6 +12,8 @@ from prism_edge.errors import BusError
 from prism_edge.messages import Heartbeat
 
 PERIOD_S = 0.5
+# While links are still coming up, what was said may have reached nobody: it is said again soon.
+FIRST_PERIOD_S, FIRST_S = 0.1, 1.0
 STARTING_S = 60.0
 
 log = logging.getLogger("prism_edge.bus")
@@ -35,6 +37,7 @@ class Pulse:
         self._due = threading.Event()
         self._closing = False
         self._ready = False
+        self._ready_s = float("inf")
         self._thread = threading.Thread(target=self._run, name="pulse", daemon=True)
         self._thread.start()
 
@@ -42,7 +45,7 @@ class Pulse:
         """Everything is loaded and subscribed to; the others may send. Said at once."""
         self._stamp("ready")
         if not self._ready:
-            self._ready = True
+            self._ready, self._ready_s = True, time.monotonic()
             self._announce()
         self._due.set()
 
@@ -80,6 +83,9 @@ class Pulse:
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout=1.0)
 
+    def _is_new(self) -> bool:
+        return self._ready and time.monotonic() < self._ready_s + FIRST_S
+
     def _stamp(self, state: str, activity: str = "", budget_s: float = 0.0) -> None:
         # Work before `ready`, such as loading a network, is still a part of starting.
         if not self._ready and state in ("working", "idle"):
@@ -94,5 +100,5 @@ class Pulse:
             except BusError as error:
                 if not self._closing:
                     log.warning("heartbeat not sent: %s", error)
-            self._due.wait(PERIOD_S)
+            self._due.wait(FIRST_PERIOD_S if self._is_new() else PERIOD_S)
             self._due.clear()
