@@ -166,8 +166,10 @@ class GlobalMap:
         del self.keyframes[keyframe]
 
     def _fuse(self, old: int, kept: int) -> None:
-        if old not in self.points or kept not in self.points:
+        if old not in self.points:
             return
+        # A point that came and went between two messages may be a link to one that stayed.
+        self.points.setdefault(kept, GlobalPoint(self.points[old].position))
         for keyframe in list(self.points[old].keyframes):
             keypoint = self.keyframes[keyframe].observed.pop(old)
             if kept not in self.keyframes[keyframe].observed:

@@ -55,13 +55,12 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
         # Points that many of the window see tie it together best.
         mine = sorted(world.keyframes[k].observed, key=lambda p: (-counts[p], p))
         chosen.update(mine[: config.observations])
+    inside = set(free)
     outside: dict[int, int] = {}
     for point in chosen:
-        for k in world.points[point].keyframes:
-            if k not in counts:
-                outside[k] = outside.get(k, 0) + 1
-    inside = set(free)
-    ranked = sorted((-n, k) for k, n in outside.items() if k not in inside)
+        for k in world.points[point].keyframes - inside:
+            outside[k] = outside.get(k, 0) + 1
+    ranked = sorted((-n, k) for k, n in outside.items())
     anchors = [k for n, k in ranked if -n >= 10][: config.fixed]
     if not anchors:
         anchors = [min(free)]

@@ -1,0 +1,107 @@
+"""gtsam's factors as they are made here, against formulas and numerical derivatives."""
+
+from __future__ import annotations
+
+import gtsam
+import numpy as np
+import pytest
+from gtsam.symbol_shorthand import L, X
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.backend.factors import held, metric_depth, reprojection
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import inverse, se3_exp, transform
+from tests.tracking.cloud import CAMERA, pose_at
+
+CONFIG = BackendConfig()
+POSE = pose_at(0.4, -0.3, 0.2, 0.1, -0.2, 0.15)
+POINT = transform(POSE, np.array([[0.5, -0.4, 2.5]]))[0]
+
+
+def values_of(pose: np.ndarray, point: np.ndarray) -> gtsam.Values:
+    values = gtsam.Values()
+    values.insert(X(0), gtsam.Pose3(pose))
+    values.insert(L(0), point)
+    return values
+
+
+def huber(residual: float, k: float) -> float:
+    """gtsam's loss of a whitened residual."""
+    return 0.5 * residual**2 if residual <= k else k * (residual - 0.5 * k)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-30, 30), st.floats(-30, 30), st.integers(0, 7))
+def test_reprojection_is_huber_of_the_pixel_error_in_sigmas_of_its_level(dx, dy, octave):
+    local = transform(inverse(POSE), POINT[None])
+    pixel = CAMERA.project(local)[0] + (dx, dy)
+    factor = reprojection(X(0), L(0), pixel, octave, CAMERA, CONFIG)
+    expected = huber(np.hypot(dx, dy) / (CONFIG.pixel_sigma * 1.2**octave), CONFIG.huber_pixels)
+    assert factor.error(values_of(POSE, POINT)) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(0.3, 3.0), st.floats(0.1, 1.0), st.floats(0.5, 2.0))
+def test_metric_depth_is_huber_of_the_range_error(ratio, weight, units_per_metre):
+    local = transform(inverse(POSE), POINT[None])
+    pixel = CAMERA.project(local)[0]
+    measured = ratio * local[0, 2]
+    factor = metric_depth(X(0), L(0), pixel, measured, CAMERA, units_per_metre, weight, CONFIG)
+    # range = z |K^-1 p|; sigma is relative to it; the threshold is a length in metres
+    ray = np.linalg.inv(CAMERA.matrix) @ (*pixel, 1.0)
+    measured_range = measured * np.linalg.norm(ray)
+    sigma = CONFIG.depth_sigma * measured_range / np.sqrt(weight)
+    residual = abs(np.linalg.norm(local) - measured_range)
+    expected = huber(residual / sigma, CONFIG.huber_depth_m * units_per_metre / sigma)
+    assert factor.error(values_of(POSE, POINT)) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+
+
+def test_a_weight_of_nothing_leaves_a_finite_factor():
+    factor = metric_depth(X(0), L(0), np.array([100.0, 100.0]), 2.0, CAMERA, 1.0, 0.0, CONFIG)
+    assert 0 < factor.error(values_of(POSE, POINT)) < 1e-2
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_gradients_are_numerical_derivatives(far):
+    """Of the robust cost, within the threshold and beyond."""
+    local = transform(inverse(POSE), POINT[None])
+    pixel = CAMERA.project(local)[0] + ((20.0, -12.0) if far else (0.7, -0.4))
+    depth = local[0, 2] * (1.6 if far else 1.01)
+    for factor in (
+        reprojection(X(0), L(0), pixel, 1, CAMERA, CONFIG),
+        metric_depth(X(0), L(0), pixel, depth, CAMERA, 1.0, 0.7, CONFIG),
+    ):
+        graph = gtsam.NonlinearFactorGraph()
+        graph.add(factor)
+        gradient = graph.linearize(values_of(POSE, POINT)).gradientAtZero()
+        for axis in range(6):
+            # gtsam: rotation first, on the right of the pose
+            step = np.zeros(6)
+            step[axis] = 1e-6
+            twist = np.r_[step[3:], step[:3]]
+            ahead, behind = (factor.error(values_of(POSE @ se3_exp(s * twist), POINT)) for s in (1, -1))
+            assert gradient.at(X(0))[axis] == pytest.approx((ahead - behind) / 2e-6, rel=1e-4, abs=1e-5)
+        for axis in range(3):
+            step = 1e-6 * np.eye(3)[axis]
+            ahead, behind = (factor.error(values_of(POSE, POINT + s * step)) for s in (1, -1))
+            assert gradient.at(L(0))[axis] == pytest.approx((ahead - behind) / 2e-6, rel=1e-4, abs=1e-5)
+
+
+def test_depth_is_what_fixes_the_scale():
+    """Scaling pose and point about the origin leaves a reprojection as it is, and not a range."""
+    pose = pose_at(0.4, -0.3, 0.2)
+    local = transform(inverse(pose), POINT[None])
+    pixel = CAMERA.project(local)[0] + 0.5
+    seen = reprojection(X(0), L(0), pixel, 0, CAMERA, CONFIG)
+    ranged = metric_depth(X(0), L(0), pixel, local[0, 2], CAMERA, 1.0, 1.0, CONFIG)
+    bigger = pose.copy()
+    bigger[:3, 3] *= 1.2
+    assert seen.error(values_of(bigger, 1.2 * POINT)) == pytest.approx(seen.error(values_of(pose, POINT)))
+    assert ranged.error(values_of(bigger, 1.2 * POINT)) > 100 * ranged.error(values_of(pose, POINT))
+
+
+def test_a_held_pose_is_dearer_than_any_measurement():
+    factor = held(X(0), gtsam.Pose3(POSE))
+    assert factor.error(values_of(POSE, POINT)) == pytest.approx(0.0)
+    assert factor.error(values_of(POSE @ pose_at(0.001), POINT)) > 1e5

@@ -1,0 +1,164 @@
+"""The backend's map: what keyframe messages make of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.geometry.poses import inverse, se3_log, transform
+from tests.backend.world import Teller, check, quiet
+from tests.tracking.cloud import pose_at
+
+POSES = [pose_at(0.2 * i) for i in range(5)]
+
+
+@pytest.fixture
+def told():
+    teller, world = Teller(), GlobalMap()
+    messages = [teller.keyframe(pose) for pose in POSES]
+    for message in messages:
+        world.absorb(message)
+    return world, teller, messages
+
+
+def test_everything_told_is_there(told):
+    world, teller, messages = told
+    check(world)
+    for message in messages:
+        keyframe = world.keyframes[message.id]
+        assert keyframe.world_from_camera == pytest.approx(message.world_from_camera, abs=1e-6)
+        assert keyframe.observed == {int(p): i for i, p in enumerate(message.points)}
+        assert keyframe.pixels == pytest.approx(message.pixels)
+    for p, point in world.points.items():
+        assert point.position == pytest.approx(teller.cloud.positions[p], abs=1e-5)
+
+
+def test_late_observations_reach_earlier_keyframes(told):
+    world, _, messages = told
+    point = int(messages[0].points[3])
+    world.drop_observation(1, point)
+    late = {"late_points": [point, 10**6], "late_keyframes": [1, 1], "late_keypoints": [7, 8]}
+    world.absorb(quiet(messages[-1], **late))
+    assert world.keyframes[1].observed[point] == 7
+    assert 1 in world.points[point].keyframes
+    assert 10**6 not in world.points
+    check(world)
+
+
+def test_culled_points_are_gone_everywhere(told):
+    world, _, messages = told
+    culled = messages[2].points[:30].tolist()
+    world.absorb(quiet(messages[-1], culled_points=[*culled, 10**6]))
+    assert not set(culled) & set(world.points)
+    check(world)
+
+
+def test_fused_points_pass_on_what_saw_them(told):
+    world, _, messages = told
+    a, b = messages[0].points[:2].tolist()
+    only_a = {k for k in world.points[a].keyframes if b not in world.keyframes[k].observed}
+    saw = world.points[a].keyframes | world.points[b].keyframes
+    at = {k: world.keyframes[k].observed[b] for k in world.points[b].keyframes}
+    world.absorb(quiet(messages[-1], fused_from=[a], fused_into=[b]))
+    assert a not in world.points
+    assert world.points[b].keyframes == saw
+    for k in saw - only_a:
+        assert world.keyframes[k].observed[b] == at[k], "what saw the kept one keeps its keypoint"
+    check(world)
+
+
+def test_a_chain_of_fusions_through_a_point_never_told(told):
+    world, _, messages = told
+    a, c = messages[0].points[:2].tolist()
+    saw = world.points[a].keyframes | world.points[c].keyframes
+    world.absorb(quiet(messages[-1], fused_from=[a, 777_777], fused_into=[777_777, c]))
+    assert a not in world.points
+    assert 777_777 not in world.points
+    assert world.points[c].keyframes == saw
+    check(world)
+
+
+def test_a_culled_keyframe_is_carried_by_one_that_stayed(told):
+    world, _, messages = told
+    world.absorb(quiet(messages[-1], culled_keyframes=[2]))
+    check(world)
+    assert 2 not in world.keyframes
+    assert world.poses()[2] == pytest.approx(POSES[2], abs=1e-6)
+    anchor = world.carried[2][0]
+    motion = pose_at(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+    world.keyframes[anchor].world_from_camera = motion @ world.keyframes[anchor].world_from_camera
+    assert world.poses()[2] == pytest.approx(motion @ POSES[2], abs=1e-6)
+    # Its anchor may go as well.
+    world._forget_keyframe(anchor)
+    assert world.poses()[2] == pytest.approx(motion @ POSES[2], abs=1e-6)
+    assert set(world.poses()) >= {0, 1, 2, 3, 4}
+
+
+def test_points_seen_once_go_with_a_wrong_observation(told):
+    world, _, _ = told
+    point = next(p for p, seen in world.points.items() if len(seen.keyframes) == 2)
+    first, second = world.points[point].keyframes
+    world.drop_observation(first, point)
+    assert point not in world.points
+    assert point not in world.keyframes[second].observed
+    world.drop_observation(first, point)
+    world.drop_observation(99, 10**6)
+    check(world)
+
+
+def test_covisible_counts_shared_points(told):
+    world, _, messages = told
+    expected = {
+        m.id: len(np.intersect1d(m.points, messages[-1].points)) for m in messages[:-1]
+    }
+    assert dict(world.covisible(4)) == expected
+    counts = [n for _, n in world.covisible(4)]
+    assert counts == sorted(counts, reverse=True)
+
+
+def test_what_a_tracker_placed_before_it_was_corrected_is_put_right(told):
+    """Its world lags behind by a rigid motion: keyframe and new points land where they truly are."""
+    world, teller, _ = told
+    lag = pose_at(0.15, -0.1, 0.05, 0.02, -0.03, 0.01)
+    message = teller.keyframe(pose_at(-0.4, 0.2, -0.3), correction=lag)
+    assert len(message.new_points) > 5
+    added = world.absorb(message)
+    assert np.abs(se3_log(inverse(teller.poses[-1]) @ added.world_from_camera)).max() < 1e-3
+    for p in message.new_points.tolist():
+        assert world.points[p].position == pytest.approx(teller.cloud.positions[p], abs=5e-3)
+
+
+def test_without_common_points_the_keyframe_before_says_where(told):
+    world, _, messages = told
+    lag = pose_at(0.5, 0.0, 0.0, 0.0, 0.2)
+    true = pose_at(1.0, 0.5)
+    message = quiet(
+        messages[-1],
+        world_from_camera=lag @ true,
+        world_from_anchor=lag @ messages[-1].world_from_camera,
+    )
+    assert world.absorb(message).world_from_camera == pytest.approx(true, abs=1e-5)
+
+
+def test_points_that_matured_are_told_again_and_move(told):
+    world, teller, messages = told
+    point = int(messages[0].points[0])
+    place = teller.cloud.positions[point] + (0.0, 0.0, 0.3)
+    world.absorb(quiet(messages[-1], new_points=[point], new_positions=place[None]))
+    assert world.points[point].position == pytest.approx(place)
+    assert len(world.points[point].keyframes) >= 2
+    check(world)
+
+
+def test_a_world_told_from_the_middle_on_still_works():
+    """A backend that was started anew hears of points it never saw."""
+    teller = Teller()
+    messages = [teller.keyframe(pose) for pose in POSES]
+    world = GlobalMap()
+    for message in messages[2:]:
+        world.absorb(message)
+    check(world)
+    assert world.keyframes[4].world_from_camera == pytest.approx(POSES[4], abs=1e-6)
+    moved = transform(POSES[4], np.zeros((1, 3)))[0]
+    assert moved == pytest.approx([0.8, 0.0, 0.0])

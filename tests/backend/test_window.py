@@ -1,0 +1,212 @@
+"""Choice of the window and its bundle adjustment, on worlds whose truth is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.global_map import GlobalMap, GlobalPoint
+from prism_edge.backend.window import choose_window, solve, widest_parallax
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import inverse, scaled, se3_exp, se3_log
+from tests.backend.world import Teller, depth_at_keypoints
+from tests.tracking.cloud import pose_at
+
+CONFIG = BackendConfig()
+POSES = [pose_at(0.2 * i, 0.03 * (i % 3), 0.02 * i, 0.0, -0.03 * i) for i in range(6)]
+
+
+def world_of(poses=POSES, noise_px=0.0, count=250) -> tuple[GlobalMap, Teller]:
+    teller, world = Teller(count, noise_px=noise_px), GlobalMap()
+    for pose in poses:
+        world.absorb(teller.keyframe(pose))
+    for k, pose in enumerate(poses):
+        world.keyframes[k].world_from_camera = pose.copy()
+    for p, point in world.points.items():
+        point.position = teller.cloud.positions[p].copy()
+    depth_at_keypoints(world, teller.cloud, poses)
+    return world, teller
+
+
+def perturb(world: GlobalMap, seed: int = 0, pose_sigma: float = 0.02, point_sigma: float = 0.05) -> None:
+    rng = np.random.default_rng(seed)
+    for k in sorted(world.keyframes)[1:]:
+        keyframe = world.keyframes[k]
+        twist = rng.normal(0, 1, 6) * ([pose_sigma] * 3 + [pose_sigma / 4] * 3)
+        keyframe.world_from_camera = keyframe.world_from_camera @ se3_exp(twist)
+    for point in world.points.values():
+        point.position = point.position + rng.normal(0, point_sigma, 3)
+
+
+def worst(solution, teller) -> float:
+    return max(
+        np.linalg.norm((inverse(teller.poses[k]) @ pose)[:3, 3]) for k, pose in solution.poses.items()
+    )
+
+
+def test_exactly_one_pose_is_held_while_the_window_is_the_whole_map():
+    world, _ = world_of()
+    window = choose_window(world, 5, CONFIG)
+    assert window.held == [0]
+    assert window.free == [1, 2, 3, 4, 5]
+
+
+def test_with_more_map_than_window_older_keyframes_hold_it():
+    world, _ = world_of([pose_at(0.1 * i) for i in range(12)])
+    window = choose_window(world, 11, replace(CONFIG, window=4, fixed=3))
+    assert 11 in window.free
+    assert len(window.free) == 4
+    assert len(window.held) == 3
+    assert not set(window.free) & set(window.held)
+    # The free ones are those that share most with the newest.
+    shared = [k for k, _ in world.covisible(11)[:3]]
+    assert set(window.free) == {11, *shared}
+
+
+def test_points_of_the_window_are_seen_twice_in_it_and_not_too_many():
+    world, _ = world_of([pose_at(0.1 * i) for i in range(8)])
+    window = choose_window(world, 7, replace(CONFIG, window=3, fixed=2, observations=40))
+    members = {*window.free, *window.held}
+    assert window.points
+    for p in window.points:
+        assert len(world.points[p].keyframes & members) >= 2
+    assert len(window.points) <= 40 * len(window.free)
+    assert window.points == sorted(window.points)
+
+
+def test_perturbed_poses_and_points_come_back():
+    world, teller = world_of()
+    perturb(world)
+    solution = solve(world, choose_window(world, 5, CONFIG), CONFIG, 1.0, use_depth=True)
+    assert set(solution.poses) == {1, 2, 3, 4, 5}
+    assert worst(solution, teller) < 0.004
+    for k, pose in solution.poses.items():
+        assert np.abs(se3_log(inverse(teller.poses[k]) @ pose)[3:]).max() < 0.002
+    off = [np.linalg.norm(x - teller.cloud.positions[p]) for p, x in solution.points.items()]
+    assert np.median(off) < 0.01
+    assert solution.error_after < 0.02 * solution.error_before
+    assert not solution.outliers
+    assert 0 < solution.iterations <= CONFIG.iterations
+
+
+def test_noise_of_a_pixel_leaves_errors_of_its_size():
+    world, teller = world_of(noise_px=0.7)
+    perturb(world)
+    solution = solve(world, choose_window(world, 5, CONFIG), CONFIG, 1.0, use_depth=True)
+    assert worst(solution, teller) < 0.03
+
+
+def test_held_poses_do_not_move():
+    world, _ = world_of([pose_at(0.1 * i) for i in range(8)])
+    window = choose_window(world, 7, replace(CONFIG, window=3, fixed=3))
+    before = {k: world.keyframes[k].world_from_camera.copy() for k in window.held}
+    perturb(world, pose_sigma=0.0)
+    solution = solve(world, window, CONFIG, 1.0, use_depth=True)
+    assert not set(solution.poses) & set(window.held)
+    for k, pose in before.items():
+        assert np.array_equal(world.keyframes[k].world_from_camera, pose)
+
+
+def grown(factor: float, depth_factor: float = 1.0) -> tuple[GlobalMap, Teller]:
+    """A consistent world whose lengths are ``factor`` times what depth says."""
+    world, teller = world_of()
+    for keyframe in world.keyframes.values():
+        keyframe.world_from_camera = scaled(keyframe.world_from_camera, factor)
+    for point in world.points.values():
+        point.position = point.position * factor
+    depth_at_keypoints(world, teller.cloud, teller.poses, depth_factor)
+    return world, teller
+
+
+def size(solution) -> float:
+    return float(np.linalg.norm(solution.poses[5][:3, 3]) / np.linalg.norm(POSES[5][:3, 3]))
+
+
+def test_metric_depth_pins_the_scale_when_one_pose_is_held():
+    often = replace(CONFIG, iterations=100)
+    for factor in (0.9, 1.15):
+        world, _ = grown(factor)
+        window = choose_window(world, 5, often)
+        assert len(window.held) == 1
+        free = solve(world, window, often, 1.0, use_depth=False)
+        assert size(free) == pytest.approx(factor, rel=1e-3), "reprojections alone keep any scale"
+        pinned = solve(world, window, often, 1.0, use_depth=True)
+        assert size(pinned) == pytest.approx(1.0, abs=0.02)
+
+
+def test_wrong_observations_are_named_and_do_no_harm():
+    world, teller = world_of(noise_px=0.3)
+    rng = np.random.default_rng(1)
+    wrong = set()
+    for k in (2, 3, 4, 5):
+        keyframe = world.keyframes[k]
+        for p in rng.permutation(sorted(keyframe.observed))[:10].tolist():
+            if len(world.points[p].keyframes) >= 4:
+                keyframe.pixels[keyframe.observed[p]] += rng.choice((-1, 1), 2) * 60.0
+                wrong.add((k, p))
+    perturb(world, pose_sigma=0.01, point_sigma=0.02)
+    solution = solve(world, choose_window(world, 5, CONFIG), CONFIG, 1.0, use_depth=True)
+    assert worst(solution, teller) < 0.03
+    assert len(wrong & set(solution.outliers)) > 0.95 * len(wrong)
+    assert len(set(solution.outliers) - wrong) < 0.03 * sum(len(k.observed) for k in world.keyframes.values())
+
+
+def test_nothing_to_optimise_is_none():
+    world, _ = world_of(POSES[:1])
+    window = choose_window(world, 0, CONFIG)
+    assert (window.free, window.held) == ([], [0])
+    assert solve(world, window, CONFIG, 1.0, use_depth=True) is None
+    world, _ = world_of(POSES[:3], count=6)
+    assert solve(world, choose_window(world, 2, CONFIG), CONFIG, 1.0, use_depth=True) is None
+
+
+@pytest.mark.parametrize("place", [np.nan, np.inf])
+def test_places_that_are_no_numbers_give_none(place):
+    world, _ = world_of()
+    window = choose_window(world, 5, CONFIG)
+    for point in world.points.values():
+        point.position = np.full(3, place)
+    assert solve(world, window, CONFIG, 1.0, use_depth=False) is None
+
+
+def test_points_on_a_camera_or_behind_it_give_numbers_or_none():
+    world, _ = world_of()
+    rng = np.random.default_rng(0)
+    for p in rng.permutation(sorted(world.points))[:40].tolist():
+        world.points[p].position = np.array([0.0, 0.0, -2.0])
+    for p in rng.permutation(sorted(world.points))[:5].tolist():
+        world.points[p].position = POSES[3][:3, 3].copy()
+    solution = solve(world, choose_window(world, 5, CONFIG), CONFIG, 1.0, use_depth=True)
+    if solution is not None:
+        assert all(np.isfinite(v).all() for v in (*solution.poses.values(), *solution.points.values()))
+
+
+def test_one_bad_point_does_not_stop_the_rest():
+    world, teller = world_of()
+    perturb(world)
+    world.points[max(world.points)].position = np.array([0.0, 0.0, -3.0])
+    solution = solve(world, choose_window(world, 5, CONFIG), CONFIG, 1.0, use_depth=True)
+    assert worst(solution, teller) < 0.005
+
+
+def test_widest_parallax_is_from_the_first_ray_to_the_farthest():
+    world, teller = world_of()
+    ids = sorted(world.points)[:50]
+    angles = widest_parallax(world, {p: world.points[p].position for p in ids})
+    for p in ids:
+        rays = [
+            teller.cloud.positions[p] - world.keyframes[k].world_from_camera[:3, 3]
+            for k in sorted(world.points[p].keyframes)
+        ]
+        rays = [ray / np.linalg.norm(ray) for ray in rays]
+        expected = max(np.degrees(np.arccos(min(1.0, rays[0] @ ray))) for ray in rays)
+        assert angles[p] == pytest.approx(expected, abs=1e-4)
+
+
+def test_a_point_only_the_window_s_other_members_see_is_left_out():
+    world, _ = world_of()
+    world.points[10**6] = GlobalPoint(np.ones(3), {0})
+    world.keyframes[0].observed[10**6] = 0
+    assert 10**6 not in choose_window(world, 5, CONFIG).points

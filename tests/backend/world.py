@@ -1,0 +1,98 @@
+"""Keyframe messages of a cloud of points, as a tracker would send them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.geometry.poses import inverse, transform
+from prism_edge.messages import Keyframe
+from tests.tracking.cloud import CAMERA, Cloud
+
+NO_IDS = np.zeros(0, np.int64)
+
+
+class Teller:
+    """Sends a keyframe for each pose; a point's id is its place in the cloud."""
+
+    def __init__(self, count: int = 300, seed: int = 0, noise_px: float = 0.0, epoch: int = 0) -> None:
+        self.cloud = Cloud(count, seed)
+        self.noise_px, self.epoch = noise_px, epoch
+        self.told: set[int] = set()
+        self.poses: list[np.ndarray] = []
+
+    def keyframe(self, pose: np.ndarray, correction: np.ndarray | None = None) -> Keyframe:
+        """The next keyframe, truly at ``pose``; its tracker's world is ``correction`` @ the true one."""
+        number = len(self.poses)
+        features, shown = self.cloud.view(pose, self.noise_px)
+        new = np.array([p for p in shown.tolist() if p not in self.told], np.int64)
+        moved = np.eye(4) if correction is None else correction
+        before = self.poses[-1] if self.poses else pose
+        self.told |= set(new.tolist())
+        self.poses.append(pose)
+        depths = transform(inverse(pose), self.cloud.positions[shown])[:, 2]
+        return Keyframe(
+            id=number,
+            index=10 * number,
+            stamp_ns=number * 300_000_000,
+            epoch=self.epoch,
+            camera_model=CAMERA.model,
+            camera=CAMERA.to_array(),
+            world_from_camera=moved @ pose,
+            pixels=features.pixels.astype(np.float32),
+            octaves=features.octaves.astype(np.uint8),
+            descriptors=features.descriptors.view(np.uint8).reshape(-1, 32),
+            points=shown.astype(np.int64),
+            depths=depths.astype(np.float32),
+            parallax_deg=np.full(len(shown), 3.0, np.float32),
+            new_points=new,
+            new_positions=transform(moved, self.cloud.positions[new]),
+            late_points=NO_IDS,
+            late_keyframes=NO_IDS,
+            late_keypoints=NO_IDS,
+            culled_points=NO_IDS,
+            culled_keyframes=NO_IDS,
+            fused_from=NO_IDS,
+            fused_into=NO_IDS,
+            anchor=max(number - 1, 0),
+            world_from_anchor=moved @ before,
+            travelled=0.1 * number,
+        )
+
+
+def quiet(message: Keyframe, **changes: object) -> Keyframe:
+    """A further keyframe with the given changes of the map, which itself sees nothing."""
+    empty = {
+        "pixels": np.zeros((0, 2), np.float32),
+        "octaves": np.zeros(0, np.uint8),
+        "descriptors": np.zeros((0, 32), np.uint8),
+        "points": NO_IDS,
+        "depths": np.zeros(0, np.float32),
+        "parallax_deg": np.zeros(0, np.float32),
+        "new_points": NO_IDS,
+        "new_positions": np.zeros((0, 3)),
+    }
+    follows = {
+        "id": message.id + 1,
+        "anchor": message.id,
+        "world_from_anchor": message.world_from_camera,
+    }
+    arrays = {k: np.array(v, np.int64) if isinstance(v, list) else v for k, v in changes.items()}
+    return replace(message, **(empty | follows | arrays))
+
+
+def check(world: GlobalMap) -> None:
+    """Keyframes and points name each other."""
+    seen = {(k, p) for k, keyframe in world.keyframes.items() for p in keyframe.observed}
+    assert seen == {(k, p) for p, point in world.points.items() for k in point.keyframes}
+
+
+def depth_at_keypoints(world: GlobalMap, cloud: Cloud, poses: list[np.ndarray], factor: float = 1.0) -> None:
+    """Give each keyframe the true depth (times ``factor``) of what its keypoints show."""
+    for k, keyframe in world.keyframes.items():
+        depths = np.zeros(len(keyframe.pixels))
+        for p, keypoint in keyframe.observed.items():
+            depths[keypoint] = factor * transform(inverse(poses[k]), cloud.positions[p][None])[0, 2]
+        keyframe.depths = depths

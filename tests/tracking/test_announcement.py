@@ -1,0 +1,164 @@
+"""Keyframe messages: what they say, and that a listener's map ends up with the same observations."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
+
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.bus import codec
+from prism_edge.messages import Keyframe
+from prism_edge.tracking import mapping
+from prism_edge.tracking.announcement import keyframe_message
+from prism_edge.tracking.local_map import LocalMap
+from tests.tracking.cloud import Cloud, check, observations, pose_at
+
+
+def teller(world: LocalMap) -> SimpleNamespace:
+    """What the message needs of a tracker."""
+    told = SimpleNamespace(world=world, epoch=3, told=[])
+    told.announced = lambda keyframe: told.told.append(keyframe.id)
+    return told
+
+
+def sent(tracker, keyframe, travelled=0.0) -> Keyframe:
+    return codec.unpack(codec.pack(keyframe_message(tracker, keyframe, travelled)), Keyframe)
+
+
+def test_a_message_carries_the_keyframe_and_survives_the_codec():
+    cloud = Cloud(300, seed=0)
+    world, _ = cloud.mapped([np.eye(4), pose_at(0.2)], parallax_deg=4.0)
+    world.points.parallax_deg[:10] = 0.0
+    tracker, newest = teller(world), world.newest()
+    made = keyframe_message(tracker, newest, travelled=1.5)
+    message = codec.unpack(codec.pack(made), Keyframe)
+    for f in fields(Keyframe):
+        assert np.array_equal(getattr(message, f.name), getattr(made, f.name)), f.name
+    assert (message.id, message.index, message.epoch, message.travelled) == (1, 10, 3, 1.5)
+    assert tracker.told == [1]
+    keypoints, depths = world.depths_in(newest)
+    assert message.depths[keypoints] == pytest.approx(depths, rel=1e-6)
+    assert not message.depths[newest.points < 0].any()
+    rows = world.points.rows(newest.points[keypoints])
+    assert message.parallax_deg[keypoints] == pytest.approx(world.points.parallax_deg[rows])
+    assert message.pixels == pytest.approx(newest.features.pixels, abs=1e-3)
+    assert np.array_equal(message.descriptors.view(np.uint64), newest.features.descriptors)
+    assert (message.anchor, message.world_from_anchor.tolist()) == (0, np.eye(4).tolist())
+    rows = world.points.rows(message.new_points)
+    assert np.array_equal(message.new_positions, world.points.position[rows])
+    assert len(message.new_points) == int(world.points.alive.sum())
+
+
+def test_the_first_keyframe_is_its_own_anchor():
+    world = LocalMap()
+    keyframe, _ = Cloud(100).keyframe(0, pose_at(0.1))
+    world.add_keyframe(keyframe)
+    message = sent(teller(world), keyframe)
+    assert message.anchor == 0
+    assert message.world_from_anchor.tolist() == pose_at(0.1).tolist()
+    assert (message.points == -1).all()
+
+
+def test_changes_are_told_once():
+    cloud = Cloud(200, seed=1)
+    world, _ = cloud.mapped([np.eye(4), pose_at(0.2)])
+    tracker = teller(world)
+    world.cull_points(np.arange(5))
+    first = sent(tracker, world.keyframes[0])
+    assert len(first.culled_points) == 5
+    assert not np.isin(first.new_points, first.culled_points).any()
+    again = sent(tracker, world.keyframes[1])
+    for name in ("new_points", "late_points", "culled_points", "fused_from"):
+        assert len(getattr(again, name)) == 0
+
+
+class Listener(RuleBasedStateMachine):
+    """Whatever happens to a map between messages, a listener has the same observations after each."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.cloud = Cloud(80, seed=1)
+        self.world, self.heard = LocalMap(), GlobalMap()
+        self.tracker = teller(self.world)
+        self.rng = np.random.default_rng(0)
+
+    @initialize(seed=st.integers(0, 1000))
+    def begin(self, seed: int) -> None:
+        self.rng = np.random.default_rng(seed)
+        self._insert()
+        self.announce()
+
+    def _alive(self) -> np.ndarray:
+        return self.world.points.ids[self.world.points.alive]
+
+    def _insert(self) -> None:
+        number = len(self.world.keyframes)
+        keyframe, _ = self.cloud.keyframe(number, pose_at(0.02 * number))
+        known = self.rng.permutation(self._alive())[: len(keyframe.points) // 2]
+        keyframe.points[self.rng.permutation(len(keyframe.points))[: len(known)]] = known
+        self.world.add_keyframe(keyframe)
+
+    @rule()
+    def insert(self) -> None:
+        """A new keyframe; more happens to the map before it is announced."""
+        if max(self.tracker.told) == max(self.world.keyframes):
+            self._insert()
+
+    @rule(count=st.integers(1, 15))
+    def add_points(self, count: int) -> None:
+        keyframe = self.world.keyframes[int(self.rng.integers(len(self.world.keyframes)))]
+        free = self.rng.permutation(keyframe.free())[:count]
+        ids = self.world.add_points(
+            keyframe, free, self.rng.normal(size=(len(free), 3)), np.full(len(free), 0.1), 0.0
+        )
+        if keyframe.id in self.tracker.told:  # seeds for a keyframe whose message has gone out
+            for point, keypoint in zip(ids.tolist(), free.tolist(), strict=True):
+                self.world.changes.late.append((point, keyframe.id, keypoint))
+
+    @precondition(lambda self: len(self._alive()))
+    @rule(count=st.integers(1, 15))
+    def observe(self, count: int) -> None:
+        keyframe = self.world.keyframes[int(self.rng.integers(len(self.world.keyframes)))]
+        unseen = np.setdiff1d(self._alive(), keyframe.points)
+        points = self.rng.permutation(unseen)[:count]
+        for point, keypoint in zip(points.tolist(), keyframe.free().tolist(), strict=False):
+            row = int(self.world.points.rows(np.array([point]))[0])
+            self.world.add_observation(point, row, keyframe, keypoint)
+
+    @precondition(lambda self: len(self._alive()) > 1)
+    @rule(count=st.integers(1, 6))
+    def fuse(self, count: int) -> None:
+        first, second = (self.rng.choice(self._alive(), count) for _ in range(2))
+        mapping.fuse(self.world, first, second)
+
+    @precondition(lambda self: len(self._alive()))
+    @rule()
+    def cull(self) -> None:
+        alive = self.world.points.alive
+        self.world.cull_points(np.flatnonzero(alive & (self.rng.random(len(alive)) < 0.1)))
+
+    @rule()
+    def announce(self) -> None:
+        newest = max(self.world.keyframes)
+        if newest in self.tracker.told:
+            return
+        self.heard.absorb(sent(self.tracker, self.world.keyframes[newest]))
+        check(self.world)
+        heard = {
+            p: {k: self.heard.keyframes[k].observed[p] for k in point.keyframes}
+            for p, point in self.heard.points.items()
+            if point.keyframes
+        }
+        assert heard == observations(self.world)
+        for k, keyframe in self.heard.keyframes.items():
+            assert set(keyframe.observed) == {p for p, seen in heard.items() if k in seen}
+
+
+TestListener = Listener.TestCase
+TestListener.settings = settings(max_examples=60, stateful_step_count=30, deadline=None)
