@@ -62,7 +62,7 @@ def seed_from_depth(
         if good.sum() >= MIN_ALIGNED:
             ratios = np.log(map_depth[firm][good] / network[good])
             units_per_metre = float(np.exp(np.median(ratios)))
-            # Where the network is at a loss (outdoors, say), its depths scatter, and seeds must not be believed.
+            # Where the network is at a loss (outdoors, say), its depths scatter: seeds must not be believed.
             spread = 1.48 * float(np.median(np.abs(ratios - np.median(ratios))))
             relative_sigma = max(relative_sigma, spread)
     free = keyframe.free()
