@@ -15,7 +15,8 @@ def add_parser(subparsers: Any) -> None:
         "run",
         help="run the daemon on a recording",
         description="Start the five processes on SOURCE and publish poses on Zenoh below prism/<robot>/ "
-        "until the recording ends, or until Ctrl-C or SIGTERM. Without --model there are no poses: depth begins the map.",
+        "until the recording ends, or until Ctrl-C or SIGTERM. Without --model there are no poses, as depth "
+        "begins the map.",
     )
     add_input(parser)
     add_common(parser)
