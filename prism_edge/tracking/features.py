@@ -13,7 +13,8 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 
 Index = NDArray[np.intp]
-CELL = 20  # pixels; about the radius of a search, so that one touches few cells
+HIGHEST_THRESHOLD = 25  # of FAST
+CELL = 16  # pixels; about the radius of a search, so that one touches few cells
 
 
 @dataclass(frozen=True)
@@ -42,8 +43,7 @@ class Features:
     ) -> Features:
         """Index keypoints; those outside the image are filed in its border cells."""
         columns, rows = width // CELL + 1, height // CELL + 1
-        column = np.clip(pixels[:, 0] // CELL, 0, columns - 1).astype(np.intp)
-        row = np.clip(pixels[:, 1] // CELL, 0, rows - 1).astype(np.intp)
+        column, row = np.clip(pixels / CELL, 0, (columns - 1, rows - 1)).astype(np.intp).T
         cell = row * columns + column
         order = np.argsort(cell, kind="stable")
         cell_start = np.searchsorted(cell[order], np.arange(columns * rows + 1))
@@ -57,12 +57,13 @@ class OrbExtractor:
     all over the image. So more are detected than wanted, and each grid cell keeps its strongest.
     """
 
-    surplus = 1.4  # detected per kept; more costs time and brings little
+    surplus = 1.3  # detected per kept; more costs time and brings little
     spread_cell = 32  # pixels
 
     def __init__(self, config: TrackingConfig) -> None:
         self._wanted = config.features
         self.scale_factors: Array = config.scale_factor ** np.arange(config.levels, dtype=np.float64)
+        self._lowest = self._threshold = config.fast_threshold
         self._orb = cv2.ORB.create(
             nfeatures=int(config.features * self.surplus),
             scaleFactor=config.scale_factor,
@@ -78,6 +79,7 @@ class OrbExtractor:
         keypoints, descriptors = self._orb.detectAndCompute(grey, None)
         if descriptors is None or not len(keypoints):
             keypoints, descriptors = (), np.zeros((0, 32), np.uint8)
+        self._adapt(len(keypoints))
         if len(keypoints) > self._wanted:
             pixels = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float32)
             strength = np.array([k.response for k in keypoints])
@@ -90,6 +92,13 @@ class OrbExtractor:
         # A fisheye's rim has no pinhole pixel.
         inside = np.all(np.abs(ideal - raw) < 2.0 * max(grey.shape), axis=1)
         return Features.build(ideal[inside], octaves[inside], packed[inside], grey.shape[1], grey.shape[0])
+
+    def _adapt(self, found: int) -> None:
+        """Follow the texture: FAST's time goes into corners that are thrown away afterwards."""
+        enough = found > 0.95 * self.surplus * self._wanted
+        threshold = min(self._threshold + 1, HIGHEST_THRESHOLD) if enough else self._threshold - 2
+        self._threshold = max(threshold, self._lowest)
+        self._orb.setFastThreshold(self._threshold)
 
     def _spread(self, pixels: NDArray[np.float32], strength: NDArray[np.float64], width: int) -> Index:
         columns = width // self.spread_cell + 1

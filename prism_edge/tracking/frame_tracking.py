@@ -19,11 +19,12 @@ from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
 MOTION_DISTANCE, MOTION_RATIO = 64, 0.9
 LOCAL_DISTANCE, LOCAL_RATIO = 72, 0.8
 SEARCH_RADII = (15.0, 40.0, 80.0)  # pixels at level 0, tried in turn when too little is found
-LOCAL_RADIUS = 5.0
+LOCAL_RADIUS, SEED_RADIUS = 3.0, 6.0
 MIN_VIEW_COSINE = 0.5
 SEED_SIGMA = 0.1  # relative depth error beyond which a point counts as a seed
 ENOUGH_TRIANGULATED = 60
 SHARED_SEED_ERROR = 5.0
+FOLLOWED = 200  # points of the previous frame that give the first pose (keypoints come best of each cell first)
 
 
 @dataclass
@@ -64,7 +65,6 @@ class FrameTracker:
         self._factors = scale_factors
         self._log_factor = float(np.log(scale_factors[1])) if len(scale_factors) > 1 else 1.0
         self._most = max_local_points
-        self._local_rows: Index = np.zeros(0, np.intp)
         self._local_ids: Ids = np.zeros(0, np.int64)
 
     def refresh_local_map(self, world: LocalMap, point_ids: Ids) -> None:
@@ -73,7 +73,8 @@ class FrameTracker:
         chosen = [k for k, _ in ranked[:12]]
         # Neighbours of the best few bring in what is about to enter the image.
         for k in chosen[:3]:
-            chosen += [n.id for n in world.covisible(world.keyframes[k], 6) if n.id not in chosen]
+            near = world.keyframes[k].neighbours[:6]
+            chosen += [n for n in near if n not in chosen and n in world.keyframes]
         rows = world.rows_seen_by([world.keyframes[k] for k in chosen], self._most)
         self._local_ids = world.points.ids[rows].copy()
 
@@ -90,9 +91,11 @@ class FrameTracker:
         estimate, points = self._follow(world, camera, features, predicted, previous, enough)
         if estimate is None:
             return None
-        local = self._local_ids[world.points.known(self._local_ids)]
-        candidates = np.setdiff1d(local, points[points >= 0], assume_unique=True)
-        self._extend(world, camera, features, estimate.world_from_camera, candidates, points)
+        table = world.points
+        wanted = table.alive.copy()
+        wanted[table.rows(points[points >= 0])] = False
+        local = table.rows(self._local_ids[table.known(self._local_ids)])
+        self._extend(world, camera, features, estimate.world_from_camera, local[wanted[local]], points)
         final = self._solve(world, camera, features, estimate.world_from_camera, points)
         if final is None:
             return None
@@ -124,7 +127,7 @@ class FrameTracker:
         table = world.points
         if previous is not None:
             keypoints = np.flatnonzero(previous.points >= 0)
-            keypoints = keypoints[table.known(previous.points[keypoints])]
+            keypoints = keypoints[table.known(previous.points[keypoints])][:FOLLOWED]
             ids = previous.points[keypoints]
             descriptors = previous.features.descriptors[keypoints]
             octaves = previous.features.octaves[keypoints]
@@ -140,7 +143,7 @@ class FrameTracker:
             query, keypoint = match_projected(
                 features,
                 centres[inside],
-                radius * self._factors[octaves[inside]],
+                radius + 2.0 * self._factors[octaves[inside]],
                 octaves[inside],
                 descriptors[inside],
                 MOTION_DISTANCE,
@@ -168,17 +171,17 @@ class FrameTracker:
         camera: Camera,
         features: Features,
         pose: Array,
-        ids: Ids,
+        rows: Index,
         points: Ids,
     ) -> None:
         """Look for further points of the local map at their predicted places; fills ``points``."""
         table = world.points
-        rows = table.rows(ids)
         centres, inside = _project(camera, pose, table.position[rows])
+        rows, centres = rows[inside], centres[inside]
         offset = pose[:3, 3] - table.position[rows]
         distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
         octave = table.octave[rows] + np.rint(np.log(table.distance[rows] / distance) / self._log_factor)
-        inside &= (octave >= -1) & (octave <= len(self._factors))
+        inside = (octave >= -1) & (octave <= len(self._factors))
         inside &= np.einsum("ij,ij->i", offset, table.direction[rows]) > MIN_VIEW_COSINE * distance
         rows, centres = rows[inside], centres[inside]
         octave = np.clip(octave[inside], 0, len(self._factors) - 1).astype(np.intp)
@@ -186,8 +189,9 @@ class FrameTracker:
         seen = points[points >= 0]
         table.visible[table.rows(seen)] += 1
         # A seed's place is doubtful along its ray, so its window is wider.
-        doubtful = table.log_depth_sigma[rows] > SEED_SIGMA
-        radius = LOCAL_RADIUS * self._factors[octave] * np.where(doubtful, 2.0, 1.0)
+        radius = LOCAL_RADIUS * self._factors[octave] + np.where(
+            table.log_depth_sigma[rows] > SEED_SIGMA, SEED_RADIUS, 0.0
+        )
         query, keypoint = match_projected(
             features,
             centres,

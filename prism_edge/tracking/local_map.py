@@ -25,6 +25,7 @@ class LocalKeyframe:
     camera: Camera
     features: Features
     points: Ids
+    neighbours: list[int] = field(default_factory=list)  # covisible when it or they were made, best first
 
     def observed(self) -> Index:
         """Keypoints that have a point."""

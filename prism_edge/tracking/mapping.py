@@ -120,18 +120,21 @@ def mature(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> in
     return improved
 
 
-def share_points(world: LocalMap, source: LocalKeyframe, target: LocalKeyframe, factors: Array) -> int:
+def share_points(
+    world: LocalMap, source: LocalKeyframe, target: LocalKeyframe, factors: Array
+) -> tuple[Ids, Ids]:
     """Let ``target`` observe the points of ``source`` where they project onto a like keypoint.
 
-    A keypoint that already has another point shows that both are one: the less observed is fused into
-    the other. Returns how many observations were added or fused.
+    A keypoint that already has another point shows that both are one: such pairs are returned, to be
+    fused.
     """
     table = world.points
     ids = source.points[source.observed()]
     ids = ids[table.known(ids)]
-    ids = np.setdiff1d(ids, target.points)
     rows = table.rows(ids)
-    rows = rows[table.log_depth_sigma[rows] < 0.1]
+    there = np.zeros(len(table), bool)
+    there[table.rows(target.points[target.points >= 0])] = True
+    rows = rows[~there[rows] & (table.log_depth_sigma[rows] < 0.1)]
     centres, inside = _project(target.camera, target.world_from_camera, table.position[rows])
     rows, centres = rows[inside], centres[inside]
     offset = target.world_from_camera[:3, 3] - table.position[rows]
@@ -154,8 +157,7 @@ def share_points(world: LocalMap, source: LocalKeyframe, target: LocalKeyframe, 
     for row, k in zip(rows[query][present == NO_POINT], keypoint[present == NO_POINT], strict=True):
         world.add_observation(int(table.ids[row]), int(row), target, int(k))
     doubles = present != NO_POINT
-    fuse(world, table.ids[rows[query][doubles]], present[doubles])
-    return len(query)
+    return table.ids[rows[query][doubles]], present[doubles]
 
 
 def fuse(world: LocalMap, first: Ids, second: Ids) -> None:
@@ -163,17 +165,20 @@ def fuse(world: LocalMap, first: Ids, second: Ids) -> None:
     table = world.points
     into: dict[int, int] = {}
     taken: set[int] = set()
-    for a, b in zip(first.tolist(), second.tolist(), strict=True):
-        if a == b or a in taken or b in taken:
+    pairs = np.stack([first, second], axis=1)
+    alive = table.known(pairs.ravel()).reshape(-1, 2).all(axis=1) & (first != second)
+    pairs = pairs[alive]
+    rows = table.rows(pairs.ravel()).reshape(-1, 2)
+    swap = table.observations[rows[:, 0]] < table.observations[rows[:, 1]]
+    pairs[swap], rows[swap] = pairs[swap, ::-1], rows[swap, ::-1]
+    for (kept, dropped), (kept_row, dropped_row) in zip(pairs.tolist(), rows.tolist(), strict=True):
+        if kept in taken or dropped in taken:
             continue  # a chain is left for the next keyframe
-        rows = table.rows(np.array([a, b]))
-        if table.alive[rows].all():
-            kept, dropped = (0, 1) if table.observations[rows[0]] >= table.observations[rows[1]] else (1, 0)
-            into[(a, b)[dropped]] = (a, b)[kept]
-            taken |= {a, b}
-            for counter in (table.found, table.visible):
-                counter[rows[kept]] += counter[rows[dropped]]
-            table.alive[rows[dropped]] = False
+        into[dropped] = kept
+        taken |= {kept, dropped}
+        table.found[kept_row] += table.found[dropped_row]
+        table.visible[kept_row] += table.visible[dropped_row]
+        table.alive[dropped_row] = False
     if not into:
         return
     dropped_ids = np.array(sorted(into))

@@ -29,12 +29,15 @@ def candidate_pairs(
     features: Features, centres: NDArray[np.float64], radii: NDArray[np.float64]
 ) -> tuple[Index, Index]:
     """All (query, keypoint) pairs with the keypoint inside the query's square; grouped by query."""
-    low_x = np.clip((centres[:, 0] - radii) // CELL, 0, features.columns - 1).astype(np.intp)
-    high_x = np.clip((centres[:, 0] + radii) // CELL, 0, features.columns - 1).astype(np.intp)
-    low_y = np.clip((centres[:, 1] - radii) // CELL, 0, features.rows - 1).astype(np.intp)
-    high_y = np.clip((centres[:, 1] + radii) // CELL, 0, features.rows - 1).astype(np.intp)
     if len(centres) == 0:
-        return low_x, low_x
+        none = np.zeros(0, np.intp)
+        return none, none
+    last_cell = (features.columns - 1, features.rows - 1)
+    reach = radii[:, None] / CELL
+    middle = centres / CELL
+    low = np.clip(middle - reach, 0, last_cell).astype(np.intp)
+    high = np.clip(middle + reach, 0, last_cell).astype(np.intp)
+    low_x, low_y, high_x, high_y = low[:, 0], low[:, 1], high[:, 0], high[:, 1]
     rows = low_y[:, None] + np.arange(int((high_y - low_y).max()) + 1)
     wanted = rows <= high_y[:, None]
     rows = np.minimum(rows, features.rows - 1)

@@ -47,17 +47,12 @@ def refine_pose(
     pose = world_from_camera.copy()
     n = len(points)
     inliers = np.ones(n, bool)
-    inverse_sigma = 1.0 / sigmas
+    problem = _Problem(camera, points, pixels, 1.0 / sigmas, depth_error)
     share = np.ones(n) if weights is None else weights
-    information = np.eye(6) * 1e-9
-    chi2 = np.zeros(n)
+    information, chi2 = np.eye(6) * 1e-9, np.full(n, np.inf)
     for _ in range(rounds):
-        used = np.where(inliers, share, 0.0)
-        pose, information = _descend(
-            camera, pose, points, pixels, inverse_sigma, depth_error, used, iterations
-        )
-        _, _, chi2, visible = _linearise(camera, pose, points, pixels, inverse_sigma, depth_error)
-        chosen = visible & (chi2 < CHI2_2D_95)
+        pose, information, chi2 = _descend(problem, pose, np.where(inliers, share, 0.0), iterations)
+        chosen = chi2 < CHI2_2D_95
         settled = np.array_equal(chosen, inliers)
         inliers = chosen
         if settled or inliers.sum() < 6:
@@ -74,83 +69,83 @@ def _inverse_information(information: Array) -> Array:
     return covariance
 
 
-def _descend(
-    camera: Camera,
-    pose: Array,
-    points: Array,
-    pixels: Array,
-    inverse_sigma: Array,
-    depth_error: Array | None,
-    share: Array,
-    iterations: int,
-) -> tuple[Array, Array]:
-    """Levenberg-Marquardt on the Huber cost; returns the pose and its information matrix (6, 6)."""
-    best, best_cost, damping = pose, np.inf, 1e-6
+def _descend(problem: _Problem, pose: Array, share: Array, iterations: int) -> tuple[Array, Array, Array]:
+    """Levenberg-Marquardt on the Huber cost; returns the pose, its information (6, 6) and chi2 (n,)."""
+    best, best_cost, best_chi2, damping = pose, np.inf, np.full(len(share), np.inf), 1e-6
     kept_information, kept_gradient = np.eye(6), np.zeros(6)
-    for _ in range(iterations + 1):
-        residual, jacobian, chi2, visible = _linearise(
-            camera, pose, points, pixels, inverse_sigma, depth_error
-        )
+    for step in range(iterations + 1):
+        residual, jacobian, chi2 = problem.linearise(pose)
         root = np.sqrt(np.maximum(chi2, 1e-12))
-        huber = np.minimum(1.0, HUBER / root)
-        rho = np.where(root <= HUBER, chi2, 2.0 * HUBER * root - HUBER**2)
-        # A point behind the camera costs like a gross outlier, or steps that hide points would look good.
-        cost = float((share * np.where(visible, rho, BEHIND)).sum())
+        # A point behind the camera (chi2 of inf) costs like a gross outlier, or hiding points would look good.
+        rho = np.where(root <= HUBER, chi2, np.minimum(2.0 * HUBER * root - HUBER**2, BEHIND))
+        cost = float(share @ rho)
         if cost < best_cost:
             settled = best_cost - cost < 1e-3 * cost
-            weight = share * huber * visible
-            flat = (jacobian * weight[:, None, None]).reshape(-1, 6)
-            kept_information, kept_gradient = flat.T @ jacobian.reshape(-1, 6), flat.T @ residual.ravel()
-            best, best_cost, damping = pose, cost, damping * 0.1
-            if settled:
+            weight = share * np.minimum(1.0, HUBER / root)
+            weighted = jacobian * weight
+            kept_information = weighted.reshape(6, -1) @ jacobian.reshape(6, -1).T
+            kept_gradient = weighted.reshape(6, -1) @ residual.ravel()
+            best, best_cost, best_chi2, damping = pose, cost, chi2, damping * 0.1
+            if settled or step == iterations:
                 break
         else:
             damping = max(damping, 1e-6) * 100.0
         damped = kept_information + damping * np.diag(np.diag(kept_information)) + 1e-9 * np.eye(6)
-        step: Array = np.asarray(np.linalg.solve(damped, -kept_gradient), np.float64)
-        pose = best @ se3_exp(step)
-    return best, kept_information
+        twist: Array = np.asarray(np.linalg.solve(damped, -kept_gradient), np.float64)
+        pose = best @ se3_exp(twist)
+    return best, kept_information, best_chi2
 
 
-def _linearise(
-    camera: Camera, pose: Array, points: Array, pixels: Array, inverse_sigma: Array, depth_error: Array | None
-) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-    """Whitened residuals (n, 2), Jacobians (n, 2, 6) by the right-hand twist of the pose, chi2, in front."""
-    rotation = pose[:3, :3]
-    local = (points - pose[:3, 3]) @ rotation
-    z = local[:, 2]
-    visible = z > 1e-3
-    inverse_z = 1.0 / np.where(visible, z, 1.0)
-    x, y = local[:, 0] * inverse_z, local[:, 1] * inverse_z
-    fx, fy = camera.fx * inverse_sigma, camera.fy * inverse_sigma
-    residual = np.empty((len(points), 2))
-    residual[:, 0] = fx * x + (camera.cx - pixels[:, 0]) * inverse_sigma
-    residual[:, 1] = fy * y + (camera.cy - pixels[:, 1]) * inverse_sigma
-    jacobian = np.empty((len(points), 2, 6))
-    u, v = jacobian[:, 0], jacobian[:, 1]
-    # d(pixel)/d(point) times d(point)/d(twist), with point' = point - rho - phi x point.
-    u[:, 0] = -fx * inverse_z
-    u[:, 1] = 0.0
-    u[:, 2] = fx * x * inverse_z
-    u[:, 3] = fx * x * y
-    u[:, 4] = -fx * (1.0 + x * x)
-    u[:, 5] = fx * y
-    v[:, 0] = 0.0
-    v[:, 1] = -fy * inverse_z
-    v[:, 2] = fy * y * inverse_z
-    v[:, 3] = fy * (1.0 + y * y)
-    v[:, 4] = -fy * x * y
-    v[:, 5] = -fy * x
-    if depth_error is not None:
-        error = depth_error @ rotation
-        smear = np.empty((len(points), 2))
-        smear[:, 0] = fx * inverse_z * (error[:, 0] - x * error[:, 2])
-        smear[:, 1] = fy * inverse_z * (error[:, 1] - y * error[:, 2])
-        # Covariance I + s s^T; its inverse square root shrinks what lies along s and leaves the rest.
-        length2 = np.einsum("ij,ij->i", smear, smear)
-        shrink = (1.0 - 1.0 / np.sqrt(1.0 + length2)) / np.maximum(length2, 1e-12)
-        residual -= smear * (shrink * np.einsum("ij,ij->i", smear, residual))[:, None]
-        along = np.einsum("ij,ijk->ik", smear, jacobian) * shrink[:, None]
-        jacobian -= smear[:, :, None] * along[:, None, :]
-    chi2 = np.einsum("ij,ij->i", residual, residual)
-    return residual, jacobian, chi2, visible
+class _Problem:
+    """What stays the same while the pose moves."""
+
+    def __init__(
+        self, camera: Camera, points: Array, pixels: Array, inverse_sigma: Array, depth_error: Array | None
+    ) -> None:
+        self._points, self._depth_error = points, depth_error
+        self._fx, self._fy = camera.fx * inverse_sigma, camera.fy * inverse_sigma
+        self._u = (camera.cx - pixels[:, 0]) * inverse_sigma
+        self._v = (camera.cy - pixels[:, 1]) * inverse_sigma
+
+    def linearise(self, pose: Array) -> tuple[Array, Array, Array]:
+        """Whitened residuals (2, n), their Jacobian (6, 2, n) by the right-hand twist of the pose, chi2 (n,).
+
+        What is behind the camera has zero residual and Jacobian and a chi2 of inf.
+        """
+        rotation = pose[:3, :3]
+        local = rotation.T @ (self._points - pose[:3, 3]).T
+        visible = local[2] > 1e-3
+        inverse_z = np.where(visible, 1.0, 0.0) / np.where(visible, local[2], 1.0)
+        x, y = local[0] * inverse_z, local[1] * inverse_z
+        fx, fy = np.where(visible, self._fx, 0.0), np.where(visible, self._fy, 0.0)
+        residual = np.empty((2, len(x)))
+        residual[0] = fx * x + np.where(visible, self._u, 0.0)
+        residual[1] = fy * y + np.where(visible, self._v, 0.0)
+        # d(pixel)/d(point) times d(point)/d(twist), with point' = point - rho - phi x point.
+        jacobian = np.zeros((6, 2, len(x)))
+        fxz, fyz, fxx, fyy = fx * inverse_z, fy * inverse_z, fx * x, fy * y
+        jacobian[0, 0] = -fxz
+        jacobian[2, 0] = fxx * inverse_z
+        jacobian[3, 0] = fxx * y
+        jacobian[4, 0] = -fx - fxx * x
+        jacobian[5, 0] = fx * y
+        jacobian[1, 1] = -fyz
+        jacobian[2, 1] = fyy * inverse_z
+        jacobian[3, 1] = fy + fyy * y
+        jacobian[4, 1] = -fyy * x
+        jacobian[5, 1] = -fy * x
+        if self._depth_error is not None:
+            error = rotation.T @ self._depth_error.T
+            smear = np.empty_like(residual)
+            smear[0] = fxz * (error[0] - x * error[2])
+            smear[1] = fyz * (error[1] - y * error[2])
+            # Covariance I + s s^T; its inverse square root shrinks what lies along s and leaves the rest.
+            length2 = smear[0] * smear[0] + smear[1] * smear[1]
+            shrink = (1.0 - 1.0 / np.sqrt(1.0 + length2)) / np.maximum(length2, 1e-12)
+            scaled = smear * shrink
+            residual -= smear * (scaled[0] * residual[0] + scaled[1] * residual[1])
+            along = jacobian[:, 0] * scaled[0] + jacobian[:, 1] * scaled[1]
+            jacobian[:, 0] -= along * smear[0]
+            jacobian[:, 1] -= along * smear[1]
+        chi2 = residual[0] * residual[0] + residual[1] * residual[1]
+        return residual, jacobian, np.where(visible, chi2, np.inf)

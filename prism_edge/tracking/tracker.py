@@ -26,7 +26,8 @@ log = logging.getLogger("prism_edge.tracking")
 
 MIN_FIRST_FEATURES = 80
 INITIAL_PATIENCE_S = 1.0  # a first keyframe that can't be tracked for longer is replaced
-NEIGHBOURS, SHARING, TRIANGULATING = 10, 8, 5  # covisible keyframes, best first
+DEPTH_PATIENCE_S = 10.0  # and so is one that no depth has come for in this time
+NEIGHBOURS, SHARING, TRIANGULATING = 10, 8, 4  # covisible keyframes, best first
 DEGRADED_MATCHES = 50
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
@@ -98,10 +99,10 @@ class Tracker:
 
     def _continue(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
         frame = self._track(stamp_ns, camera, features)
-        silent_s = (stamp_ns - (self._seen_at or stamp_ns)) * 1e-9
+        silent_s = 0.0 if self._seen_at is None else (stamp_ns - self._seen_at) * 1e-9
         if frame is None:
             if not self._initialised:
-                if silent_s > INITIAL_PATIENCE_S:
+                if silent_s > (DEPTH_PATIENCE_S if self._last is None else INITIAL_PATIENCE_S):
                     log.info("the first keyframe could not be tracked: starting again")
                     self._restart()
                 return _nothing(INITIALISING)
@@ -197,13 +198,17 @@ class Tracker:
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
         )
         neighbours = self.world.covisible(keyframe, NEIGHBOURS)
+        keyframe.neighbours = [k.id for k in neighbours]
+        for k in neighbours:
+            k.neighbours = [keyframe.id, *k.neighbours[: NEIGHBOURS - 1]]
         mapping.mature(self.world, keyframe, self._factors)
         # Known points first, so that fewer corners are triangulated a second time.
-        for other in neighbours[:SHARING]:
-            mapping.share_points(self.world, other, keyframe, self._factors)
+        doubles = [mapping.share_points(self.world, k, keyframe, self._factors) for k in neighbours[:SHARING]]
         mapping.triangulate_with_neighbours(self.world, keyframe, neighbours[:TRIANGULATING], self._factors)
-        for other in neighbours[:SHARING]:
-            mapping.share_points(self.world, keyframe, other, self._factors)
+        doubles += [mapping.share_points(self.world, keyframe, k, self._factors) for k in neighbours[:SHARING]]
+        if doubles:
+            first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
+            mapping.fuse(self.world, first, second)
         mapping.cull_recent_points(self.world, keyframe.id)
         self.world.points.squeeze()
         frame.points = keyframe.points.copy()

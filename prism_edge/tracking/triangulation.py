@@ -53,11 +53,13 @@ def match_epipolar(
     essential = skew(a_from_b[:3, 3]) @ a_from_b[:3, :3]
     lines = ray_a @ essential
     normal = np.stack([lines[:, 0] / camera_b.fx, lines[:, 1] / camera_b.fy], axis=1)
-    distance_px = np.abs(lines @ ray_b.T) / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
+    lines /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
     octave_a, octave_b = features_a.octaves[free_a], features_b.octaves[free_b]
-    near = distance_px < 1.96 * scale_factors[octave_b][None, :]
-    near &= np.abs(octave_a[:, None] - octave_b[None, :]) <= 1
-    query, other = np.nonzero(near)
+    # Single precision for the one product of all pairs: far finer than the bound it is compared with.
+    distance = lines.astype(np.float32) @ (ray_b / (1.96 * scale_factors[octave_b])[:, None]).astype(np.float32).T
+    query, other = np.divmod(np.flatnonzero(np.abs(distance) < 1.0), len(free_b))
+    alike = np.abs(octave_a[query] - octave_b[other]) <= 1
+    query, other = query[alike], other[alike]
     if len(query) == 0:
         return free_a[:0], free_b[:0]
     b_from_a = inverse(a_from_b)
@@ -65,8 +67,8 @@ def match_epipolar(
     middle, reach = (low + high) / 2, np.abs(high - low) / 2 + 10.0
     inside = np.all(np.abs(pixel_b[other] - middle[query]) <= reach[query], axis=1)
     query, other = query[inside], other[inside]
-    distance = hamming(features_a.descriptors[free_a[query]], features_b.descriptors[free_b[other]])
-    query, other = best_pairs(query, other, distance, max_distance, ratio)
+    bits = hamming(features_a.descriptors[free_a[query]], features_b.descriptors[free_b[other]])
+    query, other = best_pairs(query, other, bits, max_distance, ratio)
     return free_a[query], free_b[other]
 
 
