@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, se3_exp, se3_log, transform
-from prism_edge.tracking.pose_refinement import _linearise, refine_pose
+from prism_edge.tracking.pose_refinement import refine_pose
 from tests.tracking.cloud import CAMERA
 
 TRUE = se3_exp(np.array([0.3, -0.2, 0.1, 0.1, -0.2, 0.05]))
@@ -25,68 +25,59 @@ def error_of(pose: np.ndarray) -> np.ndarray:
     return se3_log(inverse(TRUE) @ pose)
 
 
-@pytest.mark.parametrize("smeared", [False, True])
-def test_jacobian_is_the_numerical_derivative(smeared):
-    rng = np.random.default_rng(0)
-    points, pixels = scene(rng, 40)
-    pixels = pixels + rng.normal(0, 2.0, pixels.shape)
-    inverse_sigma = 1.0 / rng.uniform(1.0, 3.0, 40)
-    smear = rng.normal(0, 0.1, (40, 3)) if smeared else None
-    _, jacobian, _, visible = _linearise(CAMERA, TRUE, points, pixels, inverse_sigma, smear)
-    assert visible.all()
+def jacobian_of(point: np.ndarray) -> np.ndarray:
+    """d(pixel)/d(right-hand twist of the pose) (2, 6), numerically."""
+    columns = []
     for axis in range(6):
         step = np.zeros(6)
         step[axis] = 1e-6
-        # The whitening is held at the linearisation point: rotate the error with the camera.
         ahead, behind = (
-            _linearise(
-                CAMERA,
-                TRUE @ se3_exp(sign * step),
-                points,
-                pixels,
-                inverse_sigma,
-                None,
-            )[0]
+            CAMERA.project(transform(inverse(TRUE @ se3_exp(sign * step)), point[None]))[0]
             for sign in (1.0, -1.0)
         )
-        slope = (ahead - behind) / 2e-6
-        if smeared:
-            roots = whitening(points, inverse_sigma, smear)
-            slope = np.array([root @ s for root, s in zip(roots, slope, strict=True)])
-        assert np.abs(slope - jacobian[:, :, axis]).max() < 1e-4 * np.abs(jacobian).max()
+        columns.append((ahead - behind) / 2e-6)
+    return np.array(columns).T
 
 
-def covariance_of_pixels(points, inverse_sigma, smear):
-    """I + J e e^T J^T of each point, by numerical derivative of the projection."""
-    for point, scale, error in zip(points, inverse_sigma, smear, strict=True):
-        ahead, behind = (
-            CAMERA.project(transform(inverse(TRUE), (point + sign * 1e-6 * error)[None]))[0]
-            for sign in (1.0, -1.0)
-        )
-        s = scale * (ahead - behind) / 2e-6
-        yield np.eye(2) + np.outer(s, s)
+def pixel_covariance(point: np.ndarray, sigma: float, error: np.ndarray) -> np.ndarray:
+    """Noise of a pixel (2, 2) whose point is uncertain along ``error``, numerically."""
+    ahead, behind = (
+        CAMERA.project(transform(inverse(TRUE), (point + sign * 1e-6 * error)[None]))[0]
+        for sign in (1.0, -1.0)
+    )
+    smear = (ahead - behind) / 2e-6
+    return sigma**2 * np.eye(2) + np.outer(smear, smear)
 
 
-def whitening(points, inverse_sigma, smear):
-    """Inverse square roots of those covariances."""
-    for covariance in covariance_of_pixels(points, inverse_sigma, smear):
-        values, vectors = np.linalg.eigh(covariance)
-        yield vectors @ np.diag(values**-0.5) @ vectors.T
-
-
-def test_depth_error_whitens_with_the_explicit_covariance():
+@pytest.mark.parametrize("smeared", [False, True])
+def test_information_and_chi2_are_those_of_explicit_matrices(smeared):
+    """At one pose, without a step: Jacobians and whitening show in information, chi2 and inliers."""
     rng = np.random.default_rng(1)
-    points, pixels = scene(rng, 50)
+    points, pixels = scene(rng, 60)
     pixels = pixels + rng.normal(0, 3.0, pixels.shape)
-    inverse_sigma = 1.0 / rng.uniform(1.0, 3.0, 50)
-    smear = rng.normal(0, 0.2, (50, 3))
-    smear[:5] = 0.0
-    plain = _linearise(CAMERA, TRUE, points, pixels, inverse_sigma, None)[0]
-    residual, _, chi2, _ = _linearise(CAMERA, TRUE, points, pixels, inverse_sigma, smear)
-    covariances = covariance_of_pixels(points, inverse_sigma, smear)
-    expected = np.array([r @ np.linalg.inv(c) @ r for r, c in zip(plain, covariances, strict=True)])
-    assert chi2 == pytest.approx(expected, rel=1e-5)
-    assert (residual**2).sum(axis=1) == pytest.approx(expected, rel=1e-5)
+    sigmas, error = rng.uniform(1.0, 3.0, 60), np.zeros((60, 3))
+    if smeared:
+        error[5:] = rng.normal(0, 0.1, (55, 3))
+    estimate = refine_pose(
+        CAMERA, TRUE, points, pixels, sigmas, error if smeared else None, rounds=1, iterations=0
+    )
+    assert np.array_equal(estimate.world_from_camera, TRUE)
+    information, chi2 = np.zeros((6, 6)), np.zeros(60)
+    exact = CAMERA.project(transform(inverse(TRUE), points))
+    for i in range(60):
+        precision = np.linalg.inv(pixel_covariance(points[i], sigmas[i], error[i]))
+        residual = pixels[i] - exact[i]
+        chi2[i] = residual @ precision @ residual
+        huber = min(1.0, np.sqrt(5.991 / chi2[i]))
+        jacobian = jacobian_of(points[i])
+        information += huber * jacobian.T @ precision @ jacobian
+    assert np.linalg.inv(estimate.covariance) == pytest.approx(
+        information, rel=1e-4, abs=1e-5 * np.abs(information).max()
+    )
+    inliers = chi2 < 5.991
+    assert 10 < inliers.sum() < 60
+    assert np.array_equal(estimate.inliers, inliers)
+    assert estimate.residual_px == pytest.approx(np.sqrt(chi2[inliers].sum() / (2 * inliers.sum())), rel=1e-5)
 
 
 def test_exact_measurements_give_the_exact_pose():

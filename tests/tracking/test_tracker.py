@@ -1,0 +1,319 @@
+"""The tracker on a generated film: what it gives, against the truth; what it does when it can't see."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from prism_edge.config import TrackingConfig
+from prism_edge.geometry.poses import inverse, se3_log, transform
+from prism_edge.messages import DEGRADED, INITIALISING, LOST, OK
+from prism_edge.tracking.announcement import keyframe_message
+from prism_edge.tracking.tracker import FrameResult, Tracker
+from tests.tracking.cloud import check, pose_at
+from tests.tracking.footage import IDENTITY, RATE_HZ, footage
+
+CONFIG = TrackingConfig(features=500)
+BLACK = np.zeros((240, 320), np.uint8)
+
+
+@dataclass
+class Run:
+    """A tracker and what it said."""
+
+    tracker: Tracker = field(default_factory=lambda: Tracker(CONFIG))
+    results: dict[int, FrameResult] = field(default_factory=dict)
+    keyframes: dict[int, int] = field(default_factory=dict)  # id: frame
+
+    def feed(self, index: int, image: np.ndarray | None = None, at: int | None = None) -> FrameResult:
+        """Frame ``index`` of the film (or another image) as frame ``at``."""
+        film = footage()
+        at = index if at is None else at
+        image = film.images[index] if image is None else image
+        result = self.tracker.process(at, film.stamp_ns(at), image, film.camera)
+        self.results[at] = result
+        keyframe = self.tracker.maybe_keyframe()
+        if keyframe is not None:
+            self.keyframes[keyframe.id] = at
+        return result
+
+    def depth(self, keyframe: int, of: int | None = None, factor: float = 1.0) -> int:
+        """The film's own depth of a keyframe."""
+        frame = self.keyframes[keyframe] if of is None else of
+        return self.tracker.add_depth(keyframe, factor * footage().depths[frame], IDENTITY, 0.1)
+
+    def play(self, frames: range, depth_for: str = "all") -> None:
+        for i in frames:
+            known = set(self.keyframes)
+            self.feed(i)
+            for k in set(self.keyframes) - known:
+                if depth_for == "all" or (depth_for == "first" and k == 0):
+                    self.depth(k)
+
+    def errors(self, frames: range) -> np.ndarray:
+        """Distance (m) of each published pose from the truth, in the frame of the first image."""
+        poses = footage().poses
+        return np.array(
+            [np.linalg.norm((self.results[i].world_from_camera - poses[i])[:3, 3]) for i in frames]
+        )
+
+
+@pytest.fixture(scope="module")
+def whole() -> Run:
+    """The film from its beginning, depth for each keyframe at once."""
+    run = Run()
+    run.play(range(75))
+    return run
+
+
+def travelled(frames: range) -> float:
+    path = np.array([pose[:3, 3] for pose in footage().poses])[frames.start : frames.stop]
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def test_it_follows_the_camera(whole):
+    assert whole.results[0].odometry == INITIALISING
+    assert whole.results[0].world_from_camera is None
+    assert all(whole.results[i].odometry == OK for i in range(1, 75))
+    assert travelled(range(75)) > 0.8
+    assert whole.errors(range(1, 75)).max() < 0.04
+    truth = footage().poses
+    turn = [se3_log(inverse(truth[i]) @ whole.results[i].world_from_camera)[3:] for i in range(1, 75)]
+    assert np.linalg.norm(turn, axis=1).max() < np.radians(0.8)
+
+
+def test_keyframes_come_as_the_camera_moves(whole):
+    assert whole.keyframes[0] == 0
+    assert 2 <= len(whole.keyframes) <= 15
+    assert list(whole.keyframes) == list(range(len(whole.keyframes)))
+    check(whole.tracker.world)
+
+
+def test_a_frame_hangs_on_its_keyframe(whole):
+    world = whole.tracker.world
+    result = whole.results[74]
+    carried = world.keyframes[result.reference].world_from_camera @ result.reference_from_camera
+    assert carried == pytest.approx(result.world_from_camera, abs=1e-9)
+
+
+def test_points_are_on_the_surfaces_that_were_drawn(whole):
+    """Each triangulated point, seen from its newest keyframe, is where the exact depth says."""
+    world, film = whole.tracker.world, footage()
+    keyframe = world.newest()
+    keypoints, depths = world.depths_in(keyframe)
+    firm = world.points.parallax_deg[world.points.rows(keyframe.points[keypoints])] > 2.0
+    assert firm.sum() > 30
+    x, y = np.rint(keyframe.features.pixels[keypoints[firm]]).astype(int).T
+    true = film.depths[keyframe.index][y, x]
+    assert np.median(np.abs(depths[firm] / true - 1.0)) < 0.04
+
+
+def test_covariances_are_proper_and_small_where_much_is_seen(whole):
+    for i in range(1, 75):
+        covariance = whole.results[i].covariance
+        assert covariance == pytest.approx(covariance.T, rel=1e-6, abs=1e-15)
+        values = np.linalg.eigvalsh(covariance)
+        assert values[0] > 0
+        assert np.sqrt(values[-1]) < 0.05
+
+
+def test_the_same_film_gives_the_same_poses(whole):
+    again = Run()
+    again.play(range(40))
+    for i in range(1, 40):
+        assert np.array_equal(again.results[i].world_from_camera, whole.results[i].world_from_camera)
+
+
+def test_nothing_is_published_before_depth_has_come():
+    run = Run()
+    for i in range(8):
+        assert run.feed(i).odometry == INITIALISING
+    assert run.depth(0) > 100
+    assert run.feed(8).odometry == OK
+    assert run.errors(range(8, 9))[0] < 0.02
+
+
+def test_the_unit_is_what_the_first_depth_gave_it():
+    run = Run()
+    run.feed(0)
+    run.depth(0, factor=1.3)
+    run.play(range(1, 30), depth_for="none")
+    moved, true = (pose[:3, 3] for pose in (run.results[29].world_from_camera, footage().poses[29]))
+    assert np.linalg.norm(moved) / np.linalg.norm(true) == pytest.approx(1.3, rel=0.06)
+
+
+def test_depth_is_put_into_the_map_s_unit():
+    """With log_scale = log 2 a unit is two metres: what comes in metres is halved."""
+    run = Run()
+    run.tracker.log_scale = np.log(2.0)
+    run.feed(0)
+    run.depth(0)
+    _, depths = run.tracker.world.depths_in(run.tracker.world.newest())
+    assert np.median(depths) == pytest.approx(np.median(footage().depths[0]) / 2.0, rel=0.25)
+
+
+def test_it_goes_on_when_nobody_answers_after_the_start():
+    run = Run()
+    run.play(range(75), depth_for="first")
+    assert all(run.results[i].odometry == OK for i in range(1, 75))
+    assert run.errors(range(1, 75)).max() < 0.06
+    assert len(run.keyframes) >= 2
+
+
+def test_a_camera_that_sees_nothing_is_lost_and_found_again():
+    run = Run()
+    run.play(range(30))
+    before = run.results[29].world_from_camera
+    words = [run.feed(0, BLACK, at=i).odometry for i in range(30, 45)]
+    soon = round(CONFIG.lost_after_s * RATE_HZ)
+    assert words[: soon - 1] == [DEGRADED] * (soon - 1)
+    assert words[soon:] == [LOST] * (15 - soon)
+    assert all(run.results[i].world_from_camera is None for i in range(30, 45))
+    keyframes = len(run.keyframes)
+    # Held still meanwhile, the camera is found at once; not as a jump, and in the same map.
+    found = run.feed(30, at=45)
+    assert found.odometry in (OK, DEGRADED)
+    assert np.linalg.norm((found.world_from_camera - before)[:3, 3]) < 0.05
+    assert run.tracker.epoch == 0
+    for i in range(46, 60):
+        assert run.feed(i - 15, at=i).odometry == OK
+    error = np.linalg.norm((run.results[59].world_from_camera - footage().poses[44])[:3, 3])
+    assert error < 0.04
+    assert len(run.keyframes) >= keyframes
+
+
+def test_it_is_found_where_it_was_carried_in_the_dark():
+    run = Run()
+    run.play(range(30))
+    for i in range(30, 45):
+        run.feed(0, BLACK, at=i)
+    # It comes back at frame 12, which is neither where it was lost nor where it was heading.
+    found = run.feed(12, at=45)
+    assert found.world_from_camera is not None
+    assert np.linalg.norm((found.world_from_camera - footage().poses[12])[:3, 3]) < 0.03
+
+
+def test_a_gap_in_the_frames_is_bridged():
+    run = Run()
+    run.play(range(20))
+    assert run.feed(30).odometry == OK
+    assert run.errors(range(30, 31))[0] < 0.03
+
+
+def test_images_without_corners_begin_nothing():
+    run = Run()
+    for i in range(5):
+        assert run.feed(0, BLACK, at=i).odometry == INITIALISING
+    assert not run.keyframes
+    run.feed(5)
+    assert run.keyframes == {0: 5}
+
+
+def test_a_first_keyframe_that_can_t_be_tracked_is_replaced():
+    run = Run()
+    run.feed(0)
+    run.depth(0)
+    noise = np.random.default_rng(0)
+    for i in range(1, 50):
+        result = run.feed(0, noise.integers(0, 255, (240, 320), dtype=np.uint8), at=i)
+        assert result.odometry == INITIALISING
+    assert run.tracker.epoch >= 1
+    assert len(run.keyframes) >= 2
+    # The new first keyframe is another, with an id of its own; with its depth tracking begins.
+    run.feed(20, at=50)
+    while max(run.keyframes.values()) != 50:
+        at = max(run.results) + 1
+        run.feed(20, at=at)
+        if run.keyframes[max(run.keyframes)] == at:
+            break
+    run.depth(max(run.keyframes), of=20)
+    assert run.feed(21, at=max(run.results) + 1).odometry == OK
+    assert run.tracker.log_scale == 0.0
+
+
+def test_depth_that_takes_seconds_still_starts_a_camera_that_waits():
+    """A large network on a small computer: the first depth is two seconds late."""
+    run = Run()
+    for i in range(60):
+        assert run.feed(0, at=i).odometry == INITIALISING
+    assert list(run.keyframes) == [0]
+    assert run.depth(0) > 100
+    assert run.feed(0, at=60).odometry == OK
+    assert run.tracker.epoch == 0
+
+
+def test_a_first_keyframe_whose_depth_never_comes_is_replaced_at_last():
+    run = Run()
+    for i in range(0, 3000, 15):
+        run.feed(0, at=i)
+    assert len(run.keyframes) > 2
+    assert run.tracker.epoch == len(run.keyframes) - 1
+
+
+def test_depth_of_a_keyframe_that_is_gone_is_no_matter():
+    run = Run()
+    run.feed(0)
+    assert run.tracker.add_depth(99, footage().depths[0], IDENTITY, 0.1) == 0
+
+
+def test_depth_for_an_announced_keyframe_is_told_with_the_next():
+    run = Run()
+    run.feed(0)
+    keyframe_message(run.tracker, run.tracker.world.keyframes[0])
+    count = run.depth(0)
+    late = run.tracker.world.changes.late
+    assert len(late) == count
+    points = run.tracker.world.keyframes[0].points
+    assert all(k == 0 and points[keypoint] == p for p, k, keypoint in late)
+
+
+def test_a_correction_moves_the_map_and_the_last_frame_alike():
+    """Two runs, one of them corrected rigidly on the way: relative to its world it sees the same."""
+    motion = pose_at(0.4, -0.1, 0.2, 0.02, 0.15, -0.05)
+    run, plain = Run(), Run()
+    run.play(range(40))
+    plain.play(range(40))
+    world = run.tracker.world
+    before = run.tracker.last_pose()
+    ids = world.points.ids[world.points.alive].copy()
+    none = np.zeros(0, np.int64)
+    run.tracker.apply_update(
+        world.newest().id,
+        np.array(list(world.keyframes)),
+        np.array([motion @ k.world_from_camera for k in world.keyframes.values()]),
+        ids,
+        transform(motion, world.points.position[world.points.rows(ids)]),
+        np.zeros(len(ids), np.float32),
+        (none, none),
+    )
+    # The last frame is fitted anew, to points with the noise that they have.
+    assert np.abs(se3_log(inverse(motion @ before) @ run.tracker.last_pose())).max() < 0.01
+    for i in range(40, 50):
+        run.feed(i)
+        plain.feed(i)
+        assert run.results[i].odometry == OK
+        step = inverse(motion) @ run.results[i].world_from_camera
+        assert np.linalg.norm((step - plain.results[i].world_from_camera)[:3, 3]) < 0.02
+
+
+def test_observations_the_backend_found_wrong_are_dropped():
+    run = Run()
+    run.play(range(30))
+    world = run.tracker.world
+    keyframe = world.newest()
+    wrong = keyframe.points[keyframe.observed()][:20].copy()
+    empty = np.zeros((0, 4, 4))
+    run.tracker.apply_update(
+        keyframe.id,
+        np.zeros(0, np.int64),
+        empty,
+        np.zeros(0, np.int64),
+        np.zeros((0, 3)),
+        np.zeros(0, np.float32),
+        (np.full(20, keyframe.id), wrong),
+    )
+    assert not np.isin(keyframe.points, wrong).any()
+    check(world)
+    assert run.feed(30).odometry == OK
