@@ -1,0 +1,241 @@
+"""The backend composed, fed with a cloud's keyframes and with a real tracker's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.mapper import Mapper
+from prism_edge.bus import codec
+from prism_edge.config import BackendConfig, TrackingConfig
+from prism_edge.geometry.poses import inverse, se3_exp
+from prism_edge.messages import Keyframe, MapUpdate
+from prism_edge.tracking.announcement import keyframe_message
+from prism_edge.tracking.odometry import MetricOdometry
+from prism_edge.tracking.tracker import Tracker
+from tests.backend.world import Teller, check, depth_at_keypoints
+from tests.tracking.cloud import check as check_local
+from tests.tracking.cloud import pose_at
+from tests.tracking.footage import IDENTITY, footage
+
+CONFIG = BackendConfig()
+WIDE = np.array([0.25, -0.375, 0.25, -0.375])
+
+
+def plane(distance: float = 3.0) -> np.ndarray:
+    return np.full((120, 160), distance, np.float32)
+
+
+def test_a_new_epoch_begins_a_new_map():
+    mapper = Mapper(CONFIG)
+    old, new = Teller(), Teller(epoch=1)
+    for i in range(3):
+        mapper.absorb(old.keyframe(pose_at(0.2 * i)))
+    mapper.absorb(new.keyframe(np.eye(4)))
+    assert mapper.epoch == 1
+    assert list(mapper.world.keyframes) == [0]
+    check(mapper.world)
+
+
+@pytest.mark.parametrize("firm", [True, False])
+def test_a_keyframe_s_depth_comes_in_map_units_by_its_own_scale(firm):
+    """Triangulated points say 3 m are 2 units; without them the filter's scale holds."""
+    mapper = Mapper(CONFIG)
+    message = Teller().keyframe(np.eye(4))
+    parallax = message.parallax_deg if firm else np.zeros_like(message.parallax_deg)
+    message = replace(message, depths=np.full(len(message.points), 2.0, np.float32), parallax_deg=parallax)
+    mapper.absorb(message)
+    depth = plane(3.0)
+    depth[:, :20] = 6.0  # a few points disagree
+    mapper.add_depth(message, depth, WIDE, log_scale=np.log(1.2))
+    depths = mapper.world.keyframes[0].depths
+    x = message.pixels[:, 0]
+    units_per_metre = 2.0 / 3.0 if firm else 1.0 / 1.2
+    inside = np.all((message.pixels > 8) & (message.pixels < (630, 470)), axis=1)
+    assert depths[inside & (x > 100)] == pytest.approx(3.0 * units_per_metre, rel=1e-5)
+    assert depths[inside & (x < 70)] == pytest.approx(6.0 * units_per_metre, rel=1e-5)
+
+
+def test_invalid_pixels_have_no_depth():
+    mapper = Mapper(CONFIG)
+    message = Teller().keyframe(np.eye(4))
+    mapper.absorb(message)
+    depth = plane()
+    depth[:, :80] = np.nan
+    mapper.add_depth(message, depth, WIDE, 0.0)
+    depths = mapper.world.keyframes[0].depths
+    x = message.pixels[:, 0]
+    assert not depths[x < 300].any()
+    assert (depths[(x > 340) & (x < 630)] > 0).all()
+
+
+def test_depth_of_a_keyframe_that_is_gone_is_no_matter():
+    mapper = Mapper(CONFIG)
+    teller = Teller()
+    mapper.absorb(teller.keyframe(np.eye(4)))
+    mapper.add_depth(teller.keyframe(pose_at(0.2)), plane(), WIDE, 0.0)
+    assert list(mapper.world.keyframes) == [0]
+
+
+@pytest.fixture
+def solved():
+    mapper, teller = Mapper(CONFIG, first_id=500), Teller(noise_px=0.3)
+    for i in range(5):
+        message = teller.keyframe(pose_at(0.2 * i, 0.0, 0.0, 0.0, -0.03 * i))
+        mapper.absorb(message)
+    rng = np.random.default_rng(0)
+    for k in (1, 2, 3, 4):
+        keyframe = mapper.world.keyframes[k]
+        keyframe.world_from_camera = keyframe.world_from_camera @ se3_exp(rng.normal(0, 0.01, 6))
+        wrong = rng.permutation(list(keyframe.observed.values()))[:3]
+        keyframe.pixels[wrong] += 80.0 * rng.choice((-1, 1), (3, 2))
+    depth_at_keypoints(mapper.world, teller.cloud, teller.poses)
+    update = mapper.optimise(4, 0.0)
+    return mapper, teller, update
+
+
+def test_an_update_says_what_the_map_now_is(solved):
+    mapper, teller, update = solved
+    packed = codec.unpack(codec.pack(update), MapUpdate)
+    assert (packed.epoch, packed.sequence, packed.based_on, packed.index) == (0, 501, 4, 40)
+    for k, pose in zip(packed.keyframes.tolist(), packed.poses, strict=True):
+        assert np.array_equal(mapper.world.keyframes[k].world_from_camera, pose)
+        assert np.linalg.norm((inverse(teller.poses[k]) @ pose)[:3, 3]) < 0.05
+    for p, place in zip(packed.points.tolist(), packed.positions, strict=True):
+        assert np.array_equal(mapper.world.points[p].position, place)
+    assert len(packed.parallax_deg) == len(packed.points) > 100
+    assert packed.solve_ms > 0
+
+
+def test_wrong_observations_leave_the_map_and_are_told(solved):
+    mapper, _, update = solved
+    check(mapper.world)
+    dropped = list(zip(update.dropped_keyframes.tolist(), update.dropped_points.tolist(), strict=True))
+    assert len(dropped) >= 10
+    for k, p in dropped:
+        assert p not in mapper.world.keyframes[k].observed
+    assert not set(update.points.tolist()) - set(mapper.world.points)
+
+
+def test_sequences_grow_and_an_empty_answer_takes_one(solved):
+    mapper, teller, _ = solved
+    message = teller.keyframe(pose_at(1.0))
+    nothing = codec.unpack(codec.pack(mapper.nothing(message)), MapUpdate)
+    assert (nothing.sequence, nothing.based_on, len(nothing.keyframes)) == (502, 5, 0)
+    mapper.absorb(message)
+    assert mapper.optimise(5, 0.0).sequence == 503
+
+
+def test_a_single_keyframe_has_nothing_to_solve():
+    mapper = Mapper(CONFIG)
+    message = Teller().keyframe(np.eye(4))
+    assert mapper.step(message, plane(), WIDE, 0.0) is None
+    assert list(mapper.keyframe_poses()) == [0]
+
+
+class Pair:
+    """Tracker and mapper on the generated film; updates arrive ``lag`` frames after their keyframe."""
+
+    def __init__(self, lag: int) -> None:
+        self.tracker, self.mapper = Tracker(TrackingConfig(features=500)), Mapper(CONFIG)
+        self.odometry, self.lag = MetricOdometry(), lag
+        self.due: list[tuple[int, MapUpdate]] = []
+        self.poses: dict[int, np.ndarray] = {}
+        self.odoms: dict[int, np.ndarray] = {}
+        self.steps: dict[int, float] = {}
+        self.applied = 0
+
+    def run(self, frames: int) -> None:
+        film = footage()
+        for i in range(frames):
+            while self.due and self.due[0][0] <= i:
+                self.apply(self.due.pop(0)[1])
+            before = self.tracker.last_pose()
+            result = self.tracker.process(i, film.stamp_ns(i), film.images[i], film.camera)
+            if result.world_from_camera is not None:
+                self.poses[i] = result.world_from_camera
+                self.odoms[i] = self.odometry.advance(
+                    before, result.world_from_camera, 0.0, film.stamp_ns(i)
+                ).copy()
+            keyframe = self.tracker.maybe_keyframe()
+            if keyframe is not None:
+                self.keyframe(keyframe, i)
+
+    def keyframe(self, keyframe, frame: int) -> None:
+        depth = footage().depths[frame]
+        made = keyframe_message(self.tracker, keyframe)
+        message = codec.unpack(codec.pack(made), Keyframe)
+        self.tracker.add_depth(keyframe.id, depth, IDENTITY, 0.2)
+        update = self.mapper.step(message, depth, IDENTITY, 0.0)
+        if update is not None:
+            self.due.append((frame + self.lag, codec.unpack(codec.pack(update), MapUpdate)))
+
+    def apply(self, update: MapUpdate) -> None:
+        self.tracker.apply_update(
+            update.based_on,
+            update.keyframes,
+            update.poses,
+            update.points,
+            update.positions,
+            update.parallax_deg,
+            (update.dropped_keyframes, update.dropped_points),
+        )
+        self.applied += 1
+
+
+@pytest.fixture(scope="module", params=[1, 6])
+def pair(request) -> Pair:
+    made = Pair(request.param)
+    made.run(75)
+    return made
+
+
+def test_together_they_follow_the_truth(pair):
+    truth = footage().poses
+    assert pair.applied >= 2
+    assert set(pair.poses) == set(range(1, 75))
+    errors = [np.linalg.norm((pair.poses[i] - truth[i])[:3, 3]) for i in pair.poses]
+    assert max(errors) < 0.05
+
+
+def test_odometry_never_jumps_when_the_map_is_corrected(pair):
+    """Between consecutive frames it moves as the camera did, whatever the updates did to the map."""
+    truth = footage().poses
+    for i in range(2, 75):
+        step = inverse(pair.odoms[i - 1]) @ pair.odoms[i]
+        true = inverse(truth[i - 1]) @ truth[i]
+        assert np.linalg.norm((step - true)[:3, 3]) < 0.025, i
+
+
+def test_both_have_the_same_observations(pair):
+    """Of points both know. What is on its way between them may differ: new seeds, and dropped ones."""
+    world, heard = pair.tracker.world, pair.mapper.world
+    check(heard)
+    check_local(world)
+    assert set(heard.keyframes) == set(world.keyframes)
+    mine = {
+        (k.id, int(k.points[i]), int(i)) for k in world.keyframes.values() for i in k.observed()
+    }
+    theirs = {(k.id, p, i) for k in heard.keyframes.values() for p, i in k.observed.items()}
+    in_flight = {(k, p, i) for p, k, i in world.changes.late}
+    waiting = {
+        (k, p)
+        for _, update in pair.due
+        for k, p in zip(update.dropped_keyframes.tolist(), update.dropped_points.tolist(), strict=True)
+    }
+    assert len(mine & theirs) > 500
+    assert not theirs - mine
+    missing = {(k, p) for k, p, _ in mine - theirs - in_flight} - waiting
+    assert len(missing) < 0.02 * len(mine)
+
+
+def test_corrected_keyframes_are_where_the_backend_has_them(pair):
+    world, heard = pair.tracker.world, pair.mapper.world
+    for _, update in pair.due:
+        pair.apply(update)
+    pair.due.clear()
+    for k, keyframe in world.keyframes.items():
+        error = inverse(heard.keyframes[k].world_from_camera) @ keyframe.world_from_camera
+        assert error == pytest.approx(np.eye(4), abs=1e-9)
