@@ -115,7 +115,9 @@ class LocalMap:
         self.points.alive[rows] = False
         self.changes.culled_points.append(ids.copy())
         for keyframe in self.keyframes.values():
-            keyframe.points[np.isin(keyframe.points, ids)] = NO_POINT
+            observed = keyframe.observed()
+            gone = ~self.points.alive[self.points.rows(keyframe.points[observed])]
+            keyframe.points[observed[gone]] = NO_POINT
 
     def drop_observations(self, keyframe_ids: Ids, point_ids: Ids) -> None:
         """The backend found these observations wrong; points left with fewer than two are culled."""

@@ -181,16 +181,21 @@ def fuse(world: LocalMap, first: Ids, second: Ids) -> None:
         table.alive[dropped_row] = False
     if not into:
         return
-    dropped_ids = np.array(sorted(into))
-    kept_ids = np.array([into[int(p)] for p in dropped_ids])
+    into_row = np.full(len(table), -1, np.int64)
+    into_row[table.rows(np.array(list(into)))] = table.rows(np.array(list(into.values())))
+    present = np.zeros(len(table), bool)
     for keyframe in world.keyframes.values():
-        mine = np.flatnonzero(np.isin(keyframe.points, dropped_ids))
-        if len(mine) == 0:
+        observed = keyframe.observed()
+        seen = table.rows(keyframe.points[observed])
+        kept_rows = into_row[seen]
+        moved = np.flatnonzero(kept_rows >= 0)
+        if len(moved) == 0:
             continue
-        kept_here = kept_ids[np.searchsorted(dropped_ids, keyframe.points[mine])]
-        double = np.isin(kept_here, keyframe.points)
-        keyframe.points[mine] = np.where(double, NO_POINT, kept_here)
-        table.observations[table.rows(kept_here[~double])] += 1
+        present[seen] = True
+        double = present[kept_rows[moved]]
+        present[seen] = False
+        keyframe.points[observed[moved]] = np.where(double, NO_POINT, table.ids[kept_rows[moved]])
+        table.observations[kept_rows[moved[~double]]] += 1
     world.changes.fused.extend(into.items())
 
 
