@@ -39,12 +39,14 @@ class PosePublisher:
         in_map = with_scale_error(local, map_from_base[:3, 3], scale_sigma)
         in_odom = with_scale_error(local, odom_from_base[:3, 3], scale_sigma)
         names = self._frames
-        twist_in_base = self._twist(twist)
+        velocity = self._twist(twist)
+        # Of a step between frames at 30 Hz, along the base's own axes as the twist is.
+        velocity_covariance = self._covariance(result.covariance, metres, np.eye(4)) * 900.0
         self._bus.publish("pose", ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map))
         self._bus.publish(
             "odom",
             ros.odometry(
-                stamp_ns, names.odom, names.base_link, odom_from_base, in_odom, twist_in_base, local * 900.0
+                stamp_ns, names.odom, names.base_link, odom_from_base, in_odom, velocity, velocity_covariance
             ),
         )
         self._bus.publish(

@@ -1,0 +1,178 @@
+"""What subscribers get: frames, metres and covariances."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from prism_edge.bus import ros
+from prism_edge.config import FramesConfig
+from prism_edge.geometry.poses import from_rt, inverse, rotation_from_quaternion, se3_exp, so3_log
+from prism_edge.messages import OK
+from prism_edge.topics import TOPICS
+from prism_edge.tracking.tracker import FrameResult
+from prism_edge.workers.pose_publisher import PosePublisher, with_scale_error
+from tests.tracking.cloud import pose_at
+
+STAMP = 12_345_678_901
+MOUNTED = FramesConfig(base_from_camera_xyz=(0.3, -0.1, 0.5), base_from_camera_xyzw=(-0.4, 0.5, -0.55, 0.53))
+COVARIANCE = np.array(
+    [
+        [4.0, 0.3, -0.2, 0.1, 0.5, 0.0],
+        [0.3, 3.0, 0.4, -0.6, 0.0, 0.1],
+        [-0.2, 0.4, 9.0, 0.0, 0.2, 0.1],
+        [0.1, -0.6, 0.0, 1.5, 0.1, 0.0],
+        [0.5, 0.0, 0.2, 0.1, 1.0, -0.2],
+        [0.0, 0.1, 0.1, 0.0, -0.2, 0.5],
+    ]
+) * 1e-6
+
+
+def mount(frames: FramesConfig) -> np.ndarray:
+    rotation = rotation_from_quaternion(np.array(frames.base_from_camera_xyzw))
+    return from_rt(rotation, np.array(frames.base_from_camera_xyz))
+
+
+def publish(pose, frames=None, odom=None, covariance=COVARIANCE, twist=None, log_scale=0.0, sigma=0.0):
+    """The messages of one frame, by topic; through CDR, as they arrive."""
+    sent = {}
+    bus = SimpleNamespace(publish=lambda topic, message: sent.update({topic: message}))
+    result = FrameResult(OK, pose, covariance, 0, np.eye(4), 100)
+    odom, twist = pose if odom is None else odom, np.zeros(6) if twist is None else twist
+    PosePublisher(bus, frames or FramesConfig()).publish(STAMP, result, odom, twist, log_scale, sigma)
+    return {
+        topic: ros.deserialise(TOPICS[topic].type, ros.serialise(TOPICS[topic].type, message))
+        for topic, message in sent.items()
+    }
+
+
+def position(message) -> np.ndarray:
+    return ros.pose_matrix(message.pose.pose)[:3, 3]
+
+
+def matrix(message) -> np.ndarray:
+    return np.asarray(message.pose.covariance).reshape(6, 6)
+
+
+@pytest.mark.parametrize(
+    ("camera", "base"),
+    [((0, 0, 1), (1, 0, 0)), ((1, 0, 0), (0, -1, 0)), ((0, 1, 0), (0, 0, -1))],
+)
+def test_axes_are_those_of_rep_103(camera, base):
+    """The camera's z is forward, its x right and its y down; the robot's x forward, y left, z up."""
+    sent = publish(pose_at(*(2.0 * np.array(camera))))
+    for topic in ("pose", "odom"):
+        assert position(sent[topic]) == pytest.approx(2.0 * np.array(base), abs=1e-9)
+
+
+def test_a_turn_to_the_right_is_negative_about_z():
+    sent = publish(pose_at(0, 0, 0, 0, 0.3, 0))
+    assert so3_log(ros.pose_matrix(sent["pose"].pose.pose)[:3, :3]) == pytest.approx([0, 0, -0.3], abs=1e-9)
+
+
+def test_names_and_stamps():
+    names = FramesConfig(map="m", odom="o", base_link="b", camera="c")
+    sent = publish(pose_at(0.1), names)
+    assert set(sent) == {"pose", "odom", "tf"}
+    assert sent["pose"].header.frame_id == "m"
+    assert (sent["odom"].header.frame_id, sent["odom"].child_frame_id) == ("o", "b")
+    links = [(t.header.frame_id, t.child_frame_id) for t in sent["tf"].transforms]
+    assert links == [("m", "o"), ("o", "b"), ("b", "c")]
+    for message in (sent["pose"], sent["odom"], *sent["tf"].transforms):
+        assert ros.stamp_ns(message) == STAMP
+
+
+def test_the_map_is_in_units_and_the_pose_in_metres():
+    sent = publish(pose_at(0, 0, 1.5), odom=pose_at(0, 0, 7.0), log_scale=np.log(2.0))
+    assert position(sent["pose"]) == pytest.approx([3.0, 0, 0])
+    assert position(sent["odom"]) == pytest.approx([7.0, 0, 0]), "odometry comes in metres already"
+
+
+def test_a_mounted_camera_s_robot_starts_at_the_origin():
+    sent = publish(np.eye(4), MOUNTED)
+    for topic in ("pose", "odom"):
+        assert ros.pose_matrix(sent[topic].pose.pose) == pytest.approx(np.eye(4), abs=1e-9)
+
+
+def test_the_tree_of_frames_joins_pose_and_odometry():
+    pose, odom = pose_at(0.4, 0.1, 2.0, 0.1, 0.5, 0.0), pose_at(1.0, 0.0, 1.5, 0.0, 0.4, 0.1)
+    sent = publish(pose, MOUNTED, odom=odom)
+    map_odom, odom_base, base_camera = (ros.pose_matrix(t.transform) for t in sent["tf"].transforms)
+    assert map_odom @ odom_base == pytest.approx(ros.pose_matrix(sent["pose"].pose.pose), abs=1e-9)
+    assert odom_base == pytest.approx(ros.pose_matrix(sent["odom"].pose.pose), abs=1e-9)
+    assert base_camera == pytest.approx(mount(MOUNTED))
+    # The camera in the map's frame: its own world, seen from where the robot's base was at the start.
+    assert map_odom @ odom_base @ base_camera == pytest.approx(mount(MOUNTED) @ pose, abs=1e-9)
+
+
+@pytest.mark.parametrize("frames", [FramesConfig(), MOUNTED])
+@pytest.mark.parametrize("log_scale", [0.0, np.log(1.7)])
+def test_covariance_is_that_of_many_disturbed_cameras(frames, log_scale):
+    """The camera errs by a small twist in its own frame; ROS wants the base's error along fixed axes."""
+    pose = pose_at(0.5, -0.2, 1.5, 0.2, 0.6, -0.1)
+    stated = matrix(publish(pose, frames, log_scale=log_scale)["pose"])
+    rng, metres, base = np.random.default_rng(0), np.exp(log_scale), mount(frames)
+
+    def base_pose(camera):
+        metric = camera.copy()
+        metric[:3, 3] *= metres
+        return base @ metric @ inverse(base)
+
+    true = base_pose(pose)
+    errors = []
+    for twist in rng.multivariate_normal(np.zeros(6), COVARIANCE, 4000):
+        moved = base_pose(pose @ se3_exp(twist))
+        errors.append(np.r_[moved[:3, 3] - true[:3, 3], so3_log(moved[:3, :3] @ true[:3, :3].T)])
+    sampled = np.cov(np.array(errors).T)
+    size = np.sqrt(np.outer(np.diag(stated), np.diag(stated)))
+    assert np.abs((sampled - stated) / size).max() < 0.08
+
+
+def test_an_error_of_scale_moves_along_the_line_to_the_origin():
+    place = np.array([3.0, -4.0, 12.0])
+    added = with_scale_error(COVARIANCE, place, 0.1) - COVARIANCE
+    values, vectors = np.linalg.eigh(added[:3, :3])
+    assert values == pytest.approx([0, 0, (0.1 * 13.0) ** 2], abs=1e-9)
+    assert abs(vectors[:, 2] @ place) == pytest.approx(13.0)
+    assert not added[3:].any()
+    assert not added[:, 3:].any()
+
+
+def test_scale_error_of_pose_and_odometry_grows_with_their_own_distance():
+    pose, odom = pose_at(0, 0, 2.0), pose_at(0, 0, 5.0)
+    sure = publish(pose, odom=odom)
+    unsure = publish(pose, odom=odom, sigma=0.1)
+    for topic, distance in (("pose", 2.0), ("odom", 5.0)):
+        added = matrix(unsure[topic]) - matrix(sure[topic])
+        expected = np.zeros((6, 6))
+        expected[0, 0] = (0.1 * distance) ** 2
+        assert added == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_argument_is_left_as_it_was():
+    before = COVARIANCE.copy()
+    with_scale_error(COVARIANCE, np.ones(3), 1.0)
+    assert np.array_equal(COVARIANCE, before)
+
+
+@pytest.mark.parametrize("frames", [FramesConfig(), MOUNTED])
+def test_twist_is_the_base_s_own_motion(frames):
+    pose, twist = pose_at(0.5, 0.2, 1.0, 0.3, -0.2, 0.1), np.array([0.4, -0.2, 1.0, 0.3, -0.5, 0.2])
+    message = publish(pose, frames, twist=twist)["odom"].twist.twist
+    got = np.array([*(getattr(v, a) for v in (message.linear, message.angular) for a in "xyz")])
+    base, dt = mount(frames), 1e-6
+    before, after = (base @ p @ inverse(base) for p in (pose, pose @ se3_exp(dt * twist)))
+    step = inverse(before) @ after
+    assert got == pytest.approx(np.r_[step[:3, 3], so3_log(step[:3, :3])] / dt, rel=1e-4, abs=1e-5)
+
+
+def test_the_twist_s_covariance_is_along_the_base_s_axes():
+    """However the robot stands in the map, what it knows of its own motion is the same."""
+    straight, turned = (
+        np.asarray(publish(pose, MOUNTED)["odom"].twist.covariance)
+        for pose in (np.eye(4), pose_at(1.0, 2.0, 3.0, 0.2, 1.0, -0.4))
+    )
+    assert turned == pytest.approx(straight, rel=1e-6, abs=1e-12)
+    assert straight.reshape(6, 6)[0, 0] > 0
