@@ -55,18 +55,23 @@ def associate(
 ) -> tuple[Trajectory, Trajectory]:
     """The poses of both that belong together: each of the shorter one with the nearest of the longer.
 
-    Pairs further apart in time than ``tolerance_s`` are left out, as evo's nearest-time
-    synchronisation does; the two results have equal length, possibly zero.
+    Of two that are equally long, ``second`` counts as the shorter. Pairs further apart in time than
+    ``tolerance_s`` are left out. All this is evo's nearest-time synchronisation; the two results have equal
+    length, possibly zero.
     """
-    if len(second) < len(first):
-        paired_second, paired_first = associate(second, first, tolerance_s)
-        return paired_first, paired_second
-    if not len(first):
-        return first, second.at(np.zeros(0, dtype=np.intp))
-    nearest = nearest_rows(second.stamps, first.stamps)
-    gap = np.abs(second.stamps[nearest] - first.stamps)
+    if len(second) > len(first):
+        longer, shorter = _nearest(second, first, tolerance_s)
+        return shorter, longer
+    return _nearest(first, second, tolerance_s)
+
+
+def _nearest(longer: Trajectory, shorter: Trajectory, tolerance_s: float) -> tuple[Trajectory, Trajectory]:
+    if not len(shorter):
+        return longer.at(np.zeros(0, dtype=np.intp)), shorter
+    nearest = nearest_rows(longer.stamps, shorter.stamps)
+    gap = np.abs(longer.stamps[nearest] - shorter.stamps)
     near = np.flatnonzero(gap <= round(tolerance_s * NS))
-    return first.at(near), second.at(nearest[near])
+    return longer.at(nearest[near]), shorter.at(near)
 
 
 def nearest_rows(stamps: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.intp]:

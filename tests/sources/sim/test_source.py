@@ -124,6 +124,7 @@ class Listener:
     """Stands in for the bus: keeps what the source says."""
 
     def __init__(self) -> None:
+        self.life = 0
         self.stopped = threading.Event()
         self.said: list[tuple[str, Any]] = []
         nothing = lambda *_: None  # noqa: E731
