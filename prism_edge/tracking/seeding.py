@@ -22,8 +22,9 @@ def sample_depth(
     height, width = depth.shape
     if min(height, width) < 3 or not np.all(np.isfinite(image_to_depth)):
         return np.zeros(len(pixels), bool), np.zeros(len(pixels))
-    x = np.rint(pixels[:, 0] * image_to_depth[0] + image_to_depth[1]).astype(np.intp)
-    y = np.rint(pixels[:, 1] * image_to_depth[2] + image_to_depth[3]).astype(np.intp)
+    at_x = np.rint(pixels[:, 0] * image_to_depth[0] + image_to_depth[1])
+    at_y = np.rint(pixels[:, 1] * image_to_depth[2] + image_to_depth[3])
+    x, y = np.clip(at_x, -1, width).astype(np.intp), np.clip(at_y, -1, height).astype(np.intp)
     inside = (x >= 0) & (y >= 0) & (x < width) & (y < height)
     x, y = np.clip(x, 1, width - 2), np.clip(y, 1, height - 2)
     around = np.stack([depth[y + dy, x + dx] for dy in (-1, 0, 1) for dx in (-1, 0, 1)])

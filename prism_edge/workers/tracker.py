@@ -14,7 +14,9 @@ from prism_edge.bus import ros
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
+from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
 from prism_edge.messages import (
     BUILDING,
     DEGRADED,
@@ -93,10 +95,14 @@ class TrackerWorker:
     # -- one frame --------------------------------------------------------------------------------
 
     def _track(self, frame: Frame) -> None:
-        camera = Camera.from_array(frame.camera_model, frame.camera)
         if self._last_index >= 0 or not self._bus.life:  # what came while we were down was not dropped by us
             self._dropped += max(frame.index - self._last_index - 1, 0)
         self._last_index = frame.index
+        camera = self._camera_of(frame)
+        if camera is None:
+            last = self._tracker.last_result
+            self._tick(frame, INITIALISING if last is None else last.odometry, published=False)
+            return
         tracker, before = self._tracker, self._tracker.last_pose()
         repeated = frame.duplicate and tracker.last_result is not None
         result = tracker.last_result if repeated else None
@@ -108,21 +114,47 @@ class TrackerWorker:
         keyframe = None if repeated else tracker.maybe_keyframe()
         if keyframe is not None:
             self._announce(keyframe, frame)
+        made = -1 if keyframe is None else keyframe.id
+        self._tick(frame, result.odometry, published, made, result.reference, result.reference_from_camera)
+        self._show(result.odometry, result.matched, frame.stamp_ns)
+
+    def _camera_of(self, frame: Frame) -> Camera | None:
+        """The camera that a frame says it is from; None where no camera takes such a frame."""
+        try:
+            camera = Camera.from_array(frame.camera_model, frame.camera)
+            if grey(frame).shape == (camera.height, camera.width):
+                return camera
+            problem = "its image is smaller than its camera says"
+        except ConfigError as error:
+            problem = str(error)
+        if self._bus.pulse.count("malformed") == 1:
+            log.warning("frame %d is passed over: %s", frame.index, problem)
+        return None
+
+    def _tick(
+        self,
+        frame: Frame,
+        odometry: str,
+        published: bool,
+        keyframe: int = -1,
+        reference: int = -1,
+        reference_from_camera: Array | None = None,
+    ) -> None:
+        """Tell the others what became of a frame."""
         self._bus.publish(
             "tracked",
             Tracked(
                 frame.index,
                 frame.stamp_ns,
                 frame.captured_monotonic_ns,
-                result.odometry,
+                odometry,
                 published,
-                -1 if keyframe is None else keyframe.id,
-                result.reference,
-                result.reference_from_camera,
+                keyframe,
+                reference,
+                np.eye(4) if reference_from_camera is None else reference_from_camera,
                 self._dropped,
             ),
         )
-        self._show(result.odometry, result.matched, frame.stamp_ns)
         if self._lockstep:
             self._bus.publish("acknowledged", Acknowledged("tracker", frame.index))
 
@@ -209,7 +241,7 @@ class TrackerWorker:
             self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
 
     def _apply_scale(self, message: Scale) -> None:
-        if message.epoch == self._tracker.epoch and np.isfinite(message.log_scale):
+        if message.epoch == self._tracker.epoch and np.isfinite([message.log_scale, message.sigma]).all():
             self._tracker.log_scale = message.log_scale
             self._scale_sigma = message.sigma
 

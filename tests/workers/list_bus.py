@@ -1,0 +1,111 @@
+"""A bus of lists for one worker in this thread: it ends once everything has been taken."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+from prism_edge.bus import codec, ros
+from prism_edge.topics import TOPICS
+
+
+class ListInbox:
+    """Gives what it holds; once that is nothing, a wait on a driving inbox ends the run."""
+
+    def __init__(self, bus: ListBus, topic: str, newest: bool) -> None:
+        self.bus, self.topic, self.newest = bus, topic, newest
+        self.waiting: deque[Any] = deque()
+
+    def take(self, timeout_s: float = 0.0) -> Any | None:
+        if self.bus.stopped.is_set():
+            return None
+        if self.waiting:
+            if self.newest and not self.bus.one_by_one:
+                while len(self.waiting) > 1:
+                    self.waiting.popleft()
+            return self.waiting.popleft()
+        if timeout_s > 0 and self.topic in self.bus.drivers:
+            self.bus.idle_looks += 1
+            if self.bus.idle_looks > self.bus.patience:
+                self.bus.stopped.set()
+        self.bus.stopped.wait(min(timeout_s, 0.002))
+        return None
+
+    def drain(self) -> list[Any]:
+        messages = list(self.waiting)
+        self.waiting.clear()
+        return messages
+
+
+class ListBus:
+    """``drivers`` are the inboxes whose emptiness ends the run; ``hear`` answers what the worker says.
+
+    Everything goes through the codec, so that what would be refused on the wire is refused here and
+    arrays arrive as they do there: read-only.
+    """
+
+    def __init__(self, *drivers: str, patience: int = 12) -> None:
+        self.stopped = threading.Event()
+        self.drivers, self.patience, self.idle_looks = drivers, patience, 0
+        self.one_by_one = True  # False: an inbox of the newest drops what is older, as the real one does
+        self.life, self.first_id = 0, 0
+        self.sent: list[tuple[str, Any]] = []
+        self.inboxes: dict[str, ListInbox] = {}
+        self.answers: dict[str, Callable[[], Any]] = {}
+        self.hear: Callable[[str, Any], None] = lambda topic, message: None
+        self.states: list[str] = []
+        note = self.states.append
+        self.pulse = SimpleNamespace(
+            values={},
+            ready=lambda: note("ready"),
+            idle=lambda: note("idle"),
+            ended=lambda: note("ended"),
+            working=lambda activity, budget_s=5.0: note(activity),
+            count=self._count,
+        )
+
+    def _count(self, what: str) -> int:
+        counted = int(self.pulse.values.get(what, "0")) + 1
+        self.pulse.values[what] = str(counted)
+        return counted
+
+    def queue(self, topic: str, capacity: int = 256) -> ListInbox:
+        return self.inboxes.setdefault(topic, ListInbox(self, topic, newest=False))
+
+    def latest(self, topic: str) -> ListInbox:
+        inbox = self.queue(topic)
+        inbox.newest = True
+        return inbox
+
+    def answer(self, topic: str, function: Callable[[], Any]) -> None:
+        self.answers[topic] = function
+
+    def ask(self, topic: str, timeout_s: float = 1.0) -> Any | None:
+        return None
+
+    def await_ready(self, processes: set[str], timeout_s: float) -> set[str]:
+        return set()
+
+    def publish(self, topic: str, message: Any) -> None:
+        kind = TOPICS[topic].type
+        if isinstance(kind, str):
+            message = ros.deserialise(kind, ros.serialise(kind, message))
+        else:
+            assert type(message) is kind
+            message = codec.unpack(codec.pack(message), kind)
+        self.sent.append((topic, message))
+        self.hear(topic, message)
+
+    def give(self, topic: str, *messages: Any) -> None:
+        """Puts messages where the worker finds them."""
+        self.idle_looks = 0
+        inbox = self.inboxes.setdefault(topic, ListInbox(self, topic, newest=False))
+        kind = TOPICS[topic].type
+        inbox.waiting.extend(codec.unpack(codec.pack(message), kind) for message in messages)
+
+    def of(self, topic: str) -> list[Any]:
+        """What the worker has said on a topic."""
+        return [message for name, message in self.sent if name == topic]

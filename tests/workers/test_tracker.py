@@ -1,0 +1,446 @@
+"""The tracker worker on the generated film: messages in, messages out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.bus import ros
+from prism_edge.config import Config, DepthConfig, TrackingConfig
+from prism_edge.geometry.poses import inverse
+from prism_edge.messages import (
+    Acknowledged,
+    Depth,
+    EndOfStream,
+    Frame,
+    Keyframe,
+    KeyframeImage,
+    MapUpdate,
+    Scale,
+)
+from prism_edge.workers import tracker as worker
+from tests.tracking.footage import IDENTITY, footage
+from tests.workers.list_bus import ListBus
+
+CONFIG = Config(tracking=TrackingConfig(features=500), depth=DepthConfig(model="exact"))
+LOCKSTEP = replace(CONFIG, mode="lockstep")
+BASE_FROM_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+NONE = np.zeros(0, np.int64)
+
+
+def frame(index: int, of: int | None = None, **changes: object) -> Frame:
+    film = footage()
+    made = Frame(
+        index=index,
+        stamp_ns=film.stamp_ns(index),
+        captured_monotonic_ns=1000 + index,
+        colour=False,
+        duplicate=False,
+        camera_model="pinhole",
+        camera=film.camera.to_array(),
+        image=film.images[index if of is None else of],
+    )
+    return replace(made, **changes)
+
+
+def depth_of(image: KeyframeImage, **changes: object) -> Depth:
+    made = Depth(
+        keyframe=image.keyframe,
+        index=image.index,
+        stamp_ns=image.stamp_ns,
+        epoch=image.epoch,
+        model="exact",
+        bias_sigma=0.0,
+        inference_ms=1.0,
+        valid=True,
+        reason="",
+        image_to_depth=IDENTITY,
+        depth=footage().depths[image.index],
+        confidence=np.zeros((0, 0), np.float32),
+        descriptor=np.zeros(0, np.float32),
+    )
+    return replace(made, **changes)
+
+
+def scale_of(keyframe: Keyframe, log_scale: float = 0.0, sigma: float = 0.05, **changes: object) -> Scale:
+    made = Scale(
+        keyframe=keyframe.id,
+        index=keyframe.index,
+        stamp_ns=keyframe.stamp_ns,
+        epoch=keyframe.epoch,
+        log_scale=log_scale,
+        sigma=sigma,
+        filter_sigma=sigma,
+        observation=log_scale,
+        observation_sigma=0.1,
+        points=50,
+        accepted=True,
+    )
+    return replace(made, **changes)
+
+
+def update_of(keyframe: Keyframe, sequence: int = 1, poses: np.ndarray | None = None, **changes) -> MapUpdate:
+    """An update that changes nothing, or puts the newest keyframe elsewhere."""
+    made = MapUpdate(
+        epoch=keyframe.epoch,
+        sequence=sequence,
+        based_on=keyframe.id,
+        index=keyframe.index,
+        loop_closed=False,
+        solve_ms=1.0,
+        keyframes=NONE if poses is None else np.array([keyframe.id]),
+        poses=np.zeros((0, 4, 4)) if poses is None else poses,
+        points=NONE,
+        positions=np.zeros((0, 3)),
+        parallax_deg=np.zeros(0, np.float32),
+        dropped_keyframes=NONE,
+        dropped_points=NONE,
+        covariance=np.zeros((6, 6)),
+    )
+    return replace(made, **changes)
+
+
+class World:
+    """Depth, scale and backend as they answer the tracker; each answer can be changed or left out."""
+
+    def __init__(self, bus: ListBus) -> None:
+        self.bus = bus
+        self.depth, self.scale, self.update = depth_of, scale_of, update_of
+        bus.hear = self.heard
+
+    def heard(self, topic: str, message) -> None:
+        if topic == "keyframe_image" and self.depth is not None:
+            self.bus.give("depth", self.depth(message))
+        if topic == "keyframe":
+            if self.scale is not None:
+                self.bus.give("log_scale", self.scale(message))
+            if self.update is not None:
+                self.bus.give("map_update", self.update(message, sequence=message.id + 1))
+
+
+@pytest.fixture
+def bus():
+    return ListBus("frame")
+
+
+@pytest.fixture
+def world(bus):
+    return World(bus)
+
+
+def positions(bus) -> dict[int, np.ndarray]:
+    """Published positions by frame."""
+    film = footage()
+    index = {film.stamp_ns(i): i for i in range(200)}
+    return {index[ros.stamp_ns(m)]: ros.pose_matrix(m.pose.pose)[:3, 3] for m in bus.of("pose")}
+
+
+def true_position(index: int) -> np.ndarray:
+    return (BASE_FROM_CAMERA @ footage().poses[index] @ inverse(BASE_FROM_CAMERA))[:3, 3]
+
+
+def run(bus, frames, config=CONFIG) -> None:
+    bus.give("frame", *frames)
+    worker.main(config, bus)
+
+
+def test_poses_go_out_in_metres_and_the_robot_s_axes(bus, world):
+    run(bus, [frame(i) for i in range(40)])
+    placed = positions(bus)
+    assert set(placed) == set(range(1, 40))
+    for i, position in placed.items():
+        assert np.linalg.norm(position - true_position(i)) < 0.04
+    assert len(bus.of("odom")) == len(bus.of("tf")) == 39
+    odom = [ros.pose_matrix(m.pose.pose)[:3, 3] for m in bus.of("odom")]
+    assert np.linalg.norm(odom[-1] - true_position(39)) < 0.05
+
+
+def test_every_frame_is_answered(bus, world):
+    run(bus, [frame(i) for i in range(30)])
+    ticks = bus.of("tracked")
+    assert [t.index for t in ticks] == list(range(30))
+    assert [t.published for t in ticks] == [False] + [True] * 29
+    assert [t.captured_monotonic_ns for t in ticks] == [1000 + i for i in range(30)]
+    assert ticks[0].odometry == "initialising"
+    assert {t.odometry for t in ticks[1:]} == {"ok"}
+    assert all(t.dropped == 0 for t in ticks)
+    assert bus.states[0] == "ready"
+    assert not bus.of("acknowledged")
+
+
+def test_keyframes_go_out_with_their_picture_and_are_named_in_the_tick(bus, world):
+    run(bus, [frame(i) for i in range(40)])
+    keyframes, images = bus.of("keyframe"), bus.of("keyframe_image")
+    assert len(keyframes) >= 2
+    assert [k.id for k in keyframes] == [i.keyframe for i in images] == list(range(len(keyframes)))
+    ticks = {t.index: t for t in bus.of("tracked")}
+    for keyframe, image in zip(keyframes, images, strict=True):
+        assert ticks[keyframe.index].keyframe == keyframe.id
+        assert image.index == keyframe.index
+        assert np.array_equal(image.image, footage().images[keyframe.index])
+        assert keyframe.stamp_ns == image.stamp_ns == footage().stamp_ns(keyframe.index)
+    others = set(ticks) - {k.index for k in keyframes}
+    assert all(ticks[i].keyframe == -1 for i in others)
+    travelled = [k.travelled for k in keyframes]
+    assert travelled[0] == 0.0
+    path = np.array([true_position(i) for i in range(keyframes[-1].index + 1)])
+    length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
+    assert travelled[-1] == pytest.approx(length, rel=0.1)
+
+
+def test_the_scale_turns_units_into_metres_and_its_error_into_covariance(bus, world):
+    world.scale = lambda keyframe: scale_of(keyframe, np.log(1.5), 0.2)
+    run(bus, [frame(i) for i in range(30)])
+    message = bus.of("pose")[-1]
+    # The first depth came before the first scale did: a unit is a metre of the network.
+    position = ros.pose_matrix(message.pose.pose)[:3, 3]
+    assert np.linalg.norm(position) == pytest.approx(1.5 * np.linalg.norm(true_position(29)), rel=0.06)
+    covariance = np.asarray(message.pose.covariance).reshape(6, 6)[:3, :3]
+    assert position @ covariance @ position == pytest.approx((0.2 * position @ position) ** 2, rel=0.1)
+
+
+def test_without_a_scale_the_covariance_says_so(bus, world):
+    world.scale = None
+    run(bus, [frame(i) for i in range(30)])
+    position = positions(bus)[29]
+    covariance = np.asarray(bus.of("pose")[-1].pose.covariance).reshape(6, 6)[:3, :3]
+    assert np.sqrt(np.linalg.eigvalsh(covariance)[-1]) > 0.9 * np.linalg.norm(position)
+
+
+def test_it_goes_on_when_nobody_answers_after_the_start(bus, world):
+    world.scale = world.update = None
+    world.depth = lambda image: depth_of(image) if image.keyframe == 0 else depth_of(image, valid=False)
+    run(bus, [frame(i) for i in range(60)])
+    placed = positions(bus)
+    assert set(placed) == set(range(1, 60))
+    assert np.linalg.norm(placed[59] - true_position(59)) < 0.05
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"depth": np.full((240, 320), np.nan, np.float32)},
+        {"depth": np.full((240, 320), np.inf, np.float32)},
+        {"depth": np.zeros((240, 320), np.float32)},
+        {"depth": np.full((240, 320), -2.0, np.float32)},
+        {"depth": np.zeros((0, 0), np.float32)},
+        {"depth": np.ones((1, 1), np.float32)},
+        {"image_to_depth": np.full(4, np.nan)},
+        {"image_to_depth": np.array([1e30, 0, 1e30, 0])},
+        {"valid": False},
+        {"epoch": 7},
+        {"keyframe": 99},
+    ],
+)
+def test_depth_that_can_t_be_used_is_ignored(bus, world, changes):
+    """It begins nothing, and later harms nothing."""
+    world.depth = lambda image: depth_of(image, **changes)
+    run(bus, [frame(i) for i in range(5)])
+    assert not bus.of("pose")
+    assert len(bus.of("tracked")) == 5
+    later = ListBus("frame")
+    answers = World(later)
+    answers.depth = lambda image: depth_of(image, **(changes if image.keyframe else {}))
+    run(later, [frame(i) for i in range(26)])
+    assert len(later.of("keyframe")) >= 2
+    assert np.linalg.norm(positions(later)[25] - true_position(25)) < 0.05
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"log_scale": NAN}, {"log_scale": float("inf")}, {"sigma": NAN}, {"sigma": float("inf")}, {"epoch": 3}],
+)
+def test_a_scale_that_is_no_number_is_ignored(bus, world, changes):
+    world.scale = lambda keyframe: scale_of(keyframe, **({"log_scale": 0.4} | changes))
+    run(bus, [frame(i) for i in range(20)])
+    assert np.linalg.norm(positions(bus)[19] - true_position(19)) < 0.03
+    for message in bus.of("pose"):
+        assert np.isfinite(message.pose.covariance).all()
+
+
+def test_an_update_moves_the_pose_and_not_the_odometry(bus, world):
+    shift = np.eye(4)
+    shift[:3, 3] = (0.5, 0.0, 0.0)
+    world.update = lambda keyframe, sequence: update_of(
+        keyframe, sequence, (shift @ keyframe.world_from_camera)[None] if keyframe.id == 0 else None
+    )
+    run(bus, [frame(i) for i in range(20)])
+    # The points of keyframe 0 that it names nothing of go with it, and so does the camera.
+    moved = (BASE_FROM_CAMERA @ shift @ inverse(BASE_FROM_CAMERA))[:3, 3]
+    odom = {ros.stamp_ns(m): ros.pose_matrix(m.pose.pose)[:3, 3] for m in bus.of("odom")}
+    assert len(odom) == 19
+    assert np.linalg.norm(odom[footage().stamp_ns(19)] - true_position(19)) < 0.03
+    assert np.linalg.norm(positions(bus)[19] - true_position(19) - moved) < 0.03
+
+
+@pytest.mark.parametrize("changes", [{"epoch": 5}, {"sequence": 0}, {"sequence": 1}])
+def test_updates_of_another_map_or_overtaken_ones_are_ignored(bus, world, changes):
+    shift = np.eye(4)
+    shift[:3, 3] = (5.0, 0.0, 0.0)
+
+    def answer(keyframe, sequence):
+        if keyframe.id == 0:
+            bus.give("map_update", update_of(keyframe, 1))
+            return update_of(keyframe, poses=(shift @ keyframe.world_from_camera)[None], **changes)
+        return update_of(keyframe, sequence)
+
+    world.update = answer
+    run(bus, [frame(i) for i in range(20)])
+    assert np.linalg.norm(positions(bus)[19] - true_position(19)) < 0.03
+
+
+def test_an_exact_copy_repeats_the_pose(bus, world):
+    frames = [frame(i) for i in range(10)]
+    frames.append(frame(10, of=9, duplicate=True))
+    frames += [frame(i) for i in range(11, 15)]
+    run(bus, frames)
+    assert len(bus.of("pose")) == 14
+    placed = positions(bus)
+    assert placed[10].tolist() == placed[9].tolist()
+    assert [t.index for t in bus.of("tracked")] == list(range(15))
+    assert np.linalg.norm(placed[14] - true_position(14)) < 0.03
+
+
+def test_a_copy_before_anything_was_tracked_is_harmless(bus, world):
+    run(bus, [frame(0, duplicate=True), frame(1, of=0, duplicate=True), frame(2), frame(3)])
+    assert len(bus.of("tracked")) == 4
+    assert len(bus.of("pose")) >= 2
+
+
+def test_what_never_arrived_is_counted(bus, world):
+    run(bus, [frame(i) for i in (0, 1, 2, 5, 6, 9)])
+    assert [t.dropped for t in bus.of("tracked")] == [0, 0, 0, 2, 2, 4]
+
+
+def test_real_time_takes_the_newest(bus, world):
+    bus.one_by_one = False
+    run(bus, [frame(i) for i in range(10)])
+    assert [t.index for t in bus.of("tracked")] == [9]
+
+
+def test_status_says_how_it_goes(bus, world):
+    black = np.zeros((240, 320), np.uint8)
+    frames = [frame(i) for i in range(15)] + [frame(i, of=0, image=black) for i in range(15, 35)]
+    run(bus, frames)
+    words = [s.status[0].message.split()[0] for s in bus.of("status")]
+    distinct = [w for i, w in enumerate(words) if i == 0 or words[i - 1] != w]
+    assert distinct == ["initialising", "ok", "degraded", "lost"]
+    levels = {s.status[0].message.split()[0]: s.status[0].level for s in bus.of("status")}
+    assert levels["ok"] == ros.LEVEL_OK
+    assert levels["lost"] == ros.LEVEL_ERROR
+    assert bus.pulse.values["odometry"] == "lost"
+    assert len(bus.of("pose")) == 14, "a lost tracker publishes no pose"
+    assert len(bus.of("tracked")) == 35
+
+
+def test_it_notes_the_end_and_stays(bus, world):
+    bus.give("end", EndOfStream(3, 3, 0, 0, 2))
+    run(bus, [frame(i) for i in range(3)])
+    assert "ended" in bus.states
+    assert len(bus.of("tracked")) == 3
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"camera": np.array([320.0, 240.0, 250.0])},
+        {"camera": np.array([320.0, 240.0, NAN, 250.0, 160.0, 120.0])},
+        {"camera": np.array([320.0, 240.0, -1.0, 250.0, 160.0, 120.0])},
+        {"camera_model": "spherical"},
+        {"image": np.zeros((0, 0), np.uint8)},
+        {"image": np.zeros((100, 320), np.uint8)},
+    ],
+)
+@pytest.mark.parametrize("config", [CONFIG, LOCKSTEP])
+def test_a_frame_that_makes_no_sense_is_passed_over(bus, world, changes, config, caplog):
+    frames = [frame(i) for i in range(12)]
+    frames[6] = replace(frames[6], **changes)
+    run(bus, frames, config)
+    ticks = bus.of("tracked")
+    assert [t.index for t in ticks] == list(range(12)), "the others wait for each"
+    assert not ticks[6].published
+    assert 6 not in positions(bus)
+    assert bus.pulse.values["malformed"] == "1"
+    assert positions(bus)[11] == pytest.approx(true_position(11), abs=0.03)
+    assert "frame 6" in caplog.text
+    if config is LOCKSTEP:
+        assert [a.index for a in bus.of("acknowledged")] == list(range(12))
+
+
+def test_lockstep_acknowledges_every_frame_after_its_work(bus, world):
+    run(bus, [frame(i) for i in range(20)], LOCKSTEP)
+    assert bus.of("acknowledged") == [Acknowledged("tracker", i) for i in range(20)]
+    for i in range(20):
+        order = [(t, m.index) for t, m in bus.sent if t in ("keyframe", "tracked", "acknowledged")]
+        assert order.index(("tracked", i)) < order.index(("acknowledged", i))
+    for keyframe in bus.of("keyframe"):
+        assert order.index(("keyframe", keyframe.index)) < order.index(("tracked", keyframe.index))
+
+
+def test_lockstep_holds_depth_back_for_its_lag(bus, world):
+    config = replace(LOCKSTEP, lockstep=replace(LOCKSTEP.lockstep, depth_lag=4))
+    run(bus, [frame(i) for i in range(10)], config)
+    assert [t.index for t in bus.of("tracked") if t.published] == list(range(4, 10))
+
+
+def test_lockstep_holds_the_map_back_for_its_lag(bus, world):
+    shift = np.eye(4)
+    shift[:3, 3] = (0.5, 0.0, 0.0)
+    world.update = lambda keyframe, sequence: update_of(
+        keyframe, sequence, (shift @ keyframe.world_from_camera)[None] if keyframe.id == 0 else None
+    )
+    run(bus, [frame(i) for i in range(10)], LOCKSTEP)
+    off = {i: np.linalg.norm(p - true_position(i)) for i, p in positions(bus).items()}
+    lag = LOCKSTEP.lockstep.map_lag
+    assert all(off[i] < 0.05 for i in range(3, lag))
+    assert all(off[i] == pytest.approx(0.5, abs=0.05) for i in range(lag, 10))
+
+
+def test_lockstep_twice_is_the_same_to_the_last_bit():
+    runs = []
+    for _ in range(2):
+        bus = ListBus("frame")
+        World(bus)
+        run(bus, [frame(i) for i in range(25)], LOCKSTEP)
+        runs.append(positions(bus))
+    assert runs[0].keys() == runs[1].keys()
+    for i, position in runs[0].items():
+        assert position.tolist() == runs[1][i].tolist()
+
+
+def test_lockstep_goes_on_without_an_answer_that_never_comes(bus, world, monkeypatch, caplog):
+    monkeypatch.setattr(worker, "_PATIENCE_S", 0.02)
+    world.update = world.scale = None
+    run(bus, [frame(i) for i in range(12)], LOCKSTEP)
+    assert [a.index for a in bus.of("acknowledged")] == list(range(12))
+    assert len(bus.of("pose")) == 9
+    assert "no map_update of keyframe 0" in caplog.text
+
+
+def test_answers_that_come_in_another_order_are_each_found(bus, world):
+    """Scale and update of a keyframe may be there before its depth, or a later keyframe's before them."""
+    held = []
+    world.depth = None
+
+    def heard(topic, message):
+        World.heard(world, topic, message)
+        if topic == "keyframe_image":
+            held.append(message)
+        if topic == "tracked" and held and message.index >= held[0].index + 2:
+            bus.give("depth", depth_of(held.pop(0)))
+
+    bus.hear = heard
+    run(bus, [frame(i) for i in range(20)], LOCKSTEP)
+    assert [t.index for t in bus.of("tracked") if t.published] == list(range(3, 20))
+
+
+def test_a_process_that_was_started_anew_numbers_its_keyframes_anew(bus, world):
+    bus.life, bus.first_id = 1, 1_000_000
+    run(bus, [frame(i) for i in range(50, 53)])
+    assert bus.of("keyframe")[0].id == 1_000_000
+    assert bus.of("tracked")[-1].dropped == 0, "what came while it was down was not dropped by it"
