@@ -24,7 +24,8 @@ MIN_VIEW_COSINE = 0.5
 SEED_SIGMA = 0.1  # relative depth error beyond which a point counts as a seed
 ENOUGH_TRIANGULATED = 60
 SHARED_SEED_ERROR = 5.0
-FOLLOWED = 200  # points of the previous frame that give the first pose (keypoints come best of each cell first)
+# Points of the previous frame that give the first pose; keypoints come best of each cell first.
+FOLLOWED = 200
 
 
 @dataclass

@@ -76,7 +76,7 @@ def _descend(problem: _Problem, pose: Array, share: Array, iterations: int) -> t
     for step in range(iterations + 1):
         residual, jacobian, chi2 = problem.linearise(pose)
         root = np.sqrt(np.maximum(chi2, 1e-12))
-        # A point behind the camera (chi2 of inf) costs like a gross outlier, or hiding points would look good.
+        # A point behind the camera (chi2 of inf) costs like a gross outlier: hiding one must not look good.
         rho = np.where(root <= HUBER, chi2, np.minimum(2.0 * HUBER * root - HUBER**2, BEHIND))
         cost = float(share @ rho)
         if cost < best_cost:

@@ -203,9 +203,10 @@ class Tracker:
             k.neighbours = [keyframe.id, *k.neighbours[: NEIGHBOURS - 1]]
         mapping.mature(self.world, keyframe, self._factors)
         # Known points first, so that fewer corners are triangulated a second time.
-        doubles = [mapping.share_points(self.world, k, keyframe, self._factors) for k in neighbours[:SHARING]]
+        near = neighbours[:SHARING]
+        doubles = [mapping.share_points(self.world, k, keyframe, self._factors) for k in near]
         mapping.triangulate_with_neighbours(self.world, keyframe, neighbours[:TRIANGULATING], self._factors)
-        doubles += [mapping.share_points(self.world, keyframe, k, self._factors) for k in neighbours[:SHARING]]
+        doubles += [mapping.share_points(self.world, keyframe, k, self._factors) for k in near]
         if doubles:
             first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
             mapping.fuse(self.world, first, second)

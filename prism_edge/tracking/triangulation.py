@@ -57,7 +57,8 @@ def match_epipolar(
     lines /= np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
     octave_a, octave_b = features_a.octaves[free_a], features_b.octaves[free_b]
     # Single precision for the one product of all pairs: far finer than the bound it is compared with.
-    distance = lines.astype(np.float32) @ (ray_b / (1.96 * scale_factors[octave_b])[:, None]).astype(np.float32).T
+    bounds = 1.96 * scale_factors[octave_b]
+    distance = lines.astype(np.float32) @ (ray_b / bounds[:, None]).astype(np.float32).T
     query, other = np.divmod(np.flatnonzero(np.abs(distance) < 1.0), len(free_b))
     b_from_a = inverse(a_from_b)
     low, high = (_project_at(camera_b, b_from_a, ray_a, z) for z in depth_range)

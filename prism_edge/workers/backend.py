@@ -99,6 +99,7 @@ class BackendWorker:
         self._mapper.absorb(keyframe)
         depth = self._early.pop(keyframe.id, None)
         self._early = {k: kept for k, kept in self._early.items() if k > keyframe.id}
+        self._scaled = {k for k in self._scaled if k > keyframe.id}
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
             self._mapper.add_depth(keyframe, depth.depth, depth.image_to_depth, self._log_scale)
 
@@ -142,7 +143,6 @@ class BackendWorker:
             self._absorb(keyframe)
             if self._solve(keyframe) is None:
                 self._bus.publish("map_update", self._mapper.nothing(keyframe))
-        self._scaled = {k for k in self._scaled if k > tick.keyframe}
 
     def _complete(self, keyframe: int) -> bool:
         here = any(waiting.id == keyframe for _, waiting in self._waiting)

@@ -17,15 +17,17 @@ NO_IDS = np.zeros(0, np.int64)
 class Teller:
     """Sends a keyframe for each pose; a point's id is its place in the cloud."""
 
-    def __init__(self, count: int = 300, seed: int = 0, noise_px: float = 0.0, epoch: int = 0) -> None:
+    def __init__(
+        self, count: int = 300, seed: int = 0, noise_px: float = 0.0, epoch: int = 0, first: int = 0
+    ) -> None:
         self.cloud = Cloud(count, seed)
-        self.noise_px, self.epoch = noise_px, epoch
+        self.noise_px, self.epoch, self.first = noise_px, epoch, first
         self.told: set[int] = set()
         self.poses: list[np.ndarray] = []
 
     def keyframe(self, pose: np.ndarray, correction: np.ndarray | None = None) -> Keyframe:
         """The next keyframe, truly at ``pose``; its tracker's world is ``correction`` @ the true one."""
-        number = len(self.poses)
+        number = self.first + len(self.poses)
         features, shown = self.cloud.view(pose, self.noise_px)
         new = np.array([p for p in shown.tolist() if p not in self.told], np.int64)
         moved = np.eye(4) if correction is None else correction
@@ -56,7 +58,7 @@ class Teller:
             culled_keyframes=NO_IDS,
             fused_from=NO_IDS,
             fused_into=NO_IDS,
-            anchor=max(number - 1, 0),
+            anchor=max(number - 1, self.first),
             world_from_anchor=moved @ before,
             travelled=0.1 * number,
         )
