@@ -2,64 +2,81 @@
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import gtsam
 import numpy as np
 
-from prism_edge.backend.global_map import SCALE_FACTOR
+from prism_edge.backend.global_map import SCALE_FACTOR, GlobalKeyframe
 from prism_edge.config import BackendConfig
-from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 
+_SIGMA_STEP = 0.1  # of log sigma: noise models are shared between depths that are about as uncertain
 
-@lru_cache(maxsize=64)
-def pixel_noise(sigma: float, huber: float) -> gtsam.noiseModel.Base:
-    """Isotropic pixel noise under Huber's kernel (threshold in sigmas)."""
-    return gtsam.noiseModel.Robust.Create(
-        gtsam.noiseModel.mEstimator.Huber.Create(huber), gtsam.noiseModel.Isotropic.Sigma(2, sigma)
-    )
+
+class FactorFactory:
+    """Makes the factors of one window. Python's share of a solve is spent here, so what can be shared is."""
+
+    def __init__(self, config: BackendConfig, units_per_metre: float) -> None:
+        """``units_per_metre`` turns thresholds in metres into the map's unit."""
+        self._config = config
+        self._huber_depth = config.huber_depth_m * units_per_metre
+        self._calibrations: dict[int, gtsam.Cal3_S2] = {}
+
+    def reprojection(
+        self, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int
+    ) -> gtsam.NonlinearFactor:
+        """Reprojection error of a point (paper, equation 1) under Huber's kernel."""
+        octave = int(keyframe.octaves[keypoint])
+        noise = pixel_noise(self._config.pixel_sigma, self._config.huber_pixels, octave)
+        calibration = self._calibrations.get(keyframe.id) or self._calibrate(keyframe)
+        return gtsam.GenericProjectionFactorCal3_S2(
+            keyframe.pixels[keypoint], noise, pose_key, point_key, calibration
+        )
+
+    def metric_depth(
+        self, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int, weight: float = 1.0
+    ) -> gtsam.NonlinearFactor:
+        """Network depth of a keypoint (along z, map units) as a range factor: range = z * |K^-1 p|.
+
+        The Huber threshold is a length, gtsam's is in sigmas, so k = delta / sigma. ``weight`` in (0, 1]
+        divides the variance (the gate's Omega).
+        """
+        assert keyframe.depths is not None
+        camera = keyframe.camera
+        pixel = keyframe.pixels[keypoint]
+        x, y = (float(pixel[0]) - camera.cx) / camera.fx, (float(pixel[1]) - camera.cy) / camera.fy
+        distance = float(keyframe.depths[keypoint]) * math.sqrt(x * x + y * y + 1.0)
+        sigma = self._config.depth_sigma * distance / math.sqrt(max(weight, 1e-3))
+        noise = depth_noise(round(math.log(sigma) / _SIGMA_STEP), self._huber_depth)
+        return gtsam.RangeFactor3D(pose_key, point_key, distance, noise)
+
+    def _calibrate(self, keyframe: GlobalKeyframe) -> gtsam.Cal3_S2:
+        camera = keyframe.camera
+        made = gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
+        self._calibrations[keyframe.id] = made
+        return made
 
 
 @lru_cache(maxsize=256)
-def calibration(camera: Camera) -> gtsam.Cal3_S2:
-    """gtsam's calibration of the ideal camera."""
-    return gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
+def pixel_noise(sigma: float, huber: float, octave: int) -> gtsam.noiseModel.Base:
+    """Isotropic pixel noise at a pyramid level; Huber's threshold is in sigmas."""
+    return _robust(huber, gtsam.noiseModel.Isotropic.Sigma(2, sigma * SCALE_FACTOR**octave))
 
 
-def reprojection(
-    pose_key: int, point_key: int, pixel: Array, octave: int, camera: Camera, config: BackendConfig
-) -> gtsam.NonlinearFactor:
-    """Reprojection error of a point (paper, equation 1)."""
-    noise = pixel_noise(config.pixel_sigma * SCALE_FACTOR**octave, config.huber_pixels)
-    return gtsam.GenericProjectionFactorCal3_S2(pixel, noise, pose_key, point_key, calibration(camera))
+@lru_cache(maxsize=1024)
+def depth_noise(step: int, huber: float) -> gtsam.noiseModel.Base:
+    """Range noise of sigma exp(step * 0.1); ``huber`` is a length in the same unit."""
+    sigma = math.exp(step * _SIGMA_STEP)
+    return _robust(max(huber / sigma, 1e-3), gtsam.noiseModel.Isotropic.Sigma(1, sigma))
 
 
-def metric_depth(
-    pose_key: int,
-    point_key: int,
-    pixel: Array,
-    depth: float,
-    camera: Camera,
-    units_per_metre: float,
-    weight: float,
-    config: BackendConfig,
-) -> gtsam.NonlinearFactor:
-    """Network depth of a pixel as a range factor; ``depth`` along z, in map units.
-
-    range = z * |K^-1 p|. The Huber threshold is given in metres, gtsam's in sigmas, so k = delta / sigma.
-    ``weight`` (0, 1] divides the variance (the gate's Omega).
-    """
-    x, y = (pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy
-    distance = depth * float(np.sqrt(x * x + y * y + 1.0))
-    sigma = config.depth_sigma * distance / float(np.sqrt(max(weight, 1e-3)))
-    huber = max(config.huber_depth_m * units_per_metre / sigma, 1e-3)
-    noise = gtsam.noiseModel.Robust.Create(
-        gtsam.noiseModel.mEstimator.Huber.Create(huber), gtsam.noiseModel.Isotropic.Sigma(1, sigma)
-    )
-    return gtsam.RangeFactor3D(pose_key, point_key, distance, noise)
+def _robust(huber: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:
+    return gtsam.noiseModel.Robust.Create(gtsam.noiseModel.mEstimator.Huber.Create(huber), noise)
 
 
-def held(pose_key: int, pose: gtsam.Pose3) -> gtsam.NonlinearFactor:
+def held(pose_key: int, pose: Array) -> gtsam.NonlinearFactor:
     """A pose that must not move (a prior far tighter than anything measured)."""
-    return gtsam.PriorFactorPose3(pose_key, pose, gtsam.noiseModel.Isotropic.Sigma(6, 1e-6))
+    tight = gtsam.noiseModel.Isotropic.Sigma(6, 1e-6)
+    return gtsam.PriorFactorPose3(pose_key, gtsam.Pose3(np.asarray(pose)), tight)

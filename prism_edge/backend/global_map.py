@@ -37,6 +37,7 @@ class GlobalPoint:
 
     position: Array
     keyframes: set[int] = field(default_factory=set)
+    parallax_deg: float = 0.0  # widest angle between its rays when last solved
 
 
 class GlobalMap:

@@ -69,6 +69,7 @@ class Mapper:
             self.world.keyframes[k].world_from_camera = pose
         for p, position in solution.points.items():
             self.world.points[p].position = position
+            self.world.points[p].parallax_deg = solution.parallax_deg[p]
         for k, p in solution.outliers:
             self.world.drop_observation(k, p)
         self.sequence += 1

@@ -8,12 +8,13 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from prism_edge.backend.factors import held, metric_depth, reprojection
+from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import SCALE_FACTOR, GlobalMap
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
 CHI2_2D_99 = 9.21
+DEPTH_PARALLAX_DEG = 3.0  # above it two rays place a point far better than a network does
 CONVERGED = 1e-4  # relative decrease of the cost that is not worth another iteration
 
 
@@ -77,26 +78,25 @@ def solve(
     if not window.free or len(window.points) < 10:
         return None
     graph, values, observations = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+    factors = FactorFactory(config, units_per_metre)
     for k in window.free + window.held:
         values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
     for k in window.held:
-        graph.add(held(X(k), values.atPose3(X(k))))
-    members = set(window.free) | set(window.held)
+        graph.add(held(X(k), world.keyframes[k].world_from_camera))
+    members = {k: (X(k), world.keyframes[k]) for k in window.free + window.held}
+    scale_is_free = len(window.held) == 1
     for p in window.points:
-        point = world.points[p]
-        values.insert(L(p), point.position)
-        for k in point.keyframes & members:
-            keyframe = world.keyframes[k]
+        point, point_key = world.points[p], L(p)
+        values.insert(point_key, point.position)
+        # Depth says something where rays hardly differ, and of scale where nothing else does.
+        deepen = use_depth and (scale_is_free or point.parallax_deg < DEPTH_PARALLAX_DEG)
+        for k in point.keyframes & members.keys():
+            pose_key, keyframe = members[k]
             keypoint = keyframe.observed[p]
-            pixel = keyframe.pixels[keypoint]
-            octave = int(keyframe.octaves[keypoint])
-            graph.add(reprojection(X(k), L(p), pixel, octave, keyframe.camera, config))
+            graph.add(factors.reprojection(pose_key, point_key, keyframe, keypoint))
             observations.append((k, p, keypoint))
-            if use_depth and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
-                depth = float(keyframe.depths[keypoint])
-                graph.add(
-                    metric_depth(X(k), L(p), pixel, depth, keyframe.camera, units_per_metre, 1.0, config)
-                )
+            if deepen and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
+                graph.add(factors.metric_depth(pose_key, point_key, keyframe, keypoint))
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(1e-4)
     parameters.setlambdaInitial(1e-4)
