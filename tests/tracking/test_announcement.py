@@ -78,12 +78,32 @@ def test_changes_are_told_once():
         assert len(getattr(again, name)) == 0
 
 
+def test_a_late_observation_of_a_fused_point_is_the_survivor_s():
+    cloud = Cloud(60, seed=1)
+    world, _ = cloud.mapped([np.eye(4), pose_at(0.0)])
+    tracker = teller(world)
+    sent(tracker, world.newest())
+    first, newest = world.keyframes[0], cloud.keyframe(2, pose_at(0.0))[0]
+    world.add_keyframe(newest)
+    a = int(world.add_points(newest, np.array([5]), np.ones((1, 3)), np.array([0.1]), 0.0)[0])
+    first.points[7], world.points.observations[first.points[7]] = -1, 1
+    world.add_observation(a, int(world.points.rows(np.array([a]))[0]), first, 7)
+    kept = int(first.points[3])
+    world.points.observations[world.points.rows(np.array([kept]))] += 5
+    world.keyframes[0].points[3] = -1
+    mapping.fuse(world, np.array([a]), np.array([kept]))
+    message = sent(tracker, newest)
+    assert message.late_points.tolist() == [kept]
+    assert (message.late_keyframes.tolist(), message.late_keypoints.tolist()) == ([0], [7])
+    assert (message.fused_from.tolist(), message.fused_into.tolist()) == ([a], [kept])
+
+
 class Listener(RuleBasedStateMachine):
     """Whatever happens to a map between messages, a listener has the same observations after each."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.cloud = Cloud(80, seed=1)
+        self.cloud = Cloud(30, seed=1)
         self.world, self.heard = LocalMap(), GlobalMap()
         self.tracker = teller(self.world)
         self.rng = np.random.default_rng(0)
@@ -126,7 +146,8 @@ class Listener(RuleBasedStateMachine):
     def observe(self, count: int) -> None:
         keyframe = self.world.keyframes[int(self.rng.integers(len(self.world.keyframes)))]
         unseen = np.setdiff1d(self._alive(), keyframe.points)
-        points = self.rng.permutation(unseen)[:count]
+        # Points that were made lately: fusing them before they were told is what is hard.
+        points = self.rng.permutation(unseen[-2 * count :])[:count]
         for point, keypoint in zip(points.tolist(), keyframe.free().tolist(), strict=False):
             row = int(self.world.points.rows(np.array([point]))[0])
             self.world.add_observation(point, row, keyframe, keypoint)

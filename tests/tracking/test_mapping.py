@@ -67,6 +67,17 @@ def test_nothing_is_triangulated_without_parallax(pose, reason):
     assert mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS) == 0, reason
 
 
+def test_only_what_has_parallax_is_triangulated():
+    cloud = Cloud(500, seed=0)
+    world, shown = seeded(cloud)
+    keyframe, _ = add(world, cloud, shown, 1, pose_at(0.08), noise_px=0.1)
+    mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS)
+    new = world.points.rows(np.concatenate(world.changes.new_points[1:]))
+    assert len(new) > 50
+    assert world.points.parallax_deg[new].min() >= 1.0
+    assert np.quantile(world.points.position[new, 2], 0.95) < 0.08 / np.radians(1.0) * 1.1
+
+
 def test_wrong_poses_triangulate_next_to_nothing():
     cloud = Cloud(500, seed=0)
     world, shown = seeded(cloud)
@@ -119,7 +130,7 @@ def test_sharing_lets_a_keyframe_observe_what_another_has():
     other, seen = cloud.keyframe(1, pose_at(0.2), noise_px=0.3, bits=10)
     world.add_keyframe(other)
     first = world.keyframes[0]
-    doubles = mapping.share_points(world, first, other, FACTORS)
+    doubles = mapping.share_points(world, [first], other, FACTORS)
     added = len(other.observed())
     assert added > 0.85 * len(np.intersect1d(shown[0], seen))
     assert len(doubles[0]) == len(doubles[1]) == 0
@@ -129,7 +140,7 @@ def test_sharing_lets_a_keyframe_observe_what_another_has():
     for k in other.observed().tolist():
         assert other.points[k] == point_of[int(seen[k])]
     assert len(world.changes.late) == added
-    mapping.share_points(world, first, other, FACTORS)
+    mapping.share_points(world, [first], other, FACTORS)
     assert len(world.changes.late) == added
 
 
@@ -143,7 +154,7 @@ def test_doubles_are_fused_when_shared():
     world.add_points(other, mine, cloud.positions[seen[mine]], np.full(len(mine), 0.01), 5.0)
     common = len(np.intersect1d(shown[0], seen))
     before = int(world.points.alive.sum())
-    first, second = mapping.share_points(world, world.keyframes[0], other, FACTORS)
+    first, second = mapping.share_points(world, [world.keyframes[0]], other, FACTORS)
     assert len(first) > 0.85 * common
     assert world.points.position[first] == pytest.approx(world.points.position[second])
     mapping.fuse(world, first, second)
@@ -159,7 +170,7 @@ def test_points_that_look_away_or_are_doubtful_are_not_shared():
             world.points.direction[:] *= -1
         other, _ = cloud.keyframe(1, pose_at(0.1))
         world.add_keyframe(other)
-        mapping.share_points(world, world.keyframes[0], other, FACTORS)
+        mapping.share_points(world, [world.keyframes[0]], other, FACTORS)
         assert len(other.observed()) == 0
 
 

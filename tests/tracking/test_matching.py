@@ -27,7 +27,7 @@ def reference_best(query, keypoint, distance, most, ratio):
 @settings(max_examples=150, deadline=None)
 @given(
     pairs=st.lists(
-        st.tuples(st.integers(0, 8), st.integers(0, 8), st.integers(0, 256)),
+        st.tuples(st.integers(0, 8), st.integers(0, 8), st.integers(0, 9) | st.integers(0, 256)),
         max_size=40,
         unique_by=lambda p: p[:2],
     ),

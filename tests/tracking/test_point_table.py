@@ -77,7 +77,8 @@ def test_new_rows_don_t_inherit_from_dead_ones():
     table.squeeze()
     ids = table.add(10)
     rows = table.rows(ids)
-    assert ids[0] == 6000
+    assert ids.tolist() == list(range(6000, 6010))
+    assert table.add(1).tolist() == [6010]
     assert not table.parallax_deg[rows].any()
     assert not table.octave[rows].any()
     assert (table.weight[rows] == 1.0).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,6 +13,7 @@ from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.messages import DEGRADED, INITIALISING, LOST, OK
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.tracker import FrameResult, Tracker
+from tests.synthetic.scene import block_texture
 from tests.tracking.cloud import check, pose_at
 from tests.tracking.footage import IDENTITY, RATE_HZ, footage
 
@@ -193,6 +195,37 @@ def test_it_is_found_where_it_was_carried_in_the_dark():
     found = run.feed(12, at=45)
     assert found.world_from_camera is not None
     assert np.linalg.norm((found.world_from_camera - footage().poses[12])[:3, 3]) < 0.03
+
+
+def rolled(index: int, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """A frame as a camera turned about its axis sees it, and where that camera is."""
+    film = footage()
+    c, s = np.cos(angle), np.sin(angle)
+    turn, centre = np.array([[c, -s], [s, c]]), np.array([film.camera.cx, film.camera.cy])
+    from_new = np.column_stack([turn, centre - turn @ centre])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(film.images[index], from_new, (320, 240), flags=flags), film.poses[index] @ pose_at(
+        0, 0, 0, 0, 0, angle
+    )
+
+
+def test_it_is_found_where_no_search_near_the_last_place_reaches():
+    run = Run()
+    run.play(range(30))
+    for i in range(30, 45):
+        run.feed(0, BLACK, at=i)
+    image, true = rolled(20, 1.0)
+    found = run.feed(20, image, at=45)
+    assert found.world_from_camera is not None
+    assert np.linalg.norm((found.world_from_camera - true)[:3, 3]) < 0.04
+
+
+def test_another_room_is_not_taken_for_this_one():
+    run = Run()
+    run.play(range(30))
+    elsewhere = block_texture(np.random.default_rng(7), 320, 240)
+    for i in range(30, 45):
+        assert run.feed(0, elsewhere, at=i).world_from_camera is None
 
 
 def test_a_gap_in_the_frames_is_bridged():

@@ -83,7 +83,7 @@ def test_diverging_rays_meet_behind():
 @pytest.fixture
 def two_views():
     cloud = Cloud(400, seed=1)
-    a, b = pose_at(0.0, 0.0, 0.0, 0.0, 0.05), pose_at(0.5, 0.05, 0.1, 0.0, -0.05)
+    a, b = pose_at(0.0, 0.0, 0.0, 0.0, 0.05), pose_at(0.5, 0.05, 0.1, 0.0, -0.05, 0.6)
     (features_a, shown_a), (features_b, shown_b) = (cloud.view(pose, 0.3, bits=15) for pose in (a, b))
     return a, b, features_a, shown_a, features_b, shown_b
 
