@@ -82,7 +82,7 @@ def test_a_prediction_that_looks_away_finds_nothing(scene):
 def test_moved_corners_are_left_out(scene):
     cloud, world, _, features, _, tracker = scene
     moved = cloud.rng.permutation(len(features))[: len(features) // 4]
-    features.pixels[moved] += 9.0
+    features.pixels[moved] += 5.0
     indexed = Features.build(
         features.pixels, features.octaves, features.descriptors, CAMERA.width, CAMERA.height
     )

@@ -7,7 +7,7 @@ import pytest
 
 from prism_edge.geometry.poses import transform
 from prism_edge.tracking import mapping
-from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from tests.tracking.cloud import FACTORS, Cloud, check, pose_at
 
 
@@ -55,6 +55,11 @@ def test_new_points_are_where_the_corners_are():
     # Both keyframes see each, and those of the earlier one are told as late.
     assert (world.points.observations[new] == 2).all()
     assert {(p, k) for p, k, _ in world.changes.late} == {(int(p), 0) for p in world.points.ids[new]}
+
+
+def share(world: LocalMap, source: LocalKeyframe, target: LocalKeyframe) -> tuple[np.ndarray, np.ndarray]:
+    """Let one keyframe observe another's points; returns the doubles."""
+    return mapping.share_points(world, source, target, FACTORS)
 
 
 @pytest.mark.parametrize(

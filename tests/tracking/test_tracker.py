@@ -214,7 +214,7 @@ def test_it_is_found_where_no_search_near_the_last_place_reaches():
     run.play(range(30))
     for i in range(30, 45):
         run.feed(0, BLACK, at=i)
-    image, true = rolled(20, 1.0)
+    image, true = rolled(20, 2.5)
     found = run.feed(20, image, at=45)
     assert found.world_from_camera is not None
     assert np.linalg.norm((found.world_from_camera - true)[:3, 3]) < 0.04

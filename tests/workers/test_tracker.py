@@ -302,6 +302,8 @@ def test_an_exact_copy_repeats_the_pose(bus, world):
     assert len(bus.of("pose")) == 14
     placed = positions(bus)
     assert placed[10].tolist() == placed[9].tolist()
+    odom = [ros.pose_matrix(m.pose.pose)[:3, 3].tolist() for m in bus.of("odom")]
+    assert odom[9] == odom[8]
     assert [t.index for t in bus.of("tracked")] == list(range(15))
     assert np.linalg.norm(placed[14] - true_position(14)) < 0.03
 
