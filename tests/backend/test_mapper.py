@@ -20,7 +20,7 @@ from tests.tracking.cloud import check as check_local
 from tests.tracking.cloud import pose_at
 from tests.tracking.footage import IDENTITY, footage
 
-CONFIG = BackendConfig()
+CONFIG = BackendConfig(observations=300)
 WIDE = np.array([0.25, -0.375, 0.25, -0.375])
 
 

@@ -14,7 +14,7 @@ from prism_edge.geometry.poses import inverse, scaled, se3_exp, se3_log
 from tests.backend.world import Teller, depth_at_keypoints
 from tests.tracking.cloud import pose_at
 
-CONFIG = BackendConfig()
+CONFIG = BackendConfig(observations=300)
 POSES = [pose_at(0.2 * i, 0.03 * (i % 3), 0.02 * i, 0.0, -0.03 * i) for i in range(6)]
 
 
