@@ -59,7 +59,7 @@ def test_new_points_are_where_the_corners_are():
 
 def share(world: LocalMap, source: LocalKeyframe, target: LocalKeyframe) -> tuple[np.ndarray, np.ndarray]:
     """Let one keyframe observe another's points; returns the doubles."""
-    return mapping.share_points(world, source, target, FACTORS)
+    return mapping.share_points(world, [source], target, FACTORS)
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_sharing_lets_a_keyframe_observe_what_another_has():
     other, seen = cloud.keyframe(1, pose_at(0.2), noise_px=0.3, bits=10)
     world.add_keyframe(other)
     first = world.keyframes[0]
-    doubles = mapping.share_points(world, [first], other, FACTORS)
+    doubles = share(world, first, other)
     added = len(other.observed())
     assert added > 0.85 * len(np.intersect1d(shown[0], seen))
     assert len(doubles[0]) == len(doubles[1]) == 0
@@ -145,7 +145,7 @@ def test_sharing_lets_a_keyframe_observe_what_another_has():
     for k in other.observed().tolist():
         assert other.points[k] == point_of[int(seen[k])]
     assert len(world.changes.late) == added
-    mapping.share_points(world, [first], other, FACTORS)
+    share(world, first, other)
     assert len(world.changes.late) == added
 
 
@@ -159,7 +159,7 @@ def test_doubles_are_fused_when_shared():
     world.add_points(other, mine, cloud.positions[seen[mine]], np.full(len(mine), 0.01), 5.0)
     common = len(np.intersect1d(shown[0], seen))
     before = int(world.points.alive.sum())
-    first, second = mapping.share_points(world, [world.keyframes[0]], other, FACTORS)
+    first, second = share(world, world.keyframes[0], other)
     assert len(first) > 0.85 * common
     assert world.points.position[first] == pytest.approx(world.points.position[second])
     mapping.fuse(world, first, second)
@@ -175,7 +175,7 @@ def test_points_that_look_away_or_are_doubtful_are_not_shared():
             world.points.direction[:] *= -1
         other, _ = cloud.keyframe(1, pose_at(0.1))
         world.add_keyframe(other)
-        mapping.share_points(world, [world.keyframes[0]], other, FACTORS)
+        share(world, world.keyframes[0], other)
         assert len(other.observed()) == 0
 
 
