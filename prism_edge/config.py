@@ -54,8 +54,8 @@ class TrackingConfig:
     """The ORB tracker (paper, section 4: N_f = 1000)."""
 
     features: int = limits(1000, 100, 5000, "ORB features kept a frame")
-    levels: int = limits(8, 1, 12, "pyramid levels")
-    scale_factor: float = limits(1.2, 1.05, 2.0, "ratio between pyramid levels")
+    levels: int = limits(6, 1, 12, "pyramid levels")
+    scale_factor: float = limits(1.3, 1.05, 2.0, "ratio between pyramid levels")
     fast_threshold: int = limits(10, 1, 100, "FAST threshold of the detector")
     min_matches: int = limits(25, 6, 1000, "fewer inliers than this and tracking is lost")
     lost_after_s: float = limits(0.3, 0.0, 10.0, "failing for longer than this is `lost`")
@@ -100,7 +100,7 @@ class BackendConfig:
     window: int = limits(12, 2, 100, "keyframes optimised together")
     fixed: int = limits(8, 1, 100, "older covisible keyframes held fixed beside them")
     iterations: int = limits(15, 1, 100, "Levenberg-Marquardt iterations at most")
-    observations: int = limits(300, 20, 2000, "observations a keyframe at most")
+    observations: int = limits(160, 20, 2000, "observations a keyframe at most")
     pixel_sigma: float = limits(1.0, 0.1, 10.0, "keypoint noise at pyramid level 0 (pixels)")
     huber_pixels: float = limits(2.45, 0.1, 50.0, "Huber threshold of a reprojection, in sigmas")
     depth_sigma: float = limits(

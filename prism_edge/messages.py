@@ -110,6 +110,7 @@ class Keyframe:
         default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
     )
     travelled: float = 0.0  # path length since start, map units
+    scale_factor: float = 1.2  # between pyramid levels: a keypoint is as much less precise a level up
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from functools import lru_cache
 import gtsam
 import numpy as np
 
-from prism_edge.backend.global_map import SCALE_FACTOR, GlobalKeyframe
+from prism_edge.backend.global_map import GlobalKeyframe
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
@@ -28,8 +28,8 @@ class FactorFactory:
         self, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int
     ) -> gtsam.NonlinearFactor:
         """Reprojection error of a point (paper, equation 1) under Huber's kernel."""
-        octave = int(keyframe.octaves[keypoint])
-        noise = pixel_noise(self._config.pixel_sigma, self._config.huber_pixels, octave)
+        sigma = self._config.pixel_sigma * float(keyframe.sigmas[keypoint])
+        noise = pixel_noise(sigma, self._config.huber_pixels)
         calibration = self._calibrations.get(keyframe.id) or self._calibrate(keyframe)
         return gtsam.GenericProjectionFactorCal3_S2(
             keyframe.pixels[keypoint], noise, pose_key, point_key, calibration
@@ -60,9 +60,9 @@ class FactorFactory:
 
 
 @lru_cache(maxsize=256)
-def pixel_noise(sigma: float, huber: float, octave: int) -> gtsam.noiseModel.Base:
-    """Isotropic pixel noise at a pyramid level; Huber's threshold is in sigmas."""
-    return _robust(huber, gtsam.noiseModel.Isotropic.Sigma(2, sigma * SCALE_FACTOR**octave))
+def pixel_noise(sigma: float, huber: float) -> gtsam.noiseModel.Base:
+    """Isotropic pixel noise; Huber's threshold is in sigmas."""
+    return _robust(huber, gtsam.noiseModel.Isotropic.Sigma(2, sigma))
 
 
 @lru_cache(maxsize=1024)

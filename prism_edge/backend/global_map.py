@@ -12,7 +12,6 @@ from prism_edge.geometry.poses import Array, inverse
 from prism_edge.messages import Keyframe
 from prism_edge.tracking.pose_refinement import refine_pose
 
-SCALE_FACTOR = 1.2  # between pyramid levels; keypoint noise grows with the level
 MIN_COMMON = 15
 
 
@@ -25,7 +24,7 @@ class GlobalKeyframe:
     camera: Camera
     world_from_camera: Array
     pixels: NDArray[np.float64]  # (n, 2), ideal
-    octaves: NDArray[np.uint8]
+    sigmas: NDArray[np.float64]  # of each keypoint, relative to one of the finest pyramid level
     observed: dict[int, int]
     # Network depth at each keypoint along z, in map units by this keyframe's own scale; 0 for none.
     depths: NDArray[np.float64] | None = None
@@ -83,7 +82,7 @@ class GlobalMap:
             Camera.from_array(message.camera_model, message.camera),
             world_correction @ message.world_from_camera,
             message.pixels.astype(np.float64),
-            message.octaves,
+            message.scale_factor ** message.octaves.astype(np.float64),
             {},
         )
         self.keyframes[message.id] = added
@@ -102,7 +101,7 @@ class GlobalMap:
                 message.world_from_camera,
                 np.array([self.points[p].position for _, p in pairs]),
                 message.pixels[keypoints].astype(np.float64),
-                SCALE_FACTOR ** message.octaves[keypoints].astype(np.float64),
+                message.scale_factor ** message.octaves[keypoints].astype(np.float64),
             )
             if estimate.inliers.sum() >= MIN_COMMON:
                 return estimate.world_from_camera @ inverse(message.world_from_camera)

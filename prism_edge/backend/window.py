@@ -9,7 +9,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from prism_edge.backend.factors import FactorFactory, held
-from prism_edge.backend.global_map import SCALE_FACTOR, GlobalMap
+from prism_edge.backend.global_map import GlobalMap
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
@@ -162,7 +162,7 @@ def _outliers(
         z = np.where(local[:, 2] > 1e-6, local[:, 2], 1e-6)
         camera = keyframe.camera
         projected = local[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
-        sigma = config.pixel_sigma * SCALE_FACTOR ** keyframe.octaves[keypoints].astype(float)
+        sigma = config.pixel_sigma * keyframe.sigmas[keypoints]
         chi2 = (((projected - keyframe.pixels[keypoints]) / sigma[:, None]) ** 2).sum(axis=1)
         wrong += [(k, ids[i]) for i in np.flatnonzero((chi2 > CHI2_2D_99) | (local[:, 2] <= 1e-6))]
     return wrong

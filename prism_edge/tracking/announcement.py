@@ -55,6 +55,7 @@ def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float
         anchor=anchor,
         world_from_anchor=world.keyframes[anchor].world_from_camera,
         travelled=travelled,
+        scale_factor=tracker.scale_factor,
     )
 
 

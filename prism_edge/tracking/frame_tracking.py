@@ -25,7 +25,7 @@ SEED_SIGMA = 0.1  # relative depth error beyond which a point counts as a seed
 ENOUGH_TRIANGULATED = 60
 SHARED_SEED_ERROR = 5.0
 # Points of the previous frame that give the first pose; keypoints come best of each cell first.
-FOLLOWED = 200
+FIRST_POSE_POINTS = 150
 
 
 @dataclass
@@ -128,7 +128,7 @@ class FrameTracker:
         table = world.points
         if previous is not None:
             keypoints = np.flatnonzero(previous.points >= 0)
-            keypoints = keypoints[table.known(previous.points[keypoints])][:FOLLOWED]
+            keypoints = keypoints[table.known(previous.points[keypoints])]
             ids = previous.points[keypoints]
             descriptors = previous.features.descriptors[keypoints]
             octaves = previous.features.octaves[keypoints]
@@ -152,7 +152,9 @@ class FrameTracker:
             )
             if len(query) >= enough:
                 points[keypoint] = ids[inside][query]
-                solved = self._solve(world, camera, features, predicted, points, rounds=1)
+                solved = self._solve(
+                    world, camera, features, predicted, points, rounds=1, most=FIRST_POSE_POINTS
+                )
                 if solved is not None:
                     estimate, used = solved
                     points[used[~estimate.inliers]] = -1
@@ -160,7 +162,7 @@ class FrameTracker:
                     if best is None or count > best[0].inliers.sum():
                         best = (estimate, points)
                     # A window that most matches agree in is wide enough.
-                    if count >= 2 * enough and count >= 0.5 * len(query):
+                    if count >= 2 * enough and count >= 0.5 * len(used):
                         break
         if best is None or best[0].inliers.sum() < enough // 2:
             return None, np.full(len(features), -1, np.int64)
@@ -217,9 +219,17 @@ class FrameTracker:
         return error
 
     def _solve(
-        self, world: LocalMap, camera: Camera, features: Features, start: Array, points: Ids, rounds: int = 3
+        self,
+        world: LocalMap,
+        camera: Camera,
+        features: Features,
+        start: Array,
+        points: Ids,
+        rounds: int = 2,
+        most: int | None = None,
     ) -> tuple[PoseEstimate, Index] | None:
-        keypoints = np.flatnonzero(points >= 0)
+        """Refine a pose on (at ``most`` so many of) the points of a frame; and the keypoints used."""
+        keypoints = np.flatnonzero(points >= 0)[:most]
         if len(keypoints) < 6:
             return None
         table = world.points

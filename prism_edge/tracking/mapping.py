@@ -121,17 +121,15 @@ def mature(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> in
 
 
 def share_points(
-    world: LocalMap, source: LocalKeyframe, target: LocalKeyframe, factors: Array
+    world: LocalMap, sources: list[LocalKeyframe], target: LocalKeyframe, factors: Array
 ) -> tuple[Ids, Ids]:
-    """Let ``target`` observe the points of ``source`` where they project onto a like keypoint.
+    """Let ``target`` observe the points of ``sources`` where they project onto a like keypoint.
 
     A keypoint that already has another point shows that both are one: such pairs are returned, to be
     fused.
     """
     table = world.points
-    ids = source.points[source.observed()]
-    ids = ids[table.known(ids)]
-    rows = table.rows(ids)
+    rows = world.rows_seen_by(sources, len(table))
     there = np.zeros(len(table), bool)
     there[table.rows(target.points[target.points >= 0])] = True
     rows = rows[~there[rows] & (table.log_depth_sigma[rows] < 0.1)]
@@ -152,12 +150,16 @@ def share_points(
         table.descriptor[rows],
         FUSE_DISTANCE,
         FUSE_RATIO,
+        exclusive=True,
     )
+    ids = table.ids[rows[query]]
+    # Pairs come nearest first: of several points at a free keypoint the first takes it.
+    _, firsts = np.unique(keypoint, return_index=True)
+    for i in firsts[target.points[keypoint[firsts]] == NO_POINT].tolist():
+        world.add_observation(int(ids[i]), int(rows[query[i]]), target, int(keypoint[i]))
     present = target.points[keypoint]
-    for row, k in zip(rows[query][present == NO_POINT], keypoint[present == NO_POINT], strict=True):
-        world.add_observation(int(table.ids[row]), int(row), target, int(k))
-    doubles = present != NO_POINT
-    return table.ids[rows[query][doubles]], present[doubles]
+    doubles = present != ids
+    return ids[doubles], present[doubles]
 
 
 def fuse(world: LocalMap, first: Ids, second: Ids) -> None:

@@ -58,10 +58,11 @@ def best_pairs(
     distance: NDArray[np.int64],
     max_distance: int,
     ratio: float,
+    exclusive: bool = True,
 ) -> tuple[Index, Index]:
-    """One keypoint for each query and one query for each keypoint, from pairs grouped by query.
+    """One keypoint for each query, and if ``exclusive`` one query for each keypoint; nearest pairs first.
 
-    A pair needs a distance of at most ``max_distance`` and below ``ratio`` times the query's second best.
+    The pairs given are grouped by query. A pair needs a distance of at most ``max_distance`` and below ``ratio`` times the query's second best.
     """
     if len(query) == 0:
         return query, keypoint
@@ -78,6 +79,8 @@ def best_pairs(
     # Of several queries that want one keypoint the nearest gets it.
     order = np.argsort(distance[position], kind="stable")
     position = position[order]
+    if not exclusive:
+        return query[position], keypoint[position]
     _, unique = np.unique(keypoint[position], return_index=True)
     position = position[np.sort(unique)]
     return query[position], keypoint[position]
@@ -93,6 +96,7 @@ def match_projected(
     ratio: float,
     free: NDArray[np.bool_] | None = None,
     octave_slack: int = 1,
+    exclusive: bool = True,
 ) -> tuple[Index, Index]:
     """Match points expected at ``centres`` (m, 2) at pyramid level ``octaves`` to keypoints.
 
@@ -104,4 +108,4 @@ def match_projected(
         keep &= free[keypoint]
     query, keypoint = query[keep], keypoint[keep]
     distance = hamming(descriptors[query], features.descriptors[keypoint])
-    return best_pairs(query, keypoint, distance, max_distance, ratio)
+    return best_pairs(query, keypoint, distance, max_distance, ratio, exclusive)

@@ -27,7 +27,7 @@ log = logging.getLogger("prism_edge.tracking")
 MIN_FIRST_FEATURES = 80
 INITIAL_PATIENCE_S = 1.0  # a first keyframe that can't be tracked for longer is replaced
 DEPTH_PATIENCE_S = 10.0  # and so is one that no depth has come for in this time
-NEIGHBOURS, SHARING, TRIANGULATING = 10, 6, 4  # covisible keyframes, best first
+NEIGHBOURS, SHARING, TRIANGULATING = 10, 10, 4  # covisible keyframes, best first
 DEGRADED_MATCHES = 50
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
@@ -54,6 +54,7 @@ class Tracker:
         self._seed = seed
         self._extractor = OrbExtractor(config)
         self._factors = self._extractor.scale_factors
+        self.scale_factor = config.scale_factor
         self._frames = FrameTracker(self._factors, config.max_local_points)
         self.world = LocalMap()
         self.epoch = first_id
@@ -204,9 +205,9 @@ class Tracker:
         mapping.mature(self.world, keyframe, self._factors)
         # Known points first, so that fewer corners are triangulated a second time.
         near = neighbours[:SHARING]
-        doubles = [mapping.share_points(self.world, k, keyframe, self._factors) for k in near]
+        doubles = [mapping.share_points(self.world, near, keyframe, self._factors)]
         mapping.triangulate_with_neighbours(self.world, keyframe, neighbours[:TRIANGULATING], self._factors)
-        doubles += [mapping.share_points(self.world, keyframe, k, self._factors) for k in near]
+        doubles += [mapping.share_points(self.world, [keyframe], k, self._factors) for k in near]
         if doubles:
             first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
             mapping.fuse(self.world, first, second)
