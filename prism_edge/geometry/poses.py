@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,14 +20,23 @@ def skew(v: Array) -> Array:
 
 def so3_exp(rotation_vector: Array) -> Array:
     """Rotation matrix (3, 3) of a rotation vector (3,) in radians (Rodrigues)."""
-    angle2 = float(rotation_vector @ rotation_vector)
-    angle = np.sqrt(angle2)
+    # Plain numbers: a dozen numpy calls on three elements would cost ten times as much.
+    x, y, z = float(rotation_vector[0]), float(rotation_vector[1]), float(rotation_vector[2])
+    xx, yy, zz = x * x, y * y, z * z
+    angle2 = xx + yy + zz
+    angle = math.sqrt(angle2)
     if angle < _SMALL_ANGLE:
         a, b = 1.0 - angle2 / 6.0, 0.5 - angle2 / 24.0
     else:
-        a, b = np.sin(angle) / angle, (1.0 - np.cos(angle)) / angle2
-    k = skew(rotation_vector)
-    return np.eye(3) + a * k + b * (k @ k)
+        a, b = math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle2
+    ax, ay, az, bxy, bxz, byz = a * x, a * y, a * z, b * x * y, b * x * z, b * y * z
+    return np.array(
+        [
+            [1.0 - b * (yy + zz), bxy - az, bxz + ay],
+            [bxy + az, 1.0 - b * (xx + zz), byz - ax],
+            [bxz - ay, byz + ax, 1.0 - b * (xx + yy)],
+        ]
+    )
 
 
 def so3_log(rotation: Array) -> Array:
@@ -40,15 +51,22 @@ def so3_log(rotation: Array) -> Array:
 
 def se3_exp(twist: Array) -> Array:
     """Pose (4, 4) of a twist (6,): translation part first (m), then rotation vector (rad)."""
-    rho, phi = twist[:3], twist[3:]
-    angle2 = float(phi @ phi)
-    angle = np.sqrt(angle2)
+    phi = twist[3:]
+    px, py, pz = float(phi[0]), float(phi[1]), float(phi[2])
+    x, y, z = float(twist[0]), float(twist[1]), float(twist[2])
+    angle2 = px * px + py * py + pz * pz
+    angle = math.sqrt(angle2)
     if angle < _SMALL_ANGLE:
         b, c = 0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0
     else:
-        b, c = (1.0 - np.cos(angle)) / angle2, (angle - np.sin(angle)) / (angle2 * angle)
-    k = skew(phi)
-    return from_rt(so3_exp(phi), rho + b * (k @ rho) + c * (k @ (k @ rho)))
+        b, c = (1.0 - math.cos(angle)) / angle2, (angle - math.sin(angle)) / (angle2 * angle)
+    # cross(phi, rho) and cross(phi, cross(phi, rho))
+    ux, uy, uz = py * z - pz * y, pz * x - px * z, px * y - py * x
+    vx, vy, vz = py * uz - pz * uy, pz * ux - px * uz, px * uy - py * ux
+    pose = np.eye(4)
+    pose[:3, :3] = so3_exp(phi)
+    pose[:3, 3] = (x + b * ux + c * vx, y + b * uy + c * vy, z + b * uz + c * vz)
+    return pose
 
 
 def se3_log(pose: Array) -> Array:

@@ -13,6 +13,7 @@ from prism_edge.messages import F32, Depth, Gate, Keyframe, Scale
 from prism_edge.scale.filter import ScaleFilter
 from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
 from prism_edge.scale.samples import sample
+from prism_edge.scale.steady import SteadyScale
 
 
 class ScaleEstimator:
@@ -28,6 +29,7 @@ class ScaleEstimator:
         self._epoch: int | None = None
         self._bias_sigma = 0.0  # of the network, as last heard
         self._filter = ScaleFilter(config, self._kalman)
+        self._steady = self._new_steady()
 
     @property
     def accepted(self) -> int:
@@ -55,6 +57,7 @@ class ScaleEstimator:
         if self._epoch != keyframe.epoch:
             self._epoch = keyframe.epoch
             self._filter = ScaleFilter(self._config, self._kalman)
+            self._steady = self._new_steady()
         weights = np.ones(len(keyframe.pixels), dtype=np.float32)
         scale = self._filter
         scale.predict(keyframe.stamp_ns * 1e-9, keyframe.travelled)
@@ -67,13 +70,14 @@ class ScaleEstimator:
                 accepted = scale.update(observation)
             elif scale.is_open:
                 scale.fix_unit()
+        sigma = self._steady.follow(scale.log_scale, scale.total_sigma(self._bias_sigma))
         message = Scale(
             keyframe=keyframe.id,
             index=keyframe.index,
             stamp_ns=keyframe.stamp_ns,
             epoch=keyframe.epoch,
-            log_scale=scale.log_scale,
-            sigma=scale.total_sigma(self._bias_sigma),
+            log_scale=self._steady.log_scale,
+            sigma=sigma,
             filter_sigma=scale.sigma,
             observation=observation.log_scale if observation else math.nan,
             observation_sigma=math.sqrt(observation.variance) if observation else math.nan,
@@ -82,6 +86,9 @@ class ScaleEstimator:
         )
         gate = Gate(keyframe=keyframe.id, index=keyframe.index, epoch=keyframe.epoch, weights=weights)
         return message, gate
+
+    def _new_steady(self) -> SteadyScale:
+        return SteadyScale(self._config.hold_sigmas if self._kalman else 0.0)
 
     def _observe(self, keyframe: Keyframe, depth: Depth, weights: F32) -> Observation | None:
         c = self._config

@@ -90,7 +90,8 @@ def _descend(problem: _Problem, pose: Array, share: Array, iterations: int) -> t
                 break
         else:
             damping = max(damping, 1e-6) * 100.0
-        damped = kept_information + damping * np.diag(np.diag(kept_information)) + 1e-9 * np.eye(6)
+        damped = kept_information.copy()
+        damped.flat[::7] += damping * damped.flat[::7] + 1e-9
         twist: Array = np.asarray(np.linalg.solve(damped, -kept_gradient), np.float64)
         pose = best @ se3_exp(twist)
     return best, kept_information, best_chi2

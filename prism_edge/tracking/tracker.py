@@ -66,6 +66,7 @@ class Tracker:
         self._velocity = np.zeros(6)  # twist of the camera per second
         self._seen_at: int | None = None  # stamp of the last tracked frame
         self._reference_matches = 0
+        self._reference_depth = 1.0  # median, of the newest keyframe
         self._since_refresh = 0
         self._initialised = False
         self._result: FrameResult | None = None
@@ -191,7 +192,7 @@ class Tracker:
             reference,
             (stamp_ns - reference.stamp_ns) * 1e-9,
             self._reference_matches,
-            self.world.median_depth(reference),
+            self._reference_depth,
         )
         if not decision.wanted:
             return None
@@ -215,6 +216,7 @@ class Tracker:
         self.world.points.squeeze()
         frame.points = keyframe.points.copy()
         self._reference_matches = 0
+        self._reference_depth = self.world.median_depth(keyframe)
         self._refresh(frame)
         log.debug("keyframe %d at frame %d: %s", keyframe.id, index, decision.reason)
         return keyframe
@@ -263,6 +265,7 @@ class Tracker:
             )
             self._last_stamp = keyframe.stamp_ns
         self._since_refresh = REFRESH_FRAMES
+        self._reference_depth = self.world.median_depth(self.world.newest())
         return len(ids)
 
     def apply_update(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import time
 from collections.abc import Callable
@@ -287,4 +288,8 @@ class TrackerWorker:
 def main(config: Config, bus: Bus) -> None:
     """Runs until ``bus.stopped``."""
     cv2.setNumThreads(1)
-    TrackerWorker(config, bus).run()
+    worker = TrackerWorker(config, bus)
+    # Every frame makes thousands of short-lived keypoint objects: they are no reason to search for cycles.
+    gc.freeze()
+    gc.set_threshold(200_000, 20, 100)
+    worker.run()

@@ -32,8 +32,8 @@ def metric_depth(
 
 
 def keyframe_of(pixel: np.ndarray, octave: int, depth: float = 0.0) -> GlobalKeyframe:
-    octaves, depths = np.array([octave], np.uint8), np.array([depth])
-    return GlobalKeyframe(0, 0, CAMERA, POSE, pixel[None], octaves, {0: 0}, depths)
+    sigmas, depths = np.array([1.2**octave]), np.array([depth])
+    return GlobalKeyframe(0, 0, CAMERA, POSE, pixel[None], sigmas, {0: 0}, depths)
 
 
 def values_of(pose: np.ndarray, point: np.ndarray) -> gtsam.Values:

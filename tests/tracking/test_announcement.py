@@ -22,7 +22,7 @@ from tests.tracking.cloud import Cloud, check, observations, pose_at
 
 def teller(world: LocalMap) -> SimpleNamespace:
     """What the message needs of a tracker."""
-    told = SimpleNamespace(world=world, epoch=3, told=[])
+    told = SimpleNamespace(world=world, epoch=3, told=[], scale_factor=1.2)
     told.announced = lambda keyframe: told.told.append(keyframe.id)
     return told
 

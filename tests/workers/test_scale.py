@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from prism_edge.bus import codec, ros
-from prism_edge.config import Config
+from prism_edge.config import Config, ScaleConfig
 from prism_edge.messages import Acknowledged, EndOfStream, Gate, Scale, Tracked
 from prism_edge.topics import TOPICS
 from prism_edge.workers.scale import ScaleWorker, main
@@ -93,7 +93,7 @@ def start(bus):
     threads = []
 
     def start(mode="realtime", patience_s=DEADLINE_S, **changes):
-        config = Config(mode=mode, **changes)
+        config = Config(mode=mode, scale=ScaleConfig(hold_sigmas=0.0), **changes)
         thread = threading.Thread(target=ScaleWorker(config, bus, patience_s).run, daemon=True)
         threads.append(thread)
         thread.start()
