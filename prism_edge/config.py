@@ -51,9 +51,9 @@ class BusConfig:
 
 @dataclass(frozen=True)
 class TrackingConfig:
-    """The ORB tracker (paper, section 4: N_f = 1000)."""
+    """The ORB tracker (the paper has N_f = 1000; an even spread needs fewer: docs/PERFORMANCE.md)."""
 
-    features: int = limits(1000, 100, 5000, "ORB features kept a frame")
+    features: int = limits(700, 100, 5000, "ORB features kept a frame")
     levels: int = limits(6, 1, 12, "pyramid levels")
     scale_factor: float = limits(1.3, 1.05, 2.0, "ratio between pyramid levels")
     fast_threshold: int = limits(10, 1, 100, "FAST threshold of the detector")

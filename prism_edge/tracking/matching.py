@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from prism_edge.tracking.features import CELL, Features
 
 Index = NDArray[np.intp]
-_FAR = np.int64(1) << 40
+_SHIFT = 40
+_FAR = np.int64(1024) << _SHIFT  # beyond any distance of 256 bits
 
 
 def hamming(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> NDArray[np.int64]:
@@ -19,10 +20,9 @@ def hamming(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> NDArray[np.int64]:
 def expand_ranges(starts: Index, stops: Index) -> tuple[Index, Index]:
     """Concatenated ranges [start, stop): (which range, value), ordered by range."""
     lengths = stops - starts
-    total = int(lengths.sum())
-    owner = np.repeat(np.arange(len(starts)), lengths)
     offset = np.cumsum(lengths) - lengths
-    return owner, np.arange(total) - offset[owner] + starts[owner]
+    owner = np.repeat(np.arange(len(starts)), lengths)
+    return owner, np.arange(len(owner)) + (starts - offset)[owner]
 
 
 def candidate_pairs(
@@ -45,8 +45,9 @@ def candidate_pairs(
     starts = features.cell_start[rows * features.columns + low_x[:, None]]
     stops = features.cell_start[rows * features.columns + high_x[:, None] + 1]
     stops = np.where(wanted, stops, starts)
-    owner, position = expand_ranges(starts.ravel(), stops.ravel())
-    query, keypoint = owner // rows.shape[1], features.order[position]
+    _, position = expand_ranges(starts.ravel(), stops.ravel())
+    query = np.repeat(np.arange(len(centres)), (stops - starts).sum(axis=1))
+    keypoint = features.order[position]
     offset = np.abs(features.pixels[keypoint] - centres[query])
     inside = np.maximum(offset[:, 0], offset[:, 1]) <= radii[query]
     return query[inside], keypoint[inside]
@@ -66,14 +67,17 @@ def best_pairs(
     """
     if len(query) == 0:
         return query, keypoint
-    first = np.flatnonzero(np.r_[True, query[1:] != query[:-1]])
-    group = np.cumsum(np.r_[True, query[1:] != query[:-1]]) - 1
-    ranked = distance * _FAR + np.arange(len(query))
+    new = np.empty(len(query), bool)
+    new[0] = True
+    np.not_equal(query[1:], query[:-1], out=new[1:])
+    first = np.flatnonzero(new)
+    # Distance and place in one number, so that a minimum tells both; shifts, for division is slow.
+    ranked = (distance << _SHIFT) + np.arange(len(query))
     best = np.minimum.reduceat(ranked, first)
-    others = np.where(ranked == best[group], _FAR * 1024, ranked)
-    second = np.minimum.reduceat(others, first) // _FAR
-    position = best % _FAR
-    nearest = best // _FAR
+    position = best & ((1 << _SHIFT) - 1)
+    ranked[position] = _FAR
+    second = np.minimum.reduceat(ranked, first) >> _SHIFT
+    nearest = best >> _SHIFT
     good = (nearest <= max_distance) & (nearest < ratio * second)
     position = position[good]
     # Of several queries that want one keypoint the nearest gets it.

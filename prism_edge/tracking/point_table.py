@@ -101,7 +101,10 @@ class PointTable:
         """Which ids are present and alive."""
         if self._size == 0:
             return np.zeros(len(ids), bool)
-        rows = np.minimum(np.searchsorted(self.ids, ids), self._size - 1)
+        if self._row_of is None:
+            rows = np.minimum(np.searchsorted(self.ids, ids), self._size - 1)
+        else:
+            rows = self._row_of[np.clip(ids - self._first_id, 0, len(self._row_of) - 1)]
         return (self.ids[rows] == ids) & self.alive[rows]
 
     def _index(self) -> None:
