@@ -194,7 +194,6 @@ class MapUpdate:
     parallax_deg: F32 = array("float32", -1)  # widest angle between the rays of each point
     dropped_keyframes: I64 = array("int64", -1)  # observations found to be wrong: keyframe,
     dropped_points: I64 = array("int64", -1)  # ... point
-    covariance: F64 = array("float64", 6, 6)  # of based_on in the window: translation first, body frame
 
 
 @dataclass(frozen=True)

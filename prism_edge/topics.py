@@ -16,7 +16,7 @@ class Topic:
     rate_hz: float  # nominal; 0: on events
     producer: str
     consumers: tuple[str, ...] = ()
-    reliable: bool = True  # False: the newest wins, congestion drops
+    reliable: bool = True  # False: best effort, the newest wins (congestion control: bus/links.py)
     priority: str = "data"  # zenoh priority, lower case
     latched: bool = False  # the last value answers a get() on the same key
 
@@ -52,14 +52,23 @@ TOPICS = {
         Topic(
             "internal/end", m.EndOfStream, 0, "source", ("tracker", "depth", "scale", "backend"), latched=True
         ),
-        Topic("internal/tracked", m.Tracked, 30, "tracker", ("depth", "scale", "backend"), latched=True),
+        Topic(
+            "internal/tracked",
+            m.Tracked,
+            30,
+            "tracker",
+            ("source", "depth", "scale", "backend"),
+            latched=True,
+        ),
         Topic("internal/keyframe", m.Keyframe, 3, "tracker", ("scale", "backend")),
         Topic("internal/keyframe_image", m.KeyframeImage, 3, "tracker", ("depth",), reliable=False),
         Topic("internal/depth", m.Depth, 3, "depth", ("tracker", "scale", "backend")),
-        Topic("internal/gate", m.Gate, 3, "scale", ("backend",)),
+        # a constant 1 for now, which nobody needs to hear
+        Topic("internal/gate", m.Gate, 3, "scale"),
         Topic("internal/log_scale", m.Scale, 3, "scale", ("tracker", "backend")),
         Topic("internal/map_update", m.MapUpdate, 3, "backend", ("tracker",)),
-        Topic("internal/map_snapshot", m.MapSnapshot, 0, "backend", ("tracker",), latched=True),
+        # asked for by whoever wants the whole map: the evaluation
+        Topic("internal/map_snapshot", m.MapSnapshot, 0, "backend", latched=True),
         Topic("internal/acknowledged", m.Acknowledged, 30, "all", ("source",)),
         Topic("internal/heartbeat", m.Heartbeat, 2, "all", ("supervisor",), priority="data_low"),
     )

@@ -89,7 +89,6 @@ class Mapper:
             parallax_deg=np.array([solution.parallax_deg[p] for p in alive], np.float32),
             dropped_keyframes=outliers[:, 0],
             dropped_points=outliers[:, 1],
-            covariance=np.zeros((6, 6)),
         )
 
     def nothing(self, message: Keyframe) -> MapUpdate:
@@ -110,7 +109,6 @@ class Mapper:
             parallax_deg=np.zeros(0, np.float32),
             dropped_keyframes=ids,
             dropped_points=ids,
-            covariance=np.zeros((6, 6)),
         )
 
     def step(

@@ -97,7 +97,6 @@ def update_of(keyframe: Keyframe, sequence: int = 1, poses: np.ndarray | None = 
         parallax_deg=np.zeros(0, np.float32),
         dropped_keyframes=NONE,
         dropped_points=NONE,
-        covariance=np.zeros((6, 6)),
     )
     return replace(made, **changes)
 
