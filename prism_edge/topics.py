@@ -26,8 +26,6 @@ class Topic:
         return self.key.startswith("internal/")
 
 
-EVERYBODY = ("source", "tracker", "depth", "scale", "backend")
-
 TOPICS = {
     topic.key.removeprefix("internal/"): topic
     for topic in (
