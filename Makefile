@@ -38,8 +38,9 @@ lint: $(STAMP) ## ruff and mypy
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m mypy
 
-accuracy: $(STAMP) ## the slow suite: accuracy on recorded sequences
+accuracy: $(STAMP) ## recorded sequences beside the checkout: the slow tests, and every figure against its bar
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+	$(BIN)/python tools/accuracy.py $(ACCURACY_ARGS)
 
 docs: $(STAMP) ## write the table of docs/CONFIGURATION.md anew
 	$(BIN)/python tools/document_config.py

@@ -1,0 +1,130 @@
+"""Bars and tables of the accuracy tool, on metrics whose every figure is known."""
+
+from __future__ import annotations
+
+import copy
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tools import accuracy
+
+GOOD: dict[str, Any] = {
+    "frames": 1000,
+    "coverage": 0.99,
+    "fps": 30.0,
+    "dropped_frames": 0,
+    "first_pose_s": 0.1,
+    "ready_s": 1.0,
+    "live": {"ate_se3_m": 0.04, "ate_sim3_m": 0.02, "scale_ratio_halves": [1.0, 1.04]},
+    "final": {"ate_se3_m": 0.02, "ate_sim3_m": 0.01},
+    "own_truth": {"ate_sim3_m": 0.05},
+    "cpu_ms_per_frame": {"tracker": 9.0, "total": 18.0},
+    "latency_ms": {"p50": 11.0, "p95": 16.0, "p99": 19.0},
+    "peak_pss_mb": {"total": 380.0},
+    "timings_void": False,
+}
+KITCHEN, TSUKUBA, _, HOSPITAL = accuracy.SEQUENCES
+
+
+def changed(**changes: Any) -> dict[str, Any]:
+    made = copy.deepcopy(GOOD)
+    for name, value in changes.items():
+        if isinstance(value, dict):
+            made[name].update(value)
+        else:
+            made[name] = value
+    return made
+
+
+@pytest.mark.parametrize("sequence", accuracy.SEQUENCES, ids=lambda s: s.name)
+def test_good_figures_meet_every_bar(sequence: accuracy.Sequence) -> None:
+    text, good = accuracy.table(sequence, [GOOD])
+    assert good
+    assert text.count("| met |") == len(sequence.bars)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        {"coverage": 0.96},
+        {"fps": 28.9},
+        {"dropped_frames": 21},
+        {"first_pose_s": 0.51},
+        {"first_pose_s": None},
+        {"ready_s": 2.1},
+        {"live": {"ate_sim3_m": 0.031}},
+        {"live": {"ate_se3_m": 0.061}},
+        {"live": {"scale_ratio_halves": [1.06, 1.0]}},
+        {"live": {"scale_ratio_halves": [None, 1.0]}},
+        {"own_truth": {"ate_sim3_m": 0.066}},
+        {"cpu_ms_per_frame": {"tracker": 10.1}},
+        {"cpu_ms_per_frame": {"total": 30.1}},
+        {"latency_ms": {"p50": 15.1}},
+        {"latency_ms": {"p99": 40.1}},
+        {"peak_pss_mb": {"total": 551.0}},
+    ],
+    ids=str,
+)
+def test_each_figure_can_miss_its_bar(bad: dict[str, Any]) -> None:
+    text, good = accuracy.table(KITCHEN, [changed(**bad)])
+    assert not good
+    assert text.count("**missed**") == 1
+
+
+def test_the_median_counts_and_the_spread_is_shown() -> None:
+    runs = [changed(live={"ate_sim3_m": error}) for error in (0.02, 0.05, 0.025)]
+    text, good = accuracy.table(KITCHEN, runs)
+    assert good
+    assert "| live ATE Sim(3) | ≤ 3 cm | 2.5 | 2 to 5 | met |" in text
+    _, good = accuracy.table(KITCHEN, [*runs[:2], changed(live={"ate_sim3_m": 0.04})])
+    assert not good
+
+
+def test_a_figure_that_one_run_lacks_has_no_median() -> None:
+    text, good = accuracy.table(KITCHEN, [GOOD, GOOD, changed(first_pose_s=None)])
+    assert not good
+    assert "| first pose | ≤ 0.5 s | - | 0.1 to 0.1 | **missed** |" in text
+
+
+def test_void_timings_fail_in_real_time_alone() -> None:
+    assert not accuracy.table(KITCHEN, [GOOD, changed(timings_void=True)])[1]
+    assert accuracy.table(TSUKUBA, [changed(timings_void=True)])[1]
+
+
+def test_where_lost_is_an_answer_a_miss_is_only_reported() -> None:
+    text, good = accuracy.table(HOSPITAL, [changed(coverage=0.2)])
+    assert good
+    assert "**missed**" in text
+
+
+def test_the_command_is_the_one_that_the_bars_speak_of(tmp_path: Path) -> None:
+    kitchen = accuracy.command(KITCHEN, Path("s"), Path("o"))
+    assert kitchen[:2] == ["eval", "s/data/7scenes_redkitchen/seq-01"]
+    assert kitchen[-2:] == ["--truth", "s/data/7scenes_redkitchen/sfm_reference.tum"]
+    assert accuracy.command(TSUKUBA, Path("s"), Path("o"))[-1] == "--lockstep"
+
+
+def test_without_recordings_it_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert accuracy.main(["--shared", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_kept_runs_are_tabulated_and_a_failed_one_gives_its_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "data").mkdir()
+    (tmp_path / "models").mkdir()
+    (tmp_path / accuracy.NETWORK).touch()
+    (tmp_path / "new_tsukuba-1").mkdir()
+    (tmp_path / "new_tsukuba-1" / "metrics.json").write_text(json.dumps(GOOD))
+    given: list[list[str]] = []
+    monkeypatch.setattr(accuracy, "prism_edge", lambda words: given.append(words) or 4)
+    folders = ["--shared", str(tmp_path), "--out", str(tmp_path)]
+    assert accuracy.main([*folders, "--only", "new_tsukuba", "--keep"]) == 0
+    assert given == []
+    assert "### new_tsukuba (lockstep, 1 run(s))" in capsys.readouterr().out
+    assert accuracy.main([*folders, "--only", "new_tsukuba"]) == 4
+    assert len(given) == 1

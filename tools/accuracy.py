@@ -1,0 +1,235 @@
+"""Runs the recorded sequences through the daemon and holds every figure against its bar.
+
+    python tools/accuracy.py [--shared FOLDER] [--out DIR] [--runs N] [--only SEQUENCE]... [--keep]
+
+FOLDER (default: `shared` beside the checkout) holds data/ and models/. redkitchen is played in real time
+N times (default 3; medians count), the others once in lockstep: some minutes, on a machine that does nothing
+else. Each run's files go to DIR/<sequence>-<run> (default: build/accuracy), the tables in Markdown to stdout,
+all else to stderr. --keep doesn't repeat runs whose metrics.json is there already. Exit code 1: a bar is
+missed, or timings are void because others used the machine meanwhile; else that of the `eval` that failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from prism_edge.cli.main import main as prism_edge
+from prism_edge.evaluation.scores import score
+from prism_edge.evaluation.trajectory import Trajectory, read_tum
+from prism_edge.sources.truth import read_truth
+
+ROOT = Path(__file__).resolve().parents[1]
+Metrics = dict[str, Any]
+NETWORK = "models/fastdepth_nyu_224.onnx"
+
+
+@dataclass(frozen=True)
+class Bar:
+    """One figure of metrics.json and what it may be at most (or at least)."""
+
+    name: str
+    figure: Callable[[Metrics], float | None]
+    limit: float
+    unit: str = ""
+    at_least: bool = False
+    binding: bool = True  # False: missing it is reported, and no failure
+
+    def met(self, value: float | None) -> bool:
+        """A figure that couldn't be computed misses its bar."""
+        if value is None:
+            return False
+        return value >= self.limit if self.at_least else value <= self.limit
+
+
+def at(*path: str, factor: float = 1.0) -> Callable[[Metrics], float | None]:
+    """The figure at a path of keys, times ``factor``; None where it is missing or null."""
+
+    def figure(metrics: Metrics) -> float | None:
+        value: Any = metrics
+        for key in path:
+            value = value.get(key) if value is not None else None
+        return None if value is None else factor * float(value)
+
+    return figure
+
+
+def halves_differ_percent(metrics: Metrics) -> float | None:
+    """By how much the larger of the two halves' scales exceeds the smaller."""
+    halves = metrics["live"]["scale_ratio_halves"]
+    if halves is None or None in halves:
+        return None
+    return 100.0 * (max(halves) / min(halves) - 1.0)
+
+
+def dropped_percent(metrics: Metrics) -> float:
+    """Share of the recording's frames that were never tracked."""
+    return 100.0 * float(metrics["dropped_frames"]) / max(int(metrics["frames"]), 1)
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """One recording, how it is run, and its bars."""
+
+    name: str
+    folder: str  # below the shared folder
+    bars: tuple[Bar, ...]
+    truth: str = ""  # below the shared folder; empty: the sequence's own
+    lockstep: bool = True
+
+
+SEQUENCES = (
+    Sequence(
+        "redkitchen",
+        "data/7scenes_redkitchen/seq-01",
+        (
+            Bar("coverage", at("coverage"), 0.97, at_least=True),
+            Bar("frames a second", at("fps"), 29.0, at_least=True),
+            Bar("dropped frames", dropped_percent, 2.0, "%"),
+            Bar("first pose", at("first_pose_s"), 0.5, "s"),
+            Bar("ready", at("ready_s"), 2.0, "s"),
+            Bar("live ATE Sim(3)", at("live", "ate_sim3_m", factor=100), 3.0, "cm"),
+            Bar("live ATE SE(3)", at("live", "ate_se3_m", factor=100), 6.0, "cm"),
+            Bar("scales of the halves differ by", halves_differ_percent, 5.0, "%"),
+            Bar("live ATE Sim(3), own truth", at("own_truth", "ate_sim3_m", factor=100), 6.5, "cm"),
+            Bar("CPU, tracker", at("cpu_ms_per_frame", "tracker"), 10.0, "ms a frame"),
+            Bar("CPU, all processes", at("cpu_ms_per_frame", "total"), 30.0, "ms a frame"),
+            Bar("latency p50", at("latency_ms", "p50"), 15.0, "ms"),
+            Bar("latency p99", at("latency_ms", "p99"), 40.0, "ms"),
+            Bar("memory (PSS)", at("peak_pss_mb", "total"), 550.0, "MB"),
+        ),
+        truth="data/7scenes_redkitchen/sfm_reference.tum",
+        lockstep=False,
+    ),
+    Sequence(
+        "new_tsukuba",
+        "data/new_tsukuba",
+        (
+            Bar("coverage", at("coverage"), 0.95, at_least=True),
+            Bar("final ATE Sim(3)", at("final", "ate_sim3_m", factor=100), 2.5, "cm"),
+        ),
+    ),
+    Sequence(
+        "kitti_turn",
+        "data/kitti_turn",
+        (
+            Bar("coverage", at("coverage"), 0.9, at_least=True),
+            Bar("live ATE Sim(3)", at("live", "ate_sim3_m"), 0.5, "m"),
+        ),
+    ),
+    # So hard that an honest `lost` is an answer too.
+    Sequence(
+        "tartanair_hospital",
+        "data/tartanair_hospital",
+        (
+            Bar("coverage", at("coverage"), 0.6, at_least=True, binding=False),
+            Bar("live ATE Sim(3)", at("live", "ate_sim3_m"), 1.0, "m", binding=False),
+        ),
+    ),
+)
+
+
+def table(sequence: Sequence, runs: list[Metrics]) -> tuple[str, bool]:
+    """Markdown for one sequence, and whether every binding bar is met and every timing valid."""
+    lines = [
+        f"### {sequence.name} ({'lockstep' if sequence.lockstep else 'real time'}, {len(runs)} run(s))",
+        "",
+        "| figure | bar | median | least to most | |",
+        "|---|---|---|---|---|",
+    ]
+    good = True
+    for bar in sequence.bars:
+        known = [value for value in map(bar.figure, runs) if value is not None]
+        value = median(known) if len(known) == len(runs) else None
+        met = bar.met(value)
+        good = good and (met or not bar.binding)
+        sign = "≥" if bar.at_least else "≤"
+        cells = (
+            bar.name,
+            f"{sign} {bar.limit:g} {bar.unit}".rstrip(),
+            "-" if value is None else f"{value:.3g}",
+            f"{min(known):.3g} to {max(known):.3g}" if known else "-",
+            "met" if met else "**missed**",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    void = sum(bool(metrics["timings_void"]) for metrics in runs)
+    if void and not sequence.lockstep:
+        good = False
+        lines += ["", f"Timings of {void} run(s) are void: others used the machine meanwhile."]
+    return "\n".join(lines), good
+
+
+class RunFailedError(Exception):
+    """`eval` failed; what it said is on stderr, its exit code is here."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(code)
+        self.code = code
+
+
+def play(sequence: Sequence, shared: Path, out: Path, keep: bool) -> Metrics:
+    """One evaluation, as `prism-edge eval` does it; returns its metrics. Raises RunFailedError."""
+    file = out / "metrics.json"
+    if not (keep and file.is_file()):
+        with redirect_stdout(sys.stderr):
+            code = prism_edge(command(sequence, shared, out))
+        if code:
+            raise RunFailedError(code)
+    metrics: Metrics = json.loads(file.read_text())
+    if sequence.truth:
+        own = read_truth(str(shared / sequence.folder))
+        if own is not None:
+            metrics["own_truth"] = score(read_tum(out / "live.tum"), Trajectory(*own)).as_dict()
+    return metrics
+
+
+def command(sequence: Sequence, shared: Path, out: Path) -> list[str]:
+    """What `prism-edge` is given for one run."""
+    words = ["eval", str(shared / sequence.folder), "--model", str(shared / NETWORK), "--out", str(out)]
+    words += ["--truth", str(shared / sequence.truth)] if sequence.truth else []
+    return [*words, "--lockstep"] if sequence.lockstep else words
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run, tabulate; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--shared", metavar="FOLDER", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "build" / "accuracy")
+    parser.add_argument("--runs", metavar="N", type=int, choices=range(1, 100), default=3)
+    parser.add_argument("--only", metavar="SEQUENCE", action="append", choices=[s.name for s in SEQUENCES])
+    parser.add_argument("--keep", action="store_true")
+    args = parser.parse_args(arguments)
+    shared, out = args.shared.resolve(), args.out.resolve()
+    for needed in ("data", NETWORK):
+        if not (shared / needed).exists():
+            print(f"accuracy: error: {shared / needed} is not there; see --shared", file=sys.stderr)
+            return 2
+    all_good = True
+    for sequence in SEQUENCES:
+        if args.only and sequence.name not in args.only:
+            continue
+        numbers = range(1, (1 if sequence.lockstep else args.runs) + 1)
+        try:
+            runs = [play(sequence, shared, out / f"{sequence.name}-{n}", args.keep) for n in numbers]
+        except RunFailedError as error:
+            print(f"accuracy: error: {sequence.name}: eval ended with code {error.code}", file=sys.stderr)
+            return error.code
+        text, good = table(sequence, runs)
+        all_good = all_good and good
+        print(f"{text}\n", flush=True)
+    return 0 if all_good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
