@@ -8,7 +8,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from prism_edge.cli.settings import add_common, config_from
+from prism_edge.cli.settings import SOURCE_HELP, add_common, add_playing, config_from
 from prism_edge.config import ABLATIONS
 from prism_edge.errors import ConfigError
 
@@ -31,23 +31,11 @@ def add_parser(subparsers: Any) -> None:
         "(docs/EVALUATION.md). Ground truth is read after the run, for scores only. Unless --endpoint is "
         "given, a free loopback port is taken, so that several evaluations can run side by side.",
     )
-    parser.add_argument(
-        "source",
-        metavar="SEQUENCE",
-        help="folder of a dataset (TUM RGB-D, BONN, 7-Scenes, KITTI odometry) or of images, or a video file",
-    )
+    parser.add_argument("source", metavar="SEQUENCE", help=SOURCE_HELP)
     parser.add_argument(
         "--out", metavar="DIR", type=Path, required=True, help="where results go (created; overwritten)"
     )
-    parser.add_argument(
-        "--model", metavar="MODEL", help="depth network: ONNX file, known name, or nested:RELATIVE,METRIC"
-    )
-    parser.add_argument(
-        "--camera", metavar="FILE", help="camera file (YAML; ROS camera_info is read as it is)"
-    )
-    parser.add_argument(
-        "--lockstep", action="store_true", help="drop no frame: the next waits until all have done the last"
-    )
+    add_playing(parser)
     parser.add_argument(
         "--ablate",
         metavar="PART",
@@ -55,7 +43,6 @@ def add_parser(subparsers: Any) -> None:
         default=[],
         help=f"switch a part off ({', '.join(ABLATIONS)}); may be repeated",
     )
-    parser.add_argument("--seed", metavar="N", help="seed of everything random (default: 0)")
     parser.add_argument(
         "--truth", metavar="FILE.tum", type=Path, help="score against this trajectory, not the sequence's own"
     )

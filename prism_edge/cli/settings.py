@@ -9,6 +9,11 @@ from prism_edge.config import Config
 from prism_edge.config_file import load
 from prism_edge.errors import ConfigError
 
+SOURCE_HELP = (
+    "folder of a dataset (TUM RGB-D, BONN, 7-Scenes, KITTI odometry) or of images, a video file, "
+    "or a simulated world such as sim:room"
+)
+
 
 def add_common(parser: argparse.ArgumentParser) -> None:
     """--config, --robot, --endpoint and --set."""
@@ -27,21 +32,23 @@ def add_common(parser: argparse.ArgumentParser) -> None:
 
 
 def add_input(parser: argparse.ArgumentParser) -> None:
-    """What is played and how: SOURCE, --model, --camera, --lockstep, --loop, --seed."""
-    parser.add_argument(
-        "source",
-        metavar="SOURCE",
-        nargs="?",
-        help="folder of a dataset (TUM RGB-D, BONN, 7-Scenes, KITTI odometry) or of images, or a video file",
-    )
+    """What is played and how: an optional SOURCE, --loop, and what :func:`add_playing` adds."""
+    parser.add_argument("source", metavar="SOURCE", nargs="?", help=SOURCE_HELP)
+    add_playing(parser)
+    parser.add_argument("--loop", action="store_true", help="start the recording again at its end")
+
+
+def add_playing(parser: argparse.ArgumentParser) -> None:
+    """--model, --camera, --lockstep and --seed."""
     parser.add_argument(
         "--model", metavar="MODEL", help="depth network: ONNX file, known name, or nested:RELATIVE,METRIC"
     )
-    parser.add_argument("--camera", metavar="FILE", help="camera file (YAML; also ROS camera_info)")
+    parser.add_argument(
+        "--camera", metavar="FILE", help="camera file (YAML; ROS camera_info is read as it is)"
+    )
     parser.add_argument(
         "--lockstep", action="store_true", help="drop no frame: the next waits until all have done the last"
     )
-    parser.add_argument("--loop", action="store_true", help="start the recording again at its end")
     parser.add_argument("--seed", metavar="N", help="seed of everything random (default: 0)")
 
 
