@@ -40,12 +40,17 @@ class GlobalPoint:
 
 
 class GlobalMap:
-    """Keyframes and points of one epoch."""
+    """Keyframes and points of one epoch.
 
-    def __init__(self) -> None:
+    What the tracker culled is remembered by its pose alone, and of that only the ``max_carried`` culled last:
+    frames that an older one carried can no longer be placed.
+    """
+
+    def __init__(self, max_carried: int = 10_000) -> None:
+        self._max_carried = max_carried
         self.keyframes: dict[int, GlobalKeyframe] = {}
         self.points: dict[int, GlobalPoint] = {}
-        # A culled keyframe still carries frames: its pose hangs on a keyframe that stayed.
+        # A culled keyframe still carries frames: its pose hangs on one that is here (id, link, frame index).
         self.carried: dict[int, tuple[int, Array, int]] = {}
 
     def absorb(self, message: Keyframe) -> GlobalKeyframe:
@@ -73,8 +78,6 @@ class GlobalMap:
             strict=True,
         ):
             self._observe(keyframe, point, keypoint)
-        for keyframe in message.culled_keyframes.tolist():
-            self._forget_keyframe(keyframe)
         keypoints = np.flatnonzero(message.points >= 0)
         added = GlobalKeyframe(
             message.id,
@@ -88,6 +91,9 @@ class GlobalMap:
         self.keyframes[message.id] = added
         for keypoint in keypoints.tolist():
             self._observe(message.id, int(message.points[keypoint]), keypoint)
+        # Last, as in the tracker: what the new keyframe sees keeps points that these leave behind.
+        for keyframe in message.culled_keyframes.tolist():
+            self._forget_keyframe(keyframe)
         return added
 
     def _correction(self, message: Keyframe) -> Array:
@@ -129,14 +135,12 @@ class GlobalMap:
         return sorted(votes.items(), key=lambda item: (-item[1], -item[0]))
 
     def poses(self) -> dict[int, Array]:
-        """world_from_camera of every keyframe ever taken in, the culled ones carried by their anchors."""
+        """world_from_camera of every keyframe, the remembered culled ones carried by their anchors."""
         known = {k: keyframe.world_from_camera for k, keyframe in self.keyframes.items()}
-        for k in self.carried:
-            pose, at = np.eye(4), k
-            while at in self.carried:
-                at, link, _ = self.carried[at]
-                pose = link @ pose
-            known[k] = self.keyframes[at].world_from_camera @ pose
+        if self.carried:
+            anchors = np.array([known[anchor] for anchor, _, _ in self.carried.values()])
+            links = np.array([link for _, link, _ in self.carried.values()])
+            known.update(zip(self.carried, anchors @ links, strict=True))
         return known
 
     def _observe(self, keyframe: int, point: int, keypoint: int) -> None:
@@ -158,7 +162,13 @@ class GlobalMap:
         others = self.keyframes.keys() - {keyframe}
         anchor = shared[0][0] if shared else min(others, key=lambda k: abs(k - keyframe))
         link = inverse(self.keyframes[anchor].world_from_camera) @ gone.world_from_camera
+        # What hung on it hangs on its anchor now, so that no chain grows and any link can be forgotten.
+        for k, (at, own, index) in self.carried.items():
+            if at == keyframe:
+                self.carried[k] = (anchor, link @ own, index)
         self.carried[keyframe] = (anchor, link, gone.index)
+        while len(self.carried) > self._max_carried:
+            del self.carried[next(iter(self.carried))]
         for point in list(gone.observed):
             self.points[point].keyframes.discard(keyframe)
             if len(self.points[point].keyframes) < 2:

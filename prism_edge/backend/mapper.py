@@ -25,14 +25,14 @@ class Mapper:
         """Updates are numbered from ``first_id``."""
         self._config = config
         self._use_depth = use_depth
-        self.world = GlobalMap()
+        self.world = GlobalMap(config.max_carried)
         self.epoch = 0
         self.sequence = first_id
 
     def absorb(self, message: Keyframe) -> None:
         """Take in a keyframe; a new epoch begins a new map."""
         if message.epoch != self.epoch:
-            self.world, self.epoch = GlobalMap(), message.epoch
+            self.world, self.epoch = GlobalMap(self._config.max_carried), message.epoch
         self.world.absorb(message)
 
     def add_depth(
@@ -120,5 +120,5 @@ class Mapper:
         return self.optimise(message.id, log_scale)
 
     def keyframe_poses(self) -> dict[int, Array]:
-        """world_from_camera of every keyframe, culled ones included."""
+        """world_from_camera of every keyframe, culled ones that are remembered included."""
         return self.world.poses()

@@ -15,6 +15,7 @@ from prism_edge.messages import DEGRADED, INITIALISING, LOST, OK
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
+from prism_edge.tracking.keyframe_culling import cull_keyframes
 from prism_edge.tracking.keyframe_decision import decide
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import apply_correction, fit
@@ -213,6 +214,7 @@ class Tracker:
             first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
             mapping.fuse(self.world, first, second)
         mapping.cull_recent_points(self.world, keyframe.id)
+        cull_keyframes(self.world, self._config.max_keyframes)
         self.world.points.squeeze()
         frame.points = keyframe.points.copy()
         self._reference_matches = 0

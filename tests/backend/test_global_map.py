@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -93,6 +95,34 @@ def test_a_culled_keyframe_is_carried_by_one_that_stayed(told):
     world._forget_keyframe(anchor)
     assert world.poses()[2] == pytest.approx(motion @ POSES[2], abs=1e-6)
     assert set(world.poses()) >= {0, 1, 2, 3, 4}
+
+
+def test_what_the_new_keyframe_sees_outlives_a_culled_one(told):
+    """A point of a culled keyframe and one other is seen by two again: the tracker kept it too."""
+    world, teller, _ = told
+    message = teller.keyframe(POSES[0])
+    point = next(
+        p for p, seen in world.points.items() if seen.keyframes == {0, 1} and p in message.points.tolist()
+    )
+    world.absorb(replace(message, culled_keyframes=np.array([1])))
+    assert world.points[point].keyframes == {0, message.id}
+    check(world)
+
+
+@pytest.mark.parametrize("bound", [0, 1, 3])
+def test_only_the_last_culled_are_remembered(bound):
+    teller, world = Teller(), GlobalMap(bound)
+    for i in range(8):
+        world.absorb(teller.keyframe(pose_at(0.1 * i)))
+    for culled in (5, 2, 4, 1, 3):
+        world._forget_keyframe(culled)
+    remembered = [2, 4, 1, 3][4 - bound :]
+    assert list(world.carried) == remembered
+    assert set(world.poses()) == {0, 6, 7, *remembered}
+    for k in remembered:
+        assert world.poses()[k] == pytest.approx(teller.poses[k], abs=1e-5)
+        assert world.carried[k][0] in world.keyframes
+    check(world)
 
 
 def test_points_seen_once_go_with_a_wrong_observation(told):

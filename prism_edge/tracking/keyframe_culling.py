@@ -1,0 +1,76 @@
+"""A bounded local map: which keyframe goes when there are too many, and what goes with it.
+
+Redundancy is ORB-SLAM's (Mur-Artal et al., 2015, section VI-E): the share of a keyframe's points that at
+least three others see as well. There every keyframe beyond 90 % goes; here only as many go as are too many.
+"""
+
+from __future__ import annotations
+
+import logging
+
+import numpy as np
+
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+
+log = logging.getLogger("prism_edge.tracking")
+
+OTHERS = 3  # keyframes that must see a point before it can do without one more
+# The newest stay: depth and corrections for them are on their way, and the next frames are tracked on them.
+RECENT = 12
+MIN_VIEWERS = 2  # a point with fewer is one that nothing would correct any more
+
+
+def cull_keyframes(world: LocalMap, most: int) -> list[int]:
+    """Drop the most redundant keyframes until there are at most ``most`` (3 or more); returns their ids.
+
+    Of equally redundant ones the oldest goes first. The newest stay, and so does the first: its camera is
+    where the world's frame is, and what everything after was placed from.
+    """
+    dropped = []
+    while len(world.keyframes) > most:
+        ids = sorted(world.keyframes)
+        candidates = ids[1 : -min(RECENT, most - 1)]
+        gone = max(candidates, key=lambda k: (redundancy(world, world.keyframes[k]), -k))
+        drop_keyframe(world, world.keyframes[gone])
+        dropped.append(gone)
+    return dropped
+
+
+def redundancy(world: LocalMap, keyframe: LocalKeyframe) -> float:
+    """Share of a keyframe's points that at least three other keyframes see; 1 where it sees none."""
+    keypoints = keyframe.observed()
+    if len(keypoints) == 0:
+        return 1.0
+    rows = world.points.rows(keyframe.points[keypoints])
+    return float((world.points.observations[rows] > OTHERS).mean())
+
+
+def drop_keyframe(world: LocalMap, keyframe: LocalKeyframe) -> None:
+    """Take a keyframe out of the map; points that fewer than two keyframes see without it go too.
+
+    The others that it was the first to see are handed on to the oldest keyframe that sees them: its ray is
+    their reference from then on. Ids are never used again.
+    """
+    table = world.points
+    del world.keyframes[keyframe.id]
+    rows = table.rows(keyframe.points[keyframe.observed()])
+    table.observations[rows] -= 1
+    lonely = rows[table.observations[rows] < MIN_VIEWERS]
+    world.cull_points(lonely)
+    _hand_on_references(world, keyframe.id)
+    world.changes.culled_keyframes.append(keyframe.id)
+    log.debug("keyframe %d is culled, and %d points with it", keyframe.id, len(lonely))
+
+
+def _hand_on_references(world: LocalMap, gone: int) -> None:
+    table = world.points
+    orphaned = table.alive & (table.reference == gone)
+    for keyframe in sorted(world.keyframes.values(), key=lambda k: k.id):
+        if not orphaned.any():
+            return
+        keypoints = keyframe.observed()
+        rows = table.rows(keyframe.points[keypoints])
+        mine = np.flatnonzero(orphaned[rows])
+        table.reference[rows[mine]] = keyframe.id
+        table.reference_keypoint[rows[mine]] = keypoints[mine]
+        orphaned[rows[mine]] = False

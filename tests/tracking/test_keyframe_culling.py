@@ -1,0 +1,116 @@
+"""Which keyframe goes, and what goes with it: against plain counts over the observations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.tracking.keyframe_culling import RECENT, cull_keyframes, drop_keyframe, redundancy
+from prism_edge.tracking.local_map import LocalMap
+from tests.tracking.cloud import Cloud, check, observations, pose_at
+
+
+def walk(count: int, step: float = 0.15, seed: int = 0) -> LocalMap:
+    """Keyframes side by side, in whose images points come and go."""
+    world, _ = Cloud(400, seed).mapped([pose_at(step * i, 0.0, 0.0, 0.0, 0.02 * i) for i in range(count)])
+    return world
+
+
+def counted(world: LocalMap, keyframe: int) -> float:
+    """Share of its points that three others see."""
+    seen = [keyframes for keyframes in observations(world).values() if keyframe in keyframes]
+    return sum(len(keyframes) >= 4 for keyframes in seen) / len(seen)
+
+
+def references_hold(world: LocalMap) -> bool:
+    """Every point's reference is a keyframe of the map that sees it at the keypoint named."""
+    table = world.points
+    return all(
+        table.reference[row] in world.keyframes
+        and world.keyframes[int(table.reference[row])].points[table.reference_keypoint[row]] == table.ids[row]
+        for row in np.flatnonzero(table.alive)
+    )
+
+
+def test_redundancy_is_the_share_of_points_that_three_others_see():
+    world = walk(12, 0.3)
+    shares = {k: redundancy(world, keyframe) for k, keyframe in world.keyframes.items()}
+    assert shares == pytest.approx({k: counted(world, k) for k in world.keyframes})
+    assert min(shares.values()) < 0.9 < max(shares.values())
+
+
+def test_what_sees_nothing_is_all_redundant():
+    world = walk(5)
+    world.keyframes[2].points[:] = -1
+    assert redundancy(world, world.keyframes[2]) == 1.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_most_redundant_goes_and_neither_the_first_nor_the_newest(seed):
+    rng = np.random.default_rng(seed)
+    world = walk(RECENT + 9, 0.05, seed)
+    pairs = [(k, p) for p, keyframes in observations(world).items() for k in keyframes]
+    dropped = np.array(pairs)[rng.random(len(pairs)) < 0.8]
+    world.drop_observations(dropped[:, 0], dropped[:, 1])
+    shares = {k: counted(world, k) for k in range(1, 9)}
+    expected = max(shares, key=lambda k: (shares[k], -k))
+    assert len(set(shares.values())) > 4
+    assert cull_keyframes(world, RECENT + 8) == [expected]
+    assert set(world.keyframes) == set(range(RECENT + 9)) - {expected}
+    assert world.changes.culled_keyframes == [expected]
+    check(world)
+
+
+def test_of_equals_the_oldest_goes_first():
+    world, _ = Cloud().mapped([np.eye(4)] * 20)
+    assert cull_keyframes(world, 15) == [1, 2, 3, 4, 5]
+    check(world)
+
+
+@pytest.mark.parametrize("most", [10, 12, 13, 14, 25])
+def test_the_bound_is_kept_whatever_it_is(most):
+    world = walk(30)
+    newest = sorted(world.keyframes)[-min(RECENT, most - 1) :]
+    cull_keyframes(world, most)
+    assert len(world.keyframes) == most
+    assert {0, *newest} <= set(world.keyframes)
+    assert references_hold(world)
+    check(world)
+
+
+def test_a_map_within_its_bound_is_left_alone():
+    world = walk(20)
+    before = observations(world)
+    assert cull_keyframes(world, 20) == []
+    assert observations(world) == before
+    assert not world.changes.culled_keyframes
+    assert not world.changes.culled_points
+
+
+def test_points_that_fewer_than_two_still_see_go_with_it():
+    world = walk(12, 0.3)
+    before = observations(world)
+    drop_keyframe(world, world.keyframes[0])
+    lonely = {p for p, seen in before.items() if 0 in seen and len(seen) < 3}
+    assert len(lonely) > 10
+    gone = np.concatenate(world.changes.culled_points).tolist()
+    assert sorted(gone) == sorted(lonely)
+    assert not lonely & set(observations(world))
+    untouched = {p: seen for p, seen in before.items() if 0 not in seen}
+    assert untouched.items() <= observations(world).items(), "a point seen once elsewhere is not its affair"
+    check(world)
+
+
+def test_its_points_get_the_oldest_that_sees_them_as_reference():
+    world = walk(12, 0.15)
+    table = world.points
+    assert references_hold(world)
+    before = dict(zip(table.ids.tolist(), table.reference.tolist(), strict=True))
+    drop_keyframe(world, world.keyframes[0])
+    assert references_hold(world)
+    seen = observations(world)
+    handed_on = [p for p in table.ids[table.alive].tolist() if before[p] == 0]
+    assert len(handed_on) > 50
+    for p in table.ids[table.alive].tolist():
+        expected = min(seen[p]) if before[p] == 0 else before[p]
+        assert table.reference[table.rows(np.array([p]))[0]] == expected
