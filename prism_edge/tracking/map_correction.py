@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, transform
+from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
@@ -14,6 +15,23 @@ from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.pose_refinement import refine_pose
 
 MIN_COMMON = 15
+
+
+def flaw(update: MapUpdate) -> str:
+    """What makes an update unusable, in a few words; empty where nothing does."""
+    together = (
+        ("keyframes", "poses"),
+        ("points", "positions"),
+        ("points", "parallax_deg"),
+        ("dropped_keyframes", "dropped_points"),
+    )
+    for one, other in together:
+        if len(getattr(update, one)) != len(getattr(update, other)):
+            return f"its {one} and {other} are not equally many"
+    for name in ("poses", "positions", "parallax_deg"):
+        if not np.isfinite(getattr(update, name)).all():
+            return f"its {name} are not all finite"
+    return ""
 
 
 def apply_correction(

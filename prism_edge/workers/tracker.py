@@ -35,6 +35,7 @@ from prism_edge.processes import processes_for
 from prism_edge.sources.pack import grey
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.local_map import LocalKeyframe
+from prism_edge.tracking.map_correction import flaw
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import FrameResult, Tracker
 from prism_edge.workers.pose_publisher import PosePublisher
@@ -249,6 +250,11 @@ class TrackerWorker:
     def _apply_update(self, message: MapUpdate) -> None:
         if message.epoch != self._tracker.epoch or message.sequence <= self._update_sequence:
             return  # of a map that is gone, or overtaken
+        problem = flaw(message)
+        if problem:
+            if self._bus.pulse.count("malformed") == 1:
+                log.warning("map update %d is passed over: %s", message.sequence, problem)
+            return
         self._update_sequence = message.sequence
         if len(message.keyframes):
             self._tracker.apply_update(

@@ -218,6 +218,7 @@ def test_it_goes_on_when_nobody_answers_after_the_start(bus, world):
 
 
 NAN = float("nan")
+ONE = np.ones(1, np.float32)
 
 
 @pytest.mark.parametrize(
@@ -290,6 +291,30 @@ def test_updates_of_another_map_or_overtaken_ones_are_ignored(bus, world, change
 
     world.update = answer
     run(bus, [frame(i) for i in range(20)])
+    assert np.linalg.norm(positions(bus)[19] - true_position(19)) < 0.03
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"poses": np.full((1, 4, 4), NAN)},
+        {"poses": np.zeros((0, 4, 4))},
+        {"poses": np.zeros((2, 4, 4))},
+        {"points": np.array([3]), "positions": np.full((1, 3), np.inf), "parallax_deg": ONE},
+        {"points": np.array([3]), "positions": np.zeros((1, 3)), "parallax_deg": ONE * np.float32(NAN)},
+        {"points": np.array([3, 4]), "positions": np.zeros((1, 3)), "parallax_deg": ONE},
+        {"points": np.array([3]), "positions": np.zeros((1, 3))},
+        {"dropped_keyframes": np.array([0, 0]), "dropped_points": np.array([3])},
+    ],
+)
+def test_an_update_that_makes_no_sense_is_passed_over(bus, world, changes, caplog):
+    world.update = lambda keyframe, sequence: update_of(
+        keyframe, sequence, **({"poses": keyframe.world_from_camera[None]} | changes if sequence == 1 else {})
+    )
+    run(bus, [frame(i) for i in range(20)])
+    assert bus.pulse.values["malformed"] == "1"
+    assert "map update 1" in caplog.text
+    assert set(positions(bus)) == set(range(1, 20))
     assert np.linalg.norm(positions(bus)[19] - true_position(19)) < 0.03
 
 
