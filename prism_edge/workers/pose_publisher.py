@@ -33,11 +33,14 @@ class PosePublisher:
         assert result.world_from_camera is not None
         metres = float(np.exp(log_scale))
         # The map's frame is where the robot's base was at the first keyframe.
-        map_from_base = self._based(scaled(result.world_from_camera, metres))
+        map_from_camera = scaled(result.world_from_camera, metres)
+        map_from_base = self._based(map_from_camera)
         odom_from_base = self._based(odom_from_camera)
         local = self._covariance(result.covariance, metres, map_from_base)
-        in_map = with_scale_error(local, map_from_base[:3, 3], scale_sigma)
-        in_odom = with_scale_error(local, odom_from_base[:3, 3], scale_sigma)
+        # Scale multiplies the camera's path since the start; where it sits on the robot is known in metres.
+        start = self._mount[:3, :3]
+        in_map = with_scale_error(local, start @ map_from_camera[:3, 3], scale_sigma)
+        in_odom = with_scale_error(local, start @ odom_from_camera[:3, 3], scale_sigma)
         names = self._frames
         velocity = self._twist(twist)
         # Of a step between frames at 30 Hz, along the base's own axes as the twist is.
@@ -83,8 +86,11 @@ class PosePublisher:
         return np.concatenate([rotation @ twist[:3] - np.cross(angular, self._mount[:3, 3]), angular])
 
 
-def with_scale_error(covariance: Array, position: Array, sigma: float) -> Array:
-    """Add what an error of the scale does to a position: it moves along the line to the origin."""
+def with_scale_error(covariance: Array, displacement: Array, sigma: float) -> Array:
+    """Add what an error of the log scale does to a position: it moves along the camera's displacement.
+
+    ``displacement`` (3) is the part of the position that scale multiplies: metres, the covariance's axes.
+    """
     out = covariance.copy()
-    out[:3, :3] += sigma**2 * np.outer(position, position)
+    out[:3, :3] += sigma**2 * np.outer(displacement, displacement)
     return out

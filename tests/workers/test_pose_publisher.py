@@ -151,6 +151,27 @@ def test_scale_error_of_pose_and_odometry_grows_with_their_own_distance():
         assert added == pytest.approx(expected, abs=1e-12)
 
 
+def test_scale_error_of_a_mounted_camera_s_robot_is_what_scale_does_to_it():
+    """Against the numerical derivative by log scale: the lever from robot to camera has none of it."""
+    pose, sigma, step = pose_at(0.3, -0.2, 0.6, 0.4, 1.5, -0.3), 0.1, 1e-6
+    base, odom = mount(MOUNTED), pose_at(0.1, 0.4, 0.5, 0.3, 1.4, -0.2)
+
+    def place(camera, log_scale):
+        metric = camera.copy()
+        metric[:3, 3] *= np.exp(log_scale)
+        return (base @ metric @ inverse(base))[:3, 3]
+
+    sure, unsure = (publish(pose, MOUNTED, odom=odom, log_scale=0.5, sigma=s) for s in (0.0, sigma))
+    for topic, camera, at in (("pose", pose, 0.5), ("odom", odom, 0.0)):
+        slope = (place(camera, at + step) - place(camera, at - step)) / (2 * step)
+        added = matrix(unsure[topic]) - matrix(sure[topic])
+        assert added[:3, :3] == pytest.approx(sigma**2 * np.outer(slope, slope), abs=1e-9)
+        assert np.abs(added[3:]).max() < 1e-15
+    turned_on_the_spot = publish(pose_at(0, 0, 0, 0.4, 1.5, -0.3), MOUNTED, sigma=5.0)["pose"]
+    assert np.linalg.norm(position(turned_on_the_spot)) > 0.3
+    assert np.abs(matrix(turned_on_the_spot)).max() < 1e-4, "a robot that only turned has no error of scale"
+
+
 def test_the_argument_is_left_as_it_was():
     before = COVARIANCE.copy()
     with_scale_error(COVARIANCE, np.ones(3), 1.0)
