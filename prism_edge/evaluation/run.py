@@ -12,7 +12,7 @@ from typing import Any
 
 from prism_edge.bus.keys import check_endpoint, check_robot_name
 from prism_edge.bus.session import Bus
-from prism_edge.config import BusConfig, Config
+from prism_edge.config import BusConfig, Config, SourceConfig
 from prism_edge.config_file import dump
 from prism_edge.errors import EvaluationError
 from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, free_endpoint
@@ -24,7 +24,7 @@ from prism_edge.evaluation.resources import Meter, Usage
 from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
 from prism_edge.messages import MapSnapshot
 from prism_edge.processes import processes_for
-from prism_edge.sources import open_source
+from prism_edge.sources import Slot, open_source
 from prism_edge.sources.truth import read_truth
 
 # The first frame waits this long after the daemon is ready, so that we, who connect at the same time, are
@@ -63,9 +63,7 @@ def evaluate(
     sequence, DaemonError with the daemon's own exit code where it fails, and EvaluationError where the run
     broke a rule (the files are written then too).
     """
-    with open_source(config.source) as source:
-        first = source.peek()
-        frame_count = source.frame_count
+    first, frame_count = extent(config.source)
     if truth is not None and not truth.is_file():
         raise EvaluationError(f"{truth}: no such file: nothing to score against")
     config = _prepared(config, out)
@@ -95,6 +93,17 @@ def evaluate(
     if report["violations"]:
         raise EvaluationError(f"the run is void: {'; '.join(report['violations'])}")
     return report
+
+
+def extent(config: SourceConfig) -> tuple[Slot | None, int | None]:
+    """First place and number of frames of a source that can be played (None: not to be known).
+
+    A synthetic source is not opened for that: it would build its whole world. Raises SourceError or
+    ConfigError where the source is unusable.
+    """
+    source = open_source(config)
+    with contextlib.nullcontext() if source.synthetic else source:
+        return source.peek(), source.frame_count
 
 
 def _prepared(config: Config, out: Path) -> Config:

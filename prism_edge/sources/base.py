@@ -46,7 +46,8 @@ class Source(ABC):
 
     ``name`` is one line that says what it is; ``camera_origin`` says which intrinsics ``camera`` holds
     and where they are from. ``frame_count`` is None where nobody can know. ``period_ns`` is the usual
-    time between images. A ``live`` source stamps images itself, and its ``peek`` is always None.
+    time between images. A ``live`` source stamps images itself, and its ``peek`` is always None. A
+    ``synthetic`` one has nothing that opening could find wrong, and ``peek`` answers before it is open.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Source(ABC):
     frame_count: int | None
     period_ns: int
     live: bool = False
+    synthetic: bool = False
 
     @abstractmethod
     def open(self) -> None:

@@ -18,10 +18,11 @@ import pytest
 
 from prism_edge.config import Config, DepthConfig, SourceConfig
 from prism_edge.config_file import load
-from prism_edge.errors import EvaluationError
+from prism_edge.errors import EvaluationError, SourceError
 from prism_edge.evaluation.daemon import DaemonError
-from prism_edge.evaluation.run import evaluate
+from prism_edge.evaluation.run import evaluate, extent
 from prism_edge.evaluation.trajectory import NS, read_tum
+from prism_edge.sources import open_source, sim
 
 FAKE = Path(__file__).with_name("fake_daemon.py")
 ROOT = FAKE.parents[2]
@@ -76,6 +77,30 @@ def test_a_run_is_recorded_and_scored(tiny_sequence: Path, tmp_path: Path) -> No
     effective = load(str(tmp_path / "effective.yaml"))
     assert effective.source.uri == str(tiny_sequence)
     assert effective.bus.endpoint != Config().bus.endpoint
+
+
+def test_a_recording_s_extent_is_read_from_it(tiny_sequence: Path) -> None:
+    first, frames = extent(SourceConfig(uri=str(tiny_sequence)))
+    assert first is not None
+    assert (first.index, first.stamp_ns, frames) == (0, 100 * NS, 24)
+
+
+@pytest.mark.parametrize("world", ["room", "loop"])
+def test_a_simulated_world_is_not_built_to_learn_its_extent(world: str, monkeypatch: Any) -> None:
+    uri = f"sim:{world}"
+    with monkeypatch.context() as patch:
+        patch.setattr(sim.source, "build_world", None)  # calling it would fail
+        first, frames = extent(SourceConfig(uri=uri))
+    source = open_source(SourceConfig(uri=uri))
+    assert first is not None
+    assert (first.index, first.stamp_ns, frames) == (0, 0, source.frame_count)
+
+
+def test_a_recording_that_can_t_be_played_is_refused_before_the_run(tmp_path: Path) -> None:
+    with pytest.raises(SourceError):
+        extent(SourceConfig(uri=str(tmp_path / "nowhere")))
+    with pytest.raises(SourceError):
+        extent(SourceConfig(uri="sim:nowhere"))
 
 
 def test_files_hold_the_cameras_pose_under_the_recordings_stamps(tiny_sequence: Path, tmp_path: Path) -> None:

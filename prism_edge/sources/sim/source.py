@@ -28,8 +28,10 @@ _USUAL_FRAMES = 900
 class SimSource(Source):
     """Pictures from ``sim:`` addresses. Poses and depth of any frame are to be had at any time.
 
-    Nothing is built before :meth:`open`; the truth needs no world and can be asked before.
+    Nothing is built before :meth:`open`; stamps and the truth need no world and can be asked before.
     """
+
+    synthetic = True
 
     def __init__(self, uri: str) -> None:
         """Raises SourceError where the address is wrong."""
