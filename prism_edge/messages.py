@@ -18,7 +18,6 @@ F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 I64 = NDArray[np.int64]
 U8 = NDArray[np.uint8]
-Bool = NDArray[np.bool_]
 
 # Tracking state in two words: odometry, map.
 INITIALISING, OK, DEGRADED, LOST = "initialising", "ok", "degraded", "lost"
