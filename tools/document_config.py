@@ -8,6 +8,8 @@ import typing
 from itertools import groupby
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from prism_edge import config as tree
 from prism_edge.config_file import Leaf, leaves
 
