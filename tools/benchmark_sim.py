@@ -19,6 +19,8 @@ from typing import Any
 import cv2
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
 from prism_edge.errors import PrismError
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.sources.sim import SimSource

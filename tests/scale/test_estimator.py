@@ -8,7 +8,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.scale.estimator import ScaleEstimator
 from tests.scale.scene import depth_of, keyframe_of_wall
 
-CONFIG = ScaleConfig(hold_sigmas=0.0)  # what is published is the estimate itself; holding it is test_steady.py
+CONFIG = ScaleConfig(hold_sigmas=0.0)  # publishes the estimate itself; holding is test_steady.py's
 
 
 def play(estimator, count, metres_per_unit=1.0, factor=1.0, start=0, epoch=0):
