@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.poses import Array, inverse
+from prism_edge.geometry.poses import Array, inverse, normalised
 from prism_edge.messages import Keyframe
 from prism_edge.tracking.pose_refinement import refine_pose
 
@@ -83,7 +83,7 @@ class GlobalMap:
             message.id,
             message.index,
             Camera.from_array(message.camera_model, message.camera),
-            world_correction @ message.world_from_camera,
+            normalised(world_correction @ message.world_from_camera),
             message.pixels.astype(np.float64),
             message.scale_factor ** message.octaves.astype(np.float64),
             {},

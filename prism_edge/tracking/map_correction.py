@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.poses import Array, inverse, transform
+from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalMap
@@ -102,6 +102,8 @@ def fit(
     rows = world.points.rows(points[keypoints])
     if usable is not None:
         keypoints, rows = keypoints[usable[rows]], rows[usable[rows]]
+    # A product of corrections drifts off the group, and inverse() squares what it is off by.
+    start = normalised(start)
     if len(rows) < MIN_COMMON:
         return start
     estimate = refine_pose(

@@ -63,7 +63,8 @@ def best_pairs(
 ) -> tuple[Index, Index]:
     """One keypoint for each query, and if ``exclusive`` one query for each keypoint; nearest pairs first.
 
-    The pairs given are grouped by query. A pair needs a distance of at most ``max_distance`` and below ``ratio`` times the query's second best.
+    The pairs given are grouped by query. A pair needs a distance of at most ``max_distance`` and below
+    ``ratio`` times the query's second best.
     """
     if len(query) == 0:
         return query, keypoint

@@ -13,6 +13,7 @@ from prism_edge.geometry.poses import Array, se3_exp
 CHI2_2D_95 = 5.991
 HUBER = np.sqrt(CHI2_2D_95)
 BEHIND = 1e3
+WIDEST = 10.0  # tangent of the widest angle off the axis that counts as seen
 
 
 @dataclass(frozen=True)
@@ -111,11 +112,12 @@ class _Problem:
     def linearise(self, pose: Array) -> tuple[Array, Array, Array]:
         """Whitened residuals (2, n), their Jacobian (6, 2, n) by the right-hand twist of the pose, chi2 (n,).
 
-        What is behind the camera has zero residual and Jacobian and a chi2 of inf.
+        What is behind the camera or far beyond its field of view has zero residual and Jacobian, chi2 inf.
         """
         rotation = pose[:3, :3]
         local = rotation.T @ (self._points - pose[:3, 3]).T
-        visible = local[2] > 1e-3
+        # Also a bound on every number below: what is seen nearly edge-on says nothing but can overflow.
+        visible = (local[2] > 1e-3) & (np.abs(local[:2]) < WIDEST * local[2]).all(axis=0)
         inverse_z = np.where(visible, 1.0, 0.0) / np.where(visible, local[2], 1.0)
         x, y = local[0] * inverse_z, local[1] * inverse_z
         fx, fy = np.where(visible, self._fx, 0.0), np.where(visible, self._fy, 0.0)

@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_log
+from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_log, transform
 from prism_edge.messages import DEGRADED, INITIALISING, LOST, OK
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
+from prism_edge.tracking.initialisation import reconstruct
 from prism_edge.tracking.keyframe_culling import cull_keyframes
 from prism_edge.tracking.keyframe_decision import decide
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
@@ -31,6 +32,8 @@ DEPTH_PATIENCE_S = 10.0  # and so is one that no depth has come for in this time
 NEIGHBOURS, SHARING, TRIANGULATING = 10, 10, 4  # covisible keyframes, best first
 DEGRADED_MATCHES = 50
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
+CAN_WAIT_MATCHES = 100
+CREDIBLE_SPREAD = 0.35  # of log network depth about triangulated depth
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
 
 
@@ -197,6 +200,8 @@ class Tracker:
         )
         if not decision.wanted:
             return None
+        if len(self.world.keyframes) == 1 and not self._begin_structure(reference, frame):
+            return None
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
         )
@@ -222,6 +227,41 @@ class Tracker:
         self._refresh(frame)
         log.debug("keyframe %d at frame %d: %s", keyframe.id, index, decision.reason)
         return keyframe
+
+    def _begin_structure(self, first: LocalKeyframe, frame: TrackedFrame) -> bool:
+        """Check what the network gave the first map against two views; False: wait for more parallax.
+
+        Where its depths scatter too far about the triangulated ones (outdoors, say), the two views'
+        structure takes their place. A camera that is about to lose the first view can't wait.
+        """
+        table = self.world.points
+        keypoints = np.flatnonzero(frame.points >= 0)
+        rows = table.rows(frame.points[keypoints])
+        depths = (table.position[rows] - first.world_from_camera[:3, 3]) @ first.world_from_camera[:3, 2]
+        views = reconstruct(
+            frame.camera,
+            first.features.pixels[table.reference_keypoint[rows]],
+            frame.features.pixels[keypoints],
+            depths,
+            self._seed,
+        )
+        if views is None:
+            return frame.matched < CAN_WAIT_MATCHES
+        if views.depth_spread < CREDIBLE_SPREAD:
+            return True
+        log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
+        frame.world_from_camera = first.world_from_camera @ views.first_from_second
+        good = views.good
+        table.position[rows[good]] = transform(first.world_from_camera, views.points[good])
+        table.parallax_deg[rows[good]] = np.degrees(views.parallax[good])
+        sigma = mapping.MATCHING_SIGMA_PX / (frame.camera.fx * np.maximum(views.parallax[good], 1e-4))
+        table.log_depth_sigma[rows[good]] = np.minimum(sigma, 2.0)
+        self.world.changes.new_points.append(table.ids[rows[good]])
+        frame.points[keypoints[~good]] = -1
+        kept = np.isin(table.ids, table.ids[rows[good]])
+        self.world.cull_points(np.flatnonzero(table.alive & ~kept))
+        self._velocity = np.zeros(6)
+        return True
 
     def _insert(
         self, index: int, stamp_ns: int, camera: Camera, features: Features, pose: Array, points: Ids

@@ -137,9 +137,23 @@ def test_a_view_of_few_usable_points_stays_where_it_was():
     features, _ = cloud.view(POSES[1])
     start = pose_at(0.5)
     nothing = np.full(len(features), -1, np.int64)
-    assert fit(world, CAMERA, features, nothing, start, FACTORS) is start
+    assert fit(world, CAMERA, features, nothing, start, FACTORS) == pytest.approx(start, abs=1e-12)
     keyframe = world.keyframes[0]
     unusable = np.zeros(len(world.points), bool)
     unusable[:10] = True
     same = fit(world, CAMERA, keyframe.features, keyframe.points, start, FACTORS, unusable)
-    assert same is start
+    assert same == pytest.approx(start, abs=1e-12)
+
+
+def test_a_view_that_is_carried_a_thousand_times_stays_rigid():
+    """Each correction is rigid to rounding only; a fit that could not be made must not let that add up."""
+    cloud = Cloud(400, seed=0)
+    world, _ = cloud.mapped(POSES)
+    view = world.keyframes[5]
+    nothing = np.zeros(len(world.points), bool)
+    pose, step = POSES[5], MOTION * (1.0 + 1e-12)
+    for _ in range(1000):
+        new = fit(world, CAMERA, view.features, view.points, step @ pose, FACTORS, nothing)
+        step = new @ inverse(pose)
+        pose = new
+    assert pose[:3, :3] @ pose[:3, :3].T == pytest.approx(np.eye(3), abs=1e-9)

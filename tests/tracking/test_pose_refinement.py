@@ -5,6 +5,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, se3_exp, se3_log, transform
 from prism_edge.tracking.pose_refinement import refine_pose
@@ -182,3 +184,15 @@ def test_points_on_one_spot_give_numbers():
     estimate = refine_pose(CAMERA, TRUE, points, pixels, np.ones(30), np.zeros((30, 3)))
     assert np.isfinite(estimate.world_from_camera).all()
     assert np.linalg.eigvalsh(estimate.covariance).max() > 1e3
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-6, 1.0, 1e8, 1e200]))
+def test_absurd_points_and_starts_give_finite_numbers(seed, size):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(20, 3)) * size
+    start = se3_exp(rng.normal(size=6) * min(size, 1e8))
+    with np.errstate(all="ignore"):
+        estimate = refine_pose(CAMERA, start, points, rng.uniform(0, 400, (20, 2)), np.ones(20))
+    assert np.isfinite(estimate.world_from_camera).all()
+    assert np.isfinite(estimate.covariance).all()

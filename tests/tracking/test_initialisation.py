@@ -1,0 +1,79 @@
+"""Structure from two views, against a cloud whose truth is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
+from prism_edge.tracking.initialisation import reconstruct
+
+CAMERA = Camera(640, 480, 525.0, 525.0, 320.0, 240.0)
+SECOND = se3_exp(np.array([0.5, 0.1, 0.2, 0.02, -0.06, 0.03]))  # first_from_second
+
+
+def views(first_from_second, noise_px=0.3, seed=0, count=300):
+    """Matched pixels of points 2 to 8 m away, seen by both cameras, and their depths in the first."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform((-3, -2, 2), (3, 2, 8), (4 * count, 3))
+    other = transform(inverse(first_from_second), points)
+    a, b = CAMERA.project(points), CAMERA.project(other)
+    seen = np.all([(p > 0).all(1) & (p < (640, 480)).all(1) for p in (a, b)], axis=0) & (other[:, 2] > 0.5)
+    chosen = np.flatnonzero(seen)[:count]
+    noise = rng.normal(0, noise_px, (2, len(chosen), 2))
+    return a[chosen] + noise[0], b[chosen] + noise[1], points[chosen]
+
+
+def test_pose_and_points_come_out_in_the_unit_of_the_given_depths():
+    first, second, points = views(SECOND)
+    found = reconstruct(CAMERA, first, second, 2.5 * points[:, 2], seed=0)
+    assert found is not None
+    assert rotation_angle(found.first_from_second[:3, :3].T @ SECOND[:3, :3]) < np.radians(0.5)
+    assert found.first_from_second[:3, 3] == pytest.approx(2.5 * SECOND[:3, 3], abs=0.05)
+    wide = found.good & (found.parallax > np.radians(3))
+    error = np.linalg.norm(found.points - 2.5 * points, axis=1) / (2.5 * points[:, 2])
+    assert np.median(error[wide]) < 0.03
+    assert found.depth_spread < 0.05
+
+
+def test_the_spread_tells_how_far_the_given_depths_can_be_believed():
+    first, second, points = views(SECOND, noise_px=0.1)
+    scattered = points[:, 2] * np.exp(np.random.default_rng(1).normal(0, 0.6, len(points)))
+    found = reconstruct(CAMERA, first, second, scattered, seed=0)
+    assert found is not None
+    assert found.depth_spread == pytest.approx(0.6, rel=0.25)
+
+
+def test_a_third_of_wrong_matches_does_no_harm():
+    first, second, points = views(SECOND)
+    wrong = np.arange(0, len(second), 3)
+    second[wrong] = np.random.default_rng(2).uniform((0, 0), (640, 480), (len(wrong), 2))
+    found = reconstruct(CAMERA, first, second, points[:, 2], seed=0)
+    assert found is not None
+    assert rotation_angle(found.first_from_second[:3, :3].T @ SECOND[:3, :3]) < np.radians(0.5)
+    assert found.good[wrong].mean() < 0.1
+
+
+@pytest.mark.parametrize("noise_px", [0.0, 0.5])
+def test_a_turn_without_a_baseline_gives_nothing(noise_px):
+    turned = se3_exp(np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.02]))
+    first, second, points = views(turned, noise_px)
+    found = reconstruct(CAMERA, first, second, points[:, 2], seed=0)
+    # Noise can feign a short baseline, never a structure that agrees with the depths.
+    assert found is None or found.depth_spread > 0.2
+
+
+def test_too_few_or_degenerate_matches_give_nothing():
+    first, second, points = views(SECOND, count=40)
+    assert reconstruct(CAMERA, first, second, points[:, 2], seed=0) is None
+    spot = np.full((200, 2), 100.0)
+    assert reconstruct(CAMERA, spot, spot, np.ones(200), seed=0) is None
+
+
+def test_one_seed_gives_one_answer():
+    first, second, points = views(SECOND, noise_px=1.0)
+    a, b = (reconstruct(CAMERA, first, second, points[:, 2], seed=3) for _ in range(2))
+    assert a is not None
+    assert b is not None
+    assert np.array_equal(a.points, b.points)
