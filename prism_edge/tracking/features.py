@@ -57,7 +57,7 @@ class OrbExtractor:
     all over the image. So more are detected than wanted, and each grid cell keeps its strongest.
     """
 
-    surplus = 1.8  # detected per kept; more costs time and brings little
+    surplus = 1.6  # detected per kept; more costs time and brings little
     spread_cell = 32  # pixels
 
     def __init__(self, config: TrackingConfig) -> None:

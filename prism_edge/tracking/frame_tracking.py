@@ -26,6 +26,7 @@ ENOUGH_TRIANGULATED = 60
 SHARED_SEED_ERROR = 5.0
 # Points of the previous frame that give the first pose; keypoints come best of each cell first.
 FIRST_POSE_POINTS = 150
+STEPS = 2  # of the solver in a round: from one frame to the next it starts near the end
 
 
 @dataclass
@@ -243,6 +244,7 @@ class FrameTracker:
             self._depth_error(world, rows),
             table.weight[rows],
             rounds=rounds,
+            iterations=STEPS,
         )
         return estimate, keypoints
 

@@ -22,8 +22,13 @@ class PoseEstimate:
 
     world_from_camera: Array  # (4, 4)
     inliers: NDArray[np.bool_]  # (n,)
-    covariance: Array  # (6, 6): translation first, camera frame
+    information: Array  # (6, 6): translation first, camera frame
     residual_px: float  # rms of the inliers, in sigmas of their pyramid level
+
+    @property
+    def covariance(self) -> Array:
+        """The inverse of ``information``, worked out when asked for: most estimates are only a start."""
+        return _inverse_information(self.information)
 
 
 def refine_pose(
@@ -60,7 +65,7 @@ def refine_pose(
             break
     kept = max(int(inliers.sum()), 1)
     spread = float(np.sqrt(chi2[inliers].sum() / (2 * kept))) if inliers.any() else np.inf
-    return PoseEstimate(pose, inliers, _inverse_information(information), spread)
+    return PoseEstimate(pose, inliers, information, spread)
 
 
 def _inverse_information(information: Array) -> Array:

@@ -83,7 +83,7 @@ class PosePublisher:
         """Twist of the base in its own axes, of the camera's in its own."""
         rotation = self._mount[:3, :3]
         angular = rotation @ twist[3:]
-        return np.concatenate([rotation @ twist[:3] - np.cross(angular, self._mount[:3, 3]), angular])
+        return np.concatenate([rotation @ twist[:3] - skew(angular) @ self._mount[:3, 3], angular])
 
 
 def with_scale_error(covariance: Array, displacement: Array, sigma: float) -> Array:
