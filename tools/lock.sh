@@ -3,7 +3,7 @@
 set -euo pipefail
 new=$(mktemp)
 trap 'rm -f "$new"' EXIT
-"$1/python" -m piptools compile --quiet --upgrade --extra dev --strip-extras --no-annotate --no-header \
+"$1/python" -m piptools compile --quiet --upgrade --extra dev --strip-extras --allow-unsafe --no-annotate --no-header \
     --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-emit-options \
     --output-file "$new" pyproject.toml
 if grep -nE '://|^ *-' "$new"; then

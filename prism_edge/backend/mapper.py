@@ -12,7 +12,7 @@ from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import Keyframe, MapUpdate
-from prism_edge.tracking.seeding import raw_pixels, sample_depth
+from prism_edge.tracking.seeding import agreement, raw_pixels, sample_depth
 
 MIN_ALIGNED = 20
 MIN_ALIGNED_PARALLAX_DEG = 1.0
@@ -41,7 +41,8 @@ class Mapper:
         """Attach network depth (metres) to a keyframe's keypoints, in map units.
 
         A network's scale wavers from frame to frame, much more than its relative depth is wrong. So each
-        keyframe has a log scale of its own: that of its triangulated points, where there are enough.
+        keyframe has a log scale of its own: that of its triangulated points, where there are enough. Depths
+        that don't tell near from far are left out.
         """
         keyframe = self.world.keyframes.get(message.id)
         if keyframe is None:
@@ -49,10 +50,12 @@ class Mapper:
         good, network = sample_depth(depth, image_to_depth, raw_pixels(keyframe.camera, keyframe.pixels))
         own = np.where(good, network, 0.0)
         firm = good & (message.parallax_deg >= MIN_ALIGNED_PARALLAX_DEG) & (message.depths > 0)
+        factor = float(np.exp(-log_scale))
         if firm.sum() >= MIN_ALIGNED:
-            factor = float(np.exp(np.median(np.log(message.depths[firm] / own[firm]))))
-        else:
-            factor = float(np.exp(-log_scale))
+            agreed = agreement(message.depths[firm].astype(np.float64), own[firm])
+            if not agreed.informative:
+                return
+            factor = agreed.units_per_metre
         keyframe.depths = own * factor
 
     def optimise(self, newest: int, log_scale: float) -> MapUpdate | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,6 +14,8 @@ from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.triangulation import rays
 
 MAX_EDGE_RATIO = 1.25  # of depths round a pixel: beyond it the pixel straddles an edge
+ALWAYS_CREDIBLE_SPREAD = 0.15  # a scene of one depth says nothing against a network
+LEAST_EXPLAINED = 0.8  # of the spread of log depth may be left in the ratio
 MIN_ALIGNED = 20  # triangulated points that make a keyframe's own ratio better than the filter's
 
 
@@ -40,6 +44,34 @@ def raw_pixels(camera: Camera, ideal_pixels: Array) -> Array:
     return camera.project(rays(camera, ideal_pixels))
 
 
+@dataclass(frozen=True)
+class Agreement:
+    """How a network's depths of one keyframe go with those of its triangulated points."""
+
+    units_per_metre: float  # median ratio
+    spread: float  # of the log ratio, one sigma (robust)
+    informative: bool  # whether the network tells near from far
+
+
+def agreement(map_depths: Array, network_depths: Array) -> Agreement:
+    """Compare depths (n,) above 0 of the same points.
+
+    A network that is at a loss (an indoor one outdoors, say) puts out much the same depth for all: the log
+    ratio then scatters as widely as the log depths themselves. Its points would lie at a wrong place with
+    confidence, and since triangulation favours near points, each keyframe's would be nearer than the last's.
+    """
+    log_depths = np.log(map_depths)
+    ratios = log_depths - np.log(network_depths)
+    spread = robust_sigma(ratios)
+    informative = spread < max(ALWAYS_CREDIBLE_SPREAD, LEAST_EXPLAINED * robust_sigma(log_depths))
+    return Agreement(float(np.exp(np.median(ratios))), spread, informative)
+
+
+def robust_sigma(values: Array) -> float:
+    """Standard deviation by the median absolute deviation."""
+    return 1.48 * float(np.median(np.abs(values - np.median(values))))
+
+
 def seed_from_depth(
     world: LocalMap,
     keyframe: LocalKeyframe,
@@ -61,11 +93,10 @@ def seed_from_depth(
         pixels = raw_pixels(keyframe.camera, keyframe.features.pixels[keypoints[firm]])
         good, network = sample_depth(depth, image_to_depth, pixels)
         if good.sum() >= MIN_ALIGNED:
-            ratios = np.log(map_depth[firm][good] / network[good])
-            units_per_metre = float(np.exp(np.median(ratios)))
-            # Where the network is at a loss (outdoors, say), its depths scatter: seeds must not be believed.
-            spread = 1.48 * float(np.median(np.abs(ratios - np.median(ratios))))
-            relative_sigma = max(relative_sigma, spread)
+            agreed = agreement(map_depth[firm][good], network[good])
+            if not agreed.informative:
+                return np.zeros(0, np.int64)
+            units_per_metre, relative_sigma = agreed.units_per_metre, max(relative_sigma, agreed.spread)
     free = keyframe.free()
     good, metres = sample_depth(
         depth, image_to_depth, raw_pixels(keyframe.camera, keyframe.features.pixels[free])

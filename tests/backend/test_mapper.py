@@ -61,6 +61,7 @@ def test_a_keyframe_s_depth_comes_in_map_units_by_its_own_scale(firm):
 def test_invalid_pixels_have_no_depth():
     mapper = Mapper(CONFIG)
     message = Teller().keyframe(np.eye(4))
+    message = replace(message, depths=np.full(len(message.points), 3.0, np.float32))
     mapper.absorb(message)
     depth = plane()
     depth[:, :80] = np.nan
@@ -69,6 +70,15 @@ def test_invalid_pixels_have_no_depth():
     x = message.pixels[:, 0]
     assert not depths[x < 300].any()
     assert (depths[(x > 340) & (x < 630)] > 0).all()
+
+
+def test_a_network_that_does_not_tell_near_from_far_is_left_out():
+    """The points lie between 2 and 7 m, the network says 3 for all: that would flatten the scene."""
+    mapper = Mapper(CONFIG)
+    message = Teller().keyframe(np.eye(4))
+    mapper.absorb(message)
+    mapper.add_depth(message, plane(3.0), WIDE, 0.0)
+    assert mapper.world.keyframes[0].depths is None
 
 
 def test_depth_of_a_keyframe_that_is_gone_is_no_matter():
