@@ -158,8 +158,8 @@ def test_a_network_that_errs_by_a_factor_and_some_noise_is_informative(factor, n
 def test_a_network_that_does_not_tell_near_from_far_is_not(network):
     rng = np.random.default_rng(0)
     truth = rng.uniform(2.0, 40.0, 300)
-    says = {"constant": np.full(300, 2.0), "inverted": 50.0 / truth, "random": rng.uniform(1, 3, 300)}[network]
-    assert not agreement(truth, says).informative
+    says = {"constant": np.full(300, 2.0), "inverted": 50.0 / truth, "random": rng.uniform(1, 3, 300)}
+    assert not agreement(truth, says[network]).informative
 
 
 def test_a_wall_of_one_depth_says_nothing_against_a_network():
