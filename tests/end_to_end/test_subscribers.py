@@ -28,7 +28,9 @@ def running(
         daemon.until_ready()
         with daemon.bus() as bus:
             poses = bus.queue("pose", 1024)
-            wait_until(lambda: poses.take(0.1), "a pose")
+            # A frame's status is told after its pose: with the second pose that of the first is out.
+            for which in ("a pose", "another pose"):
+                wait_until(lambda: poses.take(0.1), which)
         yield daemon
 
 
