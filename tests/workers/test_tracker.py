@@ -8,141 +8,25 @@ import numpy as np
 import pytest
 
 from prism_edge.bus import ros
-from prism_edge.config import Config, DepthConfig, TrackingConfig
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import (
-    Acknowledged,
-    Depth,
     EndOfStream,
-    Frame,
-    Keyframe,
-    KeyframeImage,
-    MapUpdate,
-    Scale,
 )
-from prism_edge.workers import tracker as worker
-from tests.tracking.footage import IDENTITY, footage
+from tests.tracking.footage import footage
 from tests.workers.list_bus import ListBus
-
-CONFIG = Config(tracking=TrackingConfig(features=500), depth=DepthConfig(model="exact"))
-LOCKSTEP = replace(CONFIG, mode="lockstep")
-BASE_FROM_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-NONE = np.zeros(0, np.int64)
-
-
-def frame(index: int, of: int | None = None, **changes: object) -> Frame:
-    film = footage()
-    made = Frame(
-        index=index,
-        stamp_ns=film.stamp_ns(index),
-        captured_monotonic_ns=1000 + index,
-        colour=False,
-        duplicate=False,
-        camera_model="pinhole",
-        camera=film.camera.to_array(),
-        image=film.images[index if of is None else of],
-    )
-    return replace(made, **changes)
-
-
-def depth_of(image: KeyframeImage, **changes: object) -> Depth:
-    made = Depth(
-        keyframe=image.keyframe,
-        index=image.index,
-        stamp_ns=image.stamp_ns,
-        epoch=image.epoch,
-        model="exact",
-        bias_sigma=0.0,
-        inference_ms=1.0,
-        valid=True,
-        reason="",
-        image_to_depth=IDENTITY,
-        depth=footage().depths[image.index],
-        confidence=np.zeros((0, 0), np.float32),
-        descriptor=np.zeros(0, np.float32),
-    )
-    return replace(made, **changes)
-
-
-def scale_of(keyframe: Keyframe, log_scale: float = 0.0, sigma: float = 0.05, **changes: object) -> Scale:
-    made = Scale(
-        keyframe=keyframe.id,
-        index=keyframe.index,
-        stamp_ns=keyframe.stamp_ns,
-        epoch=keyframe.epoch,
-        log_scale=log_scale,
-        sigma=sigma,
-        filter_sigma=sigma,
-        observation=log_scale,
-        observation_sigma=0.1,
-        points=50,
-        accepted=True,
-    )
-    return replace(made, **changes)
-
-
-def update_of(keyframe: Keyframe, sequence: int = 1, poses: np.ndarray | None = None, **changes) -> MapUpdate:
-    """An update that changes nothing, or puts the newest keyframe elsewhere."""
-    made = MapUpdate(
-        epoch=keyframe.epoch,
-        sequence=sequence,
-        based_on=keyframe.id,
-        index=keyframe.index,
-        loop_closed=False,
-        solve_ms=1.0,
-        keyframes=NONE if poses is None else np.array([keyframe.id]),
-        poses=np.zeros((0, 4, 4)) if poses is None else poses,
-        points=NONE,
-        positions=np.zeros((0, 3)),
-        parallax_deg=np.zeros(0, np.float32),
-        dropped_keyframes=NONE,
-        dropped_points=NONE,
-    )
-    return replace(made, **changes)
-
-
-class World:
-    """Depth, scale and backend as they answer the tracker; each answer can be changed or left out."""
-
-    def __init__(self, bus: ListBus) -> None:
-        self.bus = bus
-        self.depth, self.scale, self.update = depth_of, scale_of, update_of
-        bus.hear = self.heard
-
-    def heard(self, topic: str, message) -> None:
-        if topic == "keyframe_image" and self.depth is not None:
-            self.bus.give("depth", self.depth(message))
-        if topic == "keyframe":
-            if self.scale is not None:
-                self.bus.give("log_scale", self.scale(message))
-            if self.update is not None:
-                self.bus.give("map_update", self.update(message, sequence=message.id + 1))
-
-
-@pytest.fixture
-def bus():
-    return ListBus("frame")
-
-
-@pytest.fixture
-def world(bus):
-    return World(bus)
-
-
-def positions(bus) -> dict[int, np.ndarray]:
-    """Published positions by frame."""
-    film = footage()
-    index = {film.stamp_ns(i): i for i in range(200)}
-    return {index[ros.stamp_ns(m)]: ros.pose_matrix(m.pose.pose)[:3, 3] for m in bus.of("pose")}
-
-
-def true_position(index: int) -> np.ndarray:
-    return (BASE_FROM_CAMERA @ footage().poses[index] @ inverse(BASE_FROM_CAMERA))[:3, 3]
-
-
-def run(bus, frames, config=CONFIG) -> None:
-    bus.give("frame", *frames)
-    worker.main(config, bus)
+from tests.workers.tracker_bench import (
+    BASE_FROM_CAMERA,
+    CONFIG,
+    LOCKSTEP,
+    World,
+    depth_of,
+    frame,
+    positions,
+    run,
+    scale_of,
+    true_position,
+    update_of,
+)
 
 
 def test_poses_go_out_in_metres_and_the_robot_s_axes(bus, world):
@@ -396,77 +280,3 @@ def test_a_frame_that_makes_no_sense_is_passed_over(bus, world, changes, config,
     assert "frame 6" in caplog.text
     if config is LOCKSTEP:
         assert [a.index for a in bus.of("acknowledged")] == list(range(12))
-
-
-def test_lockstep_acknowledges_every_frame_after_its_work(bus, world):
-    run(bus, [frame(i) for i in range(20)], LOCKSTEP)
-    assert bus.of("acknowledged") == [Acknowledged("tracker", i) for i in range(20)]
-    for i in range(20):
-        order = [(t, m.index) for t, m in bus.sent if t in ("keyframe", "tracked", "acknowledged")]
-        assert order.index(("tracked", i)) < order.index(("acknowledged", i))
-    for keyframe in bus.of("keyframe"):
-        assert order.index(("keyframe", keyframe.index)) < order.index(("tracked", keyframe.index))
-
-
-def test_lockstep_holds_depth_back_for_its_lag(bus, world):
-    config = replace(LOCKSTEP, lockstep=replace(LOCKSTEP.lockstep, depth_lag=4))
-    run(bus, [frame(i) for i in range(10)], config)
-    assert [t.index for t in bus.of("tracked") if t.published] == list(range(4, 10))
-
-
-def test_lockstep_holds_the_map_back_for_its_lag(bus, world):
-    shift = np.eye(4)
-    shift[:3, 3] = (0.5, 0.0, 0.0)
-    world.update = lambda keyframe, sequence: update_of(
-        keyframe, sequence, (shift @ keyframe.world_from_camera)[None] if keyframe.id == 0 else None
-    )
-    run(bus, [frame(i) for i in range(10)], LOCKSTEP)
-    off = {i: np.linalg.norm(p - true_position(i)) for i, p in positions(bus).items()}
-    lag = LOCKSTEP.lockstep.map_lag
-    assert all(off[i] < 0.05 for i in range(3, lag))
-    assert all(off[i] == pytest.approx(0.5, abs=0.05) for i in range(lag, 10))
-
-
-def test_lockstep_twice_is_the_same_to_the_last_bit():
-    runs = []
-    for _ in range(2):
-        bus = ListBus("frame")
-        World(bus)
-        run(bus, [frame(i) for i in range(25)], LOCKSTEP)
-        runs.append(positions(bus))
-    assert runs[0].keys() == runs[1].keys()
-    for i, position in runs[0].items():
-        assert position.tolist() == runs[1][i].tolist()
-
-
-def test_lockstep_goes_on_without_an_answer_that_never_comes(bus, world, monkeypatch, caplog):
-    monkeypatch.setattr(worker, "_PATIENCE_S", 0.02)
-    world.update = world.scale = None
-    run(bus, [frame(i) for i in range(12)], LOCKSTEP)
-    assert [a.index for a in bus.of("acknowledged")] == list(range(12))
-    assert len(bus.of("pose")) == 9
-    assert "no map_update of keyframe 0" in caplog.text
-
-
-def test_answers_that_come_in_another_order_are_each_found(bus, world):
-    """Scale and update of a keyframe may be there before its depth, or a later keyframe's before them."""
-    held = []
-    world.depth = None
-
-    def heard(topic, message):
-        World.heard(world, topic, message)
-        if topic == "keyframe_image":
-            held.append(message)
-        if topic == "tracked" and held and message.index >= held[0].index + 2:
-            bus.give("depth", depth_of(held.pop(0)))
-
-    bus.hear = heard
-    run(bus, [frame(i) for i in range(20)], LOCKSTEP)
-    assert [t.index for t in bus.of("tracked") if t.published] == list(range(3, 20))
-
-
-def test_a_process_that_was_started_anew_numbers_its_keyframes_anew(bus, world):
-    bus.life, bus.first_id = 1, 1_000_000
-    run(bus, [frame(i) for i in range(50, 53)])
-    assert bus.of("keyframe")[0].id == 1_000_000
-    assert bus.of("tracked")[-1].dropped == 0, "what came while it was down was not dropped by it"

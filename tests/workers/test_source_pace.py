@@ -1,0 +1,86 @@
+"""The source worker beside a source that is slow or live."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+from sources import tiny_datasets as tiny
+
+from prism_edge.sources import Image, Slot, Source, open_source
+from prism_edge.workers.source import SourceWorker
+from tests.workers.test_source import Recorder, running, settings
+
+
+class SlowSource(Source):
+    """Images a millisecond apart, of which the first takes a hundred to read."""
+
+    def __init__(self, source: Source) -> None:
+        self._inner = source
+        self.name, self.camera, self.camera_origin = "slow", source.camera, ""
+        self.frame_count, self.period_ns = 50, 1_000_000
+        self._next = 0
+
+    def open(self) -> None:
+        self._inner.open()
+
+    def peek(self) -> Slot | None:
+        return Slot(self._next, self._next * 1_000_000) if self._next < 50 else None
+
+    def read(self) -> Image:
+        item = self._inner.read()
+        assert isinstance(item, Image)
+        if self._next == 0:
+            time.sleep(0.1)
+        index, self._next = self._next, self._next + 1
+        return Image(index, index * 1_000_000, np.roll(item.pixels, index, axis=1))
+
+    def skip(self) -> None:
+        self._next += 1
+
+    def close(self) -> None:
+        self._inner.close()
+
+
+def test_a_late_source_skips_and_counts(tmp_path: Path) -> None:
+    config = settings(tiny.write_tum(tmp_path), loop=True)
+
+    def work(bus: Recorder) -> None:
+        with SlowSource(open_source(config.source)) as source:
+            SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
+
+    with running(work) as bus:
+        frames, end = bus.until_end()
+        skipped = int(bus.pulse.values["skipped"])
+    assert end.frames == 50
+    assert skipped == 50 - len(frames) > 0
+    for frame in frames:  # none of those that went out was late by more than a period when it was read
+        assert frame.captured_monotonic_ns - frames[0].captured_monotonic_ns == frame.stamp_ns
+
+
+class Camera(SlowSource):
+    """A live source: only reading tells when an image is there."""
+
+    live = True
+
+    def peek(self) -> None:
+        return None
+
+    def read(self) -> Image | None:  # type: ignore[override]
+        return super().read() if self._next < 3 else None
+
+
+def test_a_live_source_stamps_on_arrival(tmp_path: Path) -> None:
+    config = settings(tiny.write_tum(tmp_path), loop=True)
+
+    def work(bus: Recorder) -> None:
+        with Camera(open_source(config.source)) as source:
+            SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
+
+    before = time.monotonic_ns()
+    with running(work) as bus:
+        frames, end = bus.until_end()
+    captured = [frame.captured_monotonic_ns for frame in frames]
+    assert before < captured[0] < captured[1] < captured[2] < time.monotonic_ns()
+    assert end.released == 3
