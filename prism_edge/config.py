@@ -56,7 +56,7 @@ class TrackingConfig:
     features: int = limits(700, 100, 5000, "ORB features kept a frame")
     levels: int = limits(6, 1, 12, "pyramid levels")
     scale_factor: float = limits(1.3, 1.05, 2.0, "ratio between pyramid levels")
-    fast_threshold: int = limits(10, 1, 100, "FAST threshold of the detector")
+    fast_threshold: int = limits(10, 1, 100, "lowest FAST threshold; it rises with the texture")
     min_matches: int = limits(25, 6, 1000, "fewer inliers than this and tracking is lost")
     lost_after_s: float = limits(0.3, 0.0, 10.0, "failing for longer than this is `lost`")
     keyframe_ratio: float = limits(0.8, 0.1, 1.0, "new keyframe when matches fall below this share")

@@ -12,7 +12,7 @@ from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import Keyframe, MapUpdate
-from prism_edge.tracking.seeding import agreement, raw_pixels, sample_depth
+from prism_edge.tracking.seeding import agreement, sample_depth
 
 MIN_ALIGNED = 20
 MIN_ALIGNED_PARALLAX_DEG = 1.0
@@ -47,7 +47,7 @@ class Mapper:
         keyframe = self.world.keyframes.get(message.id)
         if keyframe is None:
             return
-        good, network = sample_depth(depth, image_to_depth, raw_pixels(keyframe.camera, keyframe.pixels))
+        good, network = sample_depth(depth, image_to_depth, keyframe.camera.distort_pixels(keyframe.pixels))
         own = np.where(good, network, 0.0)
         firm = good & (message.parallax_deg >= MIN_ALIGNED_PARALLAX_DEG) & (message.depths > 0)
         factor = float(np.exp(-log_scale))

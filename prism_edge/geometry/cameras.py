@@ -110,6 +110,16 @@ class Camera:
             return np.asarray(pixels, dtype=np.float64)
         return self.normalise(pixels) * (self.fx, self.fy) + (self.cx, self.cy)
 
+    def distort_pixels(self, pixels: Array) -> Array:
+        """Pixels (n, 2) of the image as taken, of those :meth:`ideal` would have seen; undoes the above."""
+        ideal = np.asarray(pixels, dtype=np.float64)
+        if self.is_ideal:
+            return ideal
+        return self._distort((ideal - (self.cx, self.cy)) / (self.fx, self.fy)) * (self.fx, self.fy) + (
+            self.cx,
+            self.cy,
+        )
+
     def _distort(self, xy: Array) -> Array:
         if not any(self.distortion) and self.model == PINHOLE:
             return xy

@@ -36,15 +36,6 @@ class Samples:
         return len(self.log_ratios)
 
 
-def distorted_pixels(camera: Camera, pixels: Floats) -> Array:
-    """Raw image pixels (n, 2) of undistorted ones (n, 2): the network saw the raw image."""
-    undistorted = np.asarray(pixels, dtype=np.float64)
-    if camera.is_ideal:
-        return undistorted
-    rays = np.column_stack([camera.ideal().normalise(undistorted), np.ones(len(undistorted))])
-    return camera.project(rays)
-
-
 def depth_at(
     depth: Floats, positions: Array, edge_ratio: float = EDGE_RATIO
 ) -> tuple[Array, NDArray[np.bool_]]:
@@ -101,7 +92,7 @@ def sample(
     """
     usable = np.isfinite(map_depths) & (map_depths > 0.0) & (parallax_deg >= min_parallax_deg)
     rows = np.flatnonzero(usable & (parallax_deg > 0.0))
-    raw = distorted_pixels(camera, np.asarray(pixels, dtype=np.float64)[rows])
+    raw = camera.distort_pixels(np.asarray(pixels, dtype=np.float64)[rows])
     values, counts = depth_at(depth, raw * image_to_depth[[0, 2]] + image_to_depth[[1, 3]])
     rows, raw, values = rows[counts], raw[counts], values[counts]
     size = camera.width / PATCHES_ACROSS

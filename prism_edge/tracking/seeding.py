@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, transform
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.point_table import Ids, Index
@@ -35,13 +34,6 @@ def sample_depth(
     low, high = around.min(axis=0), around.max(axis=0)
     good = inside & (low > 0) & (high < MAX_EDGE_RATIO * low)
     return good, around[4].astype(np.float64)
-
-
-def raw_pixels(camera: Camera, ideal_pixels: Array) -> Array:
-    """Pixels of the image as taken (n, 2), where keypoints (ideal pixels) are to be looked up in it."""
-    if camera.is_ideal:
-        return ideal_pixels
-    return camera.project(rays(camera, ideal_pixels))
 
 
 @dataclass(frozen=True)
@@ -90,7 +82,7 @@ def seed_from_depth(
     rows = world.points.rows(keyframe.points[keypoints])
     firm = (world.points.parallax_deg[rows] >= 1.0) & (map_depth > 0)
     if firm.sum() >= MIN_ALIGNED:
-        pixels = raw_pixels(keyframe.camera, keyframe.features.pixels[keypoints[firm]])
+        pixels = keyframe.camera.distort_pixels(keyframe.features.pixels[keypoints[firm]])
         good, network = sample_depth(depth, image_to_depth, pixels)
         if good.sum() >= MIN_ALIGNED:
             agreed = agreement(map_depth[firm][good], network[good])
@@ -99,7 +91,7 @@ def seed_from_depth(
             units_per_metre, relative_sigma = agreed.units_per_metre, max(relative_sigma, agreed.spread)
     free = keyframe.free()
     good, metres = sample_depth(
-        depth, image_to_depth, raw_pixels(keyframe.camera, keyframe.features.pixels[free])
+        depth, image_to_depth, keyframe.camera.distort_pixels(keyframe.features.pixels[free])
     )
     chosen: Index = free[good][:most]
     metres = metres[good][:most]

@@ -46,7 +46,7 @@ _LOOK_S = 0.01  # between frames, for what the others have sent
 _FRAME_S = 5.0
 _PATIENCE_S = 30.0  # lockstep: an answer that takes longer isn't coming
 _STATUS_NS = 500_000_000
-SEED_SIGMA = 0.2  # relative error of one pixel of network depth
+SEED_DEPTH_SIGMA = 0.2  # relative error of one pixel of network depth
 UNKNOWN_SCALE_SIGMA = 1.0
 
 
@@ -239,7 +239,7 @@ class TrackerWorker:
 
     def _apply_depth(self, message: Depth) -> None:
         if message.valid and message.epoch == self._tracker.epoch:
-            sigma = float(np.hypot(SEED_SIGMA, message.bias_sigma))
+            sigma = float(np.hypot(SEED_DEPTH_SIGMA, message.bias_sigma))
             self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
 
     def _apply_scale(self, message: Scale) -> None:

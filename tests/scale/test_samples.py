@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.geometry.cameras import FISHEYE, Camera
-from prism_edge.scale.samples import PATCHES_ACROSS, depth_at, distorted_pixels, sample
+from prism_edge.scale.samples import PATCHES_ACROSS, depth_at, sample
 from tests.scale.scene import CAMERA, IMAGE_TO_DEPTH, depth_of_wall, keyframe_of_wall
 
 DISTORTED = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, distortion=(-0.25, 0.08, 0.001, -0.002))
@@ -33,7 +33,7 @@ def test_a_perfect_network_shows_the_maps_unit_through_any_lens(camera):
 @pytest.mark.parametrize("camera", [DISTORTED, FISH], ids=["distorted", "fisheye"])
 def test_distorting_undoes_undistorting(camera):
     raw = np.random.default_rng(0).uniform((20, 20), (620, 460), (50, 2))
-    np.testing.assert_allclose(distorted_pixels(camera, camera.undistort_pixels(raw)), raw, atol=1e-3)
+    np.testing.assert_allclose(camera.distort_pixels(camera.undistort_pixels(raw)), raw, atol=1e-3)
 
 
 def test_seeded_and_barely_triangulated_points_are_never_used():

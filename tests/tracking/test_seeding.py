@@ -11,7 +11,7 @@ from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.seeding import agreement, raw_pixels, sample_depth, seed_from_depth
+from prism_edge.tracking.seeding import agreement, sample_depth, seed_from_depth
 from tests.tracking.cloud import pose_at
 
 WIDE = (0.25, -0.375, 0.25, -0.375)  # a network at a quarter of the size, outer corners in line
@@ -65,7 +65,7 @@ def test_seeds_lie_on_the_wall(camera):
 @pytest.mark.parametrize("camera", CAMERAS)
 def test_raw_pixels_undo_undistortion(camera):
     raw = np.random.default_rng(1).uniform((60, 60), (580, 420), (40, 2))
-    assert raw_pixels(camera, camera.undistort_pixels(raw)) == pytest.approx(raw, abs=1e-4)
+    assert camera.distort_pixels(camera.undistort_pixels(raw)) == pytest.approx(raw, abs=1e-4)
 
 
 def test_triangulated_points_set_the_unit():
