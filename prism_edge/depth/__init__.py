@@ -24,6 +24,7 @@ class DepthNetwork(Protocol):
 
     name: str
     bias_sigma: float  # log-scale error that never averages out
+    dsug: tuple[float, float]  # the uncertainty gate's tau and T fitted for it; (nan, nan): not fitted
     provider: str  # execution provider it really runs on
     counters: dict[str, int]  # events worth showing on `health`
 

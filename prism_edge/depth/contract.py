@@ -54,8 +54,13 @@ class ModelCard:
     depth_output: str = ""  # empty: the file's only output
     confidence_output: str = ""  # empty: the network gives none
     descriptor_output: str = ""
+    descriptor_layer: str = ""  # in words: the tensor that the descriptor comes from
+    descriptor_pooling: str = ""  # how it became one vector: none (a token) | mean | max | gem
     sky_output: str = ""
     sky_limit: float = 0.3  # a sky value at or above this is no surface
+    rays_output: str = ""  # (1, h, w, 6): direction and origin of each pixel's ray, in the camera's frame
+    intrinsics_output: str = ""  # (1, 3, 3) camera matrix, pixels of the network's input
+    views: int = 1  # images taken at once; the daemon runs networks of one
     canonical_focal_length: float | None = None  # pixels of the network's input
     scale_bias_sigma: float | None = None  # log-scale error that never averages out
     dsug_tau: float | None = None  # None: not fitted for this network
@@ -65,6 +70,13 @@ class ModelCard:
     def has_metres(self) -> bool:
         """Whether its depth can be turned into metres without another network."""
         return self.depth_kind in (METRIC, FOCAL_NORMALISED)
+
+    @property
+    def dsug(self) -> tuple[float, float]:
+        """The uncertainty gate's tau and T as fitted for this network; (nan, nan) where they are not."""
+        if self.dsug_tau is None or self.dsug_temperature is None:
+            return math.nan, math.nan
+        return self.dsug_tau, self.dsug_temperature
 
     def to_metadata(self) -> dict[str, str]:
         """The card as ONNX ``metadata_props``; :func:`card_from_metadata` reads it back."""
@@ -150,6 +162,9 @@ def _check_whole(card: ModelCard, where: str) -> None:
         raise ModelError(f"{where}: depth_kind {card.depth_kind} needs scale_bias_sigma (docs/MODELS.md)")
     if (card.dsug_tau is None) != (card.dsug_temperature is None):
         raise ModelError(f"{where}: dsug_tau and dsug_temperature come together or not at all")
+    for key in ("descriptor_layer", "descriptor_pooling"):
+        if getattr(card, key) and not card.descriptor_output:
+            raise ModelError(f"{where}: {key} describes a descriptor, but there is no descriptor_output")
 
 
 def _text(value: Any) -> str:
@@ -238,8 +253,13 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "depth_output": _text,
     "confidence_output": _text,
     "descriptor_output": _text,
+    "descriptor_layer": _text,
+    "descriptor_pooling": _choice("none", "mean", "max", "gem"),
     "sky_output": _text,
     "sky_limit": _number(-1e6, 1e6),
+    "rays_output": _text,
+    "intrinsics_output": _text,
+    "views": _whole(1, 64),
     "scale_bias_sigma": _number(1e-4, 2.0),
     "dsug_tau": _number(0.0, 10.0),
     "dsug_temperature": _number(1e-6, 10.0),

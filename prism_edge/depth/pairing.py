@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.depth.contract import RELATIVE
-from prism_edge.depth.prediction import Prediction, checked
+from prism_edge.depth.prediction import Prediction, checked, no_confidence, normalised
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -95,24 +95,28 @@ class PairedNetwork:
         self.card = metric.card
         self.name = f"nested:{relative.name},{metric.name}"
         self.bias_sigma = metric.bias_sigma
+        self.dsug = relative.dsug  # fitted to the confidence, which is the relative network's
         self.provider = relative.provider
         self.counters: dict[str, int] = {"unpaired": 0}
 
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
-        """As :meth:`OnnxNetwork.infer`; confidence and descriptor are the relative network's own.
+        """As :meth:`OnnxNetwork.infer`; the confidence is the relative network's, none where that failed.
 
-        Where it gives no descriptor, the metric network's stands in.
+        The descriptor is always the relative network's, or always the metric one's where the relative one
+        has none: neither confidences nor descriptors of two networks can be compared.
         """
         metric = self._metric.infer(rgb, camera)
         raw, _ = self._relative.raw(rgb)
         took = metric.inference_ms + raw.inference_ms
+        own = self._relative.card.descriptor_output
+        descriptor = normalised(raw.descriptor) if own else metric.descriptor
         paired = self._pair(raw, metric) if metric.valid else None
         if paired is None:
             self.counters["unpaired"] += metric.valid
-            return replace(metric, inference_ms=took)
-        if not paired.descriptor.size:
-            paired = replace(paired, descriptor=metric.descriptor)
-        return replace(paired, inference_ms=took)
+            return replace(
+                metric, confidence=no_confidence(), descriptor=descriptor, inference_ms=took
+            )
+        return replace(paired, descriptor=descriptor, inference_ms=took)
 
     def _pair(self, raw: Prediction, metric: Prediction) -> Prediction | None:
         inverse = raw.depth

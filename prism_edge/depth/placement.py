@@ -34,6 +34,17 @@ class Placement:
         """Geometric mean of the focal lengths in pixels of the network's input."""
         return math.sqrt(camera.fx * self.scale_x * camera.fy * self.scale_y)
 
+    def to_image(self, fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
+        """(4,) of a camera given in pixels of the network's input: the same in pixels of the image."""
+        return np.array(
+            [
+                fx / self.scale_x,
+                fy / self.scale_y,
+                (cx + self.left + 0.5) / self.scale_x - 0.5,
+                (cy + self.top + 0.5) / self.scale_y - 0.5,
+            ]
+        )
+
     def image_to_depth(self, width: int, height: int) -> NDArray[np.float64]:
         """(4,) a, b, c, d: image pixel (x, y) is at (a x + b, c y + d) of a width x height depth map."""
         out = []

@@ -11,6 +11,7 @@ F32 = NDArray[np.float32]
 
 LEAST_VALID = 0.2  # share of pixels below which a depth map is no use
 LEAST_SPREAD = 1e-4  # relative spread below which it is constant
+LEAST_NORM = 1e-6  # of a descriptor that says anything
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Prediction:
     depth: F32  # (h, w) metres
     image_to_depth: NDArray[np.float64]  # (4,)
     confidence: F32  # (h, w) as the network gives it, (0, 0) for none
-    descriptor: F32  # (n,) as the network gives it, (0,) for none
+    descriptor: F32  # (n,) of Euclidean norm 1, (0,) for none
     inference_ms: float
     valid: bool = True
     reason: str = ""
@@ -39,6 +40,15 @@ def no_confidence() -> F32:
 def no_descriptor() -> F32:
     """The array that says that the network gives no descriptor."""
     return np.zeros(0, np.float32)
+
+
+def normalised(descriptor: F32) -> F32:
+    """The descriptor (n,) at Euclidean norm 1; :func:`no_descriptor` where it is not finite or all zero."""
+    values = descriptor.astype(np.float64)
+    norm = float(np.linalg.norm(values))
+    if not np.isfinite(norm) or norm < LEAST_NORM:
+        return no_descriptor()
+    return (values / norm).astype(np.float32)
 
 
 def checked(prediction: Prediction) -> Prediction:
@@ -58,14 +68,11 @@ def checked(prediction: Prediction) -> Prediction:
         if np.std(values) < LEAST_SPREAD * np.mean(values):
             reason = f"the depth map is constant ({float(values[0]):.3g} m)"
     confidence = np.nan_to_num(prediction.confidence, nan=0.0, posinf=0.0, neginf=0.0)
-    descriptor = prediction.descriptor
-    if not np.all(np.isfinite(descriptor)):
-        descriptor = no_descriptor()
     return replace(
         prediction,
         depth=np.zeros_like(depth) if reason else np.where(usable, depth, np.float32(0)),
         confidence=confidence,
-        descriptor=descriptor,
+        descriptor=normalised(prediction.descriptor),
         valid=not reason,
         reason=reason,
     )

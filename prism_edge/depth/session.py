@@ -22,6 +22,7 @@ from prism_edge.geometry.cameras import Camera
 
 log = logging.getLogger("prism_edge.depth")
 
+_LARGEST_DESCRIPTOR = 16_384
 _QUIET = 3  # onnxruntime's severity "error": files in use carry hundreds of harmless warnings
 
 
@@ -53,6 +54,7 @@ class OnnxNetwork:
         self.card: ModelCard = card_of(path, self.digest, props)
         self.name = self.card.name
         self.bias_sigma = self.card.scale_bias_sigma or 0.0
+        self.dsug = self.card.dsug
         self.counters: dict[str, int] = {}
         self._input, self._outputs = _verify(self._session, self.card, path.name)
         self._warm_up()
@@ -75,6 +77,24 @@ class OnnxNetwork:
             raw = _with_depth(raw, raw.depth * np.float32(factor))
         return checked(raw)
 
+    def intrinsics(self, rgb: NDArray[np.uint8]) -> NDArray[np.float64] | None:
+        """(4,) fx, fy, cx, cy in pixels of the image, as the network sees them; None where it says nothing.
+
+        Of an image (height, width, 3) uint8 RGB whose camera is not known.
+        """
+        output = self.card.intrinsics_output
+        if not output:
+            return None
+        placement = place(self.card, rgb.shape[1], rgb.shape[0])
+        (matrix,) = self._session.run([output], {self._input: tensor(rgb, self.card, placement)})
+        if matrix.size != 9:
+            shape = list(matrix.shape)
+            raise ModelError(f"{self.name}: output {output!r} of shape {shape} is no camera matrix")
+        fx, fy, cx, cy = np.asarray(matrix, np.float64).ravel()[[0, 4, 2, 5]]
+        if not np.isfinite([fx, fy, cx, cy]).all() or fx <= 0 or fy <= 0:
+            return None
+        return placement.to_image(fx, fy, cx, cy)
+
     def raw(self, rgb: NDArray[np.uint8]) -> tuple[Prediction, Placement]:
         """The network's unchecked answer in its own unit, sky set to 0, and where the image lay in it."""
         started = time.perf_counter()
@@ -85,7 +105,7 @@ class OnnxNetwork:
         depth = _plane(answer["depth"])
         if "sky" in answer:
             depth = np.where(_plane(answer["sky"]) < self.card.sky_limit, depth, np.float32(0))
-        descriptor = answer.get("descriptor", no_descriptor()).astype(np.float32).ravel()
+        descriptor = _descriptor(answer["descriptor"]) if "descriptor" in answer else no_descriptor()
         prediction = Prediction(
             depth=depth,
             image_to_depth=placement.image_to_depth(depth.shape[1], depth.shape[0]),
@@ -157,6 +177,8 @@ def _load(path: Path, providers: Sequence[str], threads: int) -> Any:
 def _verify(session: Any, card: ModelCard, file: str) -> tuple[str, dict[str, str]]:
     """Names of the input and of the outputs by role; ModelError where file and card disagree."""
     inputs = {item.name: item for item in session.get_inputs()}
+    if card.views != 1:
+        raise ModelError(f"{file}: takes {card.views} images at once; the daemon runs networks of one")
     if len(inputs) != 1:
         raise ModelError(f"{file}: takes {len(inputs)} inputs; a depth network takes one image")
     name = card.input_name or next(iter(inputs))
@@ -178,6 +200,8 @@ def _verify(session: Any, card: ModelCard, file: str) -> tuple[str, dict[str, st
         "confidence": card.confidence_output,
         "descriptor": card.descriptor_output,
         "sky": card.sky_output,
+        "rays": card.rays_output,
+        "intrinsics": card.intrinsics_output,
     }
     roles = {role: output for role, output in roles.items() if output}
     for role, output in roles.items():
@@ -185,7 +209,8 @@ def _verify(session: Any, card: ModelCard, file: str) -> tuple[str, dict[str, st
             raise ModelError(f"{file}: has no output {output!r} for {role}, only {', '.join(outputs)}")
         if outputs[output].type not in ("tensor(float)", "tensor(float16)"):
             raise ModelError(f"{file}: output {output!r} is {outputs[output].type}, but float is needed")
-    return name, roles
+    # Rays and intrinsics are asked for by whoever wants them, not with every keyframe.
+    return name, {role: output for role, output in roles.items() if role not in ("rays", "intrinsics")}
 
 
 def _plane(values: NDArray[Any]) -> NDArray[np.float32]:
@@ -193,6 +218,13 @@ def _plane(values: NDArray[Any]) -> NDArray[np.float32]:
     if values.ndim < 2 or any(extent != 1 for extent in values.shape[:-2]) or min(values.shape[-2:]) < 2:
         raise ModelError(f"an output of shape {list(values.shape)} is no map of one value a pixel")
     return np.asarray(values.reshape(values.shape[-2:]), dtype=np.float32)
+
+
+def _descriptor(values: NDArray[Any]) -> NDArray[np.float32]:
+    """The one vector (n,) in an output of shape (1, n), (n,) or with more extents of 1."""
+    if values.size > _LARGEST_DESCRIPTOR or values.size != max(values.shape, default=0):
+        raise ModelError(f"an output of shape {list(values.shape)} is no descriptor of one vector")
+    return np.asarray(values, dtype=np.float32).ravel()
 
 
 def _first_line(error: Exception) -> str:

@@ -160,6 +160,8 @@ def answer(network: DepthNetwork | None, image: KeyframeImage) -> Depth:
         depth=prediction.depth,
         confidence=prediction.confidence,
         descriptor=prediction.descriptor,
+        dsug_tau=network.dsug[0],
+        dsug_temperature=network.dsug[1],
     )
 
 

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.depth.contract import PREFIX, card_from_mapping, card_from_metadata, card_from_sidecar
+from prism_edge.depth.contract import (
+    PREFIX,
+    ModelCard,
+    card_from_mapping,
+    card_from_metadata,
+    card_from_sidecar,
+)
 from prism_edge.errors import ModelError
-from tests.synthetic.network import TinyNetwork
+from tests.synthetic.network import TinyNetwork, write_sidecar
 
 GOOD = {
     "contract": 1,
@@ -62,6 +70,11 @@ def test_a_complete_card_is_read_with_its_types():
         ({"licence": ["MIT"]}, "text is needed"),
         ({"scale_bias_sigma": 10**400}, "too large"),
         ({"dsug_tau": 0.1}, "come together"),
+        ({"dsug_tau": 0.1, "dsug_temperature": 0}, "not within"),
+        ({"descriptor_layer": "block 4"}, "no descriptor_output"),
+        ({"descriptor_output": "d", "descriptor_pooling": "sum"}, "none of none, mean, max, gem"),
+        ({"views": 0}, "not within"),
+        ({"rays_output": ["a"]}, "text is needed"),
         ({"depth_kind": "metric"}, "belongs to depth_kind focal_normalised"),
     ],
 )
@@ -122,6 +135,52 @@ def test_a_half_written_card_in_metadata_is_refused():
 def test_metadata_gives_the_card_back(kind: str, outputs: bool):
     card = TinyNetwork(depth_kind=kind, confidence=outputs, descriptor=outputs).card()
     assert card_from_metadata({**card.to_metadata(), "onnx.infer": "quant"}, "here") == card
+
+
+def test_every_key_comes_back_from_metadata_and_from_yaml(tmp_path: Path):
+    full = {
+        **GOOD,
+        "source": "a: page # of its own",
+        "sha256": "ab" * 32,
+        "input_name": "0",
+        "colours": "bgr",
+        "pixel_scale": 1.0,
+        "resize": "crop",
+        "depth_output": "350",
+        "confidence_output": "confidence",
+        "descriptor_output": "descriptor",
+        "descriptor_layer": "camera token of the last block",
+        "descriptor_pooling": "none",
+        "sky_output": "sky",
+        "sky_limit": 0.25,
+        "rays_output": "rays",
+        "intrinsics_output": "intrinsics",
+        "views": 5,
+        "dsug_tau": 0.07,
+        "dsug_temperature": 0.02,
+        "layout": "NCHW",
+    }
+    assert set(full) - {"contract"} == {field.name for field in fields(ModelCard)}
+    card = card_from_mapping(full, "here")
+    for key, value in full.items():
+        if key != "contract":
+            given = getattr(card, key)
+            assert (list(given) if isinstance(given, tuple) else given) in (value, str(value)), key
+    assert card.dsug == (0.07, 0.02)
+    assert card_from_metadata(card.to_metadata(), "here") == card
+    write_sidecar(tmp_path / "net.onnx", card)
+    assert card_from_sidecar(tmp_path / "net.onnx.yaml") == card
+
+
+def test_the_page_lists_every_key():
+    page = (Path(__file__).resolve().parents[2] / "docs" / "MODELS.md").read_text(encoding="utf-8")
+    rows = [line for line in page.splitlines() if line.startswith("| `")]
+    missing = [f.name for f in fields(ModelCard) if not any(f"`{f.name}`" in row for row in rows)]
+    assert not missing
+
+
+def test_a_gate_that_was_not_fitted_is_not_a_number():
+    assert np.isnan(card_from_mapping(GOOD, "here").dsug).all()
 
 
 NUMBERS = st.booleans() | st.floats() | st.integers()

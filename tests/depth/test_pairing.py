@@ -119,6 +119,28 @@ def test_the_metric_network_stands_alone_where_the_relative_one_fails(tmp_path: 
     assert paired.counters == {"unpaired": 1}
 
 
+def test_a_pairs_descriptors_come_from_one_network_whether_it_fits_or_not(tmp_path: Path):
+    image, _ = view()
+    for relative_has_one in (True, False):
+        for misbehaviour in ("", "constant"):
+            relative = network(
+                tmp_path,
+                f"r{relative_has_one}{misbehaviour}",
+                depth_kind="inverse_relative",
+                descriptor=relative_has_one,
+                confidence=True,
+                misbehaviour=misbehaviour,
+                width=640,
+                height=480,
+            )
+            metric = network(tmp_path, "m", descriptor=True, confidence=True)
+            answer = PairedNetwork(relative, metric).infer(image, CAMERA)
+            its = relative.raw(image)[0] if relative_has_one else metric.raw(image)[0]
+            expected = its.descriptor / np.linalg.norm(its.descriptor)
+            assert answer.descriptor == pytest.approx(expected, abs=1e-6)
+            assert bool(answer.confidence.size) == (misbehaviour == "")
+
+
 def test_without_metric_depth_there_is_none(tmp_path: Path):
     relative = network(tmp_path, "good", depth_kind="inverse_relative")
     paired = PairedNetwork(relative, network(tmp_path, "bad", misbehaviour="nan"))

@@ -59,6 +59,20 @@ def test_confidence_and_descriptor_never_carry_nan():
 
 
 @settings(max_examples=60, deadline=None)
+@given(hnp.arrays(np.float32, st.integers(0, 20), elements=st.floats(width=32)))
+def test_a_descriptor_has_norm_one_or_is_none(values):
+    with np.errstate(over="ignore"):
+        out = checked(prediction(SLOPE, descriptor=values)).descriptor
+    assert out.dtype == np.float32
+    if out.size:
+        assert np.linalg.norm(out.astype(np.float64)) == pytest.approx(1.0, abs=1e-6)
+        assert out @ values >= 0 or np.isnan(out @ values)
+    else:
+        norm = np.linalg.norm(values.astype(np.float64))
+        assert not norm >= 1e-6 or np.isinf(norm)
+
+
+@settings(max_examples=60, deadline=None)
 @given(hnp.arrays(np.float32, (6, 7), elements=st.floats(width=32)))
 def test_whatever_comes_in_only_metres_come_out(depth):
     out = checked(prediction(depth))

@@ -80,6 +80,53 @@ def test_confidence_and_descriptor_are_stated_not_invented(tmp_path: Path, tiny:
     assert np.ptp(given.descriptor) > 0
 
 
+@pytest.mark.parametrize("resize", ["stretch", "crop"])
+@pytest.mark.parametrize("shape", [[1, 3, 3], [3, 3], [1, 1, 3, 3]])
+def test_a_networks_own_intrinsics_come_in_pixels_of_the_image(tmp_path: Path, resize: str, shape):
+    # 640x360 becomes 427x240, of which 53 columns are cut off at the left, or 320x240
+    sx, sy, left = (427 / 640, 240 / 360, 53) if resize == "crop" else (320 / 640, 240 / 360, 0)
+    said = [400 * sx, 0, 310.5 * sx - 0.5 - left, 0, 380 * sy, 170.5 * sy - 0.5, 0, 0, 1]
+    graph, card = _two_outputs()
+    value = helper.make_tensor("matrix", TensorProto.FLOAT, shape, said)
+    graph.node.append(helper.make_node("Constant", [], ["intrinsics"], value=value))
+    graph.output.append(helper.make_tensor_value_info("intrinsics", TensorProto.FLOAT, shape))
+    save(tmp_path / "net.onnx", graph, replace(card, intrinsics_output="intrinsics", resize=resize))
+    found = OnnxNetwork(tmp_path / "net.onnx").intrinsics(np.zeros((360, 640, 3), np.uint8))
+    assert found == pytest.approx([400, 380, 310, 170], rel=1e-5)
+
+
+def test_intrinsics_that_can_not_be_are_none(tmp_path: Path, tiny: OnnxNetwork):
+    image = np.zeros((360, 640, 3), np.uint8)
+    assert tiny.intrinsics(image) is None
+    for number, said in enumerate(([0.0] * 9, [float("nan")] * 9)):
+        graph, card = _two_outputs()
+        value = helper.make_tensor("matrix", TensorProto.FLOAT, [3, 3], said)
+        graph.node.append(helper.make_node("Constant", [], ["intrinsics"], value=value))
+        graph.output.append(helper.make_tensor_value_info("intrinsics", TensorProto.FLOAT, [3, 3]))
+        path = tmp_path / f"{number}.onnx"
+        save(path, graph, replace(card, intrinsics_output="intrinsics"))
+        assert OnnxNetwork(path).intrinsics(image) is None
+
+
+def test_a_descriptor_is_one_vector_of_norm_one(tmp_path: Path):
+    path = write_tiny_network(tmp_path / "more.onnx", TinyNetwork(descriptor=True))
+    network = OnnxNetwork(path)
+    image, _ = slanted_wall()
+    answer = network.infer(image, CAMERA)
+    assert np.linalg.norm(answer.descriptor) == pytest.approx(1.0, abs=1e-6)
+    raw = network.raw(image)[0].descriptor
+    assert np.linalg.norm(raw) != pytest.approx(1.0, abs=0.1)
+    assert answer.descriptor == pytest.approx(raw / np.linalg.norm(raw), abs=1e-6)
+    graph, card = _two_outputs()
+    save(tmp_path / "map.onnx", graph, replace(card, descriptor_output="other"))
+    _refused(tmp_path / "map.onnx", "no descriptor of one vector")
+
+
+def test_a_network_of_several_views_is_refused(tmp_path: Path):
+    save(tmp_path / "net.onnx", tiny_graph(TinyNetwork()), replace(TinyNetwork().card(), views=5))
+    _refused(tmp_path / "net.onnx", "takes 5 images at once")
+
+
 def test_sky_has_no_depth(tmp_path: Path):
     graph, card = _two_outputs()
     save(tmp_path / "sky.onnx", graph, replace(card, sky_output="other", sky_limit=2.0))
@@ -147,6 +194,8 @@ def test_a_file_without_a_card_says_where_to_describe_it(tmp_path: Path):
         ({"input_width": 224}, "has shape"),
         ({"depth_output": "metres"}, "no output 'metres'"),
         ({"confidence_output": "trust"}, "no output 'trust'"),
+        ({"rays_output": "beams"}, "no output 'beams' for rays"),
+        ({"intrinsics_output": "K"}, "no output 'K' for intrinsics"),
     ],
 )
 def test_a_file_that_is_not_what_its_card_says_is_refused(tmp_path: Path, change, says):
