@@ -21,6 +21,15 @@ def text(default: str, help: str) -> Any:
     return field(default=default, metadata={"help": help})
 
 
+def section(tree: type, *reload: str) -> Any:
+    """A section of the tree; ``reload``: who takes its keys up when the daemon is told to reload (SIGHUP).
+
+    A process starts anew with them; the supervisor takes them up as it runs. None: only a restart will do.
+    A key of its own ``reload`` goes by that.
+    """
+    return field(default_factory=tree, metadata={"reload": reload})
+
+
 # Parts that can be switched off to see what they are worth.
 ABLATIONS = {
     "kalman": "the scale filter: the last observation is the estimate",
@@ -70,7 +79,13 @@ class TrackingConfig:
 class DepthConfig:
     """The ONNX worker."""
 
-    model: str = text("", "ONNX file, registry name, or nested:RELATIVE,METRIC; empty: no depth")
+    model: str = field(
+        default="",
+        metadata={
+            "help": "ONNX file, registry name, or nested:RELATIVE,METRIC; empty: no depth",
+            "reload": ("depth", "scale"),  # another network, other metres
+        },
+    )
     providers: tuple[str, ...] = field(
         default=("CPUExecutionProvider",),
         metadata={"help": "onnxruntime execution providers, tried in this order"},
@@ -162,11 +177,11 @@ class Config:
     bus: BusConfig = field(default_factory=BusConfig)
     frames: FramesConfig = field(default_factory=FramesConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
-    depth: DepthConfig = field(default_factory=DepthConfig)
-    scale: ScaleConfig = field(default_factory=ScaleConfig)
-    backend: BackendConfig = field(default_factory=BackendConfig)
+    depth: DepthConfig = section(DepthConfig, "depth")
+    scale: ScaleConfig = section(ScaleConfig, "scale")
+    backend: BackendConfig = section(BackendConfig, "backend")
     lockstep: LockstepConfig = field(default_factory=LockstepConfig)
-    supervisor: SupervisorConfig = field(default_factory=SupervisorConfig)
+    supervisor: SupervisorConfig = section(SupervisorConfig, "supervisor")
 
     @property
     def is_lockstep(self) -> bool:

@@ -67,6 +67,7 @@ class Leaf:
     choices: tuple[str, ...] = ()
     length: int | None = None  # of a list
     help: str = ""
+    reload: tuple[str, ...] = ()  # who takes it up on SIGHUP; nobody: only a restart will do
 
     @property
     def expects(self) -> str:
@@ -84,7 +85,7 @@ class Leaf:
         return "" if self.low is None else f" of at least {self.low:.12g}"
 
 
-def leaves(tree: type = Config, prefix: str = "") -> Iterator[Leaf]:
+def leaves(tree: type = Config, prefix: str = "", reload: tuple[str, ...] = ()) -> Iterator[Leaf]:
     """Every key of the tree in its order: a section's keys follow one another, plain keys come first."""
     types = typing.get_type_hints(tree)
     fields = [f for f in dataclasses.fields(tree) if f.init]
@@ -92,11 +93,12 @@ def leaves(tree: type = Config, prefix: str = "") -> Iterator[Leaf]:
         kind, key = types[field.name], prefix + field.name
         if dataclasses.is_dataclass(kind):
             assert isinstance(kind, type)
-            yield from leaves(kind, key + ".")
+            yield from leaves(kind, key + ".", field.metadata.get("reload", reload))
             continue
         default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        meta = {k: v for k, v in field.metadata.items() if k in ("low", "high", "choices", "length", "help")}
-        yield Leaf(key, kind, default, **meta)
+        known = ("low", "high", "choices", "length", "help", "reload")
+        meta = {k: v for k, v in field.metadata.items() if k in known}
+        yield Leaf(key, kind, default, **{"reload": reload, **meta})
 
 
 _LEAVES = {leaf.key: leaf for leaf in leaves()}

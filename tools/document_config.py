@@ -21,14 +21,32 @@ def tables() -> str:
     """One table for each section, in the tree's order."""
     parts = []
     for section, group in groupby(leaves(), key=lambda leaf: leaf.key.rpartition(".")[0]):
-        parts += [f"## {section or 'Top level'}", _purpose(section), ""]
-        parts += ["| key | default | takes | meaning |", "|---|---|---|---|", *map(_line, group), ""]
+        rows = list(group)
+        parts += [f"## {section or 'Top level'}", _purpose(section), *_reloads(rows), ""]
+        parts += ["| key | default | takes | meaning |", "|---|---|---|---|", *map(_line, rows), ""]
     return "\n".join(parts)
 
 
 def _purpose(section: str) -> str:
     types = typing.get_type_hints(tree.Config)
     return str((types[section] if section else tree.Config).__doc__).strip()
+
+
+def _reloads(rows: list[Leaf]) -> list[str]:
+    """What SIGHUP does with a section's keys; nothing where only a restart changes them."""
+    who = {leaf.reload for leaf in rows if leaf.reload}
+    if not who:
+        return []
+    usual = min(who, key=len)
+    said = [f"SIGHUP takes changes up{_by(usual)}"]
+    said += [f"`{leaf.key}`{_by(leaf.reload)}" for leaf in rows if leaf.reload != usual]
+    return ["", "; ".join(said) + "."]
+
+
+def _by(who: tuple[str, ...]) -> str:
+    if not who:
+        return ": only by a restart"
+    return "" if who == ("supervisor",) else f": starts {' and '.join(f'`{name}`' for name in who)} anew"
 
 
 def _line(leaf: Leaf) -> str:

@@ -16,7 +16,7 @@ def add_parser(subparsers: Any) -> None:
         help="run the daemon on a recording",
         description="Start the five processes on SOURCE and publish poses on Zenoh below prism/<robot>/ "
         "until the recording ends, or until Ctrl-C or SIGTERM. Without --model there are no poses, as depth "
-        "begins the map.",
+        "begins the map. SIGHUP reads --config again and takes up what can change (docs/OPERATIONS.md).",
     )
     add_input(parser)
     add_common(parser)
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.workers.launch import log_to_stderr
 
     log_to_stderr("supervisor")
-    return supervise(config, stay=args.stay)
+    return supervise(config, stay=args.stay, reread=lambda: config_from(args))
 
 
 def check(config: Config) -> None:

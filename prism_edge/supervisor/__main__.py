@@ -18,7 +18,7 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     log_to_stderr("supervisor")
     try:
-        return supervise(load(args.config))
+        return supervise(load(args.config), reread=lambda: load(args.config))
     except PrismError as error:
         print(f"prism-edge: error: {error}", file=sys.stderr, flush=True)
         return error.exit_code

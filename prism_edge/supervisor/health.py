@@ -32,3 +32,18 @@ def summary(rows: Sequence[Row], pid: int, ready_s: float | None) -> Row:
     state = "starting" if ready_s is None else "ready"
     values = {"state": state, "pid": str(pid), "ready_s": "" if ready_s is None else f"{ready_s:.3f}"}
     return Row("supervisor", worst, "; ".join(troubled) or state, values)
+
+
+def status_line(rows: Sequence[Row]) -> str:
+    """The run in one line, for the service manager: the summary's message, and how tracking goes."""
+    by_name = {row.name: row for row in rows}
+    said = [by_name["supervisor"].message]
+    tracker = by_name["tracker"].values if "tracker" in by_name else {}
+    source = by_name["source"].values if "source" in by_name else {}
+    if "odometry" in tracker:
+        said.append(f"{tracker['odometry']} {tracker.get('map', '')}".strip())
+    if "fps" in source:
+        said.append(f"{source['fps']} images/s")
+    if "keyframes" in tracker:
+        said.append(f"{tracker['keyframes']} keyframes")
+    return ", ".join(said)

@@ -16,6 +16,10 @@ class RestartPolicy:
         self._config = config
         self._deaths: deque[float] = deque()
 
+    def configure(self, config: SupervisorConfig) -> None:
+        """Other limits from now on; past deaths still count."""
+        self._config = config
+
     def died(self, now_s: float) -> float | None:
         """Seconds to wait before starting again after a death at ``now_s``; None: give up.
 

@@ -26,9 +26,11 @@ class RunDirectory:
         os.rename(nameless, self.path)
 
     def write(self, name: str, content: str) -> Path:
-        """Write a file of the run and return its path."""
+        """Write a file of the run, at once or not at all for whoever reads it; returns its path."""
         path = self.path / name
-        path.write_text(content, encoding="utf-8")
+        new = self.path / f".new-{name}"
+        new.write_text(content, encoding="utf-8")
+        os.replace(new, path)
         return path
 
     def remove(self) -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Sequence
 
 from prism_edge.config import Config
+from prism_edge.errors import PrismError
 from prism_edge.processes import Process
 from prism_edge.supervisor.child import Command, worker_command
+from prism_edge.supervisor.notify import Notifier
 from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.supervisor.watch import StartRefusedError
 from prism_edge.workers.stopping import StopSignals
@@ -21,30 +24,59 @@ def supervise(
     stay: bool = True,
     processes: Sequence[Process] | None = None,
     command: Command = worker_command,
+    reread: Callable[[], Config] | None = None,
 ) -> int:
     """Run the daemon until SIGTERM or SIGINT; returns the exit code. Call from the main thread.
+
+    SIGHUP takes up what can change of the configuration that ``reread`` returns; where that raises, one line
+    says why and nothing changes. A service manager (systemd) is told how the run is.
 
     ``on_ready`` is called once, when every process is ready. Without ``stay`` the run also ends when the
     recording has, and all that followed from it is done; a recording that loops never does. A worker that
     refuses to start has said why in a line of its own: its exit code is returned. Raises BusError for the
     listener and SupervisionError for a process that keeps dying; nothing is left running in any case.
     """
-    signals = StopSignals()
+    signals = StopSignals(reload=reread is not None)
+    notifier = Notifier()
     announced = False
 
     def finished() -> bool:
         nonlocal announced
         if supervisor.ready_s is not None and not announced:
             announced = True
+            notifier.ready()
             if on_ready is not None:
                 on_ready(supervisor)
+        if reread is not None and signals.reload_wanted.is_set():
+            signals.reload_wanted.clear()
+            _reload(supervisor, reread, notifier, announced)
+        notifier.status(supervisor.status)
+        if supervisor.healthy:
+            notifier.feed(time.monotonic())
         return signals.stopped.is_set() or (not stay and supervisor.ended)
 
     try:
         with Supervisor(config, processes, command) as supervisor:
-            supervisor.run(finished)
+            try:
+                supervisor.run(finished)
+            finally:
+                notifier.stopping()
             log.info("stopping" if signals.stopped.is_set() else "the recording has ended; stopping")
     except StartRefusedError as error:
         log.error("%s; stopped", error)
         return error.exit_code
     return 0
+
+
+def _reload(
+    supervisor: Supervisor, reread: Callable[[], Config], notifier: Notifier, announced: bool
+) -> None:
+    """Told to the manager from beginning to end; an error of the user's leaves all as it was."""
+    if announced:
+        notifier.reloading()
+    try:
+        supervisor.reload(reread())
+    except PrismError as error:
+        log.error("not reloaded: %s", error)
+    if announced:
+        notifier.ready()

@@ -15,8 +15,9 @@ from prism_edge.config import Config
 from prism_edge.config_file import dump
 from prism_edge.processes import Process, processes_for
 from prism_edge.supervisor.child import Child, Command, worker_command
-from prism_edge.supervisor.health import Row, summary
+from prism_edge.supervisor.health import Row, status_line, summary
 from prism_edge.supervisor.liveness import OVERDUE, QUIET_S
+from prism_edge.supervisor.reload import difference
 from prism_edge.supervisor.run_directory import RunDirectory
 from prism_edge.supervisor.watch import Watch
 
@@ -51,6 +52,8 @@ class Supervisor:
         self._source_ended_s: float | None = None
         self._looked_s = self.started_s
         self._lenient_until_s = 0.0
+        self._status = "starting"
+        self._before = config  # the last reload
 
     def __enter__(self) -> Supervisor:
         self.start()
@@ -72,6 +75,17 @@ class Supervisor:
         return all(watch.ready for watch in self._watches.values())
 
     @property
+    def healthy(self) -> bool:
+        """Whether every process without which no poses flow is ready and heard of."""
+        now = time.monotonic()
+        return all(watch.healthy(now) for watch in self._watches.values() if watch.process.required)
+
+    @property
+    def status(self) -> str:
+        """The run in one line."""
+        return self._status
+
+    @property
     def ended(self) -> bool:
         """Whether the recording is over and every process has done all that followed from it."""
         return all(watch.ended(self._source_ended_s) for watch in self._watches.values())
@@ -83,9 +97,9 @@ class Supervisor:
         """
         check_robot_name(self._config.robot)
         check_endpoint(self._config.bus.endpoint)
-        directory = RunDirectory()
-        self._cleanup.callback(directory.remove)
-        self._file = directory.write("config.yaml", dump(self._config))
+        self._directory = RunDirectory()
+        self._cleanup.callback(self._directory.remove)
+        self._file = self._directory.write("config.yaml", dump(self._config))
         try:
             # Workers load their libraries while we load ours; but none may join a stranger's listener.
             early = can_listen(self._config.bus.endpoint)
@@ -106,6 +120,21 @@ class Supervisor:
         """
         while not until():
             self._look()
+
+    def reload(self, wanted: Config) -> None:
+        """Take up what can change of another configuration; the rest is refused, with a line in the log."""
+        change = difference(self._config, wanted)
+        if change.refused:
+            log.warning("not reloaded, as only a restart changes it: %s", " ".join(change.refused))
+        log.info("reloaded: %s", " ".join(change.applied) or "nothing has changed")
+        self._before, self._config = self._config, change.config
+        self._directory.write("config.yaml", dump(self._config))
+        for name, watch in self._watches.items():
+            watch.configure(self._config.supervisor)
+            child = self._children[name]
+            if name in change.restart and child.exit_code is None and watch.asked_to_end_s is None:
+                watch.asked_to_end_s = time.monotonic()
+                child.terminate()
 
     def stop(self) -> None:
         """End every process within ``supervisor.stop_s``, then close the bus and remove the run's files."""
@@ -173,14 +202,23 @@ class Supervisor:
             log.error("%s hangs (%s) and is killed", name, verdict.why)
             watch.killed(verdict.why)
             child.kill()
+        asked_s = watch.asked_to_end_s
+        if asked_s is not None and now - asked_s > self._config.supervisor.stop_s:
+            child.kill()
         code = child.poll()
         if code is not None:
+            refused = watch.refuses(code)
             how = watch.exited(code, now)
-            log.error("%s ended with %s; starting it again", name, how)
+            if refused:
+                log.error("%s refuses what was reloaded: going back to the configuration before it", name)
+                self.reload(self._before)
+            elif asked_s is None:
+                log.error("%s ended with %s; starting it again", name, how)
 
     def _publish(self, now: float) -> None:
         rows: list[Row] = [watch.row(now) for watch in self._watches.values()]
         rows.insert(0, summary(rows, os.getpid(), self.ready_s))
+        self._status = status_line(rows)
         essence = [row.essence for row in rows]
         if essence != self._essence or now - self._published_s >= HEALTH_S:
             self._essence, self._published_s = essence, now

@@ -43,12 +43,20 @@ class Watch:
         self._heard_s = 0.0
         self._last_exit = ""
         self._why_killed = ""
+        self.asked_to_end_s: float | None = None  # when, for a start with another configuration
+        self.on_trial = False  # started with another configuration, and not ready since
+
+    def configure(self, config: SupervisorConfig) -> None:
+        """Other limits from now on."""
+        self._config = config
+        self._policy.configure(config)
 
     def started(self, pid: int, now_s: float) -> None:
         """It has been started, for the first time or again."""
         self.restarts += self._pid != 0
         self._pid, self._started_s, self.restart_at_s, self._heartbeat = pid, now_s, None, None
         self._ready_s = None
+        self.on_trial, self.asked_to_end_s = self.asked_to_end_s is not None, None
 
     def heard(self, heartbeat: Heartbeat, now_s: float) -> None:
         """A heartbeat has come; one that a previous life left in the queue is ignored."""
@@ -56,7 +64,11 @@ class Watch:
             self._heartbeat, self._heard_s = heartbeat, now_s
             self.was_ready |= self.ready
             if self.ready and self._ready_s is None:
-                self._ready_s = now_s
+                self._ready_s, self.on_trial = now_s, False
+
+    def refuses(self, code: int) -> bool:
+        """Whether an exit with this code says that the configuration just taken up is wrong."""
+        return self.on_trial and code in USER_ERRORS
 
     @property
     def state(self) -> str:
@@ -69,6 +81,12 @@ class Watch:
     def ready(self) -> bool:
         """Whether it is running and has finished starting."""
         return self.state not in ("starting", "restarting")
+
+    def healthy(self, now_s: float) -> bool:
+        """Whether it is ready and heard of, or begins anew because it was told to."""
+        if self.asked_to_end_s is not None:
+            return True
+        return self.ready and self.verdict(now_s).liveness == ALIVE
 
     @property
     def lives(self) -> int:
@@ -98,13 +116,16 @@ class Watch:
         self._why_killed = why
 
     def exited(self, code: int, now_s: float) -> str:
-        """It has ended, untold; says how. ``restart_at_s`` is when to start it again.
+        """It has ended; says how. ``restart_at_s`` is when to start it again, now where it was told to end.
 
         Raises StartRefusedError for a user's error before it was ever ready, and SupervisionError when it
         died too often.
         """
         self._last_exit = describe_exit(code) + (f" ({self._why_killed})" if self._why_killed else "")
         self._why_killed = ""
+        if self.asked_to_end_s is not None or self.refuses(code):
+            self.restart_at_s = now_s
+            return self._last_exit
         if code in USER_ERRORS and not self.was_ready:
             raise StartRefusedError(self.process.name, code)
         pause = self._policy.died(now_s)
@@ -120,7 +141,9 @@ class Watch:
     def row(self, now_s: float) -> Row:
         """Its line on `health`."""
         verdict = self.verdict(now_s)
-        if self.restart_at_s is not None:
+        if self.asked_to_end_s is not None:
+            level, message = WARN, "starts anew with another configuration"
+        elif self.restart_at_s is not None:
             level, message = ERROR, f"ended with {self._last_exit}; starting again"
         elif verdict.liveness != ALIVE:
             level, message = STALE if verdict.liveness == QUIET else ERROR, verdict.why

@@ -1,4 +1,4 @@
-"""SIGTERM and SIGINT become an event; and a worker does not outlive the supervisor that started it."""
+"""Signals become events; and a worker does not outlive the supervisor that started it."""
 
 from __future__ import annotations
 
@@ -20,14 +20,19 @@ class StopSignals:
     native code, and may not touch an event's lock, which the main thread may be holding.
     """
 
-    def __init__(self) -> None:
-        """Take the signals over; call from the main thread."""
+    def __init__(self, reload: bool = False) -> None:
+        """Take the signals over; call from the main thread. With ``reload``, SIGHUP too.
+
+        It sets ``reload_wanted`` then, except under a terminal, whose going away it says: that ends the run.
+        """
         self.stopped = threading.Event()
+        self.reload_wanted = threading.Event()
+        self._hangup = (signal.SIGHUP,) if reload and not _has_terminal() else ()
         self._also: list[threading.Event] = []
         self._read, write = os.pipe()
         os.set_blocking(write, False)
         signal.set_wakeup_fd(write, warn_on_full_buffer=False)
-        for number in STOPPING:
+        for number in (*STOPPING, *self._hangup):
             signal.signal(number, _ignore)
         threading.Thread(target=self._wait, name="signals", daemon=True).start()
 
@@ -40,6 +45,8 @@ class StopSignals:
     def _wait(self) -> None:
         while data := os.read(self._read, 64):
             for number in data:
+                if number in self._hangup:
+                    self.reload_wanted.set()
                 if number not in STOPPING:
                     continue
                 if self.stopped.is_set():
@@ -47,6 +54,15 @@ class StopSignals:
                 self.stopped.set()
                 for event in self._also:
                     event.set()
+
+
+def _has_terminal() -> bool:
+    """Whether this process has a controlling terminal."""
+    try:
+        os.close(os.open("/dev/tty", os.O_RDONLY | os.O_NOCTTY))
+    except OSError:
+        return False
+    return True
 
 
 def _ignore(number: int, frame: FrameType | None) -> None:

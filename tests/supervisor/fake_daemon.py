@@ -37,7 +37,11 @@ if __name__ == "__main__":
     log_to_stderr("supervisor")
     processes, command = cast(sys.argv[2:])
     try:
-        sys.exit(supervise(load(sys.argv[1]), ready, processes=processes, command=command))
+        file = sys.argv[1]
+        code = supervise(
+            load(file), ready, processes=processes, command=command, reread=lambda: load(file)
+        )
+        sys.exit(code)
     except PrismError as error:
         print(f"prism-edge: error: {error}", file=sys.stderr, flush=True)
         sys.exit(error.exit_code)

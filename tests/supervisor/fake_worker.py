@@ -1,7 +1,8 @@
 """A worker that behaves as its command line says: ``fake_worker.py NAME BEHAVIOUR CONFIG PARENT``.
 
 Behaviours, joined by ``+``: steady, ends, dies, raises, refuses, fails_once=FILE (dies the first time),
-hangs (declared work that never ends), stubborn (does not stop), breeds=FILE (starts a process of its own
+hangs (declared work that never ends), picky (refuses depth.threads = 13), stubborn (does not stop),
+breeds=FILE (starts a process of its own
 and writes its id).
 """
 
@@ -27,6 +28,8 @@ def main(config: Config, bus: Bus) -> None:
             bus.pulse.working("loading the network", 60.0)
             time.sleep(1.2)  # heard at work, and yet never ready
             raise ModelError("net.onnx is no ONNX model; give another")
+        if word == "picky" and config.depth.threads == 13:
+            raise ModelError("13 threads are too many; give fewer")
         if word == "raises":
             raise RuntimeError("a defect")
         bus.pulse.ready()

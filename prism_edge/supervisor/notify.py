@@ -1,0 +1,73 @@
+"""What systemd is told of the run: readiness, a status line, food for its watchdog (sd_notify)."""
+
+from __future__ import annotations
+
+import logging
+import os
+import socket
+import time
+from collections.abc import MutableMapping
+
+log = logging.getLogger("prism_edge.supervisor")
+
+LONGEST_STATUS = 300  # characters: `systemctl status` shows one line
+
+
+class Notifier:
+    """Tells the service manager how the daemon is; does nothing where nobody asked to be told.
+
+    The protocol is a datagram of ``KEY=value`` lines to the socket named by ``NOTIFY_SOCKET`` (a path, or
+    ``@name`` in Linux's abstract namespace). Losing one is no reason to stop: errors are logged once.
+    """
+
+    def __init__(self, environment: MutableMapping[str, str] | None = None) -> None:
+        """Takes the manager's variables out of ``environment``: the workers are not to speak for us."""
+        given = os.environ if environment is None else environment
+        address = given.pop("NOTIFY_SOCKET", "")
+        period_us, pid = given.pop("WATCHDOG_USEC", ""), given.pop("WATCHDOG_PID", "")
+        self._address = "\0" + address[1:] if address.startswith("@") else address
+        if not address.startswith(("/", "@")):
+            self._address = ""  # none, or of a kind (vsock) that only virtual machines have
+        meant = pid in ("", str(os.getpid()))
+        is_number = period_us.isascii() and period_us.isdigit() and len(period_us) < 19
+        self.watchdog_s = int(period_us) / 1e6 if self._address and meant and is_number else 0.0
+        self._fed_s = float("-inf")
+        self._status = ""
+        self._failed = False
+
+    def ready(self) -> None:
+        """Poses can flow; also the end of what :meth:`reloading` began."""
+        self._send("READY=1")
+
+    def reloading(self) -> None:
+        """The configuration is being read again; :meth:`ready` follows."""
+        self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
+
+    def stopping(self) -> None:
+        """The end has begun."""
+        self._send("STOPPING=1")
+
+    def status(self, text: str) -> None:
+        """One line for ``systemctl status``; sent only when it has changed."""
+        line = " ".join(text.split())[:LONGEST_STATUS]
+        if line != self._status:
+            self._status = line
+            self._send(f"STATUS={line}")
+
+    def feed(self, now_s: float) -> None:
+        """Feed the watchdog, twice within its period; call it often, and only while all is well."""
+        if self.watchdog_s and now_s - self._fed_s >= self.watchdog_s / 2:
+            self._fed_s = now_s
+            self._send("WATCHDOG=1")
+
+    def _send(self, *lines: str) -> None:
+        if not self._address:
+            return
+        try:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
+                sender.setblocking(False)  # a manager that hangs is not waited for
+                sender.sendto("\n".join(lines).encode(), self._address)
+        except OSError as error:
+            if not self._failed:
+                self._failed = True
+                log.warning("the service manager can't be told: %s", error.strerror or error)

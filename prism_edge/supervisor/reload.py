@@ -1,0 +1,58 @@
+"""What a configuration that is read again changes in a running daemon; the supervisor does it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+from prism_edge.config import Config
+from prism_edge.config_file import leaves
+from prism_edge.processes import processes_for
+
+
+@dataclass(frozen=True)
+class Change:
+    """The configuration that results, who starts anew with it, and what had to be left as it was."""
+
+    config: Config
+    applied: tuple[str, ...]  # keys
+    refused: tuple[str, ...]  # keys that need a restart of the daemon
+    restart: frozenset[str]  # processes
+
+
+def difference(running: Config, wanted: Config) -> Change:
+    """Which of the keys that differ can change while poses flow.
+
+    config.py declares it (``reload``): a key that no process can take up without losing the map or the
+    subscribers is refused. So is a depth network that comes or goes, as processes would with it.
+    """
+    config, applied, refused = running, [], []
+    restart: set[str] = set()
+    processes = processes_for(running)
+    for leaf in leaves():
+        value = get(wanted, leaf.key)
+        if value == get(running, leaf.key):
+            continue
+        changed = put(config, leaf.key, value)
+        if not leaf.reload or processes_for(changed) != processes:
+            refused.append(leaf.key)
+            continue
+        config = changed
+        applied.append(leaf.key)
+        restart |= set(leaf.reload)
+    running_names = {process.name for process in processes}
+    return Change(config, tuple(applied), tuple(refused), frozenset(restart & running_names))
+
+
+def get(config: Config, key: str) -> Any:
+    """The value of a dotted key."""
+    value: Any = config
+    for part in key.split("."):
+        value = getattr(value, part)
+    return value
+
+
+def put(tree: Any, key: str, value: Any) -> Any:
+    """A copy of the tree with another value at a dotted key."""
+    name, _, rest = key.partition(".")
+    return replace(tree, **{name: put(getattr(tree, name), rest, value) if rest else value})

@@ -1,0 +1,66 @@
+"""sd_notify against a socket of our own."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from prism_edge.supervisor.notify import Notifier
+from tests.supervisor.manager import Manager
+
+
+@pytest.fixture(params=["path", "abstract"])
+def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]:
+    abstract = f"@prism-test-{os.getpid()}-{id(request)}"
+    with Manager(str(tmp_path / "notify") if request.param == "path" else abstract) as manager:
+        yield manager
+
+
+def test_what_is_said(manager: Manager) -> None:
+    notifier = Notifier({"NOTIFY_SOCKET": manager.address})
+    notifier.ready()
+    notifier.status("two\nlines  become one")
+    notifier.status("two lines become one")  # has not changed
+    notifier.reloading()
+    notifier.stopping()
+    heard = manager.hear()
+    assert heard[0] == "READY=1"
+    assert heard[1] == "STATUS=two lines become one"
+    assert heard[2] == "RELOADING=1"
+    assert heard[3].startswith("MONOTONIC_USEC=")
+    assert heard[4:] == ["STOPPING=1"]
+
+
+def test_watchdog_is_fed_twice_a_period(manager: Manager) -> None:
+    notifier = Notifier({"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "10000000"})
+    assert notifier.watchdog_s == 10.0
+    for now in (0.0, 1.0, 4.9, 5.0, 5.1, 9.9, 10.0):
+        notifier.feed(now)
+    assert manager.hear().count("WATCHDOG=1") == 3
+
+
+@pytest.mark.parametrize(
+    "variables", [{}, {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "soon"}]
+)
+def test_no_watchdog_where_none_is_meant_for_us(variables: dict[str, str], manager: Manager) -> None:
+    notifier = Notifier({"NOTIFY_SOCKET": manager.address, **variables})
+    notifier.feed(0.0)
+    assert manager.hear() == []
+
+
+def test_workers_do_not_inherit_the_socket(manager: Manager) -> None:
+    environment = {"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "1", "WATCHDOG_PID": "2", "HOME": "/"}
+    Notifier(environment)
+    assert environment == {"HOME": "/"}
+
+
+@pytest.mark.parametrize("address", ["", "vsock:2:1234", "/nowhere/at/all", "@nobody-listens-here"])
+def test_nobody_who_listens_is_no_error(address: str) -> None:
+    notifier = Notifier({"NOTIFY_SOCKET": address, "WATCHDOG_USEC": "1000000"})
+    notifier.ready()
+    notifier.status("well")
+    notifier.feed(0.0)
+    notifier.stopping()
