@@ -15,6 +15,7 @@ from typing import Any
 
 import yaml
 
+from prism_edge.depth.inner_tensor import POOLINGS
 from prism_edge.errors import ModelError
 
 CONTRACT = 1  # version of the schema
@@ -54,8 +55,8 @@ class ModelCard:
     depth_output: str = ""  # empty: the file's only output
     confidence_output: str = ""  # empty: the network gives none
     descriptor_output: str = ""
-    descriptor_layer: str = ""  # in words: the tensor that the descriptor comes from
-    descriptor_pooling: str = ""  # how it became one vector: none (a token) | mean | max | gem
+    descriptor_layer: str = ""  # the tensor that it comes from; without an output, exposed when loaded
+    descriptor_pooling: str = ""  # how that becomes one vector: token | mean | max | gem | grid
     sky_output: str = ""
     sky_limit: float = 0.3  # a sky value at or above this is no surface
     rays_output: str = ""  # (1, h, w, 6): direction and origin of each pixel's ray, in the camera's frame
@@ -70,6 +71,11 @@ class ModelCard:
     def has_metres(self) -> bool:
         """Whether its depth can be turned into metres without another network."""
         return self.depth_kind in (METRIC, FOCAL_NORMALISED)
+
+    @property
+    def has_inner_descriptor(self) -> bool:
+        """Whether its descriptor is pooled from an inner tensor that the file does not put out."""
+        return bool(self.descriptor_layer) and not self.descriptor_output
 
     @property
     def dsug(self) -> tuple[float, float]:
@@ -162,9 +168,10 @@ def _check_whole(card: ModelCard, where: str) -> None:
         raise ModelError(f"{where}: depth_kind {card.depth_kind} needs scale_bias_sigma (docs/MODELS.md)")
     if (card.dsug_tau is None) != (card.dsug_temperature is None):
         raise ModelError(f"{where}: dsug_tau and dsug_temperature come together or not at all")
-    for key in ("descriptor_layer", "descriptor_pooling"):
-        if getattr(card, key) and not card.descriptor_output:
-            raise ModelError(f"{where}: {key} describes a descriptor, but there is no descriptor_output")
+    if card.descriptor_pooling and not (card.descriptor_output or card.descriptor_layer):
+        raise ModelError(f"{where}: descriptor_pooling needs a descriptor_output or a descriptor_layer")
+    if card.has_inner_descriptor and not card.descriptor_pooling:
+        raise ModelError(f"{where}: descriptor_layer without descriptor_output needs descriptor_pooling")
 
 
 def _text(value: Any) -> str:
@@ -254,7 +261,7 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "confidence_output": _text,
     "descriptor_output": _text,
     "descriptor_layer": _text,
-    "descriptor_pooling": _choice("none", "mean", "max", "gem"),
+    "descriptor_pooling": _choice(*POOLINGS),
     "sky_output": _text,
     "sky_limit": _number(-1e6, 1e6),
     "rays_output": _text,

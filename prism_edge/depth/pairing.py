@@ -108,7 +108,7 @@ class PairedNetwork:
         metric = self._metric.infer(rgb, camera)
         raw, _ = self._relative.raw(rgb)
         took = metric.inference_ms + raw.inference_ms
-        own = self._relative.card.descriptor_output
+        own = self._relative.card.descriptor_output or self._relative.card.descriptor_layer
         descriptor = normalised(raw.descriptor) if own else metric.descriptor
         paired = self._pair(raw, metric) if metric.valid else None
         if paired is None:

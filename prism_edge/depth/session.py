@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard
+from prism_edge.depth.inner_tensor import pool, with_output
 from prism_edge.depth.placement import Placement, place, tensor
 from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor
 from prism_edge.depth.registry import sha256_of
@@ -52,6 +53,9 @@ class OnnxNetwork:
         self.provider: str = self._session.get_providers()[0]
         props = self._session.get_modelmeta().custom_metadata_map
         self.card: ModelCard = card_of(path, self.digest, props)
+        if self.card.has_inner_descriptor:
+            del self._session  # not both in memory
+            self._session = _load_with_inner(path, providers, threads, self.card.descriptor_layer)
         self.name = self.card.name
         self.bias_sigma = self.card.scale_bias_sigma or 0.0
         self.dsug = self.card.dsug
@@ -105,7 +109,11 @@ class OnnxNetwork:
         depth = _plane(answer["depth"])
         if "sky" in answer:
             depth = np.where(_plane(answer["sky"]) < self.card.sky_limit, depth, np.float32(0))
-        descriptor = _descriptor(answer["descriptor"]) if "descriptor" in answer else no_descriptor()
+        descriptor = no_descriptor()
+        if self.card.has_inner_descriptor:
+            descriptor = pool(answer["descriptor"], self.card.descriptor_pooling)
+        elif "descriptor" in answer:
+            descriptor = _descriptor(answer["descriptor"])
         prediction = Prediction(
             depth=depth,
             image_to_depth=placement.image_to_depth(depth.shape[1], depth.shape[0]),
@@ -142,8 +150,19 @@ def _with_depth(prediction: Prediction, depth: NDArray[np.float32]) -> Predictio
     )
 
 
-def _load(path: Path, providers: Sequence[str], threads: int) -> Any:
-    """A session on the first of ``providers`` that is there and takes the model."""
+def _load_with_inner(path: Path, providers: Sequence[str], threads: int, tensor_name: str) -> Any:
+    """A session on a file that is known to load, with an inner tensor as one more output."""
+    try:
+        return _load(path, providers, threads, with_output(path.read_bytes(), tensor_name))
+    except (ModelError, OSError):
+        raise ModelError(f"{path.name}: has no inner tensor {tensor_name!r} (descriptor_layer)") from None
+
+
+def _load(path: Path, providers: Sequence[str], threads: int, content: bytes | None = None) -> Any:
+    """A session on the first of ``providers`` that is there and takes the model.
+
+    ``content`` stands for the file's own bytes; weights that it refers to stay in the file's folder.
+    """
     offered = onnxruntime.get_available_providers()
     wanted = [provider for provider in providers if provider in offered]
     for provider in providers:
@@ -161,10 +180,14 @@ def _load(path: Path, providers: Sequence[str], threads: int) -> Any:
     # Idle threads would spin at full load between keyframes.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.inter_op.allow_spinning", "0")
+    if content is not None:
+        options.add_session_config_entry(
+            "session.model_external_initializers_file_folder_path", str(path.parent)
+        )
     failure = ""
     for provider in wanted:
         try:
-            session = onnxruntime.InferenceSession(str(path), options, providers=[provider])
+            session = onnxruntime.InferenceSession(content or str(path), options, providers=[provider])
         except Exception as error:  # onnxruntime's exceptions have no common root of their own
             failure = _first_line(error)
             continue
@@ -198,7 +221,7 @@ def _verify(session: Any, card: ModelCard, file: str) -> tuple[str, dict[str, st
     roles = {
         "depth": depth,
         "confidence": card.confidence_output,
-        "descriptor": card.descriptor_output,
+        "descriptor": card.descriptor_output or card.descriptor_layer,
         "sky": card.sky_output,
         "rays": card.rays_output,
         "intrinsics": card.intrinsics_output,

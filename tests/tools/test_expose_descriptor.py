@@ -1,0 +1,138 @@
+"""The tool that gives a network a descriptor output, on real networks and images where they are at hand."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+
+import cv2
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+from onnx import TensorProto, helper
+
+from prism_edge.depth.contract import card_from_metadata
+from prism_edge.depth.inner_tensor import POOLINGS, pool
+from prism_edge.depth.session import OnnxNetwork
+from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+# One of opset 7, whose initialisers are inputs, and one quantised transformer.
+NETWORKS = ["fastdepth_nyu_224.onnx", "depth_anything_v2_small_252x336_int8.onnx"]
+REVISITS = (280, 990, 170, 650)  # frames of redkitchen: two of one place, two of another
+
+
+def _load(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, TOOLS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def tool() -> ModuleType:
+    return _load("expose_descriptor")
+
+
+def _session(path: Path) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level, options.intra_op_num_threads = 4, 1
+    return onnxruntime.InferenceSession(str(path), options)
+
+
+@pytest.mark.realdata
+@pytest.mark.parametrize("file", NETWORKS)
+def test_real_networks_keep_their_depth_and_know_places_again(tool, shared, redkitchen, tmp_path, file):
+    out = tmp_path / "places.onnx"
+    assert tool.main([str(shared / "models" / file), str(out)]) == 0
+    network = OnnxNetwork(out)
+    assert network.card.descriptor_output == tool.OUTPUT
+    plain = OnnxNetwork(shared / "models" / file)
+    poses = [np.loadtxt(redkitchen / f"frame-{index:06d}.pose.txt") for index in REVISITS]
+    assert max(_apart(*poses[:2]), _apart(*poses[2:])) < 0.45 < 0.9 < _apart(poses[0], poses[2])
+    descriptors = []
+    for index in REVISITS:
+        image = cv2.imread(str(redkitchen / f"frame-{index:06d}.color.jpg"))[:, :, ::-1]
+        image = np.ascontiguousarray(image)
+        answer, expected = network.raw(image)[0], plain.raw(image)[0]
+        assert np.array_equal(answer.depth, expected.depth)
+        assert np.linalg.norm(answer.descriptor) == pytest.approx(1.0, abs=1e-5)
+        assert answer.descriptor == pytest.approx(expected.descriptor, abs=1e-4)  # what the daemon pools
+        descriptors.append(answer.descriptor)
+    alike = np.array(descriptors) @ np.array(descriptors).T
+    assert min(alike[0, 1], alike[2, 3]) > alike[:2, 2:].max()
+
+
+def _apart(first: np.ndarray, second: np.ndarray) -> float:
+    """Metres between two poses, a radian counted as one metre."""
+    turn = np.arccos(np.clip((np.trace(first[:3, :3].T @ second[:3, :3]) - 1) / 2, -1, 1))
+    return float(np.linalg.norm(first[:3, 3] - second[:3, 3]) + turn)
+
+
+@pytest.mark.parametrize("pooling", POOLINGS)
+@pytest.mark.parametrize("opset", [9, 13, 20])
+def test_the_graph_computes_what_the_daemon_computes(tool, tmp_path, pooling, opset):
+    tokens = pooling == "token"
+    shape = (1, 6, 4) if tokens else (1, 4, 5, 7)
+    value = helper.make_tensor_value_info
+    nodes = [*tool.pooling_nodes("x", shape, pooling, opset)]
+    graph = helper.make_graph(
+        nodes, "g", [value("x", TensorProto.FLOAT, shape)], [value(tool.OUTPUT, TensorProto.FLOAT, None)]
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
+    path = tmp_path / "pool.onnx"
+    onnx.save(model, str(path))
+    values = np.random.default_rng(0).normal(size=shape).astype(np.float32)
+    (got,) = _session(path).run(None, {"x": values})
+    assert got.shape[0] == 1
+    assert got[0] == pytest.approx(pool(values, pooling), abs=1e-5)
+
+
+def test_a_layer_is_chosen_in_the_encoder_and_written_in_the_card(tool, tmp_path, capsys):
+    path, out = write_tiny_network(tmp_path / "tiny.onnx"), tmp_path / "out.onnx"
+    assert tool.main([str(path), str(out)]) == 0
+    props = {prop.key: prop.value for prop in onnx.load(str(out)).metadata_props}
+    card = card_from_metadata(props, "out")
+    assert (card.name, card.descriptor_output) == ("tiny_tint_places", tool.OUTPUT)
+    assert card.descriptor_layer in tool.poolable(onnx.load(str(path)))
+    assert "bit for bit" in capsys.readouterr().out
+
+
+def test_what_cannot_be_done_is_refused_in_one_line_and_leaves_no_file(tool, tmp_path, capsys):
+    path, out = write_tiny_network(tmp_path / "tiny.onnx"), tmp_path / "out.onnx"
+    foreign = write_tiny_network(tmp_path / "foreign.onnx", TinyNetwork(describes_itself=False))
+    (tmp_path / "text.onnx").write_text("no model")
+    what = TinyNetwork(misbehaviour="zero")  # a constant 0 somewhere: its norm can't be 1
+    save(tmp_path / "silent.onnx", tiny_graph(what), replace(what.card(), name="silent"))
+    for arguments, says in (
+        ([path, out, "--layer", "nowhere"], "no tensor 'nowhere'"),
+        ([path, out, "--layer", "small", "--pooling", "token"], "does not go with"),
+        ([path, path], "name another file"),
+        ([foreign, out], "does not say what it predicts"),
+        ([tmp_path / "text.onnx", out], "no ONNX model"),
+        ([tmp_path / "absent.onnx", out], "can't be read"),
+        ([tmp_path / "silent.onnx", out, "--layer", "scaled", "--pooling", "mean"], "norm"),
+    ):
+        assert tool.main([str(argument) for argument in arguments]) != 0
+        error = capsys.readouterr().err.strip()
+        assert says in error
+        assert "\n" not in error
+        assert not out.exists()
+
+
+def test_places_are_scored_by_true_poses(tool):
+    measure = _load("measure_places")
+    poses = np.tile(np.eye(4), (4, 1, 1))
+    poses[1:3, 0, 3] = 5.0  # frames 0 and 3 are one place, 1 and 2 another
+    indices = np.array([0, 200, 400, 600])
+    good = np.array([[1, 0], [0, 1], [0, 1], [1, 0]], float)
+    score = measure.score_places(indices, poses, good)
+    assert (score.revisits, score.auc, score.same, score.other, score.before_false) == (4, 1, 1, 0, 1)
+    score = measure.score_places(indices, poses, good[[0, 1, 0, 1]])
+    assert (score.auc, score.same, score.other, score.before_false) == (0, 0, 1, 0)
+    assert measure.score_places(np.arange(4), poses, good) is None  # never gone for long enough
