@@ -87,10 +87,23 @@ class DepthConfig:
         },
     )
     providers: tuple[str, ...] = field(
-        default=("CPUExecutionProvider",),
-        metadata={"help": "onnxruntime execution providers, tried in this order"},
+        default=("cpu",),
+        metadata={"help": "execution providers, tried in order: tensorrt, cuda, openvino, qnn, cpu"},
     )
+    required: tuple[str, ...] = field(
+        default=(), metadata={"help": "those of them whose absence is an error; the others are passed over"}
+    )
+    provider_options: tuple[str, ...] = field(
+        default=(), metadata={"help": "their options, PROVIDER.KEY=VALUE, such as cuda.device_id=1"}
+    )
+    engine_cache: str = text("", "folder of compiled engines; empty: prism-edge/engines in the user's cache")
     threads: int = limits(1, 1, 64, "threads of one inference")
+    spinning: bool = field(
+        default=False, metadata={"help": "threads wait for work at full load: faster, and never idle"}
+    )
+    arena: bool = field(
+        default=True, metadata={"help": "keep an inference's memory for the next: faster, takes more"}
+    )
 
 
 @dataclass(frozen=True)

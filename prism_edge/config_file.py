@@ -280,4 +280,7 @@ def _describe(found: Any) -> str:
 def _scalar_text(value: Any) -> str:
     """One value on one line, quoted where YAML needs it."""
     plain = list(value) if isinstance(value, tuple) else value
-    return yaml.safe_dump([plain], default_flow_style=True, width=math.inf, allow_unicode=True).strip()[1:-1]
+    # A control character that YAML reads as a line break must be escaped.
+    readable = all(str(item).isprintable() for item in (value if isinstance(value, tuple) else (value,)))
+    text: str = yaml.safe_dump([plain], default_flow_style=True, width=math.inf, allow_unicode=readable)
+    return text.strip()[1:-1]

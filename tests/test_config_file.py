@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from prism_edge.config import Config
@@ -65,6 +65,7 @@ def test_dump_loads_back_equal(
 
 
 @given(ANY_SETTINGS)
+@example({"robot": "\x85", "depth.providers": ("\u2028",)})
 @settings(max_examples=30, deadline=None)
 def test_dump_is_yaml_to_another_reader(given: dict[str, Any]) -> None:
     config = load(None, given)

@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.inner_tensor import GEM, GEM_FLOOR, GEM_POWER, GRID, MAX, POOLINGS, TOKEN, halves
-from prism_edge.depth.registry import sha256_of
+from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError, PrismError
 
 OUTPUT = "place_descriptor"
@@ -66,12 +66,12 @@ def main(arguments: list[str] | None = None) -> int:
 
 def read(path: Path) -> tuple[onnx.ModelProto, ModelCard]:
     """The model with its weights, and its card. Raises ModelError where the file is none or has no card."""
-    digest = sha256_of(path)
+    vetted = vet(path)
     try:
         model = onnx.load(str(path))
     except Exception as error:  # protobuf's, onnx's and the file system's, without a common root
         raise ModelError(f"{path}: no ONNX model ({str(error).splitlines()[0][:100]})") from None
-    return model, card_of(path, digest, {prop.key: prop.value for prop in model.metadata_props})
+    return model, card_of(path, vetted)
 
 
 def poolable(model: onnx.ModelProto) -> dict[str, tuple[int, ...]]:

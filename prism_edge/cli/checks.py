@@ -76,17 +76,27 @@ def check_wheels(modules: dict[str, str] = NATIVE) -> Iterator[Finding]:
 
 
 def check_providers(config: Config) -> Iterator[Finding]:
-    """The execution providers that the configuration asks for."""
+    """The execution providers that the configuration asks for, and that one onnxruntime alone has them."""
+    installed = sorted(set(importlib.metadata.packages_distributions().get("onnxruntime", [])))
+    if len(installed) > 1:
+        advice = "they overwrite each other: uninstall all, then install one (docs/MODELS.md)"
+        yield Finding(FAIL, "providers", f"{' and '.join(installed)} are both installed", advice)
     try:
         import onnxruntime
+
+        from prism_edge.depth.providers import full_name, short_name
     except Exception:  # said by check_wheels
         return
     available = onnxruntime.get_available_providers()
-    yield Finding(OK, "providers", " ".join(available))
+    yield Finding(OK, "providers", " ".join(short_name(name) for name in available))
     for name in config.depth.providers:
-        if name not in available:
-            advice = "set depth.providers to some of those, or install an onnxruntime that has it"
-            yield Finding(WARN, "providers", f"{name} is configured but not there", advice)
+        try:
+            if full_name(name) not in available:
+                advice = "install an onnxruntime that has it (docs/MODELS.md), or set depth.providers"
+                level = FAIL if name in config.depth.required else WARN
+                yield Finding(level, "providers", f"{name} is configured but not there", advice)
+        except PrismError as error:
+            yield Finding(FAIL, "providers", str(error))
 
 
 def check_model(config: Config) -> Iterator[Finding]:

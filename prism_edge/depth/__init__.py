@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.config import DepthConfig
+from prism_edge.depth.folders import folders
 from prism_edge.depth.pairing import PairedNetwork
 from prism_edge.depth.prediction import Prediction
-from prism_edge.depth.registry import entries, find, folders
+from prism_edge.depth.registry import entries, find
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -58,7 +59,7 @@ def open_onnx(spec: str, config: DepthConfig) -> OnnxNetwork:
     # A file found through its registered name must be that file.
     entry = None if path == Path(spec).expanduser() else find(spec)
     pinned = entry.card.sha256 if entry and entry.card else ""
-    return OnnxNetwork(path, config.providers, config.threads, pinned)
+    return OnnxNetwork(path, config, pinned)
 
 
 def locate(spec: str) -> Path:

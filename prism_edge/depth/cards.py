@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 
 from prism_edge.depth.contract import ModelCard, card_from_metadata, card_from_sidecar
 from prism_edge.depth.registry import find, find_digest
+from prism_edge.depth.vetting import Vetted
 from prism_edge.errors import ModelError
 
 
@@ -15,18 +15,19 @@ def sidecar_of(path: Path) -> Path:
     return path.with_name(path.name + ".yaml")
 
 
-def card_of(path: Path, digest: str, props: Mapping[str, str]) -> ModelCard:
-    """The card of a file with SHA-256 ``digest`` and ONNX ``metadata_props``.
+def card_of(path: Path, vetted: Vetted) -> ModelCard:
+    """The card of a vetted file; ``path`` is where the user has it, with its sidecar.
 
     A sidecar goes before the file's metadata, and both before the registry, which knows files by
     digest. Raises ModelError where there is none, where the digest is not the one the card pins, where
     a file bears a registered name without being that file, or where its licence contradicts the registry.
     """
+    digest = vetted.sha256
     registered = find_digest(digest)
     if sidecar_of(path).is_file():
         card = card_from_sidecar(sidecar_of(path))
     else:
-        own = card_from_metadata(props, path.name)
+        own = card_from_metadata(vetted.metadata, path.name)
         if own is None and (registered is None or registered.card is None):
             raise ModelError(
                 f"{path.name}: does not say what it predicts; "

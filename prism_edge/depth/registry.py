@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -12,6 +11,7 @@ from typing import Any
 
 from prism_edge.depth import contract
 from prism_edge.depth.contract import ModelCard
+from prism_edge.depth.folders import data_folder, folders
 from prism_edge.errors import ModelError
 
 _ENTRY_KEYS = {"file", "obtain", "card", "name", "licence", "depth_kind", "export"}
@@ -30,25 +30,10 @@ class Entry:
     card: ModelCard | None = None
 
     def located(self) -> Path | None:
-        """Its file in the first of :func:`folders` that has it."""
+        """Its file in the first of ``folders()`` that has it."""
         if not self.file:
             return None
         return next((folder / self.file for folder in folders() if (folder / self.file).is_file()), None)
-
-
-def data_folder() -> Path:
-    """The project's models/: within an installed package, else beside the package in a checkout."""
-    package = Path(__file__).resolve().parents[1]
-    installed = package / "models"
-    return installed if (installed / "registry.yaml").is_file() else package.parent / "models"
-
-
-def folders() -> list[Path]:
-    """Where files of registered networks are looked for, in order: PRISM_EDGE_MODELS, cache, models/."""
-    named = os.environ.get("PRISM_EDGE_MODELS", "").split(os.pathsep)
-    cache_home = Path(os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser())
-    chosen = [Path(part).expanduser() for part in named if part]
-    return [*chosen, cache_home / "prism-edge" / "models", data_folder()]
 
 
 @cache

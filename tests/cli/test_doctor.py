@@ -54,9 +54,25 @@ def test_model_that_is_no_network(tmp_path: Path) -> None:
     assert levels(checks.check_model(Config())) == [WARN]
 
 
-def test_provider_that_is_not_there() -> None:
-    findings = checks.check_providers(Config(depth=DepthConfig(providers=("AbacusExecutionProvider",))))
-    assert levels(findings) == [OK, WARN]
+@pytest.mark.parametrize(
+    ("depth", "expected"),
+    [
+        (DepthConfig(), [OK]),
+        (DepthConfig(providers=("cpu", "AbacusExecutionProvider")), [OK, WARN]),
+        (DepthConfig(providers=("AnExecutionProvider",), required=("AnExecutionProvider",)), [OK, FAIL]),
+        (DepthConfig(providers=("abacus",)), [OK, FAIL]),
+    ],
+)
+def test_provider_that_is_not_there(depth: DepthConfig, expected: list[str]) -> None:
+    assert levels(checks.check_providers(Config(depth=depth))) == expected
+
+
+def test_two_onnxruntimes_that_overwrite_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    wheels = {"onnxruntime": ["onnxruntime-gpu", "onnxruntime", "onnxruntime"]}
+    monkeypatch.setattr("importlib.metadata.packages_distributions", lambda: wheels)
+    finding = next(iter(checks.check_providers(Config())))
+    assert finding.level == FAIL
+    assert finding.found == "onnxruntime and onnxruntime-gpu are both installed"
 
 
 @pytest.mark.parametrize("config", [Config(robot="a/b"), Config(bus=BusConfig("nonsense"))])

@@ -66,7 +66,7 @@ def test_a_descriptor_has_norm_one_or_is_none(values):
     assert out.dtype == np.float32
     if out.size:
         assert np.linalg.norm(out.astype(np.float64)) == pytest.approx(1.0, abs=1e-6)
-        assert out @ values >= 0 or np.isnan(out @ values)
+        assert out.astype(np.float64) @ values.astype(np.float64) > 0
     else:
         norm = np.linalg.norm(values.astype(np.float64))
         assert not norm >= 1e-6 or np.isinf(norm)

@@ -15,6 +15,7 @@ from prism_edge.depth import registry
 from prism_edge.depth.cards import card_of
 from prism_edge.depth.registry import entries, find, read_registry, sha256_of
 from prism_edge.depth.session import OnnxNetwork
+from prism_edge.depth.vetting import Vetted
 from prism_edge.errors import ModelError
 from tests.synthetic.network import TinyNetwork, write_sidecar, write_tiny_network
 
@@ -46,6 +47,10 @@ def test_the_files_at_hand_are_the_registered_ones(shared: Path):
     for entry in entries():
         if entry.card and (shared / "models" / entry.file).is_file():
             assert sha256_of(shared / "models" / entry.file) == entry.card.sha256
+
+
+def vetted(sha256: str, metadata: dict[str, str]) -> Vetted:
+    return Vetted(Path("net.onnx"), sha256, metadata, 13, ())
 
 
 CARD = {
@@ -117,14 +122,14 @@ def test_a_card_may_not_relicense_a_registered_file(tmp_path: Path):
     registered = find("fastdepth_nyu").card
     write_sidecar(tmp_path / "mine.onnx", replace(registered, name="mine", licence="Proprietary"))
     with pytest.raises(ModelError, match="registered under MIT"):
-        card_of(tmp_path / "mine.onnx", registered.sha256, {})
+        card_of(tmp_path / "mine.onnx", vetted(registered.sha256, {}))
 
 
 def test_a_sidecar_goes_before_the_files_own_metadata(tmp_path: Path):
     props = TinyNetwork(name="inner").card().to_metadata()
-    assert card_of(tmp_path / "net.onnx", "0" * 64, props).name == "inner"
+    assert card_of(tmp_path / "net.onnx", vetted("0" * 64, props)).name == "inner"
     write_sidecar(tmp_path / "net.onnx", TinyNetwork(name="outer").card())
-    assert card_of(tmp_path / "net.onnx", "0" * 64, props).name == "outer"
+    assert card_of(tmp_path / "net.onnx", vetted("0" * 64, props)).name == "outer"
 
 
 def test_the_folder_named_by_the_environment_is_looked_in_first(tmp_path: Path, monkeypatch):

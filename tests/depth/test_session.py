@@ -246,15 +246,6 @@ def test_a_graph_that_fails_at_the_first_inference_is_refused(tmp_path: Path):
     _refused(tmp_path / "net.onnx", "first inference failed")
 
 
-def test_the_first_provider_that_is_there_is_used_and_named(tmp_path: Path):
-    path = write_tiny_network(tmp_path / "tiny.onnx")
-    assert OnnxNetwork(path, ("NoSuchProvider", "CPUExecutionProvider")).provider == "CPUExecutionProvider"
-    with pytest.raises(ModelError, match=r"NoSuchProvider is there; .* offers .*CPUExecutionProvider"):
-        OnnxNetwork(path, ("NoSuchProvider",))
-    with pytest.raises(ModelError, match="none named"):
-        OnnxNetwork(path, ())
-
-
 def test_two_inferences_of_one_image_are_identical(tiny: OnnxNetwork):
     image, _ = slanted_wall()
     assert np.array_equal(tiny.infer(image, CAMERA).depth, tiny.infer(image, CAMERA).depth)

@@ -1,0 +1,240 @@
+"""An onnxruntime session on the first execution provider that really starts.
+
+onnxruntime falls back to the CPU without a word where a provider's libraries are missing, and where a
+provider takes none of a network's nodes; here either is noticed, and told.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import logging
+import os
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import onnxruntime
+
+from prism_edge.config import DepthConfig
+from prism_edge.depth.folders import cache_home
+from prism_edge.depth.inner_tensor import with_output
+from prism_edge.depth.vetting import Vetted
+from prism_edge.errors import ModelError
+
+log = logging.getLogger("prism_edge.depth")
+
+CPU = "CPUExecutionProvider"
+# Short names in the configuration. Any other provider goes by onnxruntime's name for it.
+SHORT = {
+    "cpu": CPU,
+    "cuda": "CUDAExecutionProvider",
+    "tensorrt": "TensorrtExecutionProvider",
+    "openvino": "OpenVINOExecutionProvider",
+    "qnn": "QNNExecutionProvider",
+}
+_PREAMBLE = re.compile(
+    r"^(\[ONNXRuntimeError\] : \d+ : \w+ : )?(Load model from .*? failed: ?)?"
+    r"(/\S+\.(cc|h):\d+ .*?\) (?=[A-Z\[]))?"
+)
+_DATA_FOLDER = "session.model_external_initializers_file_folder_path"
+_QUIET = 3  # onnxruntime's severity "error": files in use carry hundreds of harmless warnings
+
+
+@dataclass(frozen=True)
+class Started:
+    """A session, the provider that runs most of it, and how many nodes each provider took."""
+
+    session: Any
+    provider: str
+    nodes: dict[str, int]  # empty where this onnxruntime does not tell
+
+
+def full_name(name: str) -> str:
+    """onnxruntime's name of a provider. Raises ModelError for a name that none can have."""
+    if name.lower() in SHORT:
+        return SHORT[name.lower()]
+    if name.endswith("ExecutionProvider"):
+        return name
+    raise ModelError(
+        f"depth.providers: there is no execution provider {name!r}; take some of {', '.join(SHORT)}, "
+        "or onnxruntime's name of another one"
+    )
+
+
+def short_name(name: str) -> str:
+    """A provider's name as the configuration has it."""
+    return next((short for short, full in SHORT.items() if full == name), name)
+
+
+def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
+    """Loads a vetted network on the first of ``depth.providers`` that starts, the CPU after all.
+
+    ``inner`` names an inner tensor that becomes one more output.
+    Those behind the one that starts get the nodes that it does not take. Raises ModelError where a provider
+    that ``depth.required`` names is not there or does not start, or where no provider takes the file.
+    """
+    names = tuple(dict.fromkeys(full_name(name) for name in (*config.providers, "cpu")))
+    required = {full_name(name) for name in config.required}
+    asked = {full_name(name) for name in config.providers}
+    if required - asked:
+        raise ModelError(f"depth.required: {_words(required - asked)} is not among depth.providers")
+    offered = onnxruntime.get_available_providers()
+    wanted = []
+    for name in names:
+        if name in offered:
+            wanted.append(name)
+            continue
+        missing = f"this onnxruntime has no {short_name(name)} provider (it has {_words(offered)})"
+        if name in required:
+            raise ModelError(f"{missing}, which depth.required asks for (docs/MODELS.md: how to install it)")
+        if name in asked:
+            log.warning("%s; trying the next", missing)
+    if inner:
+        return _with_inner(vetted, config, wanted, required, inner)
+    return _first_that_starts(vetted, config, wanted, required)
+
+
+def _with_inner(
+    vetted: Vetted, config: DepthConfig, wanted: Sequence[str], required: set[str], inner: str
+) -> Started:
+    try:
+        content = with_output(vetted.path.read_bytes(), inner)
+        return _first_that_starts(vetted, config, wanted, required, content)
+    except OSError as error:
+        raise ModelError(f"{vetted.path}: can't be read ({error.strerror})") from None
+    except ModelError:
+        _first_that_starts(vetted, config, wanted, required)  # says what else may be wrong
+        raise ModelError(f"{vetted.path.name}: has no inner tensor {inner!r} (descriptor_layer)") from None
+
+
+def _first_that_starts(
+    vetted: Vetted, config: DepthConfig, wanted: Sequence[str], required: set[str], content: bytes = b""
+) -> Started:
+    """``content`` stands for the file's own bytes; weights that it refers to stay in the file's folder."""
+    path = vetted.path
+    for index, name in enumerate(wanted):
+        why = ""
+        started = None
+        try:
+            started = _start(path, config, wanted[index:], content)
+            why = "" if started.provider == name else "it did not start, or took none of the network"
+        except Exception as error:  # onnxruntime's exceptions have no common root of their own
+            why = first_line(error)
+        if started is not None and not why:
+            return started
+        if name == CPU:  # what the CPU can't load is no network
+            version = f"onnxruntime {onnxruntime.__version__}"
+            raise ModelError(f"{path}: no ONNX model that {version} can load (opset {vetted.opset}; {why})")
+        if name in required:
+            raise ModelError(f"{short_name(name)} is required, but can't run {path.name}: {why}")
+        log.warning("%s does not run %s: %s; trying the next", short_name(name), path.name, why)
+    raise ModelError(f"{path}: this onnxruntime has not even a CPU provider")
+
+
+def _start(path: Path, config: DepthConfig, names: Sequence[str], content: bytes) -> Started:
+    if set(names) & {SHORT["cuda"], SHORT["tensorrt"]}:
+        _preload()
+    providers = [(name, provider_options(name, config)) for name in names]
+    options = session_options(config)
+    if content:
+        options.add_session_config_entry(_DATA_FOLDER, str(path.parent))
+    session = onnxruntime.InferenceSession(content or str(path), options, providers, enable_fallback=0)
+    nodes = _nodes(session)
+    running = session.get_providers()[0]
+    if nodes and not nodes.get(running):
+        running = max(nodes, key=lambda name: nodes[name])
+    return Started(session, running, nodes)
+
+
+@cache
+def _preload() -> None:
+    """Loads CUDA and cuDNN as pip installs them, which are on no library path."""
+    preload = getattr(onnxruntime, "preload_dlls", None)  # not before 1.21
+    if preload is not None:
+        said = io.StringIO()  # it prints what it did not find
+        with contextlib.redirect_stdout(said):
+            preload()
+        for line in said.getvalue().splitlines():
+            log.debug("%s", line)
+
+
+def session_options(config: DepthConfig) -> Any:
+    """The session options that the configuration sets."""
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = _QUIET
+    options.intra_op_num_threads = config.threads
+    options.inter_op_num_threads = 1
+    options.enable_cpu_mem_arena = config.arena
+    # Idle threads that spin would take a core each between keyframes.
+    spinning = "1" if config.spinning else "0"
+    options.add_session_config_entry("session.intra_op.allow_spinning", spinning)
+    options.add_session_config_entry("session.inter_op.allow_spinning", spinning)
+    options.add_session_config_entry("session.record_ep_graph_assignment_info", "1")
+    return options
+
+
+def provider_options(name: str, config: DepthConfig) -> dict[str, str]:
+    """Options of one provider: engine cache and threads, then what ``depth.provider_options`` sets.
+
+    Raises ModelError for one that is not of the form PROVIDER.KEY=VALUE.
+    """
+    options: dict[str, str] = {}
+    if name == SHORT["tensorrt"]:
+        cache = str(engine_cache(config))
+        options = {"trt_engine_cache_enable": "1", "trt_engine_cache_path": cache}
+        options |= {"trt_timing_cache_enable": "1", "trt_timing_cache_path": cache}
+    elif name == SHORT["openvino"]:
+        options = {"cache_dir": str(engine_cache(config)), "num_of_threads": str(config.threads)}
+    elif name == SHORT["qnn"]:
+        options = {"backend_path": "QnnHtp.dll" if os.name == "nt" else "libQnnHtp.so"}
+    for item in config.provider_options:
+        place, equals, value = item.partition("=")
+        provider, dot, key = place.partition(".")
+        if not (equals and dot and key.strip()):
+            raise ModelError(f"depth.provider_options: {item!r} is not of the form PROVIDER.KEY=VALUE")
+        if full_name(provider.strip()) == name:
+            options[key.strip()] = value.strip()
+    return options
+
+
+def engine_cache(config: DepthConfig) -> Path:
+    """The folder of engines that TensorRT and OpenVINO compile; made, for this user alone.
+
+    Engines are machine code that is run unchecked: nobody else may write there. Raises ModelError where
+    the folder can't be made.
+    """
+    folder = Path(config.engine_cache).expanduser() if config.engine_cache else cache_home() / "engines"
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except OSError as error:
+        raise ModelError(f"depth.engine_cache: {folder} can't be made ({error.strerror})") from None
+    return folder
+
+
+def _nodes(session: Any) -> dict[str, int]:
+    """How many nodes each provider runs; empty where this onnxruntime can't tell (before 1.24)."""
+    tell = getattr(session, "get_provider_graph_assignment_info", None)
+    if tell is None:
+        return {}
+    try:
+        counts = Counter()  # type: Counter[str]
+        for part in tell():
+            counts[part.ep_name] += len(part.get_nodes())
+    except Exception:  # a preview of onnxruntime's API: without it, nothing is lost but the count
+        return {}
+    return dict(counts)
+
+
+def _words(names: Sequence[str] | set[str]) -> str:
+    return ", ".join(short_name(name) for name in sorted(names))
+
+
+def first_line(error: Exception) -> str:
+    """An exception of native code in one line, without the code and the path that onnxruntime begins with."""
+    line = " ".join((str(error).strip() or type(error).__name__).splitlines()[0].split())
+    return _PREAMBLE.sub("", line)[:200]

@@ -1,0 +1,207 @@
+"""Execution providers, by fakes at onnxruntime's border that fail as the real ones were seen to fail."""
+
+from __future__ import annotations
+
+import logging
+from collections import Counter
+from pathlib import Path
+from types import SimpleNamespace
+
+import onnxruntime
+import pytest
+
+from prism_edge.config import DepthConfig
+from prism_edge.depth import providers
+from prism_edge.depth.session import OnnxNetwork
+from prism_edge.errors import ModelError
+from tests.synthetic.network import write_tiny_network
+
+CPU, CUDA, TENSORRT = "CPUExecutionProvider", "CUDAExecutionProvider", "TensorrtExecutionProvider"
+OPENVINO, QNN = "OpenVINOExecutionProvider", "QNNExecutionProvider"
+Real = onnxruntime.InferenceSession
+
+
+class Border:
+    """An onnxruntime that offers more providers than this one has; what they run, the CPU really runs."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **behaviour: str) -> None:
+        """Each provider of ``behaviour`` is there, and starts, raises, is silent (falls back) or idle."""
+        self.behaviour = {providers.SHORT[name]: how for name, how in behaviour.items()}
+        self.asked: list[list[str]] = []
+        self.options: dict[str, dict[str, str]] = {}
+        offered = [*self.behaviour, CPU]
+        monkeypatch.setattr(onnxruntime, "get_available_providers", lambda: offered)
+        monkeypatch.setattr(onnxruntime, "InferenceSession", self.open)
+        monkeypatch.setattr(onnxruntime, "preload_dlls", lambda: None, raising=False)
+
+    def open(self, path: str, options: object, given: list[tuple[str, dict[str, str]]], **more: object):
+        names = [name for name, _ in given]
+        assert set(names) <= {*self.behaviour, CPU}, "onnxruntime refuses a provider that it does not have"
+        self.asked.append(names)
+        self.options.update(dict(given))
+        if self.behaviour.get(names[0]) == "raises":
+            raise RuntimeError("Please install TensorRT libraries as mentioned\nand more")
+        real = Real(path, options, [CPU])
+        running = [name for name in names if self.behaviour.get(name) != "silent"]
+        taking = [name for name in running if self.behaviour.get(name) != "idle"]
+        nodes = sum(len(part.get_nodes()) for part in real.get_provider_graph_assignment_info())
+        split = {taking[0]: nodes - 1, CPU: 1} if taking[0] != CPU else {CPU: nodes}
+        parts = [SimpleNamespace(ep_name=n, get_nodes=lambda c=c: [None] * c) for n, c in split.items()]
+        return SimpleNamespace(
+            get_providers=lambda: running,
+            get_provider_graph_assignment_info=lambda: parts,
+            get_inputs=real.get_inputs,
+            get_outputs=real.get_outputs,
+            run=real.run,
+        )
+
+
+@pytest.fixture
+def network(tmp_path: Path) -> Path:
+    return write_tiny_network(tmp_path / "tiny.onnx")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache" / "prism-edge" / "engines"
+
+
+@pytest.mark.parametrize(
+    ("there", "expected"),
+    [
+        ({"tensorrt": "starts", "cuda": "starts"}, TENSORRT),
+        ({"tensorrt": "raises", "cuda": "starts"}, CUDA),
+        ({"tensorrt": "silent", "cuda": "starts"}, CUDA),
+        ({"tensorrt": "idle", "cuda": "starts"}, CUDA),
+        ({"tensorrt": "raises", "cuda": "silent"}, CPU),
+        ({"cuda": "starts"}, CUDA),
+        ({}, CPU),
+    ],
+)
+def test_they_are_tried_in_order_and_the_one_really_used_is_named(network, monkeypatch, there, expected):
+    Border(monkeypatch, **there)
+    opened = OnnxNetwork(network, DepthConfig(providers=("tensorrt", "cuda", "cpu")))
+    assert opened.provider == expected
+    assert opened.nodes[expected] == max(opened.nodes.values())
+    assert opened.counters == ({"nodes_elsewhere": 1} if expected != CPU else {})
+
+
+def test_the_configured_order_is_the_order(network, monkeypatch):
+    border = Border(monkeypatch, cuda="starts", openvino="starts")
+    assert OnnxNetwork(network, DepthConfig(providers=("openvino", "cuda"))).provider == OPENVINO
+    # those behind it get the nodes that it does not take
+    assert border.asked == [[OPENVINO, CUDA, CPU]]
+
+
+def test_one_that_is_not_there_is_passed_over_with_a_warning(network, monkeypatch, caplog):
+    Border(monkeypatch, openvino="silent")
+    with caplog.at_level(logging.WARNING, "prism_edge.depth"):
+        assert OnnxNetwork(network, DepthConfig(providers=("qnn", "openvino"))).provider == CPU
+    assert [record.getMessage().split(";")[0] for record in caplog.records] == [
+        "this onnxruntime has no qnn provider (it has cpu, openvino)",
+        "openvino does not run tiny.onnx: it did not start, or took none of the network",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("there", "says"),
+    [
+        ({}, "has no cuda provider .* depth.required asks for"),
+        ({"cuda": "raises"}, "cuda is required, but can't run tiny.onnx: Please install TensorRT libraries"),
+        ({"cuda": "silent"}, "cuda is required, but can't run tiny.onnx: it did not start"),
+        ({"cuda": "idle"}, "cuda is required, but .* took none of the network"),
+    ],
+)
+def test_a_required_one_that_is_not_there_is_an_error(network, monkeypatch, there, says):
+    Border(monkeypatch, **there)
+    with pytest.raises(ModelError, match=says) as error:
+        OnnxNetwork(network, DepthConfig(providers=("cuda", "cpu"), required=("cuda",)))
+    assert "\n" not in str(error.value)
+
+
+def test_a_required_one_that_starts_is_no_error(network, monkeypatch):
+    Border(monkeypatch, cuda="starts")
+    config = DepthConfig(providers=("tensorrt", "cuda"), required=("CUDAExecutionProvider",))
+    assert OnnxNetwork(network, config).provider == CUDA
+
+
+@pytest.mark.parametrize(
+    ("config", "says"),
+    [
+        (DepthConfig(providers=("abacus",)), "no execution provider 'abacus'; take some of cpu, cuda"),
+        (DepthConfig(required=("cuda",)), "cuda is not among depth.providers"),
+        (DepthConfig(provider_options=("cpu",)), "PROVIDER.KEY=VALUE"),
+        (DepthConfig(provider_options=("cpu.=1",)), "PROVIDER.KEY=VALUE"),
+        (DepthConfig(provider_options=("abacus.rods=9",)), "no execution provider 'abacus'"),
+    ],
+)
+def test_a_wrong_setting_is_one_line(network, config, says):
+    with pytest.raises(ModelError, match=says) as error:
+        OnnxNetwork(network, config)
+    assert "\n" not in str(error.value)
+
+
+def test_the_real_cpu_is_there_whatever_is_asked_for(network):
+    for wanted in ((), ("cpu",), ("cuda", "MIGraphXExecutionProvider")):
+        opened = OnnxNetwork(network, DepthConfig(providers=wanted))
+        assert opened.provider == CPU
+        assert set(opened.nodes) <= {CPU}
+
+
+def test_engines_are_kept_where_the_configuration_says(network, monkeypatch, cache: Path, tmp_path: Path):
+    border = Border(monkeypatch, tensorrt="starts", openvino="starts")
+    OnnxNetwork(network, DepthConfig(providers=("tensorrt", "openvino"), threads=3))
+    assert border.options[TENSORRT]["trt_engine_cache_path"] == str(cache)
+    assert border.options[OPENVINO] == {"cache_dir": str(cache), "num_of_threads": "3"}
+    assert cache.stat().st_mode & 0o777 == 0o700
+    OnnxNetwork(network, DepthConfig(providers=("tensorrt",), engine_cache=str(tmp_path / "mine")))
+    assert border.options[TENSORRT]["trt_engine_cache_path"] == str(tmp_path / "mine")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ModelError, match="can't be made"):
+        providers.engine_cache(DepthConfig(engine_cache=str(tmp_path / "file" / "below")))
+
+
+def test_no_folder_is_made_that_nobody_needs(network, cache: Path):
+    OnnxNetwork(network)
+    assert not cache.exists()
+
+
+def test_options_reach_their_provider_alone(network, monkeypatch):
+    border = Border(monkeypatch, cuda="starts", qnn="silent")
+    options = ("cuda.device_id=1", "qnn.backend_path=/opt/qnn/lib.so", "cuda.gpu_mem_limit = 5")
+    OnnxNetwork(network, DepthConfig(providers=("qnn", "cuda"), provider_options=options))
+    assert border.options[CUDA] == {"device_id": "1", "gpu_mem_limit": "5"}
+    assert border.options[QNN] == {"backend_path": "/opt/qnn/lib.so"}
+    assert border.options[CPU] == {}
+
+
+def test_session_options_are_the_configured_ones():
+    options = providers.session_options(DepthConfig(threads=3, spinning=True, arena=False))
+    assert (options.intra_op_num_threads, options.enable_cpu_mem_arena) == (3, False)
+    assert options.get_session_config_entry("session.intra_op.allow_spinning") == "1"
+    default = providers.session_options(DepthConfig())
+    assert (default.intra_op_num_threads, default.enable_cpu_mem_arena) == (1, True)
+    assert default.get_session_config_entry("session.intra_op.allow_spinning") == "0"
+
+
+def test_an_onnxruntime_that_can_not_count_nodes_is_used_all_the_same(network, monkeypatch):
+    border = Border(monkeypatch, cuda="starts")
+    opened = border.open
+
+    def older(*arguments: object, **more: object):
+        session = opened(*arguments, **more)
+        del session.get_provider_graph_assignment_info
+        return session
+
+    monkeypatch.setattr(onnxruntime, "InferenceSession", older)
+    network_opened = OnnxNetwork(network, DepthConfig(providers=("cuda",)))
+    assert (network_opened.provider, network_opened.nodes) == (CUDA, {})
+
+
+def test_every_node_of_a_real_network_is_counted(network):
+    import onnx
+
+    graph = Counter(node.op_type for node in onnx.load(network).graph.node)
+    assert 0 < OnnxNetwork(network).nodes[CPU] <= graph.total()  # nodes are fused when loading

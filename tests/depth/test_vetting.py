@@ -1,0 +1,216 @@
+"""Bad network files: each is refused in one line, before onnxruntime has seen it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from prism_edge.depth import vetting
+from prism_edge.depth.registry import sha256_of
+from prism_edge.depth.session import OnnxNetwork
+from prism_edge.depth.vetting import vet
+from prism_edge.errors import ModelError
+from prism_edge.geometry.cameras import Camera
+from tests.synthetic.network import TinyNetwork, tiny_graph, write_sidecar, write_tiny_network
+
+SECRET = b"\x00\x00\x80?" * 1000
+
+
+def split(path: Path, location: str = "weights.bin") -> Path:
+    """A network whose weights lie in a file beside it, as exporters write those above 2 GB."""
+    what = TinyNetwork(describes_itself=False)
+    model = helper.make_model(tiny_graph(what), opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    onnx.save(model, str(path), save_as_external_data=True, location=location, size_threshold=0)
+    write_sidecar(path, what.card())
+    return path
+
+
+def redirected(path: Path, location: str, **more: str) -> Path:
+    """The same, but its tensors are to be read from ``location``."""
+    split(path)
+    model = onnx.load(path, load_external_data=False)
+    for tensor in model.graph.initializer:
+        for entry in tensor.external_data:
+            if entry.key == "location":
+                entry.value = location
+        for key, value in more.items():
+            kept = [e for e in tensor.external_data if e.key != key]
+            del tensor.external_data[:]
+            tensor.external_data.extend(kept)
+            tensor.external_data.add(key=key, value=value)
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def refused(path: Path, says: str) -> None:
+    """By the vetting, and so by whoever opens the network; in one line that names the file."""
+    for attempt in (vet, OnnxNetwork):
+        with pytest.raises(ModelError, match=says) as error:
+            attempt(path)
+        assert "\n" not in str(error.value)
+        assert path.name in str(error.value)
+
+
+def test_a_sound_file_passes_with_its_digest(tmp_path: Path):
+    path = write_tiny_network(tmp_path / "net.onnx")
+    vetted = vet(path)
+    assert (vetted.path, vetted.sha256, vetted.opset) == (path, sha256_of(path), 13)
+    assert vetted.metadata["prism_edge.name"] == "tiny_tint"
+    assert vetted.data == ()
+    assert vet(path, sha256_of(path)) == vetted
+
+
+def test_a_network_with_weights_beside_it_runs_like_the_whole_one(tmp_path: Path):
+    path = split(tmp_path / "split.onnx")
+    assert vet(path).data == (tmp_path / "weights.bin",)
+    image = np.tile(np.arange(320, dtype=np.uint8)[None, :, None], (240, 1, 3))
+    camera = Camera(320, 240, 300.0, 300.0, 160.0, 120.0)
+    one = OnnxNetwork(path).infer(image, camera)
+    other = OnnxNetwork(write_tiny_network(tmp_path / "whole.onnx")).infer(image, camera)
+    assert np.array_equal(one.depth, other.depth)
+
+
+def test_a_link_to_a_network_is_followed_to_its_weights(tmp_path: Path):
+    (tmp_path / "store").mkdir()
+    (tmp_path / "links").mkdir()
+    whole = split(tmp_path / "store" / "net.onnx")
+    link = tmp_path / "links" / "net.onnx"
+    link.symlink_to(whole)
+    write_sidecar(link, TinyNetwork().card())
+    assert OnnxNetwork(link).name == "tiny_tint"
+
+
+@pytest.mark.parametrize(
+    ("location", "says"),
+    [
+        ("/etc/passwd", "outside its own folder"),
+        ("../secret.bin", "outside its own folder"),
+        ("inner/../../secret.bin", "outside its own folder"),
+        ("..", "outside its own folder"),
+        ("C:\\secret.bin", "no plain file name"),
+        ("..\\secret.bin", "no plain file name"),
+        ("*/_ORT_MEM_ADDR_/*", "no plain file name"),
+        ("", "no plain file name"),
+        (".", "no plain file"),
+        ("a\nb", "no plain file name"),
+        ("nowhere.bin", "not beside it"),
+        ("x" * 5000, "not beside it"),
+    ],
+)
+def test_external_data_elsewhere_is_refused(tmp_path: Path, location: str, says: str):
+    (tmp_path / "secret.bin").write_bytes(SECRET)
+    folder = tmp_path / "model"
+    folder.mkdir()
+    refused(redirected(folder / "net.onnx", location), says)
+
+
+@pytest.mark.parametrize("what", ["the file", "its folder"])
+def test_external_data_behind_a_symbolic_link_is_refused(tmp_path: Path, what: str):
+    outside, folder = tmp_path / "outside", tmp_path / "model"
+    outside.mkdir()
+    folder.mkdir()
+    (outside / "weights.bin").write_bytes(SECRET)
+    if what == "the file":
+        path = split(folder / "net.onnx")
+        (folder / "weights.bin").unlink()
+        (folder / "weights.bin").symlink_to(outside / "weights.bin")
+    else:
+        path = redirected(folder / "net.onnx", "sub/weights.bin")
+        (folder / "sub").symlink_to(outside)
+    refused(path, "symbolic link")
+
+
+def test_external_data_that_is_no_plain_file_is_refused(tmp_path: Path):
+    path = split(tmp_path / "net.onnx")
+    (tmp_path / "weights.bin").unlink()
+    os.mkfifo(tmp_path / "weights.bin")  # whoever opened it for reading would wait for ever
+    refused(path, "no plain file")
+
+
+def test_external_data_cut_off_is_refused(tmp_path: Path):
+    path = split(tmp_path / "net.onnx")
+    data = tmp_path / "weights.bin"
+    data.write_bytes(data.read_bytes()[:-100])
+    refused(path, "cut off")
+
+
+def test_external_data_whose_place_can_not_be_is_refused(tmp_path: Path):
+    refused(redirected(tmp_path / "net.onnx", "weights.bin", offset="999999999999999999"), "are needed")
+
+
+def test_an_oversized_file_is_refused_unread(tmp_path: Path):
+    path = tmp_path / "net.onnx"
+    with path.open("wb") as file:
+        file.truncate(2**31)  # sparse: it takes no room on the disk
+    refused(path, "larger than 2 GB")
+
+
+def test_oversized_external_data_is_refused(tmp_path: Path, monkeypatch):
+    path = split(tmp_path / "net.onnx")
+    monkeypatch.setattr(vetting, "LARGEST_DATA", 1000)
+    refused(path, "its external data 'weights.bin' is larger")
+
+
+@pytest.mark.parametrize("operator", ["EPContext", "PyOp"])
+def test_compiled_code_is_refused(tmp_path: Path, operator: str):
+    graph = tiny_graph(TinyNetwork())
+    graph.node.append(helper.make_node(operator, ["depth"], ["other"], domain="com.microsoft"))
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
+    helper.set_model_props(model, TinyNetwork().card().to_metadata())
+    path = tmp_path / "net.onnx"
+    path.write_bytes(model.SerializeToString())
+    refused(path, f"contains {operator}, compiled code")
+
+
+@pytest.mark.parametrize("opset", [0, 4, 99])
+def test_an_opset_that_onnxruntime_does_not_have_is_refused_in_one_line(tmp_path: Path, opset: int):
+    graph = tiny_graph(TinyNetwork())
+    if opset == 4:  # when AveragePool was not what it is now, nothing of it runs
+        graph.node.append(helper.make_node("Resize", ["depth"], ["other"]))
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
+    helper.set_model_props(model, TinyNetwork().card().to_metadata())
+    path = tmp_path / "net.onnx"
+    path.write_bytes(model.SerializeToString())
+    with pytest.raises(ModelError, match=rf"opset {opset}") as error:
+        OnnxNetwork(path)
+    assert "\n" not in str(error.value)
+
+
+def test_damaged_weights_have_another_digest(tmp_path: Path):
+    path = write_tiny_network(tmp_path / "net.onnx")
+    digest = sha256_of(path)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ModelError, match=f"not the registered {digest[:12]}"):
+        vet(path, digest)
+
+
+def test_a_tensor_shorter_than_its_shape_is_refused(tmp_path: Path):
+    model = onnx.load(write_tiny_network(tmp_path / "net.onnx"))
+    for tensor in model.graph.initializer:
+        tensor.CopyFrom(numpy_helper.from_array(np.ones(1, np.float32), tensor.name))
+        tensor.dims[:] = [2**20, 2**20]
+    model.graph.initializer[0].data_type = TensorProto.FLOAT
+    (tmp_path / "net.onnx").write_bytes(model.SerializeToString())
+    with pytest.raises(ModelError, match="no ONNX model that onnxruntime") as error:
+        OnnxNetwork(tmp_path / "net.onnx")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["none.onnx", "folder", "nul\x00.onnx", "deep/none.onnx"])
+def test_what_is_no_file_is_refused(tmp_path: Path, name: str):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(ModelError, match="can't be read") as error:
+        vet(tmp_path / name)
+    assert "\n" not in str(error.value)
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path):
+    os.mkfifo(tmp_path / "net.onnx")
+    refused(tmp_path / "net.onnx", "no plain file")
