@@ -22,6 +22,7 @@ class Image:
     index: int  # in the recording, from 0
     stamp_ns: int  # capture, in the recording's or camera's own clock
     pixels: U8
+    captured_monotonic_ns: int = 0  # the same on this host's monotonic clock; 0: a recording has none
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,13 @@ class Unreadable:
     index: int
     stamp_ns: int
     reason: str  # names the file
+
+
+@dataclass(frozen=True)
+class Absent:
+    """A live camera has no image at this moment, and may have one soon."""
+
+    problem: str = ""  # why, where it is more than a short wait
 
 
 @dataclass(frozen=True)
@@ -46,8 +54,9 @@ class Source(ABC):
 
     ``name`` is one line that says what it is; ``camera_origin`` says which intrinsics ``camera`` holds
     and where they are from. ``frame_count`` is None where nobody can know. ``period_ns`` is the usual
-    time between images. A ``live`` source stamps images itself, and its ``peek`` is always None. A
-    ``synthetic`` one has nothing that opening could find wrong, and ``peek`` answers before it is open.
+    time between images. A ``live`` source stamps images itself, its ``peek`` is always None, and its
+    ``read`` comes back within a second, image or no image. A ``synthetic`` one has nothing that opening
+    could find wrong, and ``peek`` answers before it is open.
     """
 
     name: str
@@ -67,8 +76,8 @@ class Source(ABC):
         """The place of what :meth:`read` gives next, without decoding it; None at the end."""
 
     @abstractmethod
-    def read(self) -> Image | Unreadable | None:
-        """The next image, or why there is none in its place; None at the end."""
+    def read(self) -> Image | Unreadable | Absent | None:
+        """The next image, or why there is none in its place; None at the end. Only a live one is Absent."""
 
     @abstractmethod
     def skip(self) -> None:
@@ -77,6 +86,10 @@ class Source(ABC):
     def true_pose(self, index: int) -> Array | None:
         """Exact world_from_camera (4, 4), metres, of an image that the source itself made; for scorers."""
         return None
+
+    def health(self) -> dict[str, str]:
+        """What a live source shows beside counts; a ``warning`` among it stands as long as its cause."""
+        return {}
 
     @abstractmethod
     def close(self) -> None:

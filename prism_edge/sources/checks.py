@@ -11,6 +11,9 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import U8
 from prism_edge.sources.base import Image, Unreadable
 
+# Stands in where nobody needs intrinsics: whoever calibrates is about to find them.
+UNCALIBRATED = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
+
 
 def check_camera_size(camera: Camera, origin: str, pixels: U8, where: str) -> None:
     """Raises ConfigError where the first image has another size than the camera's.
@@ -18,7 +21,7 @@ def check_camera_size(camera: Camera, origin: str, pixels: U8, where: str) -> No
     A camera is never scaled silently: whether an image was resized or cropped doesn't show.
     """
     height, width = pixels.shape[:2]
-    if (width, height) != (camera.width, camera.height):
+    if camera is not UNCALIBRATED and (width, height) != (camera.width, camera.height):
         raise ConfigError(
             f"the camera ({origin}) is for {camera.width}x{camera.height} images, but {where} is "
             f"{width}x{height}; give a camera file for that size"

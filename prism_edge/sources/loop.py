@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from prism_edge.sources.base import Image, Slot, Source, Unreadable
+from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
 
 
 class Looped(Source):
@@ -33,13 +33,13 @@ class Looped(Source):
             slot = self._source.peek()
         return slot and Slot(slot.index + self._index_offset, slot.stamp_ns + self._stamp_offset)
 
-    def read(self) -> Image | Unreadable | None:
+    def read(self) -> Image | Unreadable | Absent | None:
         item = self._source.read()
         if item is None and self._passed:
             self._rewind()
             item = self._source.read()
-        if item is None:
-            return None
+        if item is None or isinstance(item, Absent):
+            return item
         self._pass(Slot(item.index, item.stamp_ns))
         return replace(
             item, index=item.index + self._index_offset, stamp_ns=item.stamp_ns + self._stamp_offset

@@ -10,9 +10,11 @@ from prism_edge.errors import ConfigError, SourceError
 from prism_edge.sources import image_folder, kitti, seven_scenes, tum
 from prism_edge.sources.base import Source
 from prism_edge.sources.camera_file import read_camera
+from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.image_sequence import ImageSequence
 from prism_edge.sources.known_cameras import ROS_DEFAULT
 from prism_edge.sources.listing import Intrinsics, Listing
+from prism_edge.sources.live.open import is_live, open_live
 from prism_edge.sources.loop import Looped
 from prism_edge.sources.sim import SimSource, is_simulated
 from prism_edge.sources.video import Video
@@ -24,13 +26,17 @@ LAYOUTS = (tum.find, seven_scenes.find, kitti.find, image_folder.find)
 CAMERA_FILES = ("camera.yaml", "camera_info.yaml")
 RECOGNISED = (
     "TUM RGB-D or BONN (rgb.txt), 7-Scenes (frame-000000.color.png), KITTI odometry (image_0 or image_2, "
-    "calib.txt, times.txt), a folder of images, a video file, the simulator (sim:room, sim:loop)"
+    "calib.txt, times.txt), a folder of images, a video file, the simulator (sim:room, sim:loop), "
+    "a camera (v4l2:/dev/video0, oak:, rtsp://HOST/PATH, http://HOST/PATH)"
 )
 
+_UNKNOWN: Intrinsics = ("not calibrated", UNCALIBRATED)
 
-def open_source(config: SourceConfig) -> Source:
+
+def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
     """The source that a configuration names, still closed.
 
+    Where it needn't be ``calibrated``, missing intrinsics are no error: its camera is then UNCALIBRATED.
     Raises SourceError where it is not there, not recognised, or empty, and ConfigError where its camera
     file is wrong or missing.
     """
@@ -42,10 +48,13 @@ def open_source(config: SourceConfig) -> Source:
         if config.camera:
             raise ConfigError("a simulated camera is set in its address (width, height, focal), not a file")
         source = SimSource(config.uri)
+    elif is_live(config.uri):
+        return open_live(config, calibrated)
     elif path.is_dir():
-        source = _folder(path, config)
+        source = _folder(path, config, calibrated)
     elif path.is_file():
-        origin, camera = _camera_file(path.parent, config) or _no_camera(path)
+        known = _camera_file(path.parent, config) if calibrated else _UNKNOWN
+        origin, camera = known or _no_camera(path)
         source = Video(path, camera, origin)
     elif path.exists():
         raise SourceError(f"{path} is neither a folder nor a file; recognised are: {RECOGNISED}")
@@ -65,9 +74,9 @@ def find_listing(folder: Path, rate_hz: float = 0.0) -> Listing:
     raise SourceError(f"{folder} is empty or of no known kind; recognised are: {RECOGNISED}")
 
 
-def _folder(folder: Path, config: SourceConfig) -> Source:
+def _folder(folder: Path, config: SourceConfig, calibrated: bool) -> Source:
     listing = find_listing(folder, config.rate_hz)
-    known = _camera_file(folder, config) or listing.intrinsics()
+    known = (_camera_file(folder, config) or listing.intrinsics()) if calibrated else _UNKNOWN
     origin, camera = known or _no_camera(folder)
     if known is ROS_DEFAULT:
         log.warning("%s names no known camera: taking the %s", folder, origin)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
+from dataclasses import replace
 
 from prism_edge.bus.lockstep import Gatekeeper
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
+from prism_edge.errors import ConfigError
 from prism_edge.messages import EndOfStream, Frame
 from prism_edge.processes import processes_for
-from prism_edge.sources import Image, Slot, Source, Unreadable, open_source
+from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
 from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.pack import pack
 from prism_edge.sources.schedule import Schedule
@@ -23,6 +25,8 @@ _TRUTH_FRAME = "simulated_world"
 _GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
 # Lockstep: whoever takes longer over a frame died with it, and all wait for us.
 _PATIENCE_S = 60.0
+# Started again, it is known that there is a camera: it gets most of the time that a start may take.
+_ABSENT_S = 45.0
 
 
 class SourceWorker:
@@ -76,20 +80,32 @@ class SourceWorker:
             self._checks.earlier()
 
     def _play_live(self) -> None:
-        """A camera: every image is captured when it arrives."""
+        """A camera: what it takes goes out at once; while it is away we say so, and wait for it."""
+        last = self._bus.ask("tracked") if self._bus.life else None
+        first_index, shift_ns = (0, 0) if last is None else (last.index + 1, -1)
+        seen = 0
         while not self._bus.stopped.is_set():
-            self._bus.pulse.idle()
-            item = self._source.read()
+            item = self._read()
             if item is None:
                 return
-            self._pass_on(item, time.monotonic_ns())
+            self._show()
+            if isinstance(item, Absent):
+                continue
+            for _ in range(item.index - seen):  # taken by the camera, and replaced by a newer one
+                self._checks.late()
+            seen = item.index + 1
+            if shift_ns < 0 and last is not None:  # a clock that was set back must not set the stamps back
+                shift_ns = max(0, last.stamp_ns + self._source.period_ns - item.stamp_ns)
+            captured_ns = (isinstance(item, Image) and item.captured_monotonic_ns) or time.monotonic_ns()
+            index, stamp_ns = first_index + item.index, item.stamp_ns + shift_ns
+            self._pass_on(replace(item, index=index, stamp_ns=stamp_ns), captured_ns)
 
     def _play_lockstep(self, gatekeeper: Gatekeeper) -> None:
         """The next image once everybody has done the last one and all that it caused."""
         while not self._bus.stopped.is_set():
             start_ns = time.monotonic_ns()
             item = self._read()
-            if item is None:
+            if item is None or isinstance(item, Absent):
                 return
             if self._pass_on(item, start_ns):
                 self._await_acknowledgements(gatekeeper, item.index)
@@ -110,7 +126,7 @@ class SourceWorker:
                 self._show()
                 continue
             item = self._read()
-            if item is None:
+            if item is None or isinstance(item, Absent):
                 return
             # Where the stamp was a guess until now (video), the true one may lie ahead.
             due_ns = schedule.due_ns(Slot(item.index, item.stamp_ns))
@@ -128,7 +144,7 @@ class SourceWorker:
             self._bus.stopped.wait(ahead_ns / 1e9)
         return not self._bus.stopped.is_set()
 
-    def _read(self) -> Image | Unreadable | None:
+    def _read(self) -> Image | Unreadable | Absent | None:
         self._bus.pulse.working("reading", _READING_S)
         return self._source.read()
 
@@ -176,7 +192,10 @@ class SourceWorker:
         self._bus.pulse.values.update({name: str(getattr(counts, name)) for name in shown})
         times = self._released_at
         rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
-        self._bus.pulse.values["fps"] = f"{rate:.1f}"
+        health = self._source.health()
+        if "warning" not in health:
+            self._bus.pulse.values.pop("warning", None)
+        self._bus.pulse.values.update(health | {"fps": f"{rate:.1f}"})
 
     def _end(self) -> None:
         counts = self._checks.counts
@@ -195,6 +214,10 @@ class SourceWorker:
 def main(config: Config, bus: Bus) -> None:
     """Runs until ``bus.stopped``; raises SourceError or ConfigError where there is nothing to play."""
     bus.pulse.working("opening the source", 60.0)
-    with open_source(config.source) as source:
+    absent_s = max(config.source.absent_s, _ABSENT_S if bus.life else 0.0)
+    source = open_source(replace(config.source, absent_s=absent_s))
+    if source.live and config.is_lockstep:
+        raise ConfigError("a live camera can't wait for lockstep: use mode realtime, or a recording")
+    with source:
         log.info("%s; camera: %s", source.name, source.camera_origin)
         SourceWorker(config, bus, source).run()

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, fields
-from difflib import get_close_matches
-from typing import Any
+from dataclasses import dataclass
 
 from prism_edge.config import limits, one_of
 from prism_edge.errors import SourceError
+from prism_edge.sources.address import parse_options
 
 SCHEME = "sim:"
 KINDS = ("room", "loop", "static")
@@ -54,19 +52,7 @@ def parse(uri: str) -> Options:
     kind, _, query = uri.removeprefix(SCHEME).partition("?")
     if kind not in KINDS:
         raise SourceError(f"{uri}: no simulated world is called {kind!r}; there are {', '.join(KINDS)}")
-    known = {field.name: field for field in fields(Options) if field.name != "kind"}
-    values: dict[str, Any] = {"kind": kind}
-    for item in query.split("&") if query else []:
-        name, equals, text = item.partition("=")
-        if name not in known:
-            near = get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]}?" if near else f"options are {', '.join(known)}"
-            raise SourceError(f"{uri}: unknown option {name!r}; {hint}")
-        if name in values:
-            raise SourceError(f"{uri}: option {name} is given twice")
-        if not equals or not text:
-            raise SourceError(f"{uri}: option {name} has no value; write {name}=VALUE")
-        values[name] = _value(uri, name, text, type(known[name].default), known[name].metadata)
+    values = {"kind": kind} | parse_options(uri, query, Options, without=("kind",))
     if kind == "static" and values.setdefault("path", STILL) != STILL:
         raise SourceError(f"{uri}: the camera of static stands still; use room for path={values['path']}")
     options = Options(**values)
@@ -76,19 +62,3 @@ def parse(uri: str) -> Options:
         raise SourceError(f"{uri}: speed has no meaning with path={options.path}")
     return options
 
-
-def _value(uri: str, name: str, text: str, kind: type, metadata: Any) -> Any:
-    choices = metadata.get("choices")
-    if choices:
-        if text not in choices:
-            raise SourceError(f"{uri}: {name} must be one of {', '.join(choices)}, not {text!r}")
-        return text
-    try:
-        value = kind(text)
-    except ValueError:
-        what = "a whole number" if kind is int else "a number"
-        raise SourceError(f"{uri}: {name} must be {what}, not {text!r}") from None
-    low, high = metadata["low"], metadata["high"]
-    if not math.isfinite(value) or not low <= value <= high:
-        raise SourceError(f"{uri}: {name} must be between {low:g} and {high:g}, not {text}")
-    return value

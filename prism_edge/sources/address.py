@@ -1,0 +1,50 @@
+"""Options of an address, ``name=value&name=value``, read into a dataclass whose fields say what they take."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from difflib import get_close_matches
+from typing import Any
+
+from prism_edge.errors import SourceError
+
+
+def parse_options(shown: str, query: str, options: Any, without: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Values of the options that ``query`` gives, by name, checked against the fields of ``options``.
+
+    ``options`` is a dataclass whose fields were made by the functions of ``config.py``; fields named in
+    ``without`` can't be given. Raises SourceError in one line that begins with ``shown``, the address as
+    it may be shown.
+    """
+    known = {field.name: field for field in fields(options) if field.name not in without}
+    values: dict[str, Any] = {}
+    for item in query.split("&") if query else []:
+        name, equals, text = item.partition("=")
+        if name not in known:
+            near = get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]}?" if near else f"options are {', '.join(known)}"
+            raise SourceError(f"{shown}: unknown option {name!r}; {hint}")
+        if name in values:
+            raise SourceError(f"{shown}: option {name} is given twice")
+        if not equals or not text:
+            raise SourceError(f"{shown}: option {name} has no value; write {name}=VALUE")
+        values[name] = _value(shown, name, text, type(known[name].default), known[name].metadata)
+    return values
+
+
+def _value(shown: str, name: str, text: str, kind: type, metadata: Any) -> Any:
+    choices = metadata.get("choices")
+    if choices:
+        if text not in choices:
+            raise SourceError(f"{shown}: {name} must be one of {', '.join(choices)}, not {text!r}")
+        return text
+    try:
+        value = kind(text)
+    except ValueError:
+        what = "a whole number" if kind is int else "a number"
+        raise SourceError(f"{shown}: {name} must be {what}, not {text!r}") from None
+    low, high = metadata["low"], metadata["high"]
+    if not math.isfinite(value) or not low <= value <= high:
+        raise SourceError(f"{shown}: {name} must be between {low:g} and {high:g}, not {text}")
+    return value

@@ -1,0 +1,228 @@
+"""Any live camera as a source: a thread keeps the newest image and reconnects; reading never blocks."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from dataclasses import dataclass
+
+from prism_edge.errors import SourceError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
+from prism_edge.sources.checks import UNCALIBRATED, check_camera_size
+from prism_edge.sources.live.driver import CameraLostError, Connection, Driver, Grab
+from prism_edge.sources.live.picture_watch import PictureWatch
+
+log = logging.getLogger("prism_edge.sources")
+
+STREAMING, RECONNECTING = "streaming", "reconnecting"
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How long what is waited for (seconds)."""
+
+    absent_s: float = 10.0  # a camera that isn't there when opening
+    first_pause_s: float = 0.25  # before connecting again; doubles with each attempt
+    longest_pause_s: float = 5.0
+    hang_s: float = 60.0  # a driver that doesn't come back for this long hangs for good
+    read_s: float = 0.5
+
+
+class LiveCamera(Source):
+    """Reads the newest image of a camera and opens it again whenever it is lost.
+
+    Stamps are the host's wall clock as it stood when this object was made, and go on evenly whatever
+    happens to that clock later. Indices count what the camera took, so passed-over images show as gaps.
+    """
+
+    live = True
+
+    def __init__(
+        self, driver: Driver, camera: Camera | None, origin: str, timing: Timing | None = None
+    ) -> None:
+        """``camera`` may be None where the driver's connections have intrinsics of their own."""
+        self.name = driver.name
+        self.camera = camera or UNCALIBRATED
+        self.camera_origin = origin
+        self.frame_count = None
+        self.period_ns = driver.period_ns
+        self._driver, self._timing = driver, timing or Timing()
+        self._asks_camera = camera is None
+        self._wall_from_monotonic_ns = time.time_ns() - time.monotonic_ns()
+        self._watch = PictureWatch()
+        self._closing = threading.Event()
+        self._thread: threading.Thread | None = None
+        # Shared with the thread, under this lock:
+        self._changed = threading.Condition()
+        self._newest: tuple[int, Grab] | None = None
+        self._taken = 0
+        self._lost_why = ""
+        self._reconnects = 0
+        self._alive_s = self._image_s = 0.0  # last sign of life of the thread, and of the camera
+
+    def open(self) -> None:
+        """Connects and takes one image, then leaves the camera to a thread.
+
+        Raises SourceError where the camera doesn't come within the patience, or refuses what is asked of
+        it, and ConfigError where its images don't fit the intrinsics.
+        """
+        self.close()
+        self._closing.clear()
+        connection = self._first_connection()
+        try:
+            if self._asks_camera and connection.intrinsics is not None:
+                self.camera = connection.intrinsics
+            self.period_ns = self._driver.period_ns
+            self._check_first_image(connection)
+        except BaseException:
+            connection.close()
+            raise
+        self._alive_s = self._image_s = time.monotonic()
+        self._thread = threading.Thread(target=self._run, args=(connection,), name="camera", daemon=True)
+        self._thread.start()
+
+    def peek(self) -> Slot | None:
+        """Always None: nobody knows a live image before it is there."""
+        return None
+
+    def read(self) -> Image | Unreadable | Absent:
+        """The newest image not read yet, or after half a second without one, Absent.
+
+        Raises SourceError where the camera's driver hangs: only a new process gets rid of that.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._newest is not None, self._timing.read_s)
+            newest, self._newest = self._newest, None
+        if newest is None:
+            return Absent(self._absence())
+        index, grab = newest
+        stamp_ns = grab.captured_ns + self._wall_from_monotonic_ns
+        pixels = grab.decode()
+        if isinstance(pixels, str):
+            self._watch.damaged()
+            return Unreadable(index, stamp_ns, f"image {index} of {self.name} {pixels}")
+        self._watch.look(pixels, grab.captured_ns)
+        return Image(index, stamp_ns, pixels, grab.captured_ns)
+
+    def skip(self) -> None:
+        """Forgets the newest image."""
+        with self._changed:
+            self._newest = None
+
+    def health(self) -> dict[str, str]:
+        """``camera`` (streaming or reconnecting, and why), ``reconnects``; ``warning`` where there is one."""
+        with self._changed:
+            why, reconnects = self._lost_why, self._reconnects
+        values = {"camera": f"{RECONNECTING}: {why}" if why else STREAMING, "reconnects": str(reconnects)}
+        warning = f"camera: {RECONNECTING} ({why})" if why else self._watch.problem
+        return values | ({"warning": warning} if warning else {})
+
+    def close(self) -> None:
+        """Ends the thread, or leaves it behind where its driver hangs."""
+        self._closing.set()
+        if self._thread is not None:
+            self._thread.join(self._timing.read_s + 2.0)
+            if self._thread.is_alive():
+                log.warning("%s: the driver does not come back; it is left behind", self.name)
+            self._thread = None
+        self._newest = None
+
+    def _first_connection(self) -> Connection:
+        deadline = time.monotonic() + self._timing.absent_s
+        told = False
+        while True:
+            try:
+                return self._driver.connect()
+            except CameraLostError as error:
+                left = deadline - time.monotonic()
+                if left <= 0 or self._closing.wait(min(left, self._timing.first_pause_s)):
+                    raise SourceError(f"{self.name}: {error}") from None
+                if not told:
+                    log.warning("%s: %s; waiting up to %.0f s for it", self.name, error, left)
+                told = True
+
+    def _check_first_image(self, connection: Connection) -> None:
+        reason = "no image came"
+        deadline = time.monotonic() + max(self._driver.dead_s, 3e-9 * self.period_ns)
+        while time.monotonic() < deadline:
+            try:
+                grab = connection.grab()
+            except CameraLostError as error:
+                reason = str(error)
+                break
+            pixels = reason if grab is None else grab.decode()
+            if not isinstance(pixels, str):
+                check_camera_size(self.camera, self.camera_origin, pixels, self.name)
+                return
+            reason = pixels if grab is not None else reason
+        raise SourceError(f"{self.name} gives no image ({reason})")
+
+    def _absence(self) -> str:
+        """Why there is no image, empty where it is too early to worry."""
+        now = time.monotonic()
+        with self._changed:
+            why, quiet_s, silent_s = self._lost_why, now - self._image_s, now - self._alive_s
+        if silent_s > self._timing.hang_s:
+            raise SourceError(f"{self.name}: the driver has not come back for {silent_s:.0f} s")
+        if not why and quiet_s > self._driver.dead_s + 1.0:
+            why = f"no image for {quiet_s:.0f} s"
+        return why
+
+    # What follows runs in the camera's thread.
+
+    def _run(self, connection: Connection | None) -> None:
+        pause_s = self._timing.first_pause_s
+        while not self._closing.is_set():
+            self._alive_s = time.monotonic()
+            try:
+                if connection is None:
+                    connection = self._driver.connect()
+                    self._image_s = time.monotonic()  # the new connection's time begins here
+                grab = connection.grab()
+                if grab is not None:
+                    self._put(grab)
+                    pause_s = self._timing.first_pause_s
+                    continue
+                quiet_s = time.monotonic() - self._image_s
+                if quiet_s <= max(self._driver.dead_s, 3e-9 * self.period_ns):
+                    continue
+                why = f"no image for {quiet_s:.1f} s"
+            except (CameraLostError, SourceError) as error:
+                why = str(error)
+            except Exception as error:  # a driver's library may raise anything; the camera must come back
+                why = f"{type(error).__name__}: {error}"
+            if connection is not None:
+                connection.close()
+                connection = None
+            self._lose(why)
+            if self._closing.wait(pause_s):
+                break
+            pause_s = min(2 * pause_s, self._timing.longest_pause_s)
+        if connection is not None:
+            with contextlib.suppress(Exception):
+                connection.close()
+
+    def _put(self, grab: Grab) -> None:
+        with self._changed:
+            back = bool(self._lost_why)
+            self._lost_why = ""
+            self._reconnects += back
+            index = self._taken + grab.missed
+            self._taken = index + 1
+            self._newest = index, grab
+            self._image_s = time.monotonic()
+            self._changed.notify_all()
+        if back:
+            self._watch = PictureWatch()  # what came before says nothing any more
+            log.info("%s: images come again", self.name)
+
+    def _lose(self, why: str) -> None:
+        with self._changed:
+            first = not self._lost_why
+            self._lost_why = why
+            self._newest = None
+        if first:
+            log.warning("%s: lost (%s); connecting again until it is back", self.name, why)

@@ -1,0 +1,47 @@
+"""What a kind of live camera has to offer: connect, grab, decode, close."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.messages import U8
+
+
+class CameraLostError(Exception):
+    """The camera isn't there, or is no longer; it may come back."""
+
+
+@dataclass(frozen=True)
+class Grab:
+    """One image as it came from the camera, not decoded yet: it may be passed over for a newer one."""
+
+    captured_ns: int  # on this host's monotonic clock
+    decode: Callable[[], U8 | str]  # grey (h, w) or BGR (h, w, 3), or why there is none
+    missed: int = 0  # images the camera took since the last grab that never reached us
+
+
+class Connection(Protocol):
+    """A camera from the moment it is there until it is lost. One thread uses it."""
+
+    # What the camera itself knows of its intrinsics, and None where it knows nothing.
+    intrinsics: Camera | None
+
+    def grab(self) -> Grab | None:
+        """The next image; None where none came within half a second or so. Raises CameraLostError."""
+
+    def close(self) -> None:
+        """Let go of the camera; raises nothing."""
+
+
+class Driver(Protocol):
+    """A kind of camera at one address."""
+
+    name: str  # without passwords
+    period_ns: int  # between images, as far as it is known
+    dead_s: float  # a connection without an image for this long is given up
+
+    def connect(self) -> Connection:
+        """Raises CameraLostError where it isn't there, SourceError where it is but can't be used."""

@@ -1,0 +1,44 @@
+"""From an address to the live camera it names; a kind's library is loaded only once it connects."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from prism_edge.config import SourceConfig
+from prism_edge.errors import ConfigError
+from prism_edge.sources.camera_file import read_camera
+from prism_edge.sources.checks import UNCALIBRATED
+from prism_edge.sources.live.camera import LiveCamera, Timing
+from prism_edge.sources.live.driver import Driver
+from prism_edge.sources.live.stream import StreamDriver, is_stream
+
+
+def is_live(uri: str) -> bool:
+    """Whether an address names a live camera."""
+    return is_stream(uri)
+
+
+def open_live(config: SourceConfig, calibrated: bool = True) -> LiveCamera:
+    """The camera that a configuration names, not connected yet.
+
+    Raises SourceError where the address is wrong, and ConfigError where a setting is that of recordings
+    or the intrinsics are missing.
+    """
+    for key, given in (("source.loop", config.loop), ("source.rate_hz", config.rate_hz)):
+        if given:
+            raise ConfigError(f"{key} is for recordings; a live camera runs at its own rate, without end")
+    camera = read_camera(Path(config.camera).expanduser()) if config.camera and calibrated else None
+    driver = _driver(config.uri)
+    timing = replace(Timing(), absent_s=config.absent_s)
+    if not calibrated:
+        return LiveCamera(driver, UNCALIBRATED, "not calibrated", timing)
+    if camera is not None:
+        return LiveCamera(driver, camera, config.camera, timing)
+    raise ConfigError(
+        f"{driver.name} needs a camera file (--camera FILE); prism-edge calibrate makes one"
+    )
+
+
+def _driver(uri: str) -> Driver:
+    return StreamDriver(uri)

@@ -1,0 +1,206 @@
+"""The thread behind every live camera, beside a driver that does what a test says."""
+
+from __future__ import annotations
+
+import logging
+import threading
+import time
+from collections.abc import Callable
+
+import pytest
+from sources.live.bench import CAMERA, DEADLINE_S, QUICK, Bench, picture, steady
+
+from prism_edge.errors import ConfigError, SourceError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.base import Absent, Image, Unreadable
+from prism_edge.sources.checks import UNCALIBRATED
+from prism_edge.sources.live.camera import LiveCamera, Timing
+from prism_edge.sources.live.driver import CameraLostError, Grab
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def next_image(camera: LiveCamera) -> Image:
+    deadline = time.monotonic() + DEADLINE_S
+    while time.monotonic() < deadline:
+        item = camera.read()
+        if isinstance(item, Image):
+            return item
+    raise AssertionError("no image came")
+
+
+def test_the_newest_wins_and_gaps_show() -> None:
+    bench = Bench(steady)
+    with LiveCamera(bench, CAMERA, "a test", QUICK) as camera:
+        first = next_image(camera)
+        until(lambda: bench.grabs > 20)
+        later = next_image(camera)
+        assert camera.peek() is None
+    assert later.index >= 10 > first.index
+    assert later.captured_monotonic_ns > first.captured_monotonic_ns
+    assert later.stamp_ns - first.stamp_ns == later.captured_monotonic_ns - first.captured_monotonic_ns
+    assert abs(later.stamp_ns - time.time_ns()) < DEADLINE_S * 1e9
+    assert bench.closes == bench.connects == 1
+
+
+def test_what_the_camera_lost_counts_into_the_index() -> None:
+    def script(k: int) -> Grab | None:
+        return Grab(time.monotonic_ns(), picture, missed=4) if k in (1, 2) else None
+
+    with LiveCamera(Bench(script), CAMERA, "a test", QUICK) as camera:
+        assert next_image(camera).index == 4
+
+
+def test_a_lost_camera_is_said_and_comes_back(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    gone = threading.Event()
+
+    def script(k: int) -> Grab:
+        if gone.is_set():
+            raise CameraLostError("unplugged")
+        return steady(k)
+
+    bench = Bench(script)
+    with LiveCamera(bench, CAMERA, "a test", QUICK) as camera:
+        before = next_image(camera)
+        assert camera.health() == {"camera": "streaming", "reconnects": "0"}
+        bench.refusal = CameraLostError("not there")
+        gone.set()
+        until(lambda: camera.health()["camera"] == "reconnecting: not there")
+        assert camera.health()["warning"] == "camera: reconnecting (not there)"
+        camera.skip()
+        item = camera.read()
+        assert isinstance(item, Absent)
+        assert item.problem == "not there"
+        gone.clear()
+        bench.refusal = None
+        after = next_image(camera)
+        assert camera.health() == {"camera": "streaming", "reconnects": "1"}
+    assert after.index > before.index
+    assert after.stamp_ns > before.stamp_ns
+    assert [r.getMessage() for r in caplog.records] == [
+        "the bench: lost (unplugged); connecting again until it is back",
+        "the bench: images come again",
+    ]
+
+
+@pytest.mark.parametrize("error", [SourceError("refuses 30 Hz"), RuntimeError("X_LINK_ERROR")])
+def test_whatever_a_driver_raises_it_is_tried_again(error: Exception) -> None:
+    raised = threading.Event()
+
+    def script(k: int) -> Grab:
+        if k == 5 and not raised.is_set():
+            raised.set()
+            raise error
+        return steady(k)
+
+    bench = Bench(script)
+    with LiveCamera(bench, CAMERA, "a test", QUICK) as camera:
+        until(lambda: bench.connects == 2)
+        next_image(camera)
+
+
+def test_a_connection_that_gives_nothing_is_given_up() -> None:
+    silent = threading.Event()
+    bench = Bench(lambda k: None if silent.is_set() else steady(k))
+    with LiveCamera(bench, CAMERA, "a test", QUICK) as camera:
+        next_image(camera)
+        silent.set()
+        until(lambda: bench.connects >= 3)  # and again: the new connection gets its time, no more
+        assert "no image for 0." in camera.health()["camera"]
+        silent.clear()
+        next_image(camera)
+
+
+def test_a_driver_that_hangs_is_an_error_not_a_hang() -> None:
+    hang = threading.Event()
+    go_on = threading.Event()
+
+    def script(k: int) -> Grab:
+        if hang.is_set():
+            go_on.wait(DEADLINE_S)
+        return steady(k)
+
+    timing = Timing(read_s=0.02, hang_s=0.3)
+    camera = LiveCamera(Bench(script), CAMERA, "a test", timing)
+    camera.open()
+    try:
+        next_image(camera)
+        hang.set()
+        with pytest.raises(SourceError, match="has not come back"):
+            until(lambda: camera.read() is None)
+    finally:
+        go_on.set()
+        camera.close()
+
+
+def test_a_camera_that_comes_late_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
+    bench = Bench(steady)
+    bench.refusal = CameraLostError("not there")
+    timer = threading.Timer(0.05, lambda: setattr(bench, "refusal", None))
+    timer.start()
+    with LiveCamera(bench, CAMERA, "a test", Timing(absent_s=DEADLINE_S, first_pause_s=0.01)) as camera:
+        next_image(camera)
+    timer.join()
+    assert caplog.text.count("not there") == 1
+
+
+def test_a_camera_that_never_comes_is_an_error() -> None:
+    bench = Bench(steady)
+    bench.refusal = CameraLostError("not there")
+    with pytest.raises(SourceError, match="the bench: not there"):
+        LiveCamera(bench, CAMERA, "a test", QUICK).open()
+    bench.refusal = SourceError("no permission")  # waiting won't help: at once
+    with pytest.raises(SourceError, match="no permission"):
+        LiveCamera(bench, CAMERA, "a test", Timing(absent_s=3600.0)).open()
+
+
+def test_images_must_fit_the_intrinsics() -> None:
+    bench = Bench(lambda k: Grab(time.monotonic_ns(), lambda: picture(0, 32, 24)))
+    with pytest.raises(ConfigError, match="64x48"):
+        LiveCamera(bench, CAMERA, "a test", QUICK).open()
+    assert bench.closes == 1
+    with LiveCamera(bench, UNCALIBRATED, "none", QUICK) as camera:
+        assert next_image(camera).pixels.shape == (24, 32, 3)
+
+
+def test_no_readable_image_is_an_error_when_opening() -> None:
+    with pytest.raises(SourceError, match="is damaged"):
+        LiveCamera(Bench(lambda k: Grab(0, lambda: "is damaged")), CAMERA, "a test", QUICK).open()
+    with pytest.raises(SourceError, match="no image came"):
+        LiveCamera(Bench(lambda k: None), CAMERA, "a test", QUICK).open()
+
+
+def test_intrinsics_may_be_the_cameras_own() -> None:
+    bench = Bench(steady)
+    bench.intrinsics = CAMERA
+    with LiveCamera(bench, None, "factory", QUICK) as camera:
+        assert camera.camera == CAMERA
+    with LiveCamera(bench, Camera(64, 48, 50.0, 50.0, 32.0, 24.0), "a file", QUICK) as camera:
+        assert camera.camera.fx == 50.0
+
+
+def test_damaged_images_are_unreadable_and_reported() -> None:
+    def script(k: int) -> Grab:
+        time.sleep(0.002)
+        return Grab(time.monotonic_ns(), (lambda: "is cut short") if k > 3 else picture)
+
+    with LiveCamera(Bench(script), CAMERA, "a test", QUICK) as camera:
+        until(lambda: "warning" in (camera.read() and camera.health()))
+        assert "damaged images" in camera.health()["warning"]
+        assert camera.health()["camera"] == "streaming"
+        until(lambda: isinstance(camera.read(), Unreadable))
+
+
+def test_it_opens_again_after_closing() -> None:
+    bench = Bench(steady)
+    camera = LiveCamera(bench, CAMERA, "a test", QUICK)
+    for _ in range(2):
+        with camera:
+            next_image(camera)
+    assert bench.connects == bench.closes == 2

@@ -1,0 +1,119 @@
+"""The source worker beside a live camera: what goes out, and what is said when the camera goes away."""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sources.live.bench import CAMERA, QUICK, Bench, steady
+
+from prism_edge.config import Config, SourceConfig
+from prism_edge.errors import ConfigError
+from prism_edge.messages import Tracked
+from prism_edge.sources.live.camera import LiveCamera
+from prism_edge.sources.live.driver import CameraLostError, Grab
+from prism_edge.workers.source import SourceWorker, main
+from tests.workers.test_source import Recorder, running, wait_for
+
+CONFIG = Config(source=SourceConfig(uri="a camera", peers_s=0.0))
+
+
+def working(bench: Bench):  # type: ignore[no-untyped-def]
+    def work(bus: Recorder) -> None:
+        with LiveCamera(bench, CAMERA, "a test", QUICK) as camera:
+            SourceWorker(CONFIG, bus, camera).run()  # type: ignore[arg-type]
+
+    return work
+
+
+def test_frames_carry_the_cameras_times() -> None:
+    taken: list[int] = []
+
+    def script(k: int) -> Grab:
+        grab = steady(k)
+        taken.append(grab.captured_ns)
+        return grab
+
+    with running(working(Bench(script))) as bus:
+        frames = [bus.next()[1] for _ in range(5)]
+        assert bus.pulse.values["camera"] == "streaming"
+    assert {frame.captured_monotonic_ns for frame in frames} <= set(taken)
+    assert abs(frames[0].stamp_ns - time.time_ns()) < 60e9
+    assert [frame.index for frame in frames] == sorted({frame.index for frame in frames})
+
+
+def test_what_was_replaced_by_something_newer_is_counted_as_skipped() -> None:
+    def script(k: int) -> Grab:
+        grab = steady(k)
+        return Grab(grab.captured_ns, grab.decode, missed=2)
+
+    with running(working(Bench(script))) as bus:
+        frames = [bus.next()[1] for _ in range(5)]
+        wait_for(lambda: int(bus.pulse.values["skipped"]) >= frames[-1].index - 4)
+        assert "ended" not in bus.states
+
+
+def test_a_lost_camera_shows_on_health_and_the_worker_stays() -> None:
+    gone = threading.Event()
+
+    def script(k: int) -> Grab:
+        if gone.is_set():
+            raise CameraLostError("unplugged")
+        return steady(k)
+
+    bench = Bench(script)
+    with running(working(bench)) as bus:
+        bus.next()
+        bench.refusal = CameraLostError("not there")
+        gone.set()
+        wait_for(lambda: bus.pulse.values.get("warning") == "camera: reconnecting (not there)")
+        assert bus.pulse.values["camera"] == "reconnecting: not there"
+        bench.refusal = None
+        gone.clear()
+        wait_for(lambda: "warning" not in bus.pulse.values)
+        assert bus.pulse.values["camera"] == "streaming"
+        assert bus.pulse.values["reconnects"] == "1"
+        while not bus.published.empty():
+            bus.next()
+        bus.next()
+
+
+def test_a_source_started_again_goes_on_counting_even_if_the_clock_was_set_back() -> None:
+    future_ns = time.time_ns() + 3600 * 10**9
+
+    def work(bus: Recorder) -> None:
+        bus.life = 1
+        last = Tracked(41, future_ns, 0, "ok", True, -1, 3, np.eye(4))
+        bus.ask = lambda topic: last if topic == "tracked" else None  # type: ignore[attr-defined]
+        working(Bench(steady))(bus)
+
+    with running(work) as bus:
+        frames = [bus.next()[1] for _ in range(3)]
+    assert frames[0].index >= 42
+    assert frames[0].stamp_ns > future_ns
+    steps = {frame.stamp_ns - frame.captured_monotonic_ns for frame in frames}
+    assert len(steps) == 1
+
+
+@pytest.mark.parametrize(
+    ("config", "words"),
+    [
+        (Config(mode="lockstep", source=SourceConfig(uri="rtsp://127.0.0.1/x", camera="CAMERA")), "lockstep"),
+        (Config(source=SourceConfig(uri="rtsp://127.0.0.1/x", camera="CAMERA", loop=True)), "source.loop"),
+        (Config(source=SourceConfig(uri="rtsp://127.0.0.1/x", camera="CAMERA", rate_hz=5)), "source.rate_hz"),
+        (Config(source=SourceConfig(uri="rtsp://127.0.0.1/x")), "prism-edge calibrate"),
+    ],
+)
+def test_settings_that_make_no_sense_for_a_camera(tmp_path: Path, config: Config, words: str) -> None:
+    if config.source.camera:
+        file = tmp_path / "camera.yaml"
+        file.write_text("width: 64\nheight: 48\nfx: 60\nfy: 60\ncx: 31.5\ncy: 23.5\n")
+        config = replace(config, source=replace(config.source, camera=str(file)))
+    bus = Recorder()
+    with pytest.raises(ConfigError, match=words):
+        main(config, bus)  # type: ignore[arg-type]
+    assert "ready" not in bus.states
