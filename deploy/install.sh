@@ -1,0 +1,133 @@
+#!/bin/bash
+# Installs prism_edge as a service, or upgrades it. Twice is the same as once; configuration and maps are kept;
+# whatever fails, what ran before runs again. docs/DEPLOYMENT.md tells what goes where.
+set -euo pipefail
+
+usage() {
+    cat <<'EOF'
+usage: deploy/install.sh [options]
+  --prefix DIR      where the program goes (default /opt/prism-edge)
+  --destdir DIR     put DIR before every path, to build an image (implies --no-systemctl)
+  --python PYTHON   interpreter, 3.11 or newer (default: the first that is found)
+  --wheels DIR      install from the packages in DIR, without a network
+  --extra NAME      optional dependencies of pyproject.toml, such as a camera's; may be repeated
+  --no-systemctl    write the files, but leave the running system alone
+EOF
+}
+
+prefix=/opt/prism-edge destdir='' python='' wheels='' systemctl=yes extras=''
+while (($#)); do
+    case $1 in
+        --prefix) prefix=${2:?--prefix needs a folder}; shift ;;
+        --destdir) destdir=${2:?--destdir needs a folder} systemctl=no; shift ;;
+        --python) python=${2:?--python needs an interpreter}; shift ;;
+        --wheels) wheels=${2:?--wheels needs a folder}; shift ;;
+        --extra) extras+="${extras:+,}${2:?--extra needs a name}"; shift ;;
+        --no-systemctl) systemctl=no ;;
+        -h | --help) usage; exit 0 ;;
+        *) usage >&2; exit 2 ;;
+    esac
+    shift
+done
+if [[ ! $prefix =~ ^(/[A-Za-z0-9._-]+)+$ ]]; then
+    echo "install.sh: error: --prefix must be an absolute path of letters, digits, . _ and -" >&2
+    exit 2
+fi
+
+checkout=$(cd "$(dirname "$0")/.." && pwd)
+root=$destdir$prefix
+units=$destdir/etc/systemd/system
+rules=$destdir/etc/udev/rules.d
+settings=$destdir/etc/prism-edge
+command=$destdir/usr/local/bin/prism-edge
+python=${python:-$("$checkout/tools/find_python.sh")}
+
+if [[ $EUID -ne 0 && -z $destdir ]]; then
+    echo "install.sh: error: run it as root, or with --destdir" >&2
+    exit 1
+fi
+# Two at once would each take the other's half for its own.
+mkdir -p "$root/releases"
+exec 9> "$root/.lock"
+flock --nonblock 9 || { echo "install.sh: error: another installation is under way" >&2; exit 1; }
+
+old=$(readlink "$root/current" || true)
+new=releases/$(date -u +%Y%m%dT%H%M%S)-$$
+saved=$(mktemp -d)
+files=("$units/prism-edge.service" "$units/prism-edge@.service" "$rules/60-prism-edge-oak.rules" "$command")
+
+service() { [[ $systemctl == no ]] || systemctl "$@"; }
+
+running=()
+if [[ $systemctl == yes ]]; then
+    mapfile -t running < <(systemctl list-units --plain --no-legend --state=active,activating,reloading \
+        'prism-edge.service' 'prism-edge@*.service' | awk '{print $1}')
+fi
+
+undo() {
+    local code=$?
+    trap - EXIT
+    rm -rf "$root/.current.new"
+    if ((code)); then
+        echo "install.sh: error: it failed; putting back what was there" >&2
+        for file in "${files[@]}"; do
+            rm -f "$file"
+            if [[ -e $saved/${file##*/} || -L $saved/${file##*/} ]]; then
+                cp -a "$saved/${file##*/}" "$file"
+            fi
+        done
+        if [[ -n $old ]]; then point_at "$old"; else rm -f "$root/current"; fi
+        rm -rf "${root:?}/$new"
+        service daemon-reload || true
+        for unit in "${running[@]}"; do service restart "$unit" || true; done
+    fi
+    rm -rf "$saved"
+    exit "$code"
+}
+
+# A link that is renamed over the old one: there is no moment without a program.
+point_at() {
+    ln -sfn "$1" "$root/.current.new"
+    mv -T "$root/.current.new" "$root/current"
+}
+
+for file in "${files[@]}"; do
+    if [[ -e $file || -L $file ]]; then cp -a "$file" "$saved/"; fi
+done
+trap undo EXIT
+trap 'exit 130' INT TERM HUP
+
+echo "installing into $root/$new"
+"$python" -m venv "$root/$new"
+pip=("$root/$new/bin/python" -m pip --quiet --disable-pip-version-check install)
+[[ -z $wheels ]] || pip+=(--no-index --find-links "$wheels")
+"${pip[@]}" --constraint "$checkout/requirements.lock" "$checkout${extras:+[$extras]}"
+"$root/$new/bin/python" -m prism_edge.cli --version
+
+mkdir -p "$units" "$rules" "$settings" "${command%/*}"
+install -m 644 "$checkout/deploy/60-prism-edge-oak.rules" "$rules/"
+for unit in prism-edge.service prism-edge@.service; do
+    sed "s#/opt/prism-edge/#$prefix/#g" "$checkout/systemd/$unit" > "$units/.$unit.new"
+    chmod 644 "$units/.$unit.new"
+    mv "$units/.$unit.new" "$units/$unit"
+done
+ln -sfn "$prefix/current/bin/prism-edge" "$command"
+# An operator's file is never touched; what a release brings lies beside it.
+install -m 644 "$checkout/deploy/config.yaml" "$settings/config.yaml.example"
+[[ -e $settings/config.yaml ]] || install -m 644 "$checkout/deploy/config.yaml" "$settings/config.yaml"
+"$root/$new/bin/python" -m prism_edge.cli config --check "$settings/config.yaml"
+
+point_at "$new"
+service daemon-reload
+if [[ $systemctl == yes ]]; then udevadm control --reload 2> /dev/null || true; fi
+for unit in "${running[@]}"; do
+    echo "restarting $unit"
+    service restart "$unit"  # returns once it is ready; where it never is, all is put back
+done
+
+# The release before this one stays, for a way back by hand.
+for release in "$root"/releases/*; do
+    [[ ${release#"$root"/} == "$new" || ${release#"$root"/} == "$old" ]] || rm -rf "$release"
+done
+echo "installed; configuration: $settings/config.yaml"
+[[ $systemctl == no || ${#running[@]} -gt 0 ]] || echo "start it with: systemctl enable --now prism-edge"

@@ -1,0 +1,14 @@
+#!/bin/bash
+# A python for tests of the installer: `-m venv DIR` makes one that says what it is asked, and fails on demand.
+set -eu
+case "$*" in
+    "-m venv "*)
+        mkdir -p "$3/bin"
+        cp "$0" "$3/bin/python"
+        touch "$3/bin/prism-edge"
+        ;;
+    "-m pip "*) [[ ${FAIL:-} != pip ]] ;;
+    "-m prism_edge.cli config --check "*) [[ ${FAIL:-} != config ]] ;;
+    "-m prism_edge.cli --version") echo "prism-edge 0" ;;
+    *) exit 64 ;;
+esac
