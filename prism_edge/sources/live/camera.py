@@ -75,7 +75,7 @@ class LiveCamera(Source):
         try:
             if self._asks_camera and connection.intrinsics is not None:
                 self.camera = connection.intrinsics
-            self.period_ns = self._driver.period_ns
+            self.period_ns, self.name = self._driver.period_ns, self._driver.name
             self._check_first_image(connection)
         except BaseException:
             connection.close()

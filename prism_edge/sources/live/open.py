@@ -7,16 +7,18 @@ from pathlib import Path
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import ConfigError
+from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.camera import LiveCamera, Timing
 from prism_edge.sources.live.driver import Driver
 from prism_edge.sources.live.stream import StreamDriver, is_stream
+from prism_edge.sources.live.v4l2 import V4l2Driver, is_v4l2
 
 
 def is_live(uri: str) -> bool:
     """Whether an address names a live camera."""
-    return is_stream(uri)
+    return is_stream(uri) or is_v4l2(uri)
 
 
 def open_live(config: SourceConfig, calibrated: bool = True) -> LiveCamera:
@@ -29,7 +31,7 @@ def open_live(config: SourceConfig, calibrated: bool = True) -> LiveCamera:
         if given:
             raise ConfigError(f"{key} is for recordings; a live camera runs at its own rate, without end")
     camera = read_camera(Path(config.camera).expanduser()) if config.camera and calibrated else None
-    driver = _driver(config.uri)
+    driver = _driver(config.uri, camera)
     timing = replace(Timing(), absent_s=config.absent_s)
     if not calibrated:
         return LiveCamera(driver, UNCALIBRATED, "not calibrated", timing)
@@ -40,5 +42,7 @@ def open_live(config: SourceConfig, calibrated: bool = True) -> LiveCamera:
     )
 
 
-def _driver(uri: str) -> Driver:
+def _driver(uri: str, camera: Camera | None) -> Driver:
+    if is_v4l2(uri):
+        return V4l2Driver(uri, camera)
     return StreamDriver(uri)
