@@ -11,7 +11,7 @@ from prism_edge.errors import ConfigError
 
 SOURCE_HELP = (
     "folder of a dataset (TUM RGB-D, BONN, 7-Scenes, KITTI odometry) or of images, a video file, "
-    "a camera (v4l2:/dev/video0, rtsp://HOST/PATH, http://HOST/PATH), "
+    "a camera (v4l2:/dev/video0, oak:, rtsp://HOST/PATH, http://HOST/PATH), "
     "or a simulated world such as sim:room"
 )
 

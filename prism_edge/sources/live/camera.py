@@ -8,7 +8,7 @@ import threading
 import time
 from dataclasses import dataclass
 
-from prism_edge.errors import SourceError
+from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import UNCALIBRATED, check_camera_size
@@ -73,8 +73,8 @@ class LiveCamera(Source):
         self._closing.clear()
         connection = self._first_connection()
         try:
-            if self._asks_camera and connection.intrinsics is not None:
-                self.camera = connection.intrinsics
+            if self._asks_camera:
+                self.camera = self._own_intrinsics(connection)
             self.period_ns, self.name = self._driver.period_ns, self._driver.name
             self._check_first_image(connection)
         except BaseException:
@@ -143,6 +143,14 @@ class LiveCamera(Source):
                 if not told:
                     log.warning("%s: %s; waiting up to %.0f s for it", self.name, error, left)
                 told = True
+
+    def _own_intrinsics(self, connection: Connection) -> Camera:
+        if connection.intrinsics is None:
+            raise ConfigError(
+                f"{self.name} knows nothing of its intrinsics: give a camera file (--camera FILE); "
+                "prism-edge calibrate makes one"
+            )
+        return connection.intrinsics
 
     def _check_first_image(self, connection: Connection) -> None:
         reason = "no image came"

@@ -12,13 +12,14 @@ from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.camera import LiveCamera, Timing
 from prism_edge.sources.live.driver import Driver
+from prism_edge.sources.live.oak import OakDriver, is_oak
 from prism_edge.sources.live.stream import StreamDriver, is_stream
 from prism_edge.sources.live.v4l2 import V4l2Driver, is_v4l2
 
 
 def is_live(uri: str) -> bool:
     """Whether an address names a live camera."""
-    return is_stream(uri) or is_v4l2(uri)
+    return is_stream(uri) or is_v4l2(uri) or is_oak(uri)
 
 
 def open_live(config: SourceConfig, calibrated: bool = True) -> LiveCamera:
@@ -37,12 +38,16 @@ def open_live(config: SourceConfig, calibrated: bool = True) -> LiveCamera:
         return LiveCamera(driver, UNCALIBRATED, "not calibrated", timing)
     if camera is not None:
         return LiveCamera(driver, camera, config.camera, timing)
+    if is_oak(config.uri):
+        return LiveCamera(driver, None, "the device's factory calibration", timing)
     raise ConfigError(
         f"{driver.name} needs a camera file (--camera FILE); prism-edge calibrate makes one"
     )
 
 
 def _driver(uri: str, camera: Camera | None) -> Driver:
+    if is_oak(uri):
+        return OakDriver(uri, camera)
     if is_v4l2(uri):
         return V4l2Driver(uri, camera)
     return StreamDriver(uri)

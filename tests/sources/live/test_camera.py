@@ -181,6 +181,8 @@ def test_intrinsics_may_be_the_cameras_own() -> None:
     bench.intrinsics = CAMERA
     with LiveCamera(bench, None, "factory", QUICK) as camera:
         assert camera.camera == CAMERA
+    with pytest.raises(ConfigError, match="prism-edge calibrate"):
+        LiveCamera(Bench(steady), None, "factory", QUICK).open()
     with LiveCamera(bench, Camera(64, 48, 50.0, 50.0, 32.0, 24.0), "a file", QUICK) as camera:
         assert camera.camera.fx == 50.0
 
