@@ -160,6 +160,21 @@ class SupervisorConfig:
 
 
 @dataclass(frozen=True)
+class LogConfig:
+    """One line for each event that matters (docs/OPERATIONS.md)."""
+
+    form: str = one_of("auto", "auto", "text", "journal", help="auto: journal where stderr goes there")
+    level: str = one_of("info", "debug", "info", "warning", "error", help="the least that is logged")
+
+
+@dataclass(frozen=True)
+class MetricsConfig:
+    """Prometheus metrics, on this host alone (docs/OPERATIONS.md)."""
+
+    port: int = limits(0, 0, 65535, "http://127.0.0.1:PORT/metrics; 0: none")
+
+
+@dataclass(frozen=True)
 class FramesConfig:
     """Names and placement of published frames (REP 103 and 105)."""
 
@@ -196,6 +211,8 @@ class Config:
     backend: BackendConfig = section(BackendConfig, "backend")
     lockstep: LockstepConfig = field(default_factory=LockstepConfig)
     supervisor: SupervisorConfig = section(SupervisorConfig, "supervisor")
+    log: LogConfig = field(default_factory=LogConfig)
+    metrics: MetricsConfig = field(default_factory=MetricsConfig)
 
     @property
     def is_lockstep(self) -> bool:

@@ -1,4 +1,4 @@
-"""Everything that is said: one table of topics."""
+"""Everything that is said: one table of topics, one of commands."""
 
 from __future__ import annotations
 
@@ -69,5 +69,33 @@ TOPICS = {
         Topic("internal/map_snapshot", m.MapSnapshot, 0, "backend", latched=True),
         Topic("internal/acknowledged", m.Acknowledged, 30, "all", ("source",)),
         Topic("internal/heartbeat", m.Heartbeat, 2, "all", ("supervisor",), priority="data_low"),
+    )
+}
+
+
+@dataclass(frozen=True)
+class Command:
+    """Something that the daemon is told to do: a get() on prism/<robot>/command/<name> (bus/commands.py)."""
+
+    name: str
+    process: str  # who does it
+    does: str
+    argument: str = ""  # what its one word means; empty: it takes none
+    default: str | None = None  # where the word may be left out
+    changes: bool = True  # something, which the log then says
+
+    @property
+    def key(self) -> str:
+        """The key below prism/<robot>/."""
+        return f"command/{self.name}"
+
+
+COMMANDS = {
+    command.name: command
+    for command in (
+        Command("info", "supervisor", "say what runs and how it is", changes=False),
+        Command("pause", "source", "hold the images back, or let them go on", "on or off", "on"),
+        Command("reset", "tracker", "begin a new map; odom goes on"),
+        Command("localise_only", "tracker", "leave the map as it is, or build it again", "on or off", "on"),
     )
 }

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from prism_edge.processes import PROCESSES
-from prism_edge.topics import TOPICS
+from prism_edge.topics import COMMANDS, TOPICS
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PACKAGE = CHECKOUT / "prism_edge"
@@ -72,3 +72,19 @@ def test_the_topic_table_says_who_listens(process: str) -> None:
     # The source hears acknowledgements through bus/lockstep.py's gatekeeper.
     found = heard(process) | ({"acknowledged"} if process == "source" else set())
     assert found == {name for name, topic in TOPICS.items() if process in topic.consumers}
+
+
+COMMAND_FILES = {"source": "workers/pause.py", "supervisor": "supervisor/supervisor.py"}
+
+
+@pytest.mark.parametrize("process", sorted({command.process for command in COMMANDS.values()}))
+def test_the_command_table_says_who_does_them(process: str) -> None:
+    file = PACKAGE / COMMAND_FILES.get(process, f"workers/{process}.py")
+    taken: set[str] = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        is_call = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+        if is_call and node.func.attr == "commands":
+            (handlers,) = node.args
+            assert isinstance(handlers, ast.Dict)
+            taken |= {key.value for key in handlers.keys if isinstance(key, ast.Constant)}
+    assert taken == {command.name for command in COMMANDS.values() if command.process == process}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from prism_edge.errors import BusError, ConfigError
-from prism_edge.topics import Topic
+from prism_edge.topics import Command, Topic
 
 # What Zenoh gives a meaning of its own inside a key: the separator, wildcards, parameters, fragments.
 _SPECIAL = "/*$#?"
@@ -29,8 +29,8 @@ def check_robot_name(name: str) -> str:
     return name
 
 
-def key(robot: str, topic: Topic) -> str:
-    """The topic's key for this robot."""
+def key(robot: str, topic: Topic | Command) -> str:
+    """A topic's or command's key for this robot."""
     return f"prism/{robot}/{topic.key}"
 
 

@@ -24,17 +24,18 @@ _PATIENCE_US = 50_000
 _REACH_MS = 5_000
 
 
-def open_session(config: BusConfig, listen: bool) -> Any:
+def open_session(config: BusConfig, listen: bool, client: bool = False) -> Any:
     """A Zenoh session that listens on the endpoint, or that connects to it and to those who do so too.
 
     On the listener's host it opens at once and goes on trying; on another host it is a client of the
-    listener, because the direct links stay on the host. Raises BusError if the endpoint is malformed,
+    listener, because the direct links stay on the host. ``client``: be one here too, which is linked once
+    this returns, for a question and no more. Raises BusError if the endpoint is malformed,
     can't be listened on or, from another host, is not reached in time.
     """
     endpoint = check_endpoint(config.endpoint)
     if listen:
         links: dict[str, Any] = {"mode": "peer", "listen/endpoints": [endpoint], "connect/endpoints": []}
-    elif on_this_host(endpoint):
+    elif on_this_host(endpoint) and not client:
         links = {
             "mode": "peer",
             "listen/endpoints": [_DIRECT],

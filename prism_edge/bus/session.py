@@ -6,7 +6,7 @@ import atexit
 import logging
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from types import ModuleType, TracebackType
 from typing import Any
 
@@ -14,12 +14,13 @@ import zenoh
 
 from prism_edge.bus import codec, keys
 from prism_edge.bus.answer import Answer
+from prism_edge.bus.commands import CommandDesk, Handler, Reply, send
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.links import encoding, open_session, quality
 from prism_edge.bus.pulse import Pulse
 from prism_edge.config import Config
 from prism_edge.errors import BusError
-from prism_edge.topics import TOPICS, Topic
+from prism_edge.topics import COMMANDS, TOPICS, Topic
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -44,6 +45,7 @@ class Bus:
         self._answers: dict[str, Answer] = {}
         self._last: dict[str, Any] = {}
         self._inboxes: list[Inbox] = []
+        self._desks: list[CommandDesk] = []
         self._tokens = [session.liveliness().declare_token(keys.alive_key(robot, process))]
         self._closed = False
         for name, topic in TOPICS.items():
@@ -129,6 +131,17 @@ class Bus:
             log.warning("asking for %s failed: %s", topic, error)
         return None
 
+    def commands(self, handlers: Mapping[str, Handler]) -> CommandDesk:
+        """Takes commands of ``topics.COMMANDS``; they are done when the desk's ``serve`` is called."""
+        desk = CommandDesk(self._session, self.robot, handlers)
+        with self._lock:
+            self._desks.append(desk)
+        return desk
+
+    def command(self, name: str, argument: str | None = None, timeout_s: float = 10.0) -> Reply:
+        """Has a command done, and what came of it. Raises BusError where nobody answers in time."""
+        return send(self._session, self.robot, COMMANDS[name], argument, timeout_s)
+
     def await_ready(self, processes: Iterable[str], timeout_s: float) -> set[str]:
         """Waits until these processes are ready *and linked to this one*; returns those still missing.
 
@@ -164,6 +177,8 @@ class Bus:
             inbox.close()
         for answer in self._answers.values():
             answer.close()
+        for desk in self._desks:
+            desk.close()
         for declared in (*self._tokens, *self._publishers.values()):
             declared.undeclare()
         self._session.close()

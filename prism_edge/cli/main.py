@@ -14,6 +14,7 @@ from prism_edge.errors import PrismError
 COMMANDS = {
     "run": ("prism_edge.cli.run", "run the daemon on a recording"),
     "watch": ("prism_edge.cli.watch", "show the poses of a running daemon, or record them"),
+    "ctl": ("prism_edge.cli.ctl", "tell a running daemon to do something: pause, reset, save a map, ..."),
     "eval": ("prism_edge.cli.eval", "run a recorded sequence and score the poses against its truth"),
     "models": ("prism_edge.cli.models", "list the known depth networks, or describe one"),
     "doctor": ("prism_edge.cli.doctor", "check that this machine has what the daemon needs"),
@@ -23,7 +24,7 @@ COMMANDS = {
 
 EXIT_CODES = """exit codes:
   0    done
-  1    `doctor` found something that does not work
+  1    `doctor` found something that does not work, or `ctl` was refused
   2    the command line is wrong
   3    a configuration or camera file, or a setting, is wrong
   4    a camera, video or recording can't be opened or read

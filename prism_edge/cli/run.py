@@ -31,9 +31,9 @@ def run(args: argparse.Namespace) -> int:
     check(config)
 
     from prism_edge.supervisor.supervise import supervise
-    from prism_edge.workers.launch import log_to_stderr
+    from prism_edge.workers.launch import log_as_configured
 
-    log_to_stderr("supervisor")
+    log_as_configured("supervisor", config)
     return supervise(config, stay=args.stay, reread=lambda: config_from(args))
 
 

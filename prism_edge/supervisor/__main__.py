@@ -8,7 +8,7 @@ import sys
 from prism_edge.config_file import load
 from prism_edge.errors import PrismError
 from prism_edge.supervisor.supervise import supervise
-from prism_edge.workers.launch import log_to_stderr
+from prism_edge.workers.launch import log_as_configured, log_to_stderr
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -18,7 +18,9 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     log_to_stderr("supervisor")
     try:
-        return supervise(load(args.config), reread=lambda: load(args.config))
+        config = load(args.config)
+        log_as_configured("supervisor", config)
+        return supervise(config, reread=lambda: load(args.config))
     except PrismError as error:
         print(f"prism-edge: error: {error}", file=sys.stderr, flush=True)
         return error.exit_code

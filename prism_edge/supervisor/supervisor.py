@@ -9,6 +9,7 @@ import socket
 import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 from prism_edge.bus.keys import check_endpoint, check_robot_name
 from prism_edge.config import Config
@@ -17,9 +18,13 @@ from prism_edge.processes import Process, processes_for
 from prism_edge.supervisor.child import Child, Command, worker_command
 from prism_edge.supervisor.health import Row, status_line, summary
 from prism_edge.supervisor.liveness import OVERDUE, QUIET_S
+from prism_edge.supervisor.metrics import MetricsServer
 from prism_edge.supervisor.reload import difference
 from prism_edge.supervisor.run_directory import RunDirectory
 from prism_edge.supervisor.watch import Watch
+
+if TYPE_CHECKING:
+    from prism_edge.bus.commands import Reply
 
 log = logging.getLogger("prism_edge.supervisor")
 
@@ -53,6 +58,7 @@ class Supervisor:
         self._looked_s = self.started_s
         self._lenient_until_s = 0.0
         self._status = "starting"
+        self._rows: list[Row] = []  # the latest
         self._before = config  # the last reload
 
     def __enter__(self) -> Supervisor:
@@ -159,6 +165,10 @@ class Supervisor:
         self._cleanup.callback(self._bus.close)
         self._heartbeats = self._bus.queue("heartbeat", capacity=1024)
         self._diagnostics = ros.diagnostics
+        if self._config.metrics.port:
+            metrics = MetricsServer(self._config.metrics.port, lambda: self._rows)
+            self._cleanup.callback(metrics.close)
+        self._desk = self._bus.commands({"info": self._info})
         self._bus.pulse.ready()
 
     def _launch_all(self) -> None:
@@ -180,6 +190,7 @@ class Supervisor:
                 self._watches[heartbeat.process].heard(heartbeat, now)
                 if heartbeat.process == "source" and heartbeat.state == "ended":
                     self._source_ended_s = self._source_ended_s or now
+        self._desk.serve()
         if now - self._looked_s > PAUSED_S:
             self._lenient_until_s = now + QUIET_S
         self._looked_s = now
@@ -215,10 +226,27 @@ class Supervisor:
             elif asked_s is None:
                 log.error("%s ended with %s; starting it again", name, how)
 
+    def _info(self, argument: str) -> Reply:
+        """The command `info`: refused, so to say, where all is not well."""
+        from prism_edge import __version__
+        from prism_edge.bus.commands import Reply
+
+        now = time.monotonic()
+        values = {
+            "version": __version__,
+            "robot": self._config.robot,
+            "mode": self._config.mode,
+            "input": self._config.source.uri,
+            "model": self._config.depth.model,
+            "up_s": f"{now - self.started_s:.0f}",
+        }
+        values |= {name: watch.row(now).message for name, watch in self._watches.items()}
+        return Reply(self.ready_s is not None and self.healthy, self._status, values)
+
     def _publish(self, now: float) -> None:
         rows: list[Row] = [watch.row(now) for watch in self._watches.values()]
         rows.insert(0, summary(rows, os.getpid(), self.ready_s))
-        self._status = status_line(rows)
+        self._status, self._rows = status_line(rows), rows
         essence = [row.essence for row in rows]
         if essence != self._essence or now - self._published_s >= HEALTH_S:
             self._essence, self._published_s = essence, now

@@ -332,6 +332,11 @@ class Tracker:
                 self.world, last.camera, last.features, last.points, start, self._factors
             )
 
+    def reset(self) -> None:
+        """Begin a new map with the next frame: another epoch, at the identity."""
+        self._restart()
+        self._pending, self._fresh, self._result, self._seen_at = None, None, None, None
+
     def last_pose(self) -> Array | None:
         """world_from_camera of the last tracked frame as the map has it now."""
         return None if self._last is None else self._last.world_from_camera
@@ -339,7 +344,7 @@ class Tracker:
     # -- ends -----------------------------------------------------------------------------------
 
     def _restart(self) -> None:
-        """Begin a new map: nothing of the old one was ever published."""
+        """Begin a new map."""
         self.world = LocalMap()
         self.epoch += 1
         self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth

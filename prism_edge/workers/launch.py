@@ -7,9 +7,11 @@ import logging
 import os
 import sys
 
+from prism_edge.config import Config
 from prism_edge.config_file import load
 from prism_edge.errors import PrismError
 from prism_edge.processes import Process
+from prism_edge.workers.journal import JournalHandler, stderr_is_the_journal
 from prism_edge.workers.stopping import StopSignals, die_with
 
 UNEXPECTED = 70  # sysexits.h: internal software error
@@ -24,6 +26,22 @@ def log_to_stderr(process: str, level: int = logging.INFO) -> None:
         format=f"%(asctime)s.%(msecs)03d %(levelname)-7s {process}: %(message)s",
         datefmt="%H:%M:%S",
     )
+
+
+def log_as_configured(process: str, config: Config) -> None:
+    """Log as ``config.log`` says, to the journal or in text on stderr."""
+    level = getattr(logging, config.log.level.upper())
+    log_to_stderr(process, level)
+    wanted = config.log.form
+    if wanted == "journal" or (wanted == "auto" and stderr_is_the_journal()):
+        try:
+            handler = JournalHandler({"PRISM_PROCESS": process, "PRISM_ROBOT": config.robot})
+        except OSError as error:
+            log = logging.getLogger("prism_edge")
+            log.warning("no journal to log to (%s): logging in text", error.strerror or error)
+            return
+        handler.setFormatter(logging.Formatter(f"{process}: %(message)s"))
+        logging.basicConfig(level=level, handlers=[handler], force=True)
 
 
 def run_worker(process: Process, config_file: str, parent: int | None = None, life: int = 0) -> int:
@@ -42,6 +60,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
     log = logging.getLogger(f"prism_edge.{process.name}")
     try:
         config = load(config_file)
+        log_as_configured(process.name, config)
         os.nice(process.nice)
         # Imported late, as each worker stands on libraries that the others need not load.
         from prism_edge.bus.session import Bus

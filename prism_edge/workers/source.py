@@ -17,6 +17,7 @@ from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_sou
 from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.pack import pack
 from prism_edge.sources.schedule import Schedule
+from prism_edge.workers.pause import Pause
 
 log = logging.getLogger("prism_edge.source")
 
@@ -38,6 +39,7 @@ class SourceWorker:
         self._peers = {process.name for process in processes_for(config)} - {"source"}
         # Subscribed before we are ready: the others answer the first frame at once.
         self._gatekeeper = Gatekeeper(bus, self._peers, patience_s) if config.is_lockstep else None
+        self._pause = Pause(bus)
         self._checks = FrameChecks(source.camera)
         self._camera = source.camera.to_array()
         self._last_index = -1
@@ -51,7 +53,7 @@ class SourceWorker:
         self._await_peers()
         if self._bus.life and not self._source.live:
             self._resume()
-        self._bus.stopped.wait(self._config.source.wait_s)
+        self._pause.wait(self._config.source.wait_s)
         if self._source.live:
             self._play_live()
         elif self._gatekeeper is not None:
@@ -60,7 +62,7 @@ class SourceWorker:
             self._play_realtime()
         if not self._bus.stopped.is_set():
             self._end()
-        self._bus.stopped.wait()
+        self._pause.wait(float("inf"))
 
     def _await_peers(self) -> None:
         """Until every process of the run listens and is linked to this one: the first frames are for all."""
@@ -89,7 +91,11 @@ class SourceWorker:
             if item is None:
                 return
             self._show()
+            self._pause.serve()
             if isinstance(item, Absent):
+                continue
+            if self._pause.on:
+                seen = item.index + 1
                 continue
             for _ in range(item.index - seen):  # taken by the camera, and replaced by a newer one
                 self._checks.late()
@@ -103,6 +109,9 @@ class SourceWorker:
     def _play_lockstep(self, gatekeeper: Gatekeeper) -> None:
         """The next image once everybody has done the last one and all that it caused."""
         while not self._bus.stopped.is_set():
+            self._pause.serve()
+            if self._pause.on:
+                self._hold()
             start_ns = time.monotonic_ns()
             item = self._read()
             if item is None or isinstance(item, Absent):
@@ -119,6 +128,9 @@ class SourceWorker:
             time.monotonic_ns(), first, self._source.period_ns, self._config.source.rate_hz
         )
         while (slot := self._source.peek()) is not None and self._sleep_until(schedule.due_ns(slot)):
+            if self._pause.on:
+                schedule = replace(schedule, start_ns=schedule.start_ns + self._hold())
+                continue
             # A stamp that goes back is due long ago, but it is not we who are late: it is to be refused.
             if not self._checks.goes_back(slot.stamp_ns) and schedule.is_late(slot, time.monotonic_ns()):
                 self._source.skip()
@@ -141,8 +153,16 @@ class SourceWorker:
             self._bus.pulse.idle()
             if ahead_ns > _GAP_NS:
                 log.warning("the stamps pause: the next image is due in %.1f s", ahead_ns / 1e9)
-            self._bus.stopped.wait(ahead_ns / 1e9)
+        self._pause.wait(ahead_ns / 1e9)
         return not self._bus.stopped.is_set()
+
+    def _hold(self) -> int:
+        """Wait while paused; how many nanoseconds."""
+        self._bus.pulse.idle()
+        self._show()
+        held_ns = self._pause.hold()
+        self._show()
+        return held_ns
 
     def _read(self) -> Image | Unreadable | Absent | None:
         self._bus.pulse.working("reading", _READING_S)
@@ -192,7 +212,7 @@ class SourceWorker:
         self._bus.pulse.values.update({name: str(getattr(counts, name)) for name in shown})
         times = self._released_at
         rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
-        health = self._source.health()
+        health = self._source.health() | self._pause.health
         if "warning" not in health:
             self._bus.pulse.values.pop("warning", None)
         self._bus.pulse.values.update(health | {"fps": f"{rate:.1f}"})

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from prism_edge.bus import ros
+from prism_edge.bus.commands import Reply, on_or_off
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
@@ -22,6 +23,7 @@ from prism_edge.messages import (
     BUILDING,
     DEGRADED,
     INITIALISING,
+    LOCALISED,
     LOST,
     Acknowledged,
     Depth,
@@ -69,7 +71,9 @@ class TrackerWorker:
         self._expected: list[tuple[int, str, int]] = []  # lockstep: due at frame, topic, keyframe
         self._early: dict[tuple[str, int], Any] = {}
         self._last_index, self._dropped = -1, 0
-        self._shown: tuple[str, int] | None = None
+        self._shown: tuple[str, int, str] | None = None
+        self._localise_only = False
+        self._desk = bus.commands({"reset": self._reset, "localise_only": self._switch_localise_only})
 
     def run(self) -> None:
         """Tracks until the bus is stopped."""
@@ -78,6 +82,7 @@ class TrackerWorker:
             self._bus.await_ready(self._peers, _PATIENCE_S)
         self._show(INITIALISING, 0, time.time_ns())
         while not self._bus.stopped.is_set():
+            self._desk.serve()
             frame = self._frames.take(_LOOK_S)
             if frame is not None:
                 self._bus.pulse.working(f"frame {frame.index}", _FRAME_S)
@@ -113,7 +118,7 @@ class TrackerWorker:
         published = result.world_from_camera is not None
         if result.world_from_camera is not None:
             self._publish(frame, result, before, repeated)
-        keyframe = None if repeated else tracker.maybe_keyframe()
+        keyframe = None if repeated or self._localise_only else tracker.maybe_keyframe()
         if keyframe is not None:
             self._announce(keyframe, frame)
         made = -1 if keyframe is None else keyframe.id
@@ -267,26 +272,42 @@ class TrackerWorker:
                 (message.dropped_keyframes, message.dropped_points),
             )
 
+    # -- commands ---------------------------------------------------------------------------------
+
+    def _reset(self, argument: str) -> Reply:
+        self._tracker.reset()
+        self._travelled, self._scale_sigma, self._localise_only = 0.0, UNKNOWN_SCALE_SIGMA, False
+        return Reply(True, "a new map begins with the next image; odom goes on")
+
+    def _switch_localise_only(self, argument: str) -> Reply:
+        wanted = on_or_off(argument)
+        last = self._tracker.last_result
+        if wanted and (last is None or last.odometry == INITIALISING):
+            return Reply(False, "there is no map to localise in yet")
+        self._localise_only = wanted
+        return Reply(True, "the map stays as it is" if wanted else "the map is built on")
+
     # -- status -----------------------------------------------------------------------------------
 
     def _show(self, odometry: str, matched: int, stamp_ns: int) -> None:
         """Publish `status` twice a second and whenever a word changes."""
+        state = LOCALISED if self._localise_only else BUILDING
         due = stamp_ns // _STATUS_NS
-        if self._shown == (odometry, due):
+        if self._shown == (odometry, due, state):
             return
-        self._shown = (odometry, due)
+        self._shown = (odometry, due, state)
         world = self._tracker.world
         level = {INITIALISING: ros.LEVEL_WARN, DEGRADED: ros.LEVEL_WARN, LOST: ros.LEVEL_ERROR}
         values = {
             "odometry": odometry,
-            "map": BUILDING,
+            "map": state,
             "matched": matched,
             "keyframes": len(world.keyframes),
             "points": int(world.points.alive.sum()),
             "scale_sigma": f"{self._scale_sigma:.4f}",
             "dropped": self._dropped,
         }
-        row = ("tracking", level.get(odometry, ros.LEVEL_OK), f"{odometry} {BUILDING}", values)
+        row = ("tracking", level.get(odometry, ros.LEVEL_OK), f"{odometry} {state}", values)
         self._bus.publish("status", ros.diagnostics(stamp_ns, [row]))
         self._bus.pulse.values.update({name: str(value) for name, value in values.items()})
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from prism_edge.bus import codec, ros
 from prism_edge.topics import TOPICS
+from tests.workers.fake_desk import FakeDesk
 
 
 class ListInbox:
@@ -57,6 +58,8 @@ class ListBus:
         self.answers: dict[str, Callable[[], Any]] = {}
         self.hear: Callable[[str, Any], None] = lambda topic, message: None
         self.states: list[str] = []
+        self.desk = FakeDesk()
+        self.commands = self.desk.open
         note = self.states.append
         self.pulse = SimpleNamespace(
             values={},

@@ -24,6 +24,7 @@ from prism_edge.messages import Acknowledged, EndOfStream, Frame
 from prism_edge.sources import open_source
 from prism_edge.sources.pack import bgr, grey, pack
 from prism_edge.workers.source import SourceWorker, main
+from tests.workers.fake_desk import FakeDesk
 
 DEADLINE_S = 20.0
 
@@ -56,6 +57,8 @@ class Recorder:
         self.published: queue.Queue[tuple[str, Any]] = queue.Queue()
         self.states: list[str] = []
         self.boxes: dict[str, Box] = {}
+        self.desk = FakeDesk()
+        self.commands = self.desk.open
         self.pulse = SimpleNamespace(
             values={},
             ready=lambda: self.states.append("ready"),

@@ -1,0 +1,156 @@
+"""Commands: a query asks, one process does, and the reply says in words what happened (docs/OPERATIONS.md).
+
+The query's payload is a JSON object, ``{"argument": "lab"}``, or nothing; the reply's is
+``{"ok": true, "said": "...", "values": {"name": "value"}}``. Both are outside input to whoever reads them.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import zenoh
+
+from prism_edge.bus import keys
+from prism_edge.errors import BusError, PrismError
+from prism_edge.topics import COMMANDS, Command
+
+LARGEST_QUERY = 4096  # bytes
+LARGEST_REPLY = 256 * 1024
+_WAITING = 16  # commands that nobody has looked at yet; more are refused by Zenoh's channel, oldest first
+
+log = logging.getLogger("prism_edge.bus")
+
+
+@dataclass(frozen=True)
+class Reply:
+    """What came of a command."""
+
+    ok: bool
+    said: str  # one line
+    values: dict[str, str] = field(default_factory=dict)
+
+
+Handler = Callable[[str], Reply]
+
+
+class CommandDesk:
+    """The commands that one process does, one after the other, in the thread that calls :meth:`serve`."""
+
+    def __init__(self, session: Any, robot: str, handlers: Mapping[str, Handler]) -> None:
+        """``handlers`` maps names of ``topics.COMMANDS`` to what does them; it may raise PrismError."""
+        self._handlers = dict(handlers)
+        self._queryables = {
+            name: session.declare_queryable(
+                keys.key(robot, COMMANDS[name]), zenoh.handlers.RingChannel(_WAITING), complete=True
+            )
+            for name in handlers
+        }
+
+    def serve(self) -> None:
+        """Do what has been asked since the last call; costs next to nothing where that is nothing."""
+        for name, queryable in self._queryables.items():
+            while (query := queryable.handler.try_recv()) is not None:
+                with query:
+                    self._serve(COMMANDS[name], query)
+                del query  # the asker waits until it is gone
+
+    def close(self) -> None:
+        """Answer no more."""
+        for queryable in self._queryables.values():
+            queryable.undeclare()
+
+    def _serve(self, command: Command, query: Any) -> None:
+        try:
+            data = query.payload.to_bytes() if query.payload is not None else b""
+            argument = parse_query(command, data)
+            reply = self._handlers[command.name](argument)
+        except PrismError as error:
+            reply = Reply(False, str(error))
+        except Exception as error:  # a command must not end the process that does it
+            log.exception("command %s failed", command.name)
+            reply = Reply(False, f"failed: {type(error).__name__}; the log says more")
+        level = logging.INFO if command.changes else logging.DEBUG
+        log.log(level, "command %s: %s%s", command.name, "" if reply.ok else "refused: ", reply.said)
+        try:
+            query.reply(query.key_expr, pack_reply(reply), encoding=zenoh.Encoding.APPLICATION_JSON)
+        except zenoh.ZError as error:
+            log.warning("command %s: the asker has gone: %s", command.name, error)
+
+
+def send(session: Any, robot: str, command: Command, argument: str | None, timeout_s: float) -> Reply:
+    """Ask for a command and wait for the reply.
+
+    Raises BusError where nobody answers in time: the process is down, or may not be asked from here.
+    """
+    payload = b"" if argument is None else json.dumps({"argument": argument}).encode()
+    try:
+        replies = session.get(
+            keys.key(robot, command),
+            payload=payload,
+            timeout=timeout_s,
+            consolidation=zenoh.ConsolidationMode.NONE,
+        )
+        for reply in replies:
+            if reply.ok is not None:
+                return parse_reply(reply.ok.payload.to_bytes())
+    except zenoh.ZError as error:
+        raise BusError(f"{command.name}: {error}") from None
+    raise BusError(
+        f"{command.name}: no answer in {timeout_s:g} s; is the daemon of {robot!r} running there, "
+        "and may you command it?"
+    )
+
+
+def parse_query(command: Command, data: bytes) -> str:
+    """The argument in a query's payload. Raises BusError for anything that is no query for ``command``."""
+    if len(data) > LARGEST_QUERY:
+        raise BusError(f"{command.name}: a payload of {len(data)} bytes; {LARGEST_QUERY} are allowed")
+    given = _json_object(data, command.name) if data else {}
+    argument = given.pop("argument", command.default if command.argument else "")
+    if given:
+        unknown = sorted(given)[0]
+        raise BusError(f"{command.name}: unknown key {unknown!r:.40}; the one it takes is 'argument'")
+    if not isinstance(argument, str):
+        raise BusError(f"{command.name}: needs its argument as text: {command.argument}")
+    if argument and not command.argument:
+        raise BusError(f"{command.name}: takes no argument, got {argument!r:.40}")
+    return argument
+
+
+def on_or_off(argument: str) -> bool:
+    """The argument of a command that switches something. Raises BusError for any other word."""
+    if argument not in ("on", "off"):
+        raise BusError(f"expected on or off, got {argument!r:.40}")
+    return argument == "on"
+
+
+def pack_reply(reply: Reply) -> bytes:
+    """The reply as JSON."""
+    values = {str(k): str(v) for k, v in reply.values.items()}
+    return json.dumps({"ok": reply.ok, "said": reply.said, "values": values}).encode()
+
+
+def parse_reply(data: bytes) -> Reply:
+    """A reply from JSON. Raises BusError for anything else."""
+    if len(data) > LARGEST_REPLY:
+        raise BusError(f"a reply of {len(data)} bytes; {LARGEST_REPLY} are allowed")
+    given = _json_object(data, "the reply")
+    ok, said, values = given.get("ok"), given.get("said"), given.get("values")
+    fits = isinstance(values, dict) and all(isinstance(v, str) for v in values.values())
+    if not (isinstance(ok, bool) and isinstance(said, str) and fits and isinstance(values, dict)):
+        raise BusError("a reply that is none of this version's; is the daemon another version?")
+    return Reply(ok, said, values)
+
+
+def _json_object(data: bytes, what: str) -> dict[str, Any]:
+    try:
+        given = json.loads(data)
+    except (ValueError, RecursionError):
+        raise BusError(f"{what}: the payload is no JSON") from None
+    if not isinstance(given, dict):
+        raise BusError(f"{what}: the payload is no JSON object")
+    return given

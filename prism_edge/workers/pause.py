@@ -1,0 +1,50 @@
+"""The command `pause`: images are held back until they may go on."""
+
+from __future__ import annotations
+
+import time
+
+from prism_edge.bus.commands import Reply, on_or_off
+from prism_edge.bus.session import Bus
+
+_LOOK_S = 0.1  # a command is done within this
+
+
+class Pause:
+    """Whether the source is to hold its images back."""
+
+    def __init__(self, bus: Bus) -> None:
+        self.on = False
+        self._stopped = bus.stopped
+        self._desk = bus.commands({"pause": self._switch})
+
+    @property
+    def health(self) -> dict[str, str]:
+        """What `health` is to show."""
+        return {"warning": "paused by command"} if self.on else {}
+
+    def serve(self) -> None:
+        """Do what has been asked."""
+        self._desk.serve()
+
+    def wait(self, seconds: float) -> None:
+        """Wait, and do meanwhile what is asked; ends early when the process is to stop."""
+        end = time.monotonic() + seconds
+        self.serve()
+        while not self._stopped.is_set() and (left := end - time.monotonic()) > 0:
+            self._stopped.wait(min(left, _LOOK_S))
+            self.serve()
+
+    def hold(self) -> int:
+        """Returns once images may go on: after how many nanoseconds."""
+        self.serve()
+        start_ns = time.monotonic_ns()
+        while self.on and not self._stopped.is_set():
+            self.wait(_LOOK_S)
+        return time.monotonic_ns() - start_ns
+
+    def _switch(self, argument: str) -> Reply:
+        wanted = on_or_off(argument)
+        changed, self.on = wanted != self.on, wanted
+        state = "images are held back" if wanted else "images go on"
+        return Reply(True, state if changed else f"{state} already")

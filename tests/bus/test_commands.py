@@ -1,0 +1,142 @@
+"""Commands over a real session, and every kind of query and reply that is none."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+
+import pytest
+import zenoh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.bus.commands import (
+    LARGEST_QUERY,
+    LARGEST_REPLY,
+    Reply,
+    on_or_off,
+    pack_reply,
+    parse_query,
+    parse_reply,
+    send,
+)
+from prism_edge.bus.links import open_session
+from prism_edge.bus.session import Bus
+from prism_edge.errors import BusError, SourceError
+from prism_edge.topics import COMMANDS, Command
+
+PAUSE, INFO = COMMANDS["pause"], COMMANDS["info"]
+NEEDS = Command("keep", "backend", "keeps", "a name")
+
+
+@pytest.fixture
+def served(config):
+    """A bus on which a thread serves `pause` and `info`; the words that came."""
+    heard = []
+
+    def pause(argument):
+        if argument == "raise":
+            raise RuntimeError("a defect")
+        if argument == "refuse":
+            raise SourceError("no camera; plug one in")
+        heard.append(argument)
+        return Reply(True, f"said {argument}", {"n": str(len(heard))})
+
+    with Bus.open(config, "supervisor", listen=True) as bus:
+        desk = bus.commands({"pause": pause, "info": lambda argument: Reply(True, "well")})
+        done = threading.Event()
+
+        def serve():
+            while not done.wait(0.01):
+                desk.serve()
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        yield heard
+        done.set()
+        thread.join()
+
+
+@pytest.fixture
+def session(config, served):
+    with open_session(config.bus, listen=False, client=True) as session:
+        yield session
+
+
+def test_the_reply_says_what_came_of_it(session, served):
+    assert send(session, "robot", PAUSE, "off", 10) == Reply(True, "said off", {"n": "1"})
+    assert send(session, "robot", PAUSE, None, 10) == Reply(True, "said on", {"n": "2"})  # the default
+    assert served == ["off", "on"]
+
+
+def test_an_error_is_one_line_and_the_next_command_is_served(session):
+    refused = send(session, "robot", PAUSE, "refuse", 10)
+    assert (refused.ok, refused.said) == (False, "no camera; plug one in")
+    failed = send(session, "robot", PAUSE, "raise", 10)
+    assert not failed.ok
+    assert "RuntimeError" in failed.said
+    assert send(session, "robot", INFO, None, 10).ok
+
+
+def test_nobody_who_answers_is_an_error(session):
+    with pytest.raises(BusError, match=r"no answer.*'other'"):
+        send(session, "other", PAUSE, "on", 0.3)
+
+
+@pytest.mark.parametrize(
+    "payload", [b"\xff\xfe", b"[", b"[1]", b'{"argument": 5}', b'{"other": "x"}', b"9" * (LARGEST_QUERY + 1)]
+)
+def test_what_is_no_query_is_refused_in_words(session, served, payload):
+    (reply,) = session.get("prism/robot/command/pause", payload=payload, timeout=10)
+    answer = parse_reply(reply.ok.payload.to_bytes())
+    assert not answer.ok
+    assert "pause" in answer.said
+    assert served == []
+
+
+@given(st.binary(max_size=200) | st.recursive(st.none() | st.integers() | st.text(), st.lists).map(
+    lambda value: json.dumps(value).encode()
+))
+@settings(max_examples=150, deadline=None)
+def test_whatever_comes_is_an_argument_or_an_error(data):
+    for parse in (lambda: parse_query(PAUSE, data), lambda: parse_reply(data)):
+        with contextlib.suppress(BusError):
+            parse()
+
+
+def test_an_argument_that_has_no_default_is_asked_for():
+    with pytest.raises(BusError, match="needs its argument as text: a name"):
+        parse_query(NEEDS, b"")
+    assert parse_query(NEEDS, b'{"argument": "lab"}') == "lab"
+
+
+def test_a_command_without_argument_takes_none():
+    with pytest.raises(BusError, match="takes no argument"):
+        parse_query(INFO, b'{"argument": "x"}')
+
+
+def test_switches_know_two_words():
+    assert on_or_off("on")
+    assert not on_or_off("off")
+    for word in ("", "ON", "1", "yes"):
+        with pytest.raises(BusError, match="expected on or off"):
+            on_or_off(word)
+
+
+def test_replies_survive_the_way():
+    reply = Reply(False, "über", {"a": "b"})
+    assert parse_reply(pack_reply(reply)) == reply
+    not_text = b'{"ok": true, "said": "", "values": {"a": 1}}'
+    for data in (b"{}", b'{"ok": 1, "said": "", "values": {}}', not_text):
+        with pytest.raises(BusError, match="another version"):
+            parse_reply(data)
+    with pytest.raises(BusError, match="are allowed"):
+        parse_reply(b" " * (LARGEST_REPLY + 1))
+
+
+def test_the_table_is_sound():
+    for name, command in COMMANDS.items():
+        assert command.name == name
+        assert command.default is None or command.argument
+        assert zenoh.KeyExpr(command.key)

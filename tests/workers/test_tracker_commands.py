@@ -1,0 +1,65 @@
+"""Commands of the tracker: a new map, and a map that stays as it is."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from tests.workers.list_bus import ListBus
+from tests.workers.tracker_bench import frame, run
+
+
+def when_frames_left(bus: ListBus, left: int, name: str, argument: str = "") -> None:
+    """Ask for a command once so many frames are still to come."""
+    served = bus.desk.before_serving
+    asked = []
+
+    def look() -> None:
+        served()
+        if not asked and len(bus.inboxes["frame"].waiting) == left:
+            asked.append(name)
+            bus.desk.ask(name, argument)
+
+    bus.desk.before_serving = look
+
+
+@pytest.mark.usefixtures("world")
+def test_reset_begins_a_new_map_and_odom_goes_on(bus: ListBus) -> None:
+    when_frames_left(bus, 20, "reset")
+    run(bus, [frame(i) for i in range(60)])
+    assert [reply.ok for reply in bus.desk.replies] == [True]
+    keyframes = bus.of("keyframe")
+    assert [k.epoch for k in keyframes] == sorted(k.epoch for k in keyframes)
+    assert {k.epoch for k in keyframes} == {0, 1}
+    assert len({k.id for k in keyframes}) == len(keyframes)
+    # odom: no step between frames is larger across the reset than the camera's own motion
+    steps = [m.pose.pose.position for m in bus.of("odom")]
+    distances = [
+        ((a.x - b.x) ** 2 + (a.y - b.y) ** 2 + (a.z - b.z) ** 2) ** 0.5
+        for a, b in itertools.pairwise(steps)
+    ]
+    assert max(distances) < 0.1
+    assert len(steps) > 45
+
+
+@pytest.mark.usefixtures("world")
+def test_localise_only_makes_no_keyframes_until_told_to(bus: ListBus) -> None:
+    when_frames_left(bus, 40, "localise_only", "on")
+    when_frames_left(bus, 10, "localise_only", "off")
+    run(bus, [frame(i) for i in range(70)])
+    assert [reply.ok for reply in bus.desk.replies] == [True, True]
+    made = [m.keyframe for m in bus.of("tracked")]
+    assert any(k >= 0 for k in made[:30])
+    assert all(k < 0 for k in made[30:60])
+    published = [m.published for m in bus.of("tracked")]
+    assert all(published[30:45])  # the map that is there still carries the camera
+    words = [m.status[0].message for m in bus.of("status")]
+    assert any(word.endswith("localised") for word in words)
+    assert words[-1].endswith("building")
+
+
+def test_there_must_be_a_map_to_localise_in(bus: ListBus) -> None:
+    when_frames_left(bus, 1, "localise_only", "on")
+    run(bus, [frame(0)])
+    assert [(r.ok, r.said) for r in bus.desk.replies] == [(False, "there is no map to localise in yet")]
