@@ -12,6 +12,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth.folders import folders
 from prism_edge.depth.pairing import PairedNetwork
 from prism_edge.depth.prediction import Prediction
+from prism_edge.depth.pulled import find_pulled
 from prism_edge.depth.registry import entries, find
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
@@ -57,9 +58,15 @@ def open_onnx(spec: str, config: DepthConfig) -> OnnxNetwork:
     """One network of any kind by file or registered name, warmed up. Raises ModelError."""
     path = locate(spec)
     # A file found through its registered name must be that file.
-    entry = None if path == Path(spec).expanduser() else find(spec)
-    pinned = entry.card.sha256 if entry and entry.card else ""
-    return OnnxNetwork(path, config, pinned)
+    return OnnxNetwork(path, config, "" if path == Path(spec).expanduser() else pinned_digest(spec))
+
+
+def pinned_digest(name: str) -> str:
+    """SHA-256 of the network file of that name, registered or pulled; empty where it is not known."""
+    entry, pulled = find(name), find_pulled(name)
+    if entry and entry.card:
+        return entry.card.sha256
+    return pulled.files[0].sha256 if pulled and pulled.runnable else ""
 
 
 def locate(spec: str) -> Path:
@@ -69,6 +76,9 @@ def locate(spec: str) -> Path:
         return path
     entry = find(spec)
     if entry is None:
+        pulled = find_pulled(spec)
+        if pulled and pulled.runnable:
+            return pulled.path
         if path.is_dir():
             raise ModelError(f"model {spec!r} is a folder; an ONNX file is needed")
         if path.suffix == ".onnx" or len(path.parts) > 1:
@@ -80,7 +90,8 @@ def locate(spec: str) -> Path:
     found = entry.located()
     if found is None:
         places = ", ".join(str(folder) for folder in folders())
+        how = f"`prism-edge models pull {spec}` gets it" if entry.can_be_pulled else "put it there"
         raise ModelError(
-            f"model {spec}: its file {entry.file} is in none of {places}; put it there or give its path"
+            f"model {spec}: its file {entry.file} is in none of {places}; {how} or give its path"
         )
     return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from prism_edge.depth.contract import ModelCard, card_from_metadata, card_from_sidecar
-from prism_edge.depth.registry import find, find_digest
+from prism_edge.depth.registry import Entry, find, find_digest, sha256_of
 from prism_edge.depth.vetting import Vetted
 from prism_edge.errors import ModelError
 
@@ -46,6 +46,21 @@ def card_of(path: Path, vetted: Vetted) -> ModelCard:
             f"{path.name}: its card says licence {card.licence}, but it is registered under "
             f"{registered.licence}"
         )
+    if registered:
+        check_data(registered, vetted)
     return card
+
+
+def check_data(registered: Entry, vetted: Vetted) -> None:
+    """Raises ModelError unless a network's external data are the registered files."""
+    known = {file.name: file.sha256 for file in registered.files[1:]}
+    if {path.name for path in vetted.data} != set(known):
+        raise ModelError(f"{vetted.path}: its external data are not those registered for {registered.name}")
+    for path in vetted.data:
+        digest = sha256_of(path)
+        if digest != known[path.name]:
+            raise ModelError(
+                f"{path}: its SHA-256 is {digest[:12]}..., not the registered {known[path.name][:12]}..."
+            )
 
 

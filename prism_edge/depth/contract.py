@@ -151,7 +151,7 @@ def read_yaml(path: Path, largest: int = _LARGEST_FILE) -> Any:
 
 
 def _scalar(key: str, value: str, where: str) -> Any:
-    if _CHECKS.get(key) in (_text, _name, _sha256):
+    if _CHECKS.get(key) in (_text, _name, sha256_text):
         return value
     try:
         return yaml.safe_load(value[:4096])
@@ -190,7 +190,8 @@ def _name(value: Any) -> str:
     return text
 
 
-def _sha256(value: Any) -> str:
+def sha256_text(value: Any) -> str:
+    """A SHA-256 in lower case, or nothing. Raises ValueError for any other value."""
     text = _text(value).lower()
     if text and not _SHA256.fullmatch(text):
         raise ValueError("64 hexadecimal digits are needed")
@@ -245,7 +246,7 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "revision": _text,
     "licence": _text,
     "source": _text,
-    "sha256": _sha256,
+    "sha256": sha256_text,
     "depth_kind": _choice(*KINDS),
     "canonical_focal_length": _number(1.0, 1e5),
     "input_width": _whole(8, 4096),

@@ -1,8 +1,9 @@
-"""The networks that are known: models/registry.yaml, and where their files are looked for."""
+"""The networks that are known: models/registry.yaml (schema: docs/MODELS.md)."""
 
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -12,28 +13,71 @@ from typing import Any
 from prism_edge.depth import contract
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.folders import data_folder, folders
+from prism_edge.depth.web import check_url
 from prism_edge.errors import ModelError
 
-_ENTRY_KEYS = {"file", "obtain", "card", "name", "licence", "depth_kind", "export"}
+RUNNABLE, CHECKPOINT = "onnx", "checkpoint"
+_KEYS = {
+    RUNNABLE: {"kind", "file", "size", "url", "data", "obtain", "card"},
+    CHECKPOINT: {"kind", "name", "licence", "depth_kind", "export", "source", "files"},
+}
+_FILE_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,127}")
+_NON_COMMERCIAL = re.compile(r"(?i)(^|[^a-z])(nc|non[- ]?commercial|research[- ]only)([^a-z]|$)")
+
+
+@dataclass(frozen=True)
+class File:
+    """One file of a network. ``sha256`` empty, ``size`` 0, ``url`` empty: not known."""
+
+    name: str
+    sha256: str = ""
+    size: int = 0  # bytes
+    url: str = ""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One known network. ``card`` is None for a checkpoint that must be exported first (``export``)."""
+    """One known network: a runnable ONNX file with its card, or a checkpoint that must be exported first."""
 
     name: str
     licence: str
     depth_kind: str
-    file: str = ""
-    obtain: str = ""
-    export: str = ""
+    files: tuple[File, ...] = ()  # of a runnable one: the network itself, then its external data
+    obtain: str = ""  # how a file that can't be pulled is had, in words
+    export: str = ""  # what a checkpoint is, in words
+    source: str = ""  # the page that it comes from
     card: ModelCard | None = None
 
+    @property
+    def file(self) -> str:
+        """Name of the runnable file; empty for a checkpoint."""
+        return self.files[0].name if self.card else ""
+
+    @property
+    def can_be_pulled(self) -> bool:
+        """Whether it is known where all of its files are."""
+        return bool(self.files) and all(file.url for file in self.files)
+
+    @property
+    def is_pinned(self) -> bool:
+        """Whether the digests of all of its files are known."""
+        return bool(self.files) and all(file.sha256 for file in self.files)
+
     def located(self) -> Path | None:
-        """Its file in the first of ``folders()`` that has it."""
-        if not self.file:
-            return None
-        return next((folder / self.file for folder in folders() if (folder / self.file).is_file()), None)
+        """Its file, or a checkpoint's folder, in the first of ``folders()`` that has it whole.
+
+        It lies there plainly, or in a folder of the network's name, where ``models pull`` puts it.
+        """
+        for folder in folders():
+            for place in (folder / self.name, folder) if self.card else (folder / self.name,):
+                if self.files and all((place / file.name).is_file() for file in self.files):
+                    return place / self.file
+        return None
+
+
+def is_non_commercial(licence: str) -> bool:
+    """Whether a licence by its name forbids commercial use."""
+    return bool(_NON_COMMERCIAL.search(licence))
 
 
 @cache
@@ -63,7 +107,7 @@ def find(name: str) -> Entry | None:
 
 
 def find_digest(sha256: str) -> Entry | None:
-    """The entry whose file has that digest."""
+    """The entry whose network file has that digest."""
     return next((entry for entry in entries() if entry.card and entry.card.sha256 == sha256), None)
 
 
@@ -76,36 +120,75 @@ def sha256_of(path: Path) -> str:
         raise ModelError(f"{path}: can't be read ({error.strerror})") from None
 
 
+def read_file_item(item: Any, where: str) -> File:
+    """One file of a network from a mapping of ``file``, ``sha256``, ``size``, ``url``. Raises ModelError."""
+    if not isinstance(item, Mapping) or set(item) - {"file", "sha256", "size", "url"}:
+        raise ModelError(f"{where}: a file has the keys file, sha256, size, url")
+    name, size, url = item.get("file", ""), item.get("size", 0), item.get("url", "")
+    if not isinstance(name, str) or not _FILE_NAME.fullmatch(name):
+        raise ModelError(f"{where}: file: a plain file name is needed, not {name!r}")
+    if isinstance(size, bool) or not isinstance(size, int) or not 0 <= size < 2**40:
+        raise ModelError(f"{where}: size: a number of bytes is needed, not {size!r}")
+    if not isinstance(url, str):
+        raise ModelError(f"{where}: url: text is needed, not {url!r}")
+    if url:
+        try:
+            check_url(url)
+        except ModelError as error:
+            raise ModelError(f"{where}: {error}") from None
+    try:
+        return File(name, contract.sha256_text(item.get("sha256", "")), size, url)
+    except ValueError as error:
+        raise ModelError(f"{where}: sha256: {error}") from None
+
+
 def _entry(item: Any, where: str) -> Entry:
     if not isinstance(item, Mapping):
         raise ModelError(f"{where}: a table of keys and values is needed")
-    unknown = {str(key) for key in item} - _ENTRY_KEYS
+    kind = item.get("kind", RUNNABLE)
+    if not isinstance(kind, str) or kind not in _KEYS:
+        raise ModelError(f"{where}: kind: {kind!r} is none of {', '.join(_KEYS)}")
+    unknown = {str(key) for key in item} - _KEYS[kind]
     if unknown:
-        raise ModelError(f"{where}: unknown key {sorted(unknown)[0]!r}")
-    text = {str(key): value for key, value in item.items() if key != "card"}
-    for key, value in text.items():
-        if not isinstance(value, str) or not value.strip():
-            raise ModelError(f"{where}: {key}: text is needed, not {value!r}")
-    if "card" in item:
-        return _runnable(text, contract.card_from_mapping(item["card"], where), where)
-    for key in ("name", "licence", "depth_kind", "export"):
-        if key not in text:
-            raise ModelError(f"{where}: the key {key!r} is missing (or a card is)")
-    kind = text["depth_kind"]
-    if kind not in contract.KINDS:
-        raise ModelError(f"{where}: depth_kind: {kind!r} is none of {', '.join(contract.KINDS)}")
-    if "file" in text:
-        raise ModelError(f"{where}: a checkpoint that needs export has no file")
-    return Entry(**text)
+        raise ModelError(f"{where}: unknown key {sorted(unknown)[0]!r} of kind {kind}")
+    words = {"obtain", "name", "licence", "depth_kind", "export", "source"} & set(item)
+    for key in sorted(words):
+        if not isinstance(item[key], str) or not item[key].strip():
+            raise ModelError(f"{where}: {key}: text is needed, not {item[key]!r}")
+    return _runnable(item, where) if kind == RUNNABLE else _checkpoint(item, where)
 
 
-def _runnable(text: dict[str, str], card: ModelCard, where: str) -> Entry:
-    extra = set(text) - {"file", "obtain"}
-    if extra:
-        raise ModelError(f"{where}: {sorted(extra)[0]!r} does not stand beside a card")
-    file = text.get("file", "")
-    if not file or Path(file).name != file or file.startswith("."):
-        raise ModelError(f"{where}: file: a plain file name is needed, not {file!r}")
+def _runnable(item: Mapping[str, Any], where: str) -> Entry:
+    if "card" not in item:
+        raise ModelError(f"{where}: the key 'card' is missing")
+    card = contract.card_from_mapping(item["card"], where)
     if not card.sha256:
         raise ModelError(f"{where}: a registered file needs its sha256")
-    return Entry(card.name, card.licence, card.depth_kind, file, text.get("obtain", ""), card=card)
+    own = {key: item[key] for key in ("file", "size", "url") if key in item}
+    files = [read_file_item({**own, "sha256": card.sha256}, where)]
+    for extra in _listed(item.get("data", []), f"{where}: data"):
+        files.append(read_file_item(extra, f"{where}: data"))
+        if not files[-1].sha256:
+            raise ModelError(f"{where}: data: a registered file needs its sha256")
+    words = {"obtain": item.get("obtain", ""), "source": card.source}
+    return Entry(card.name, card.licence, card.depth_kind, tuple(files), card=card, **words)
+
+
+def _checkpoint(item: Mapping[str, Any], where: str) -> Entry:
+    for key in ("name", "licence", "depth_kind", "export"):
+        if key not in item:
+            raise ModelError(f"{where}: the key {key!r} is missing")
+    if item["depth_kind"] not in contract.KINDS:
+        kinds = ", ".join(contract.KINDS)
+        raise ModelError(f"{where}: depth_kind: {item['depth_kind']!r} is none of {kinds}")
+    if not _FILE_NAME.fullmatch(item["name"]):
+        raise ModelError(f"{where}: name: {item['name']!r} is no name")
+    files = tuple(read_file_item(extra, where) for extra in _listed(item.get("files", []), f"{where}: files"))
+    words = {key: item[key] for key in ("name", "licence", "depth_kind", "export", "source") if key in item}
+    return Entry(files=files, **words)
+
+
+def _listed(value: Any, where: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise ModelError(f"{where}: a list of files is needed")
+    return value

@@ -37,6 +37,14 @@ def vet(path: Path, sha256: str = "") -> Vetted:
 
     ``sha256`` is the digest that it must have (empty: any). Raises ModelError in one line otherwise.
     """
+    digest, outline = inspect(path, sha256)
+    data = _data_files(path, outline)
+    # onnxruntime seeks the data beside the file that it is given, which is the one that was looked at.
+    return Vetted(path.resolve(), digest, outline.metadata, outline.opsets.get("", 0), data)
+
+
+def inspect(path: Path, sha256: str = "") -> tuple[str, Outline]:
+    """SHA-256 and outline of a file, whose external data need not be there yet; else as :func:`vet`."""
     # Read once: what was hashed is what is checked, whatever happens to the file meanwhile.
     content = _read(path)
     digest = hashlib.sha256(content).hexdigest()
@@ -46,9 +54,7 @@ def vet(path: Path, sha256: str = "") -> Vetted:
     opaque = sorted(outline.operators & _OPAQUE)
     if opaque:
         raise ModelError(f"{path}: contains {opaque[0]}, compiled code that can't be checked")
-    data = _data_files(path, outline)
-    # onnxruntime seeks the data beside the file that it is given, which is the one that was looked at.
-    return Vetted(path.resolve(), digest, outline.metadata, outline.opsets.get("", 0), data)
+    return digest, outline
 
 
 def _read(path: Path) -> bytes:
@@ -75,7 +81,8 @@ def _data_files(path: Path, outline: Outline) -> tuple[Path, ...]:
     return tuple(_data_file(path, location, least) for location, least in sorted(needed.items()))
 
 
-def _data_file(path: Path, location: str, least: int) -> Path:
+def check_location(path: Path, location: str) -> None:
+    """Raises ModelError for a name of external data that can't be that of a file in the network's folder."""
     shown = repr(location[:80])
     parts = PurePosixPath(location).parts
     # onnxruntime takes a location with '*' in it for an address in memory; '\' and ':' are other systems'.
@@ -83,10 +90,15 @@ def _data_file(path: Path, location: str, least: int) -> Path:
         raise ModelError(f"{path}: names external data {shown}, which is no plain file name")
     if location.startswith("/") or ".." in parts:
         raise ModelError(f"{path}: names external data {shown} outside its own folder")
+
+
+def _data_file(path: Path, location: str, least: int) -> Path:
+    check_location(path, location)
+    shown = repr(location[:80])
     folder = path.resolve().parent
     file = folder / location
     try:
-        if file.resolve() != folder.joinpath(*parts):
+        if file.resolve() != folder / PurePosixPath(location):
             raise ModelError(f"{path}: its external data {shown} is a symbolic link, which is not followed")
         found = file.lstat()
     except (OSError, RuntimeError, ValueError) as error:

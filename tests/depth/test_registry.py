@@ -13,7 +13,14 @@ import yaml
 
 from prism_edge.depth import registry
 from prism_edge.depth.cards import card_of
-from prism_edge.depth.registry import entries, find, read_registry, sha256_of
+from prism_edge.depth.registry import (
+    File,
+    entries,
+    find,
+    is_non_commercial,
+    read_registry,
+    sha256_of,
+)
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.depth.vetting import Vetted
 from prism_edge.errors import ModelError
@@ -40,6 +47,30 @@ def test_checkpoints_that_need_export_say_so_and_name_their_licence():
     assert {entry.name for entry in exports} >= {"da3_small", "da3_metric_large", "da3_nested_giant_large"}
     assert all(entry.export and entry.licence for entry in exports)
     assert find("da3_large").licence.startswith("CC-BY-NC")
+    depth_anything_3 = {"da3_small", "da3_base", "da3_large", "da3_metric_large", "da3_mono_large"}
+    for entry in exports:
+        if entry.name in depth_anything_3 | {"da3_nested_giant_large"}:
+            assert entry.can_be_pulled
+            assert all(file.url.startswith(entry.source + "/") for file in entry.files)
+    assert {entry.name for entry in exports} >= depth_anything_3
+
+
+@pytest.mark.parametrize(
+    ("licence", "forbids"),
+    [
+        ("CC-BY-NC-4.0", True),
+        ("CC BY-NC 4.0", True),
+        ("cc-by-nc-sa-4.0", True),
+        ("Non-commercial, research use", True),
+        ("Apache-2.0", False),
+        ("MIT", False),
+        ("CC-BY-4.0", False),
+        ("NCSA", False),
+        ("", False),
+    ],
+)
+def test_a_licence_that_forbids_commercial_use_is_known_by_its_name(licence: str, forbids: bool):
+    assert is_non_commercial(licence) is forbids
 
 
 @pytest.mark.realdata
@@ -63,7 +94,9 @@ CARD = {
     "input_height": 64,
     "sha256": "0" * 64,
 }
-EXPORT = {"name": "later", "licence": "MIT", "depth_kind": "relative", "export": "needs export"}
+KIND = {"kind": "checkpoint", "depth_kind": "relative"}
+EXPORT = {**KIND, "name": "later", "licence": "MIT", "export": "needs export"}
+WEIGHTS = {"file": "x.onnx.data", "sha256": "1" * 64, "size": 5, "url": "https://example.org/x.onnx.data"}
 
 
 @pytest.mark.parametrize(
@@ -75,14 +108,27 @@ EXPORT = {"name": "later", "licence": "MIT", "depth_kind": "relative", "export":
         ([{**EXPORT, "licence": None}], "licence: text"),
         ([{**EXPORT, "colour": "red"}], "unknown key 'colour'"),
         ([{**EXPORT, "depth_kind": "deep"}], "none of metric"),
-        ([{**EXPORT, "file": "x.onnx"}], "has no file"),
-        ([{"name": "x"}], "is missing"),
+        ([{**EXPORT, "file": "x.onnx"}], "unknown key 'file' of kind checkpoint"),
+        ([{**EXPORT, "kind": "engine"}], "none of onnx, checkpoint"),
+        ([{**EXPORT, "kind": ["onnx"]}], "none of onnx, checkpoint"),
+        ([{**EXPORT, "name": "a/b"}], "is no name"),
+        ([{**EXPORT, "files": "x"}], "a list of files"),
+        ([{**EXPORT, "files": ["x"]}], "keys file, sha256, size, url"),
+        ([{**EXPORT, "files": [{"file": "../x"}]}], "plain file name"),
+        ([{**EXPORT, "files": [{"file": "x", "url": "ftp://example.org/x"}]}], "no http or https URL"),
+        ([{**EXPORT, "files": [{"file": "x", "url": 3}]}], "url: text"),
+        ([{**EXPORT, "files": [{"file": "x", "size": -1}]}], "size: a number of bytes"),
+        ([{**EXPORT, "files": [{"file": "x", "sha256": "abc"}]}], "64 hexadecimal"),
+        ([{**KIND, "name": "x"}], "'licence' is missing"),
+        ([{"file": "x.onnx"}], "'card' is missing"),
+        ([{"file": "x.onnx", "card": CARD, "data": [{"file": "x.data"}]}], "needs its sha256"),
+        ([{"file": "x.onnx", "card": CARD, "url": "x"}], "no http or https URL"),
         ([EXPORT, EXPORT], "listed twice"),
         ([{"file": "x.onnx", "card": {**CARD, "name": "?"}}], "entry 1: name"),
         ([{"file": "../x.onnx", "card": CARD}], "plain file name"),
         ([{"card": CARD}], "plain file name"),
         ([{"file": "x.onnx", "card": {**CARD, "sha256": ""}}], "needs its sha256"),
-        ([{"file": "x.onnx", "card": CARD, "export": "y"}], "does not stand beside a card"),
+        ([{"file": "x.onnx", "card": CARD, "export": "y"}], "unknown key 'export' of kind onnx"),
     ],
 )
 def test_a_broken_registry_is_one_line(tmp_path: Path, models, says):
@@ -97,6 +143,15 @@ def test_a_sound_registry_is_read(tmp_path: Path):
     path = tmp_path / "registry.yaml"
     path.write_text(yaml.safe_dump({"registry": 1, "models": [{"file": "x.onnx", "card": CARD}, EXPORT]}))
     assert [entry.name for entry in read_registry(path)] == ["net", "later"]
+    whole = {"file": "x.onnx", "card": CARD, "data": [WEIGHTS], "url": "https://example.org/x.onnx"}
+    path.write_text(yaml.safe_dump({"registry": 1, "models": [whole]}))
+    (entry,) = read_registry(path)
+    assert entry.files == (
+        File("x.onnx", "0" * 64, 0, "https://example.org/x.onnx"),
+        File("x.onnx.data", "1" * 64, 5, "https://example.org/x.onnx.data"),
+    )
+    assert entry.can_be_pulled
+    assert entry.is_pinned
     path.write_text("registry: 2")
     with pytest.raises(ModelError, match="no model registry"):
         read_registry(path)

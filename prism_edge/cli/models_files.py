@@ -1,0 +1,211 @@
+"""`prism-edge models pull`, `verify` and `remove`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from contextlib import AbstractContextManager, nullcontext, suppress
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    DownloadColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+    TransferSpeedColumn,
+)
+from rich.prompt import Confirm
+from rich.table import Table
+
+from prism_edge.config import DepthConfig
+from prism_edge.depth import entries, find, open_onnx, pulling
+from prism_edge.depth.download import Patience
+from prism_edge.depth.folders import download_folder, folders
+from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of
+from prism_edge.depth.registry import File, is_non_commercial, sha256_of
+from prism_edge.errors import ModelError
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what was asked; returns the exit code. Raises ModelError where it can't be done."""
+    console = Console(highlight=False, soft_wrap=True)
+    if args.action == "pull":
+        return _pull(console, args)
+    return _verify(console, args.models) if args.action == "verify" else _remove(console, args.name, args.yes)
+
+
+def _pull(console: Console, args: argparse.Namespace) -> int:
+    into = Path(args.into).expanduser() if args.into else download_folder()
+    if not 0.1 <= args.stall <= 3600.0:
+        raise ModelError("--stall: between 0.1 and 3600 seconds")
+    plan = _plan(args, into)
+    console.print(f"{plan.name} from {plan.files[0].url.rpartition('/')[0]}", markup=False)
+
+    def approve(licence: str) -> None:
+        console.print(f"licence: {licence or 'the file states none'}", markup=False)
+        if is_non_commercial(licence) and not args.accept_licence:
+            _confirm(console, f"{plan.name}: its licence {licence} forbids commercial use")
+
+    bars = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        DownloadColumn(),
+        TransferSpeedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
+    )
+
+    def progress_of(name: str) -> pulling.Progress:
+        task = bars.add_task(name, total=None)
+        return lambda have, total: bars.update(task, completed=have, total=total or None)
+
+    showing: AbstractContextManager[object] = bars if console.is_terminal else nullcontext()
+    with showing:
+        done = pulling.pull(plan, _paused(bars, approve), progress_of, args.unverified, Patience(args.stall))
+    for file in done.files:
+        console.print(f"{file.name}  {file.size} bytes  SHA-256 {file.sha256}", markup=False)
+    console.print(f"in {done.folder}", markup=False)
+    _say_next(console, done)
+    return 0
+
+
+def _plan(args: argparse.Namespace, into: Path) -> Pulled:
+    if "://" in args.model:
+        return pulling.from_url(args.model, into, args.sha256, args.name)
+    if args.sha256 or args.name:
+        raise ModelError("--sha256 and --name go with a URL; a registered network has its own")
+    entry = find(args.model)
+    if entry is None:
+        names = ", ".join(item.name for item in entries())
+        raise ModelError(f"{args.model!r} is neither a URL nor a registered network ({names})")
+    return pulling.from_entry(entry, into)
+
+
+def _paused(bars: Progress, approve: pulling.Approve) -> pulling.Approve:
+    """The question is asked without bars running across it."""
+
+    def asked(licence: str) -> None:
+        running = bars.live.is_started
+        if running:
+            bars.stop()
+        approve(licence)
+        if running:
+            bars.start()
+
+    return asked
+
+
+def _confirm(console: Console, what: str) -> None:
+    if not (console.is_terminal and sys.stdin.isatty()):
+        raise ModelError(f"{what}: --accept-licence says that you keep to it")
+    if not Confirm.ask(f"{what}. Do you keep to it?", default=False, console=console):
+        raise ModelError(f"{what}: not accepted")
+
+
+def _say_next(console: Console, done: Pulled) -> None:
+    if not done.runnable:
+        console.print(f"Next: export it to ONNX with tools/export_da3 from {done.folder}", markup=False)
+        return
+    try:
+        network = open_onnx(str(done.path), DepthConfig())
+    except ModelError as error:
+        console.print(f"It can't be run yet: {error}", markup=False)
+        return
+    name = done.name if done.folder.parent in folders() else str(done.path)
+    use = f"--model {name}" if network.card.has_metres else f"--model nested:{name},METRIC"
+    console.print(f"It loads and runs: use it with {use}", markup=False)
+
+
+def _verify(console: Console, names: list[str]) -> int:
+    """A row for each network; 5 where one fails."""
+    chosen = names or _at_hand()
+    if not chosen:
+        console.print("No network is at hand: `prism-edge models list` shows what is known.")
+        return 0
+    table = Table(title="Depth networks at hand")
+    for heading in ("name", "digests", "runs"):
+        table.add_column(heading, overflow="fold")
+    failed = False
+    for name in chosen:
+        digests, digests_right = _digests(name)
+        runs, is_running = _runs(name)
+        failed = failed or not (digests_right and is_running)
+        table.add_row(name, digests, runs)
+    Console(highlight=False).print(table)
+    return ModelError.exit_code if failed else 0
+
+
+def _at_hand() -> list[str]:
+    known = [entry.name for entry in entries() if entry.located()]
+    return known + [pulled.name for pulled in all_pulled() if pulled.name not in known]
+
+
+def _digests(name: str) -> tuple[str, bool]:
+    """What the files' digests say, and whether they are right."""
+    entry, pulled = find(name), find_pulled(name)
+    files: tuple[File, ...] = ()
+    folder = Path()
+    if pulled:
+        files, folder = pulled.files, pulled.folder
+    place = entry.located() if entry else None
+    if entry and place and entry.is_pinned:
+        files, folder = entry.files, place.parent
+    if not files:
+        return ("none is known" if entry or Path(name).is_file() else "not at hand"), True
+    for file in files:
+        if not (folder / file.name).is_file():
+            return f"{file.name} is missing", False
+        if sha256_of(folder / file.name) != file.sha256:
+            return f"{file.name} is not the file it should be", False
+    if entry and entry.is_pinned:
+        return "as registered", True
+    return "as pulled (unverified then)", True
+
+
+def _runs(name: str) -> tuple[str, bool]:
+    """Whether it can be loaded and run, and if not, whether that is as it should be."""
+    entry, pulled = find(name), find_pulled(name)
+    if (entry and entry.card is None) or (pulled and not pulled.runnable):
+        return "needs export", True
+    try:
+        network = open_onnx(name, DepthConfig())
+    except ModelError as error:
+        return str(error), False
+    return f"on {network.provider}", True
+
+
+def _remove(console: Console, name: str, yes: bool) -> int:
+    folder, files = _removable(name)
+    size = sum(path.stat().st_size for path in files)
+    if not yes:
+        what = f"delete {len(files)} files ({size >> 20} MB) in {folder}"
+        if not (console.is_terminal and sys.stdin.isatty()):
+            raise ModelError(f"{what}? --yes says so")
+        if not Confirm.ask(what, default=False, console=console):
+            return 0
+    try:
+        for path in files:
+            path.unlink()
+        with suppress(OSError):  # kept where there is something else in it
+            folder.rmdir()
+    except OSError as error:
+        raise ModelError(f"{folder}: can't be deleted ({error.strerror})") from None
+    console.print(f"deleted {len(files)} files in {folder}", markup=False)
+    return 0
+
+
+def _removable(name: str) -> tuple[Path, list[Path]]:
+    """What ``pull`` brought of a network, parts included: its folder and the files. Raises ModelError."""
+    for folder in (place / name for place in folders() if NAME.fullmatch(name)):
+        pulled = manifest_of(folder)
+        listed = [folder / MANIFEST, *(folder / file.name for file in pulled.files)] if pulled else []
+        files = [path for path in (*listed, *sorted(folder.glob("*.part"))) if path.is_file()]
+        if files:
+            return folder, files
+    entry = find(name)
+    place = entry.located() if entry else None
+    where = f"{place} was put there by hand" if place else "there is nothing of it here"
+    raise ModelError(f"{name} was not pulled; {where}")

@@ -1,0 +1,79 @@
+"""What was pulled from the web: each network in a folder of its own, with a manifest of its files."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from prism_edge.depth import contract, download
+from prism_edge.depth.folders import folders
+from prism_edge.depth.registry import File, read_file_item
+from prism_edge.errors import ModelError
+
+MANIFEST = "pulled.yaml"
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+@dataclass(frozen=True)
+class Pulled:
+    """A network that was pulled, as its manifest has it. The first file is the network itself."""
+
+    name: str
+    licence: str
+    runnable: bool
+    files: tuple[File, ...]
+    folder: Path
+
+    @property
+    def path(self) -> Path:
+        """The network's file, or a checkpoint's folder."""
+        return self.folder / self.files[0].name if self.runnable else self.folder
+
+
+def manifest_of(folder: Path) -> Pulled | None:
+    """What was pulled into a folder, None where nothing was. Raises ModelError for a broken manifest."""
+    path = folder / MANIFEST
+    if not path.is_file():
+        return None
+    content = contract.read_yaml(path)
+    listed = content.get("files") if isinstance(content, Mapping) and content.get("pulled") == 1 else None
+    files = tuple(read_file_item(item, str(path)) for item in listed) if isinstance(listed, list) else ()
+    if not files or not all(file.sha256 for file in files):
+        raise ModelError(f"{path}: no list of pulled files; remove the folder and pull again")
+    licence, runnable = str(content.get("licence", "")), bool(content.get("runnable"))
+    return Pulled(folder.name, licence, runnable, files, folder)
+
+
+def find_pulled(name: str) -> Pulled | None:
+    """What was pulled under that name, registered or not."""
+    if not NAME.fullmatch(name):
+        return None
+    return next(filter(None, (manifest_of(folder / name) for folder in folders())), None)
+
+
+def all_pulled() -> list[Pulled]:
+    """Everything that was pulled, by name; of several of one name the one that is found first."""
+    found: dict[str, Pulled] = {}
+    for folder in folders():
+        for path in sorted(folder.glob(f"*/{MANIFEST}")):
+            pulled = manifest_of(path.parent)
+            if pulled:
+                found.setdefault(pulled.name, pulled)
+    return [found[name] for name in sorted(found)]
+
+
+def write_manifest(plan: Pulled) -> None:
+    """Writes a network's manifest into its folder in one step. Raises ModelError, OSError."""
+    files = [{"file": f.name, "sha256": f.sha256, "size": f.size, "url": f.url} for f in plan.files]
+    content = {"pulled": 1, "licence": plan.licence, "runnable": plan.runnable, "files": files}
+    part = plan.folder / f"{MANIFEST}.0.part"
+    with part.open("w", encoding="utf-8") as file:
+        yaml.safe_dump(content, file, sort_keys=False)
+        file.flush()
+        os.fsync(file.fileno())
+    download.settle(part, plan.folder / MANIFEST)

@@ -1,0 +1,173 @@
+"""All files of a network from the web into a folder of its own: either the whole network, or none of it."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import quote, unquote, urljoin, urlsplit
+
+from prism_edge.depth import contract, download
+from prism_edge.depth.contract import card_from_metadata
+from prism_edge.depth.download import Patience, Progress, Wanted
+from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, manifest_of, write_manifest
+from prism_edge.depth.registry import Entry, File, find, find_digest, read_file_item, sha256_of
+from prism_edge.depth.vetting import LARGEST_DATA, LARGEST_FILE, check_location, inspect
+from prism_edge.depth.web import check_url
+from prism_edge.errors import ModelError
+
+Approve = Callable[[str], None]  # is given the licence ("": none is stated), raises ModelError to refuse
+ProgressOf = Callable[[str], Progress]
+
+
+def from_entry(entry: Entry, into: Path) -> Pulled:
+    """What pulling a registered network gives. Raises ModelError where it is not known where it is."""
+    if not entry.can_be_pulled:
+        file = entry.files[0] if entry.files else None
+        by_hand = f"; put {file.name} (SHA-256 {file.sha256}) into {into}" if file else ""
+        raise ModelError(f"{entry.name}: no place to pull it from is known ({entry.obtain}){by_hand}")
+    return Pulled(entry.name, entry.licence, entry.card is not None, entry.files, into / entry.name)
+
+
+def from_url(url: str, into: Path, sha256: str = "", name: str = "") -> Pulled:
+    """What pulling an ONNX file from anywhere gives. Raises ModelError for a URL or a name that won't do."""
+    check_url(url)
+    file = unquote(urlsplit(url).path).rpartition("/")[2]
+    if not file.endswith(".onnx"):
+        raise ModelError(f"{url}: an ONNX file is needed, whose name ends in .onnx")
+    name = name or file.removesuffix(".onnx")
+    if not NAME.fullmatch(name):
+        raise ModelError(f"{name!r} is no name (letters, digits, dot, dash, underscore); give --name")
+    if find(name):
+        raise ModelError(f"{name} is the name of a registered network; give another with --name")
+    try:
+        digest = contract.sha256_text(sha256)
+    except ValueError as error:
+        raise ModelError(f"--sha256: {error}") from None
+    return Pulled(name, "", True, (File(f"{name}.onnx", digest, 0, url),), into / name)
+
+
+def pull(
+    plan: Pulled,
+    approve: Approve,
+    progress: ProgressOf,
+    unverified: bool = False,
+    patience: Patience = Patience(),
+) -> Pulled:
+    """Fetches what is missing, checks it, and puts it in place; the network's own file comes last.
+
+    A file without a digest is fetched only if ``unverified``. ``approve`` is asked before anything comes, or,
+    where the licence is known only from the file itself, before that is put in place. Raises ModelError in
+    one line; then nothing but parts has been added.
+    """
+    if manifest_of(plan.folder) is None:
+        _check_pinned(plan, unverified)
+    if plan.licence:
+        approve(plan.licence)
+    with _locked(plan.folder):
+        done = manifest_of(plan.folder)
+        if done and all((plan.folder / file.name).is_file() for file in done.files):
+            _check_same(plan, done)
+            return done
+        parts = {file: _fetch(plan, file, progress, patience) for file in plan.files}
+        if plan.runnable:
+            network = plan.files[0]
+            if not plan.licence:
+                extra, licence = _described(plan, parts[network])
+                plan = replace(plan, licence=licence, files=(network, *extra))
+                _check_pinned(plan, unverified)
+                approve(licence)
+                parts |= {file: _fetch(plan, file, progress, patience) for file in extra}
+            else:
+                _check_licence(plan, parts[network])
+        plan = replace(plan, files=tuple(_measured(file, parts[file]) for file in plan.files))
+        for file, part in reversed(list(zip(plan.files, parts.values(), strict=True))):
+            if file is plan.files[0]:
+                write_manifest(plan)
+            target = plan.folder / file.name
+            if part != target:
+                download.settle(part, target)
+    return plan
+
+
+def _check_pinned(plan: Pulled, unverified: bool) -> None:
+    open_ones = [file.name for file in plan.files if not file.sha256]
+    if open_ones and not unverified:
+        raise ModelError(
+            f"{plan.name}: no SHA-256 of {' and '.join(open_ones)} is known, so nothing tells that what "
+            "comes is the real one; --unverified takes what comes and remembers its SHA-256"
+        )
+
+
+def _fetch(plan: Pulled, file: File, progress: ProgressOf, patience: Patience) -> Path:
+    largest = LARGEST_FILE if plan.runnable and file is plan.files[0] else LARGEST_DATA
+    target = plan.folder / file.name
+    if file.sha256 and target.is_file() and sha256_of(target) == file.sha256:
+        return target  # of an earlier pull that was cut short when all had come
+    wanted = Wanted(file.url, target, file.sha256, file.size, largest)
+    return download.fetch(wanted, patience, progress(file.name))
+
+
+def _described(plan: Pulled, part: Path) -> tuple[list[File], str]:
+    """Files of external data that an unregistered network needs, and the licence that it states."""
+    digest, outline = inspect(part)
+    registered = find_digest(digest)
+    card = card_from_metadata(outline.metadata, plan.files[0].name) if registered is None else registered.card
+    extra = []
+    for location in sorted({item.location for item in outline.external}):
+        check_location(part, location)
+        if location in (plan.files[0].name, MANIFEST) or location.endswith(".part"):
+            raise ModelError(f"{plan.name}: names external data {location[:80]!r}, which is not fetched")
+        url = urljoin(plan.files[0].url, quote(location))
+        extra.append(read_file_item({"file": location, "url": url}, plan.name))
+    return extra, card.licence if card else ""
+
+
+def _check_licence(plan: Pulled, part: Path) -> None:
+    """Raises ModelError where a registered file states another licence, or needs files not registered."""
+    _, outline = inspect(part)
+    card = card_from_metadata(outline.metadata, plan.files[0].name)
+    if card and card.licence != plan.licence:
+        raise ModelError(
+            f"{plan.name}: the file says licence {card.licence}, but it is registered under {plan.licence}"
+        )
+    missing = {item.location for item in outline.external} - {file.name for file in plan.files[1:]}
+    if missing:
+        raise ModelError(f"{plan.name}: needs {sorted(missing)[0][:80]!r}, which is not registered with it")
+
+
+def _check_same(plan: Pulled, done: Pulled) -> None:
+    known = {file.name: file.sha256 for file in plan.files if file.sha256}
+    advice = f"`prism-edge models remove {plan.name}` first"
+    if done.files[0].url != plan.files[0].url:
+        raise ModelError(f"{plan.name}: was pulled from {done.files[0].url}; {advice}")
+    for file in done.files:
+        digest = sha256_of(plan.folder / file.name)
+        if digest != file.sha256 or known.get(file.name, digest) != digest:
+            raise ModelError(f"{plan.folder / file.name}: is not the file it should be; {advice}")
+
+
+def _measured(file: File, part: Path) -> File:
+    return replace(file, sha256=file.sha256 or sha256_of(part), size=part.stat().st_size)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Keeps a second pull into the same folder out. Raises ModelError where one is at work."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise ModelError(f"{folder}: can't be made ({error.strerror})") from None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    except BlockingIOError:
+        raise ModelError(f"{folder}: another pull is at work there") from None
+    finally:
+        os.close(handle)
+        with contextlib.suppress(OSError):  # it is kept where there is anything in it
+            folder.rmdir()

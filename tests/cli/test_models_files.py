@@ -1,0 +1,213 @@
+"""`prism-edge models pull`, `verify`, `remove` and `bench` as a user types them."""
+
+from __future__ import annotations
+
+import builtins
+import hashlib
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+import yaml
+
+from prism_edge.cli import models_bench, models_files
+from prism_edge.cli.main import main
+from prism_edge.config import DepthConfig
+from prism_edge.depth import registry
+from prism_edge.errors import ModelError
+from tests.depth.web_server import WebServer, web_server
+from tests.synthetic.network import TinyNetwork, write_tiny_network
+
+
+@pytest.fixture(autouse=True)
+def plain(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A wide terminal, and the folder that networks are pulled into."""
+    monkeypatch.setenv("COLUMNS", "200")
+    monkeypatch.setenv("PRISM_EDGE_MODELS", str(tmp_path / "models"))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
+    return tmp_path / "models"
+
+
+@pytest.fixture
+def server(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[WebServer]:
+    """Serves a network and a non-commercial checkpoint, and stands in the registry."""
+    with web_server() as running:
+        card = asdict(TinyNetwork().card())
+        values = {k: list(v) if isinstance(v, tuple) else v for k, v in card.items() if v not in (None, "")}
+        content = write_tiny_network(tmp_path / "made.onnx").read_bytes()
+        values["sha256"] = hashlib.sha256(content).hexdigest()
+        running.files = {"/tiny.onnx": content, "/model.safetensors": b"weights"}
+        tiny = {"file": "tiny.onnx", "url": f"{running.url}/tiny.onnx", "card": {"contract": 1, **values}}
+        later = {
+            "kind": "checkpoint",
+            "name": "later",
+            "licence": "CC-BY-NC-4.0",
+            "depth_kind": "relative",
+            "export": "a checkpoint",
+            "files": [{"file": "model.safetensors", "url": f"{running.url}/model.safetensors"}],
+        }
+        (tmp_path / "registry.yaml").write_text(yaml.safe_dump({"registry": 1, "models": [tiny, later]}))
+        monkeypatch.setattr(registry, "data_folder", lambda: tmp_path)
+        registry.entries.cache_clear()
+        yield running
+        monkeypatch.undo()
+        registry.entries.cache_clear()
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> str:
+    """What the command prints; of an error, its one line."""
+    assert main(["models", *arguments]) == code
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    if code == 5 and not captured.out.strip():
+        assert captured.err.count("\n") == 1
+    return captured.out + captured.err
+
+
+def test_a_network_is_pulled_verified_listed_and_removed(server: WebServer, plain: Path, capsys):
+    assert "can be pulled" in said(capsys, "list")
+    out = said(capsys, "pull", "tiny_tint")
+    for text in (
+        "licence: Apache-2.0",
+        "tiny.onnx  ",
+        "SHA-256",
+        f"in {plain / 'tiny_tint'}",
+        "--model tiny_tint",
+    ):
+        assert text in out
+    assert "ready" in said(capsys, "list")
+    assert f"pulled    {server.url}/tiny.onnx" in said(capsys, "info", "tiny_tint")
+    assert "as registered" in said(capsys, "verify")
+    assert "--yes says so" in said(capsys, "remove", "tiny_tint", code=5)  # there is no terminal to ask at
+    assert "deleted 2 files" in said(capsys, "remove", "tiny_tint", "--yes")
+    assert not (plain / "tiny_tint").exists()
+    assert "No network is at hand" in said(capsys, "verify")
+
+
+def test_a_non_commercial_licence_must_be_agreed_to(server: WebServer, plain: Path, capsys):
+    assert "needs export (unverified)" in said(capsys, "list")
+    assert "non-commercial" in said(capsys, "info", "later")
+    assert "--unverified takes what comes" in said(capsys, "pull", "later", code=5)
+    assert "forbids commercial use: --accept-licence" in said(capsys, "pull", "later", "--unverified", code=5)
+    assert not server.asked
+    assert not plain.exists()
+    out = said(capsys, "pull", "later", "--unverified", "--accept-licence")
+    assert "Next: export it to ONNX with tools/export_da3" in out
+    assert (plain / "later" / "model.safetensors").read_bytes() == b"weights"
+    assert "pulled, needs export" in said(capsys, "list")
+    out = said(capsys, "verify")
+    assert "as pulled (unverified then)" in out
+    assert "needs export" in out
+
+
+@pytest.mark.parametrize(("answer", "code"), [(True, 0), (False, 5)])
+def test_at_a_terminal_the_licence_is_asked_about(server, plain: Path, capsys, monkeypatch, answer, code):
+    monkeypatch.setattr(models_files.Console, "is_terminal", True)
+    monkeypatch.setattr(models_files.sys.stdin, "isatty", lambda: True, raising=False)
+    questions = []
+
+    def typed(prompt: str = "") -> str:
+        questions.append(prompt)
+        return "y" if answer else "n"
+
+    monkeypatch.setattr(builtins, "input", typed)
+    out = said(capsys, "pull", "later", "--unverified", code=code)
+    assert "forbids commercial use" in out
+    assert len(questions) == 1
+    assert (plain / "later").exists() is answer
+
+
+def test_a_network_that_has_been_tampered_with_fails_verification(server, plain: Path, capsys):
+    said(capsys, "pull", "tiny_tint")
+    write_tiny_network(plain / "tiny_tint" / "tiny.onnx", TinyNetwork(gain=3.0))
+    assert "wrong digest" in said(capsys, "list")
+    out = said(capsys, "verify", code=5)
+    assert "tiny.onnx is not the file it should be" in out
+    assert "not the registered" in out
+    assert "models remove tiny_tint" in said(capsys, "pull", "tiny_tint", code=5)
+
+
+def test_a_network_from_a_url(server: WebServer, plain: Path, capsys):
+    url = f"{server.url}/tiny.onnx"
+    assert "no SHA-256" in said(capsys, "pull", url, "--name", "mine", code=5)
+    server.plan = ["truncate", "503"]
+    # it bears a registered network's name and is that network
+    out = said(capsys, "pull", url, "--name", "mine", "--unverified", "--stall", "1")
+    assert "--model mine" in out
+    assert "pulled from elsewhere" in said(capsys, "list")
+    assert (plain / "mine" / "mine.onnx").is_file()
+    assert "tiny_tint" in said(capsys, "info", "mine")
+
+
+def test_parts_of_a_pull_that_was_given_up_can_be_removed(server, plain: Path, capsys, monkeypatch):
+    monkeypatch.setattr("prism_edge.depth.download.time.sleep", lambda seconds: None)
+    server.plan = ["truncate"] + ["503"] * 9
+    assert "pull again to go on" in said(capsys, "pull", "tiny_tint", code=5)
+    assert [path.suffix for path in (plain / "tiny_tint").iterdir()] == [".part"]
+    assert "deleted 1 files" in said(capsys, "remove", "tiny_tint", "--yes")
+    assert not (plain / "tiny_tint").exists()
+
+
+def test_what_was_not_pulled_is_not_deleted(server: WebServer, plain: Path, capsys):
+    plain.mkdir()
+    path = write_tiny_network(plain / "tiny.onnx")
+    assert "put there by hand" in said(capsys, "remove", "tiny_tint", "--yes", code=5)
+    assert path.exists()
+    said(capsys, "pull", "tiny_tint")
+    (plain / "tiny_tint" / "notes.txt").write_text("mine")
+    said(capsys, "remove", "tiny_tint", "--yes")
+    assert (plain / "tiny_tint" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["pull", "nothing"],
+        ["pull", "tiny_tint", "--sha256", "abc"],
+        ["pull", "tiny_tint", "--stall", "0"],
+        ["pull", "ftp://example.org/x.onnx"],
+        ["remove", "../models", "--yes"],
+        ["remove", "nothing", "--yes"],
+        ["bench", "nothing"],
+        ["bench", "tiny_tint", "--runs", "0"],
+        ["bench", "tiny_tint", "--threads", "0"],
+        ["bench", "tiny_tint", "--providers", "abacus"],
+    ],
+)
+def test_what_can_not_be_done_is_one_line(server: WebServer, capsys, arguments: list[str]):
+    assert main(["models", *arguments]) == 5
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("prism-edge: error: ")
+
+
+def test_verify_says_what_is_wrong_with_a_file(tmp_path: Path, capsys):
+    good, bad = write_tiny_network(tmp_path / "good.onnx"), tmp_path / "bad.onnx"
+    bad.write_bytes(good.read_bytes()[:200])
+    assert "on CPUExecutionProvider" in said(capsys, "verify", str(good))
+    assert "no ONNX model, or damaged" in said(capsys, "verify", str(good), str(bad), code=5)
+
+
+def test_bench_shows_a_row_for_each_setting(tmp_path: Path, capsys):
+    path = write_tiny_network(tmp_path / "tiny.onnx", TinyNetwork(depth_kind="relative"))
+    out = said(capsys, "bench", str(path), "--threads", "1", "2", "--runs", "3", "--providers", "cpu")
+    rows = [line.split("│")[1:-1] for line in out.splitlines() if line.startswith("│")]
+    assert [(row[0].strip(), int(row[1])) for row in rows] == [("CPU", 1), ("CPU", 2)]
+    for row in rows:
+        median, p90, cpu, load, memory = (float(cell) for cell in row[2:])
+        assert 0 < median <= p90
+        assert cpu > 0
+        assert load > 0
+        assert 0 < memory < 1000
+
+
+def test_a_child_that_dies_is_one_line(monkeypatch):
+    monkeypatch.setattr(models_bench, "_child", _die)
+    with pytest.raises(ModelError, match="the process died"):
+        models_bench.measure(DepthConfig("x"), 1)
+
+
+def _die(pipe: object, config: object, runs: int) -> None:
+    raise SystemExit(9)
