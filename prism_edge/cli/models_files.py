@@ -107,7 +107,8 @@ def _confirm(console: Console, what: str) -> None:
 
 def _say_next(console: Console, done: Pulled) -> None:
     if not done.runnable:
-        console.print(f"Next: export it to ONNX with tools/export_da3 from {done.folder}", markup=False)
+        script = f"python tools/export_da3 {done.folder} {done.name}.onnx"
+        console.print(f"Next: export it to ONNX: {script} (docs/EXPORT.md)", markup=False)
         return
     try:
         network = open_onnx(str(done.path), DepthConfig())

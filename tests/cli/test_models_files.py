@@ -94,7 +94,7 @@ def test_a_non_commercial_licence_must_be_agreed_to(server: WebServer, plain: Pa
     assert not server.asked
     assert not plain.exists()
     out = said(capsys, "pull", "later", "--unverified", "--accept-licence")
-    assert "Next: export it to ONNX with tools/export_da3" in out
+    assert f"python tools/export_da3 {plain / 'later'} later.onnx" in out
     assert (plain / "later" / "model.safetensors").read_bytes() == b"weights"
     assert "pulled, needs export" in said(capsys, "list")
     out = said(capsys, "verify")
