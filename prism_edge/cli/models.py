@@ -60,6 +60,7 @@ def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--providers", nargs="+", metavar="NAME", help="execution providers (default: all that are here)"
     )
+    parser.add_argument("--config", metavar="FILE", help="take what else depth.* says from this file")
     parser.add_argument("--runs", type=int, default=30, metavar="N", help="inferences each (default 30)")
 
 

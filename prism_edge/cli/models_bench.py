@@ -7,13 +7,14 @@ import multiprocessing
 import os
 import statistics
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 
 from rich.console import Console
 from rich.table import Table
 
 from prism_edge.config import DepthConfig
+from prism_edge.config_file import load
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 
@@ -41,6 +42,7 @@ def run(args: argparse.Namespace) -> int:
     if not all(1 <= count <= 64 for count in threads):
         raise ModelError("--threads: each between 1 and 64")
     providers = args.providers or _offered()
+    base = load(args.config).depth
     console = Console(highlight=False)
     table = Table(title=f"{args.model}: {args.runs} inferences each on a {WIDTH}x{HEIGHT} image")
     for heading in ("provider", "threads", "median ms", "p90 ms", "CPU ms", "load s", "memory MB"):
@@ -48,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
     failures = []
     for provider in providers:
         for count in threads:
-            config = DepthConfig(args.model, (provider,), required=(provider,), threads=count)
+            only = (provider,)
+            config = replace(base, model=args.model, providers=only, required=only, threads=count)
             try:
                 cost = measure(config, args.runs)
             except ModelError as error:

@@ -96,8 +96,11 @@ class PairedNetwork:
         self.name = f"nested:{relative.name},{metric.name}"
         self.bias_sigma = metric.bias_sigma
         self.dsug = relative.dsug  # fitted to the confidence, which is the relative network's
-        self.provider = relative.provider
+        self.provider = ", ".join(dict.fromkeys((relative.provider, metric.provider)))
         self.counters: dict[str, int] = {"unpaired": 0}
+        for part in (relative, metric):
+            for name, count in part.counters.items():
+                self.counters[name] = self.counters.get(name, 0) + count
 
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
         """As :meth:`OnnxNetwork.infer`; the confidence is the relative network's, none where that failed.

@@ -37,12 +37,15 @@ SHORT = {
     "openvino": "OpenVINOExecutionProvider",
     "qnn": "QNNExecutionProvider",
 }
-_PREAMBLE = re.compile(
-    r"^(\[ONNXRuntimeError\] : \d+ : \w+ : )?(Load model from .*? failed: ?)?"
-    r"(/\S+\.(cc|h):\d+ .*?\) (?=[A-Z\[]))?"
+# What onnxruntime says before it comes to the point: its code, the path, the place in its source.
+_PREAMBLES = (
+    (re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : "), ""),
+    (re.compile(r"Load model from .*? failed: ?"), ""),
+    (re.compile(r"Non-zero status code .*? running (\w+) node\. Name:'.*?' Status Message: "), r"\1: "),
+    (re.compile(r"/\S+\.(?:cc|h):\d+ .*?\) (?=[A-Z\[])"), ""),
 )
 _DATA_FOLDER = "session.model_external_initializers_file_folder_path"
-_QUIET = 3  # onnxruntime's severity "error": files in use carry hundreds of harmless warnings
+_QUIET = 4  # onnxruntime's severity "fatal": errors come as exceptions, once, and warnings are harmless
 
 
 @dataclass(frozen=True)
@@ -235,6 +238,8 @@ def _words(names: Sequence[str] | set[str]) -> str:
 
 
 def first_line(error: Exception) -> str:
-    """An exception of native code in one line, without the code and the path that onnxruntime begins with."""
+    """An exception of native code in one line, without what onnxruntime says first."""
     line = " ".join((str(error).strip() or type(error).__name__).splitlines()[0].split())
-    return _PREAMBLE.sub("", line)[:200]
+    for pattern, instead in _PREAMBLES:
+        line = pattern.sub(instead, line)
+    return line[:200]

@@ -50,6 +50,7 @@ class DepthWorker:
             bus.pulse.working("loading the network", _LOADING_S)
             self._network = open_network(config.depth.model, config.depth)
             bus.pulse.values.update(model=self._network.name, provider=self._network.provider)
+            self._show_counters()
             log.info("%s runs on %s", self._network.name, self._network.provider)
         else:
             log.warning("no depth network is configured: poses will have no metres of their own")
@@ -132,9 +133,12 @@ class DepthWorker:
             self._bus.pulse.values.update(
                 inference_ms=f"{depth.inference_ms:.1f}", inference_ms_median=f"{median(self._recent):.1f}"
             )
+        self._show_counters()
+        self._bus.pulse.idle()
+
+    def _show_counters(self) -> None:
         if self._network is not None:
             self._bus.pulse.values.update({name: str(n) for name, n in self._network.counters.items()})
-        self._bus.pulse.idle()
 
 
 def answer(network: DepthNetwork | None, image: KeyframeImage) -> Depth:

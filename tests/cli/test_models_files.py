@@ -203,6 +203,20 @@ def test_bench_shows_a_row_for_each_setting(tmp_path: Path, capsys):
         assert 0 < memory < 1000
 
 
+def test_bench_takes_the_rest_from_a_configuration(tmp_path: Path, capsys, monkeypatch):
+    asked = []
+
+    def measured(config: DepthConfig, runs: int) -> models_bench.Cost:
+        asked.append(config)
+        return models_bench.Cost("CPUExecutionProvider", 1.0, 2.0, 3.0, 4.0, 5.0)
+
+    monkeypatch.setattr(models_bench, "measure", measured)
+    (tmp_path / "robot.yaml").write_text("depth: {arena: false, model: other, threads: 7}\n")
+    said(capsys, "bench", "x.onnx", "--threads", "2", "--config", str(tmp_path / "robot.yaml"))
+    assert asked == [DepthConfig("x.onnx", ("cpu",), required=("cpu",), threads=2, arena=False)]
+    assert main(["models", "bench", "x.onnx", "--config", str(tmp_path / "none.yaml")]) == 3
+
+
 def test_a_child_that_dies_is_one_line(monkeypatch):
     monkeypatch.setattr(models_bench, "_child", _die)
     with pytest.raises(ModelError, match="the process died"):

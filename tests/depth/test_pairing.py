@@ -141,6 +141,16 @@ def test_a_pairs_descriptors_come_from_one_network_whether_it_fits_or_not(tmp_pa
             assert bool(answer.confidence.size) == (misbehaviour == "")
 
 
+def test_a_pair_names_each_provider_and_adds_up_what_runs_elsewhere(tmp_path: Path):
+    relative, metric = network(tmp_path, "r", depth_kind="relative"), network(tmp_path, "m")
+    assert PairedNetwork(relative, metric).provider == "CPUExecutionProvider"
+    relative.provider = "CUDAExecutionProvider"
+    relative.counters, metric.counters = {"nodes_elsewhere": 2}, {"nodes_elsewhere": 3}
+    paired = PairedNetwork(relative, metric)
+    assert paired.provider == "CUDAExecutionProvider, CPUExecutionProvider"
+    assert paired.counters == {"unpaired": 0, "nodes_elsewhere": 5}
+
+
 def test_without_metric_depth_there_is_none(tmp_path: Path):
     relative = network(tmp_path, "good", depth_kind="inverse_relative")
     paired = PairedNetwork(relative, network(tmp_path, "bad", misbehaviour="nan"))

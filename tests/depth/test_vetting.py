@@ -16,7 +16,7 @@ from prism_edge.depth.session import OnnxNetwork
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
-from tests.synthetic.network import TinyNetwork, tiny_graph, write_sidecar, write_tiny_network
+from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_sidecar, write_tiny_network
 
 SECRET = b"\x00\x00\x80?" * 1000
 
@@ -201,6 +201,25 @@ def test_a_tensor_shorter_than_its_shape_is_refused(tmp_path: Path):
     with pytest.raises(ModelError, match="no ONNX model that onnxruntime") as error:
         OnnxNetwork(tmp_path / "net.onnx")
     assert "\n" not in str(error.value)
+
+
+def test_a_graph_that_asks_for_a_petabyte_is_refused_in_one_line(tmp_path: Path, capfd):
+    side = 2**24
+    shape = numpy_helper.from_array(np.array([1, 1, side, side], np.int64), "shape")
+    nodes = [
+        helper.make_node("ConstantOfShape", ["shape"], ["vast"]),
+        helper.make_node("ReduceMean", ["image"], ["mean"], keepdims=1),
+        helper.make_node("Add", ["vast", "mean"], ["depth"]),
+    ]
+    image = helper.make_tensor_value_info("image", TensorProto.FLOAT, [1, 3, 240, 320])
+    depth = helper.make_tensor_value_info("depth", TensorProto.FLOAT, [1, 1, side, side])
+    path = tmp_path / "net.onnx"
+    save(path, helper.make_graph(nodes, "g", [image], [depth], [shape]), TinyNetwork().card())
+    says = "first inference failed .ConstantOfShape: Failed to allocate memory"
+    with pytest.raises(ModelError, match=says) as error:
+        OnnxNetwork(path)
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr().err == ""  # onnxruntime says nothing besides
 
 
 @pytest.mark.parametrize("name", ["none.onnx", "folder", "nul\x00.onnx", "deep/none.onnx"])
