@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .ONESHELL:
-.PHONY: help setup demo test lint accuracy lock docs clean
+.PHONY: help setup demo test lint accuracy audit lock docs clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -41,6 +41,9 @@ lint: $(STAMP) ## ruff and mypy
 accuracy: $(STAMP) ## recorded sequences beside the checkout: the slow tests, and every figure against its bar
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
 	$(BIN)/python tools/accuracy.py $(ACCURACY_ARGS)
+
+audit: $(STAMP) ## known vulnerabilities of the locked dependencies; needs a network
+	tools/audit.sh $(BIN)
 
 docs: $(STAMP) ## write the table of docs/CONFIGURATION.md anew
 	$(BIN)/python tools/document_config.py

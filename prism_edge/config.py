@@ -55,8 +55,24 @@ class SourceConfig:
 class BusConfig:
     """The Zenoh session that joins the processes, and that subscribers join."""
 
-    endpoint: str = text("tcp/127.0.0.1:7447", "the supervisor's listener; loopback unless you open it")
+    endpoint: str = text("tcp/127.0.0.1:7447", "the supervisor's listener, on loopback or a socket file")
     retry_ms: int = limits(200, 10, 60_000, "pause between attempts to reach the listener")
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """The robot's network: closed until ``endpoint`` opens it (docs/SECURITY.md)."""
+
+    endpoint: str = text("", "second listener, such as tls/0.0.0.0:7448; empty: this host alone")
+    ca: str = text("", "certificate of the lab's authority (PEM)")
+    certificate: str = text("", "this end's certificate (PEM), which the other end asks for")
+    key: str = text("", "its private key (PEM)")
+    operators: tuple[str, ...] = field(
+        default=(), metadata={"help": "names in the certificates of those who may command"}
+    )
+    remote: tuple[str, ...] = field(
+        default=(), metadata={"help": "processes that run on another host, such as depth"}
+    )
 
 
 @dataclass(frozen=True)
@@ -204,6 +220,7 @@ class Config:
     )
     source: SourceConfig = field(default_factory=SourceConfig)
     bus: BusConfig = field(default_factory=BusConfig)
+    network: NetworkConfig = field(default_factory=NetworkConfig)
     frames: FramesConfig = field(default_factory=FramesConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     depth: DepthConfig = section(DepthConfig, "depth")

@@ -12,6 +12,8 @@ _SPECIAL = "/*$#?"
 # Links that Zenoh knows and that carry messages of any size reliably.
 _PROTOCOLS = ("tcp", "tls", "quic", "ws", "unixsock-stream")
 
+_LOOPBACK = re.compile(r"localhost|127(\.[0-9]{1,3}){3}|\[::1\]")
+
 
 def check_robot_name(name: str) -> str:
     """The name, if it can stand as one chunk of a Zenoh key expression; else ConfigError."""
@@ -44,7 +46,23 @@ def ready_key(robot: str, process: str) -> str:
     return f"prism/{robot}/internal/ready/{process}"
 
 
-def check_endpoint(endpoint: str) -> str:
+def protocol_of(endpoint: str) -> str:
+    """What an endpoint begins with, such as ``tcp``."""
+    return endpoint.partition("/")[0]
+
+
+def check_loopback(endpoint: str) -> str:
+    """The listener's endpoint, if only this host can reach it; else ConfigError, or BusError if malformed."""
+    check_endpoint(endpoint)
+    host = endpoint.partition("/")[2].rpartition(":")[0]
+    if protocol_of(endpoint) != "unixsock-stream" and not _LOOPBACK.fullmatch(host):
+        raise ConfigError(
+            f"bus.endpoint: {endpoint} is not of this host alone; network.endpoint opens the robot's network"
+        )
+    return endpoint
+
+
+def check_endpoint(endpoint: str, setting: str = "bus.endpoint") -> str:
     """The endpoint, if Zenoh could listen on it or connect to it; else BusError.
 
     Without this, a mistyped endpoint would be retried for ever.
@@ -63,5 +81,5 @@ def check_endpoint(endpoint: str) -> str:
     elif not address:
         problem = "it needs a path after the slash"
     if problem:
-        raise BusError(f"bus.endpoint: {endpoint!r} is no endpoint: {problem}")
+        raise BusError(f"{setting}: {endpoint!r} is no endpoint: {problem}")
     return endpoint

@@ -9,8 +9,9 @@ from typing import Any
 
 import zenoh
 
+from prism_edge.bus.access import access_control, tls
 from prism_edge.bus.keys import check_endpoint
-from prism_edge.config import BusConfig
+from prism_edge.config import BusConfig, NetworkConfig
 from prism_edge.errors import BusError
 from prism_edge.topics import Topic
 
@@ -24,17 +25,22 @@ _PATIENCE_US = 50_000
 _REACH_MS = 5_000
 
 
-def open_session(config: BusConfig, listen: bool, client: bool = False) -> Any:
+def open_session(
+    config: BusConfig, listen: bool, client: bool = False, network: NetworkConfig | None = None
+) -> Any:
     """A Zenoh session that listens on the endpoint, or that connects to it and to those who do so too.
 
     On the listener's host it opens at once and goes on trying; on another host it is a client of the
     listener, because the direct links stay on the host. ``client``: be one here too, which is linked once
-    this returns, for a question and no more. Raises BusError if the endpoint is malformed,
+    this returns, for a question and no more. ``network``: its endpoint is listened on too, and its
+    certificates are shown. Raises BusError if the endpoint is malformed,
     can't be listened on or, from another host, is not reached in time.
     """
-    endpoint = check_endpoint(config.endpoint)
+    endpoint, network = check_endpoint(config.endpoint), network or NetworkConfig()
     if listen:
-        links: dict[str, Any] = {"mode": "peer", "listen/endpoints": [endpoint], "connect/endpoints": []}
+        both = [endpoint, network.endpoint] if network.endpoint else [endpoint]
+        links: dict[str, Any] = {"mode": "peer", "listen/endpoints": both, "connect/endpoints": []}
+        links["scouting/gossip/autoconnect"] = {"peer": []}  # they come to us
     elif on_this_host(endpoint) and not client:
         links = {
             "mode": "peer",
@@ -47,9 +53,11 @@ def open_session(config: BusConfig, listen: bool, client: bool = False) -> Any:
     else:
         links = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": _REACH_MS}
     try:
-        return zenoh.open(_zenoh_config(links, config.retry_ms))
+        rules = {} if links["mode"] == "client" else access_control(network, listen)
+        return zenoh.open(_zenoh_config(links | rules | tls(network), config.retry_ms))
     except zenoh.ZError as error:
-        raise BusError(_why_not(endpoint, str(error))) from None
+        opened = f"{endpoint} and {network.endpoint}" if listen and network.endpoint else endpoint
+        raise BusError(_why_not(opened, str(error))) from None
 
 
 def on_this_host(endpoint: str) -> bool:

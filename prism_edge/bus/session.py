@@ -62,7 +62,7 @@ class Bus:
         of a key, BusError for an endpoint that is malformed or in use.
         """
         keys.check_robot_name(config.robot)
-        session = open_session(config.bus, listen)
+        session = open_session(config.bus, listen, network=config.network)
         return cls(session, config.robot, process, config.is_lockstep)
 
     def __enter__(self) -> Bus:

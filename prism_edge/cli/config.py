@@ -26,11 +26,13 @@ def add_parser(subparsers: Any) -> None:
 def run(args: argparse.Namespace) -> int:
     """Print or check; returns the exit code. Raises ConfigError for anything wrong."""
     if args.check is not None:
+        from prism_edge.bus.access import check_network
         from prism_edge.bus.keys import check_endpoint, check_robot_name
 
         config = load(args.check)
         check_robot_name(config.robot)
         check_endpoint(config.bus.endpoint)
+        check_network(config.network)
         print(f"{args.check}: ok")
     else:
         print(dump(config_from(args), args.explain), end="")

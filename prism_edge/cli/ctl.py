@@ -40,7 +40,7 @@ def run(args: argparse.Namespace) -> int:
 
     config = config_from(args)
     check_robot_name(config.robot)
-    with open_session(config.bus, listen=False, client=True) as session:
+    with open_session(config.bus, listen=False, client=True, network=config.network) as session:
         reply = send(session, config.robot, COMMANDS[args.name], args.argument, max(args.timeout, 0.1))
     if args.json:
         print(pack_reply(reply).decode())

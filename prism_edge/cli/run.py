@@ -39,9 +39,11 @@ def run(args: argparse.Namespace) -> int:
 
 def check(config: Config) -> None:
     """Raise the PrismError that a process would end in, before any is started."""
-    from prism_edge.bus.keys import check_endpoint, check_robot_name
+    from prism_edge.bus.access import check_network
+    from prism_edge.bus.keys import check_loopback, check_robot_name
     from prism_edge.sources.open import open_source
 
     check_robot_name(config.robot)
-    check_endpoint(config.bus.endpoint)
+    check_loopback(config.bus.endpoint)
+    check_network(config.network)
     open_source(config.source)

@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING
 
-from prism_edge.bus.keys import check_endpoint, check_robot_name
+from prism_edge.bus.access import check_network
+from prism_edge.bus.keys import check_loopback, check_robot_name
 from prism_edge.config import Config
 from prism_edge.config_file import dump
 from prism_edge.processes import Process, processes_for
@@ -20,6 +21,7 @@ from prism_edge.supervisor.health import Row, status_line, summary
 from prism_edge.supervisor.liveness import OVERDUE, QUIET_S
 from prism_edge.supervisor.metrics import MetricsServer
 from prism_edge.supervisor.reload import difference
+from prism_edge.supervisor.remote import RemoteWatch
 from prism_edge.supervisor.run_directory import RunDirectory
 from prism_edge.supervisor.watch import Watch
 
@@ -47,7 +49,9 @@ class Supervisor:
     ) -> None:
         self._config, self._command = config, command
         chosen = processes_for(config) if processes is None else processes
-        self._watches = {process.name: Watch(process, config.supervisor) for process in chosen}
+        away = config.network.remote
+        self._watches = {p.name: Watch(p, config.supervisor) for p in chosen if p.name not in away}
+        self._remote = {p.name: RemoteWatch(p.name) for p in chosen if p.name in away}
         self._children: dict[str, Child] = {}
         self._cleanup = contextlib.ExitStack()
         self.started_s = time.monotonic()
@@ -102,7 +106,8 @@ class Supervisor:
         Raises ConfigError for the robot's name and BusError for the endpoint, with nothing left behind.
         """
         check_robot_name(self._config.robot)
-        check_endpoint(self._config.bus.endpoint)
+        check_loopback(self._config.bus.endpoint)
+        check_network(self._config.network)
         self._directory = RunDirectory()
         self._cleanup.callback(self._directory.remove)
         self._file = self._directory.write("config.yaml", dump(self._config))
@@ -186,6 +191,8 @@ class Supervisor:
         first = self._heartbeats.take(timeout_s=LOOK_S)
         now = time.monotonic()
         for heartbeat in [first, *self._heartbeats.drain()]:
+            if heartbeat is not None and heartbeat.process in self._remote:
+                self._remote[heartbeat.process].heard(heartbeat, now)
             if heartbeat is not None and heartbeat.process in self._watches:
                 self._watches[heartbeat.process].heard(heartbeat, now)
                 if heartbeat.process == "source" and heartbeat.state == "ended":
@@ -241,10 +248,12 @@ class Supervisor:
             "up_s": f"{now - self.started_s:.0f}",
         }
         values |= {name: watch.row(now).message for name, watch in self._watches.items()}
+        values |= {name: remote.row(now).message for name, remote in self._remote.items()}
         return Reply(self.ready_s is not None and self.healthy, self._status, values)
 
     def _publish(self, now: float) -> None:
         rows: list[Row] = [watch.row(now) for watch in self._watches.values()]
+        rows += [remote.row(now) for remote in self._remote.values()]
         rows.insert(0, summary(rows, os.getpid(), self.ready_s))
         self._status, self._rows = status_line(rows), rows
         essence = [row.essence for row in rows]

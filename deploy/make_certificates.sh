@@ -1,0 +1,50 @@
+#!/bin/bash
+# Makes a lab's certificates: an authority, and one certificate for each robot, operator or remote process.
+#   deploy/make_certificates.sh FOLDER NAME[,HOST...]...
+# NAME is what a certificate says it is (network.operators, network.remote); HOST what others connect to: a
+# host name or an address. What is there already is kept, so that names can be added later.
+set -euo pipefail
+umask 077
+
+days=${DAYS:-825}
+if (($# < 2)); then
+    echo "usage: deploy/make_certificates.sh FOLDER NAME[,HOST...]...   (DAYS=825: how long they hold)" >&2
+    exit 2
+fi
+folder=$1
+shift
+for given in "$@"; do
+    if [[ ! $given =~ ^[A-Za-z0-9_-][A-Za-z0-9._-]*(,[A-Za-z0-9.:_-]+)*$ || $given == ca || $given == ca,* ]]; then
+        echo "make_certificates.sh: error: '$given' is no NAME[,HOST...]" >&2
+        exit 2
+    fi
+done
+mkdir -p "$folder"
+cd "$folder"
+
+new_key() { openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256 -out "$1" 2> /dev/null; }
+
+if [[ ! -e ca.key ]]; then
+    new_key .ca.key
+    openssl req -x509 -new -key .ca.key -sha256 -days "$((days * 4))" -subj "/CN=prism_edge lab" -out ca.pem \
+        -addext basicConstraints=critical,CA:TRUE,pathlen:0 -addext keyUsage=critical,keyCertSign,cRLSign
+    mv .ca.key ca.key  # last, so that an interrupted run begins again
+    echo "made ca.pem, the authority; keep ca.key off the robots"
+fi
+for given in "$@"; do
+    IFS=, read -r name hosts <<< "$given"
+    [[ ! -e $name.pem ]] || { echo "kept $name.pem"; continue; }
+    alternatives=DNS:$name
+    for host in ${hosts//,/ }; do
+        if [[ $host =~ ^[0-9.]+$ || $host == *:* ]]; then alternatives+=,IP:$host; else alternatives+=,DNS:$host; fi
+    done
+    new_key "$name.key"
+    openssl req -new -key "$name.key" -subj "/CN=$name" -out ".$name.csr"
+    printf '%s\n' "subjectAltName=$alternatives" basicConstraints=critical,CA:FALSE \
+        keyUsage=critical,digitalSignature extendedKeyUsage=serverAuth,clientAuth > ".$name.ext"
+    openssl x509 -req -in ".$name.csr" -CA ca.pem -CAkey ca.key -CAcreateserial -days "$days" -sha256 \
+        -extfile ".$name.ext" -out ".$name.pem" 2> /dev/null
+    mv ".$name.pem" "$name.pem"
+    rm -f ".$name.csr" ".$name.ext"
+    echo "made $name.pem and $name.key ($alternatives)"
+done
