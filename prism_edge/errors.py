@@ -43,3 +43,9 @@ class EvaluationError(PrismError):
     """A run can't be scored, or broke a rule of the evaluation."""
 
     exit_code = 8
+
+
+class CalibrationError(PrismError):
+    """Views of a board don't give a camera's intrinsics."""
+
+    exit_code = 9

@@ -23,6 +23,7 @@ BELOW = {
     "scale": {"geometry"},
     "backend": {"geometry", "tracking"},
     "sources": {"geometry"},
+    "calibration": {"geometry"},
     "bus": {"geometry"},
     "workers": {"geometry", "tracking", "depth", "scale", "backend", "sources", "bus"},
     "supervisor": {"bus", "workers"},

@@ -16,6 +16,7 @@ COMMANDS = {
     "watch": ("prism_edge.cli.watch", "show the poses of a running daemon, or record them"),
     "ctl": ("prism_edge.cli.ctl", "tell a running daemon to do something: pause, reset, save a map, ..."),
     "eval": ("prism_edge.cli.eval", "run a recorded sequence and score the poses against its truth"),
+    "calibrate": ("prism_edge.cli.calibrate", "make a camera file from views of a calibration board"),
     "models": ("prism_edge.cli.models", "list the known depth networks, or describe one"),
     "doctor": ("prism_edge.cli.doctor", "check that this machine has what the daemon needs"),
     "config": ("prism_edge.cli.config", "print the effective configuration, or check a file"),
@@ -32,6 +33,7 @@ EXIT_CODES = """exit codes:
   6    the Zenoh endpoint is in use, not reachable or not valid
   7    a process kept dying and was given up
   8    a run can't be scored, or broke a rule of the evaluation
+  9    views of a board don't give a camera's intrinsics
   70   an error of prism_edge itself
   130  ended by Ctrl-C
 """

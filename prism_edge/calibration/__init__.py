@@ -1,0 +1,1 @@
+"""Intrinsics from views of a calibration board (docs/CAMERAS.md); pure: images in, a camera out."""

@@ -1,0 +1,126 @@
+"""`prism-edge calibrate`: a camera file from views of a calibration board."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from prism_edge.config import SourceConfig
+from prism_edge.errors import CalibrationError, ConfigError
+from prism_edge.geometry.cameras import FISHEYE, PINHOLE
+
+if TYPE_CHECKING:
+    from prism_edge.calibration.board import Board
+    from prism_edge.cli.board_views import Gathered
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "calibrate",
+        help="make a camera file from views of a calibration board",
+        description="Find a printed board in the images of SOURCE and work out the camera's intrinsics from "
+        "them. SOURCE is a folder of images, a video, or a live camera, at the very size (and focus) that "
+        "the daemon is to run with. Hold the flat board in 20 or more places: near enough to fill a third "
+        "of the image, in all its corners, and tilted by 20 to 45 degrees. Views that don't suffice are "
+        "refused with the reason (exit code 9).",
+    )
+    parser.add_argument("source", metavar="SOURCE", help="recording, or camera such as v4l2:/dev/video0")
+    parser.add_argument(
+        "--board",
+        metavar="BOARD",
+        default="chessboard:9x6",
+        help="chessboard:9x6 (inner corners; the default), or charuco:7x5,4X4_50,0.75 (squares, "
+        "dictionary, marker/square); the size of the squares doesn't matter",
+    )
+    parser.add_argument(
+        "--model", choices=(PINHOLE, FISHEYE), default=PINHOLE, help="lens model (default: pinhole)"
+    )
+    parser.add_argument(
+        "--out", metavar="FILE", default="camera.yaml", help="camera file to write (default: camera.yaml)"
+    )
+    parser.add_argument(
+        "--picture", metavar="FILE", help="picture of the coverage (default: beside the file, .png)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="replace files that are there")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Gather, solve, judge, write. Raises ConfigError, SourceError or CalibrationError."""
+    from prism_edge.calibration.board import Board
+    from prism_edge.cli.board_views import gather
+    from prism_edge.sources.open import open_source
+
+    board = Board.parse(args.board)
+    out = Path(args.out)
+    picture = Path(args.picture) if args.picture else out.with_suffix(".png")
+    for path in (out, picture):
+        if path.exists() and not args.overwrite:
+            raise ConfigError(f"{path} is there already: name another with --out, or give --overwrite")
+        if not path.parent.is_dir():
+            raise ConfigError(f"{path}: there is no folder {path.parent}")
+    if out == picture:
+        raise ConfigError(f"{out} can't be both the camera file and the picture")
+    source = open_source(SourceConfig(uri=args.source), calibrated=False)
+    if source.synthetic:
+        raise ConfigError("a simulated camera knows its intrinsics; there is no board in its world")
+    with source:
+        print(f"looking for {args.board} in {source.name}", flush=True)
+        gathered = gather(source, board, lambda line: print(line, flush=True))
+    return _finish(args, board, gathered, source.name, out, picture)
+
+
+def _finish(
+    args: argparse.Namespace, board: Board, gathered: Gathered, name: str, out: Path, picture: Path
+) -> int:
+    import cv2
+
+    from prism_edge.calibration import coverage, verdict
+    from prism_edge.calibration.camera_text import camera_text
+    from prism_edge.calibration.solve import calibrate
+
+    seen = len(gathered.views)
+    if not seen:
+        raise CalibrationError(
+            f"{args.board} was found in none of {gathered.looked} images: is it the board named, flat, sharp "
+            "and wholly in the image? (a chessboard is named by its inner corners)"
+        )
+    chosen = gathered.different()
+    views = [gathered.views[k] for k in chosen]
+    width, height = gathered.width, gathered.height
+    _refuse(verdict.of_views(views, seen, width, height))
+    result = calibrate(board, views, width, height, args.model)
+    encoded = cv2.imencode(".png", coverage.draw(views, [gathered.outlines[k] for k in chosen], result))[1]
+    _write(picture, encoded.tobytes())  # also of what is refused: it shows why
+    camera, used = result.camera, [views[k] for k in result.used]
+    print(f"board found in {seen} of {gathered.looked} images, {len(used)} different views used")
+    print(f"reprojection error {result.rms:.3f} pixels (rms)")
+    for label, value, sigma in zip(
+        ("fx", "fy", "cx", "cy"), (camera.fx, camera.fy, camera.cx, camera.cy), result.sigmas, strict=True
+    ):
+        print(f"{label:<3}{value:10.3f}  +- {sigma:.3f}")
+    print(f"distortion {', '.join(f'{value:.5f}' for value in camera.distortion)}")
+    share = (verdict.covered(used, width, height) > 0).mean()
+    print(f"corners in {share:.0%} of the image; picture: {picture}")
+    _refuse(verdict.of_result(result))
+    _write(out, camera_text(result, len(used), name, args.board).encode())
+    print(f"camera file: {out}")
+    return 0
+
+
+def _refuse(problems: list[str]) -> None:
+    if problems:
+        raise CalibrationError("; ".join(problems))
+
+
+def _write(path: Path, data: bytes) -> None:
+    """All or nothing: a file cut short might be read as another camera."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise CalibrationError(f"{path} can't be written ({error.strerror})") from None

@@ -1,0 +1,128 @@
+"""What is refused, and in which words; what differs, what is drawn, what is written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.calibration import coverage, verdict
+from prism_edge.calibration.board import Board, View
+from prism_edge.calibration.camera_text import camera_text
+from prism_edge.calibration.solve import Calibration, calibrate
+from prism_edge.calibration.views import distinct, outline
+from prism_edge.sources.camera_file import parse_camera
+from tests.calibration.board_scene import FISHEYE_CAMERA, PINHOLE_CAMERA, poses, seen, truth
+
+BOARD = Board.parse("chessboard:9x6")
+
+
+@pytest.fixture(scope="module")
+def views() -> list[View]:
+    return seen(BOARD, PINHOLE_CAMERA, poses(20, BOARD, PINHOLE_CAMERA), 0.1)
+
+
+@pytest.fixture(scope="module")
+def result(views: list[View]) -> Calibration:
+    return calibrate(BOARD, views, 640, 480, "pinhole")
+
+
+def test_good_views_and_a_good_result_pass(views: list[View], result: Calibration) -> None:
+    assert verdict.of_views(views, len(views), 640, 480) == []
+    assert verdict.of_result(result) == []
+
+
+def test_too_few_and_too_similar_are_different_words(views: list[View]) -> None:
+    assert verdict.of_views(views[:4], 4, 640, 480) == [
+        "the board was seen in only 4 different ways, and 10 are needed"
+    ]
+    (line,) = verdict.of_views(views[:4], 200, 640, 480)
+    assert "seen in 200 images, but in only 4 different ways" in line
+    assert "tilt" in line
+
+
+def test_views_in_one_part_of_the_image(views: list[View]) -> None:
+    left = [View(view.corners, view.pixels * (0.4, 0.9)) for view in views]
+    problems = " ".join(verdict.of_views(left, 20, 640, 480))
+    assert "no corner comes near the right edge" in problems
+    assert "of the image, and 60% are needed" in problems
+
+
+def test_a_board_that_is_never_tilted(result: Calibration) -> None:
+    tilts = np.zeros((20, 2))
+    assert "tilt it left and right" in verdict.of_result(replace(result, tilts=tilts))[0]
+    tilts[:5, 0] = 30.0
+    assert "tilt it up and down" in verdict.of_result(replace(result, tilts=tilts))[0]
+
+
+def test_squarely_seen_boards_really_are_refused() -> None:
+    flat = seen(BOARD, PINHOLE_CAMERA, poses(20, BOARD, PINHOLE_CAMERA, tilt_deg=1.0), 0.3)
+    problems = verdict.of_result(calibrate(BOARD, flat, 640, 480, "pinhole"))
+    assert any("faces the camera squarely" in problem for problem in problems)
+
+
+def test_a_fisheye_taken_for_a_pinhole() -> None:
+    views = seen(BOARD, FISHEYE_CAMERA, poses(20, BOARD, FISHEYE_CAMERA), 0.1)
+    problems = verdict.of_result(calibrate(BOARD, views, 640, 480, "pinhole"))
+    assert any("--model fisheye" in problem for problem in problems)
+
+
+def test_large_errors_uncertain_lengths_and_odd_centres(result: Calibration) -> None:
+    off = replace(result, residuals=tuple(3.0 + r for r in result.residuals))
+    assert "the corners miss by 4" in verdict.of_result(off)[0]
+    wide = replace(off.camera, width=5120, height=3840, cx=2560.0, cy=1920.0)
+    assert "4 are allowed" in " ".join(verdict.of_result(replace(off, camera=wide)))
+    unsure = replace(result, sigmas=np.array([12.0, 3.0, 1.0, 1.0]))
+    assert "known to 2.0% only" in verdict.of_result(unsure)[0]
+    odd = replace(result, camera=replace(result.camera, cx=80.0))
+    assert "optical centre" in verdict.of_result(odd)[0]
+
+
+def test_views_that_differ_most_come_first() -> None:
+    square = np.array([[100.0, 100], [200, 100], [200, 180], [100, 180]])
+    shifts = ((0, 0), (3, 3), (300, 0), (302, 1), (0, 200))
+    outlines = [square + np.array(shift) for shift in shifts]
+    assert distinct(outlines, 640, 60) == [0, 3, 4]
+    assert distinct(outlines, 640, 2) == [0, 3]
+    assert distinct([], 640, 2) == []
+    # The same chessboard read from its other end is the same view.
+    assert distinct([square, np.roll(square, 2, axis=0)], 640, 60) == [0]
+
+
+def test_outlines() -> None:
+    board = Board.parse("charuco:9x7")
+    pose = poses(1, board, PINHOLE_CAMERA)[0]
+    ideal = PINHOLE_CAMERA.ideal()
+    exact = truth(board, ideal, pose)
+    part = np.arange(10, 30)  # the outermost corners are out of sight
+    found = outline(board, View(part, exact[part]))
+    assert found is not None
+    np.testing.assert_allclose(found, exact[[0, 7, 47, 40]], atol=0.1)
+    assert outline(board, View(np.arange(4), np.ones((4, 2)))) is None
+
+
+def test_the_picture_shows_corners_and_gaps(views: list[View], result: Calibration) -> None:
+    outlines = [outline(BOARD, view) for view in views]
+    assert all(corners is not None for corners in outlines)
+    picture = coverage.draw(views, outlines, result)  # type: ignore[arg-type]
+    assert picture.shape == (480, 640, 3)
+    for view in (views[k] for k in result.used[:3]):
+        u, v = view.pixels[20].round().astype(int)
+        _, green, red = picture[v, u].astype(int)
+        assert green > red + 50
+    one = replace(result, used=(0,), residuals=result.residuals[:1])
+    gaps = coverage.draw(views[:1], outlines[:1], one)  # type: ignore[arg-type]
+    empty = verdict.covered(views[:1], 640, 480) == 0
+    row, column = np.argwhere(empty)[0]
+    assert gaps[row * 120 + 60, column * 106 + 50].tolist() == [205, 205, 235]
+
+
+def test_what_is_written_is_read_back(result: Calibration) -> None:
+    text = camera_text(result, 20, "folder\nwidth: 3", "chessboard:9x6")
+    camera = parse_camera(text)
+    assert (camera.width, camera.height, camera.model) == (640, 480, "pinhole")
+    assert camera.fx == pytest.approx(result.camera.fx, abs=1e-6)
+    assert camera.distortion == pytest.approx(result.camera.distortion, abs=1e-9)
+    fisheye = replace(result, camera=FISHEYE_CAMERA)
+    assert parse_camera(camera_text(fisheye, 20, "x", "y")) == FISHEYE_CAMERA

@@ -1,0 +1,165 @@
+"""`prism-edge calibrate` from the command line: recordings, live cameras, refusals in one line."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from sources.live.bench import QUICK, Bench
+
+from prism_edge.calibration.board import Board
+from prism_edge.cli import board_views
+from prism_edge.cli.main import main
+from prism_edge.sources.camera_file import read_camera
+from prism_edge.sources.checks import UNCALIBRATED
+from prism_edge.sources.live.camera import LiveCamera
+from prism_edge.sources.live.driver import Grab
+from tests.calibration.board_scene import PINHOLE_CAMERA, gallery
+
+SPEC = "charuco:9x7"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("board")
+    for k, image in enumerate(gallery(SPEC, PINHOLE_CAMERA)[1]):
+        cv2.imwrite(str(folder / f"{k}.png"), image)
+    (folder / "x.png").write_bytes(b"no image")
+    return folder
+
+
+def calibrate(*words: object) -> int:
+    return main(["calibrate", *map(str, words)])
+
+
+def test_a_folder_of_images(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "camera.yaml"
+    assert calibrate(recording, "--board", SPEC, "--out", out) == 0
+    camera = read_camera(out)
+    assert camera.fx == pytest.approx(PINHOLE_CAMERA.fx, rel=0.003)
+    assert cv2.imread(str(tmp_path / "camera.png")).shape == (480, 640, 3)
+    printed = capsys.readouterr().out
+    assert "reprojection error 0." in printed
+    assert "board found in 16 of 16 images" in printed
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["camera.png", "camera.yaml"]
+    # What is there stays there, unless told.
+    assert calibrate(recording, "--board", SPEC, "--out", out) == 3
+    assert "--overwrite" in capsys.readouterr().err
+    assert calibrate(recording, "--board", SPEC, "--out", out, "--overwrite") == 0
+
+
+def test_a_video(recording: Path, tmp_path: Path) -> None:
+    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 30, (640, 480))
+    for image in gallery(SPEC, PINHOLE_CAMERA)[1]:
+        for _ in range(6):  # a fifth of a second each
+            writer.write(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
+    writer.release()
+    out = tmp_path / "c.yaml"
+    assert calibrate(tmp_path / "v.avi", "--board", SPEC, "--out", out, "--picture", tmp_path / "p.png") == 0
+    assert read_camera(out).fx == pytest.approx(PINHOLE_CAMERA.fx, rel=0.003)
+    assert (tmp_path / "p.png").is_file()
+
+
+def refused(capsys: pytest.CaptureFixture[str], code: int, *words: object) -> str:
+    assert calibrate(*words) == code
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    return error
+
+
+def test_another_board_than_the_one_named(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "camera.yaml"
+    error = refused(capsys, 9, recording, "--board", "charuco:9x7,6X6_50", "--out", out)
+    assert "charuco:9x7,6X6_50 was found in none of 16 images" in error
+    assert not out.exists()
+
+
+def test_too_few_views(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for k, image in enumerate(gallery(SPEC, PINHOLE_CAMERA)[1][:5]):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), image)
+    error = refused(capsys, 9, tmp_path, "--board", SPEC, "--out", tmp_path / "c.yaml")
+    assert "only 5 different ways, and 10 are needed" in error
+
+
+def test_images_of_different_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cv2.imwrite(str(tmp_path / "0.png"), np.zeros((48, 64), np.uint8))
+    cv2.imwrite(str(tmp_path / "1.png"), np.zeros((96, 128), np.uint8))
+    assert "differ in size" in refused(capsys, 9, tmp_path, "--out", tmp_path / "c.yaml")
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "says"),
+    [
+        (["sim:room"], 3, "knows its intrinsics"),
+        (["/nowhere"], 4, "does not exist"),
+        (["v4l2:video0"], 4, "by its path"),
+        (["SOURCE", "--board", "checkers"], 3, "chessboard:9x6"),
+        (["SOURCE", "--out", "/nowhere/c.yaml"], 3, "no folder"),
+        (["SOURCE", "--out", "OUT/c.png"], 3, "both the camera file and the picture"),
+    ],
+)
+def test_what_can_not_be_meant(
+    words: list[str],
+    code: int,
+    says: str,
+    recording: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    known = {"SOURCE": str(recording), "OUT/c.png": str(tmp_path / "c.png")}
+    given = [known.get(word, word) for word in words]
+    if "--out" not in given:
+        given += ["--out", str(tmp_path / "c.yaml")]
+    assert says in refused(capsys, code, *given)
+
+
+def test_a_result_that_can_not_be_written(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Path, data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert calibrate(recording, "--board", SPEC, "--out", tmp_path / "c.yaml") == 9
+    assert list(tmp_path.iterdir()) == []
+
+
+def live(monkeypatch: pytest.MonkeyPatch, enough: int) -> LiveCamera:
+    """A camera before which the board is held in one place after the other."""
+    monkeypatch.setattr(board_views, "_ENOUGH", enough)
+    images = itertools.cycle(gallery(SPEC, PINHOLE_CAMERA)[1])
+
+    def script(k: int) -> Grab:
+        time.sleep(0.002)
+        return Grab(time.monotonic_ns(), lambda: next(images))
+
+    return LiveCamera(Bench(script), UNCALIBRATED, "none", QUICK)
+
+
+def test_a_live_camera_until_it_is_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+    with live(monkeypatch, 10) as camera:
+        gathered = board_views.gather(camera, Board.parse(SPEC), said.append)
+    assert 10 <= len(gathered.views) <= 16
+    assert any("different ways" in line for line in said)
+    assert said[-1] == f"{len(gathered.views)} views"
+
+
+def test_a_live_camera_until_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+
+    def say(line: str) -> None:
+        said.append(line)
+        if "3 views" in line:
+            raise KeyboardInterrupt
+
+    with live(monkeypatch, 100) as camera:
+        gathered = board_views.gather(camera, Board.parse(SPEC), say)
+    assert len(gathered.views) == 3
+    assert said[-1] == "ended"
