@@ -153,6 +153,8 @@ class BackendConfig:
         0.6, 0.01, 5.0, "relative noise of a depth, what a network's pixels share included"
     )
     huber_depth_m: float = limits(0.1, 0.001, 10.0, "Huber threshold of a depth residual (m)")
+    loops: bool = field(default=True, metadata={"help": "recognise places seen before, and close loops"})
+    loop_inliers: int = limits(30, 10, 1000, "points that must agree on a loop")
     max_carried: int = limits(10_000, 0, 1_000_000, "poses kept of culled keyframes, the last culled")
 
 

@@ -29,6 +29,14 @@ def array(dtype: str, *shape: int) -> Any:
     return field(metadata={"dtype": dtype, "shape": shape})
 
 
+def optional(dtype: str, *shape: int) -> Any:
+    """An array field that is empty where it isn't given."""
+    empty = tuple(max(n, 0) for n in shape)
+    return field(
+        default_factory=lambda: np.zeros(empty, dtype), metadata={"dtype": dtype, "shape": shape}
+    )
+
+
 @dataclass(frozen=True)
 class Frame:
     """One camera image.
@@ -195,6 +203,12 @@ class MapUpdate:
     parallax_deg: F32 = array("float32", -1)  # widest angle between the rays of each point
     dropped_keyframes: I64 = array("int64", -1)  # observations found to be wrong: keyframe,
     dropped_points: I64 = array("int64", -1)  # ... point
+    # A loop shows that points are one, and that keyframes see points of the other end: keyframe,
+    fused_from: I64 = optional("int64", -1)
+    fused_into: I64 = optional("int64", -1)
+    added_keyframes: I64 = optional("int64", -1)
+    added_points: I64 = optional("int64", -1)  # ... point,
+    added_keypoints: I64 = optional("int64", -1)  # ... keypoint
 
 
 @dataclass(frozen=True)
@@ -210,6 +224,11 @@ class MapSnapshot:
     poses: F64 = array("float64", -1, 4, 4)
     points: I64 = array("int64", -1)
     positions: F64 = array("float64", -1, 3)
+    # Every loop that was accepted: the later keyframe's frame, the earlier one's, and what was measured then.
+    loop_queries: I64 = optional("int64", -1)  # frame indices
+    loop_candidates: I64 = optional("int64", -1)
+    loop_poses: F64 = optional("float64", -1, 4, 4)  # candidate_from_query, map units
+    loop_inliers: I64 = optional("int64", -1)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +10,16 @@ from numpy.typing import NDArray
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, normalised
 from prism_edge.messages import Keyframe
+from prism_edge.tracking.features import Features
 from prism_edge.tracking.pose_refinement import refine_pose
 
 MIN_COMMON = 15
+MAX_RENAMED = 20_000  # points that became others, remembered for a while
+
+
+def no_features() -> Features:
+    """The keypoints of a view that shows nothing."""
+    return Features.build(np.zeros((0, 2)), np.zeros(0, np.intp), np.zeros((0, 4), np.uint64), 1, 1)
 
 
 @dataclass
@@ -28,6 +35,9 @@ class GlobalKeyframe:
     observed: dict[int, int]
     # Network depth at each keypoint along z, in map units by this keyframe's own scale; 0 for none.
     depths: NDArray[np.float64] | None = None
+    features: Features = field(default_factory=no_features, repr=False)
+    scale_factor: float = 1.2  # between pyramid levels
+    travelled: float = 0.0  # path length to here, map units as the tracker had them
 
 
 @dataclass
@@ -52,13 +62,17 @@ class GlobalMap:
         self.points: dict[int, GlobalPoint] = {}
         # A culled keyframe still carries frames: its pose hangs on one that is here (id, link, frame index).
         self.carried: dict[int, tuple[int, Array, int]] = {}
+        # Points that a loop made one: the tracker may still speak of the old identity until it hears of it.
+        self._now: dict[int, int] = {}
 
     def absorb(self, message: Keyframe) -> GlobalKeyframe:
         """Take in a keyframe message.
 
         While corrections are on their way to the tracker, its world and this one differ: what it placed
-        (the keyframe, new points) is put where the keyframe fits the points that both know.
+        (the keyframe, new points) is put where the keyframe fits the points that both know. Points that a
+        loop made one here are taken for what they became.
         """
+        message = self._renamed(message)
         world_correction = self._correction(message)
         for point, position in zip(message.new_points.tolist(), message.new_positions, strict=True):
             moved = world_correction[:3, :3] @ position + world_correction[:3, 3]
@@ -68,7 +82,7 @@ class GlobalMap:
             else:
                 known.position = moved
         for old, kept in zip(message.fused_from.tolist(), message.fused_into.tolist(), strict=True):
-            self._fuse(old, kept)
+            self.fuse(old, kept)
         for point in message.culled_points.tolist():
             self._forget_point(point)
         for point, keyframe, keypoint in zip(
@@ -77,20 +91,24 @@ class GlobalMap:
             message.late_keypoints.tolist(),
             strict=True,
         ):
-            self._observe(keyframe, point, keypoint)
+            self.observe(keyframe, point, keypoint)
         keypoints = np.flatnonzero(message.points >= 0)
+        camera = Camera.from_array(message.camera_model, message.camera)
         added = GlobalKeyframe(
             message.id,
             message.index,
-            Camera.from_array(message.camera_model, message.camera),
+            camera,
             normalised(world_correction @ message.world_from_camera),
             message.pixels.astype(np.float64),
             message.scale_factor ** message.octaves.astype(np.float64),
             {},
+            features=_features(message, camera),
+            scale_factor=message.scale_factor,
+            travelled=message.travelled,
         )
         self.keyframes[message.id] = added
         for keypoint in keypoints.tolist():
-            self._observe(message.id, int(message.points[keypoint]), keypoint)
+            self.observe(message.id, int(message.points[keypoint]), keypoint)
         # Last, as in the tracker: what the new keyframe sees keeps points that these leave behind.
         for keyframe in message.culled_keyframes.tolist():
             self._forget_keyframe(keyframe)
@@ -98,22 +116,56 @@ class GlobalMap:
 
     def _correction(self, message: Keyframe) -> Array:
         """This map's world from the tracker's (4, 4), near a new keyframe."""
+        moved = np.eye(4)
+        if message.anchor in self.keyframes:
+            moved = self.keyframes[message.anchor].world_from_camera @ inverse(message.world_from_anchor)
         new = set(message.new_points.tolist())
         pairs = [(i, p) for i, p in enumerate(message.points.tolist()) if p in self.points and p not in new]
         if len(pairs) >= MIN_COMMON:
             keypoints = np.array([i for i, _ in pairs])
             estimate = refine_pose(
                 Camera.from_array(message.camera_model, message.camera),
-                message.world_from_camera,
+                normalised(moved @ message.world_from_camera),
                 np.array([self.points[p].position for _, p in pairs]),
                 message.pixels[keypoints].astype(np.float64),
                 message.scale_factor ** message.octaves[keypoints].astype(np.float64),
             )
             if estimate.inliers.sum() >= MIN_COMMON:
                 return estimate.world_from_camera @ inverse(message.world_from_camera)
-        if message.anchor in self.keyframes:
-            return self.keyframes[message.anchor].world_from_camera @ inverse(message.world_from_anchor)
-        return np.eye(4)
+        return moved
+
+    def _renamed(self, message: Keyframe) -> Keyframe:
+        """The message in the identities that points have here."""
+        if not self._now:
+            return message
+        for kept in message.fused_into.tolist():
+            # Made one here the other way round than there: what the tracker keeps is what counts.
+            if kept in self._now and (present := self.present(kept)) in message.fused_from:
+                del self._now[kept]
+                self.fuse(present, kept)
+        points = np.array([self.present(p) for p in message.points.tolist()], np.int64)
+        # Two keypoints may show what is one point now: the first keeps it.
+        _, firsts = np.unique(points, return_index=True)
+        double = np.ones(len(points), bool)
+        double[firsts] = False
+        points[double] = -1
+        fresh = np.array([p not in self._now for p in message.new_points.tolist()], bool)
+        return replace(
+            message,
+            points=points,
+            new_points=message.new_points[fresh],
+            new_positions=message.new_positions[fresh],
+            culled_points=np.array([p for p in message.culled_points.tolist() if p not in self._now], np.int64),
+            late_points=np.array([self.present(p) for p in message.late_points.tolist()], np.int64),
+            fused_from=np.array([self.present(p) for p in message.fused_from.tolist()], np.int64),
+            fused_into=np.array([self.present(p) for p in message.fused_into.tolist()], np.int64),
+        )
+
+    def present(self, point: int) -> int:
+        """The identity that a point has now."""
+        while point in self._now:
+            point = self._now[point]
+        return point
 
     def drop_observation(self, keyframe: int, point: int) -> None:
         """Forget that a keyframe sees a point; a point nobody sees is forgotten too."""
@@ -143,7 +195,8 @@ class GlobalMap:
             known.update(zip(self.carried, anchors @ links, strict=True))
         return known
 
-    def _observe(self, keyframe: int, point: int, keypoint: int) -> None:
+    def observe(self, keyframe: int, point: int, keypoint: int) -> None:
+        """Note that a keyframe sees a point; nothing where either is not here."""
         if keyframe in self.keyframes and point in self.points:
             self.keyframes[keyframe].observed[point] = keypoint
             self.points[point].keyframes.add(keyframe)
@@ -175,13 +228,27 @@ class GlobalMap:
                 self._forget_point(point)
         del self.keyframes[keyframe]
 
-    def _fuse(self, old: int, kept: int) -> None:
-        if old not in self.points:
+    def fuse(self, old: int, kept: int) -> None:
+        """Make two points one; where a keyframe saw both, it keeps seeing ``kept`` as it did."""
+        if old not in self.points or old == kept:
             return
         # A point that came and went between two messages may be a link to one that stayed.
         self.points.setdefault(kept, GlobalPoint(self.points[old].position))
-        for keyframe in list(self.points[old].keyframes):
+        for keyframe in sorted(self.points[old].keyframes):
             keypoint = self.keyframes[keyframe].observed.pop(old)
             if kept not in self.keyframes[keyframe].observed:
-                self._observe(keyframe, kept, keypoint)
+                self.observe(keyframe, kept, keypoint)
         del self.points[old]
+        self._now[old] = kept
+        while len(self._now) > MAX_RENAMED:
+            del self._now[next(iter(self._now))]
+
+
+def _features(message: Keyframe, camera: Camera) -> Features:
+    return Features.build(
+        message.pixels.astype(np.float64),
+        message.octaves.astype(np.intp),
+        np.ascontiguousarray(message.descriptors).view(np.uint64).reshape(-1, 4),
+        camera.width,
+        camera.height,
+    )

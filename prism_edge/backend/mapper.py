@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.loop_closing import LoopCloser, MapChanges
 from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
@@ -21,19 +22,26 @@ MIN_ALIGNED_PARALLAX_DEG = 1.0
 class Mapper:
     """Owns the global map of one epoch. Knows nothing of the bus."""
 
-    def __init__(self, config: BackendConfig, use_depth: bool = True, first_id: int = 0) -> None:
+    def __init__(self, config: BackendConfig, use_depth: bool = True, first_id: int = 0, seed: int = 0) -> None:
         """Updates are numbered from ``first_id``."""
         self._config = config
         self._use_depth = use_depth
-        self.world = GlobalMap(config.max_carried)
-        self.epoch = 0
+        self._seed = seed
+        self._begin(0)
         self.sequence = first_id
+
+    def _begin(self, epoch: int) -> None:
+        self.epoch = epoch
+        self.world = GlobalMap(self._config.max_carried)
+        self.loops = LoopCloser(self.world, self._config, self._use_depth, self._seed)
 
     def absorb(self, message: Keyframe) -> None:
         """Take in a keyframe; a new epoch begins a new map."""
         if message.epoch != self.epoch:
-            self.world, self.epoch = GlobalMap(self._config.max_carried), message.epoch
+            self._begin(message.epoch)
         self.world.absorb(message)
+        for gone in message.culled_keyframes.tolist():
+            self.loops.index.remove(gone)
 
     def add_depth(
         self, message: Keyframe, depth: NDArray[np.float32], image_to_depth: Array, log_scale: float
@@ -92,6 +100,38 @@ class Mapper:
             parallax_deg=np.array([solution.parallax_deg[p] for p in alive], np.float32),
             dropped_keyframes=outliers[:, 0],
             dropped_points=outliers[:, 1],
+        )
+
+    def whole(self, newest: int, changes: MapChanges, beside: MapUpdate | None = None) -> MapUpdate:
+        """An update of everything, after a loop or a global adjustment; ``beside`` is the window's own."""
+        world = self.world
+        self.sequence += 1
+        dropped = np.array(changes.dropped, np.int64).reshape(-1, 2)
+        if beside is not None:
+            own = np.stack([beside.dropped_keyframes, beside.dropped_points], axis=1)
+            dropped = np.concatenate([own, dropped])
+        fused = np.array(changes.fused, np.int64).reshape(-1, 2)
+        added = np.array(changes.added, np.int64).reshape(-1, 3)
+        points = list(world.points.items())
+        return MapUpdate(
+            epoch=self.epoch,
+            sequence=self.sequence,
+            based_on=newest,
+            index=world.keyframes[newest].index,
+            loop_closed=bool(changes.fused or changes.added),
+            solve_ms=0.0 if beside is None else beside.solve_ms,
+            keyframes=np.array(list(world.keyframes), np.int64),
+            poses=np.array([k.world_from_camera for k in world.keyframes.values()]).reshape(-1, 4, 4),
+            points=np.array([p for p, _ in points], np.int64),
+            positions=np.array([point.position for _, point in points]).reshape(-1, 3),
+            parallax_deg=np.array([point.parallax_deg for _, point in points], np.float32),
+            dropped_keyframes=dropped[:, 0],
+            dropped_points=dropped[:, 1],
+            fused_from=fused[:, 0],
+            fused_into=fused[:, 1],
+            added_keyframes=added[:, 0],
+            added_points=added[:, 1],
+            added_keypoints=added[:, 2],
         )
 
     def nothing(self, message: Keyframe) -> MapUpdate:

@@ -119,9 +119,9 @@ def solve(
     points = {p: np.asarray(result.atPoint3(L(p))) for p in window.points}
     if not all(np.all(np.isfinite(v)) for v in (*poses.values(), *points.values())):
         return None
-    outliers = _outliers(world, poses, points, observations, config)
+    wrong = outliers(world, poses, points, observations, config)
     parallax = widest_parallax(world, points)
-    return Solution(poses, points, parallax, outliers, iterations, before, optimiser.error())
+    return Solution(poses, points, parallax, wrong, iterations, before, optimiser.error())
 
 
 def widest_parallax(world: GlobalMap, points: dict[int, Array]) -> dict[int, float]:
@@ -141,7 +141,7 @@ def widest_parallax(world: GlobalMap, points: dict[int, Array]) -> dict[int, flo
     return dict(zip(points, angles.tolist(), strict=True))
 
 
-def _outliers(
+def outliers(
     world: GlobalMap,
     poses: dict[int, Array],
     points: dict[int, Array],

@@ -21,6 +21,7 @@ _SOLVE_S = 20.0
 _PATIENCE_S = 30.0  # lockstep: a keyframe or depth that takes longer isn't coming
 # Real time: how long a keyframe waits for its depth before its window is solved without.
 _DEPTH_WAIT_S = 0.25
+_LOCKSTEP_STEPS = 3  # of a global adjustment with each keyframe
 
 
 class BackendWorker:
@@ -30,12 +31,13 @@ class BackendWorker:
         self._config, self._bus = config, bus
         self._peers = {process.name for process in processes_for(config)} - {"backend"}
         self._use_depth = "depth_factor" not in config.ablate and "depth" in self._peers
+        self._close_loops = config.backend.loops and "loop" not in config.ablate
         self._keyframes = bus.queue("keyframe", 64)
         self._depths = bus.queue("depth", 64)
         self._scales = bus.queue("log_scale", 64)
         self._ends = bus.queue("end")
         self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
-        self._mapper = Mapper(config.backend, self._use_depth, bus.first_id)
+        self._mapper = Mapper(config.backend, self._use_depth, bus.first_id, config.seed)
         self._waiting: deque[tuple[float, Keyframe]] = deque()
         self._early: dict[int, Depth] = {}
         self._log_scale = 0.0
@@ -56,6 +58,8 @@ class BackendWorker:
             # The last keyframe may still be under way when the end is: one quiet look more.
             if ending and not worked and not self._waiting and not self._settled:
                 self._receive(4 * _LOOK_S)
+                while self._mapper.loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
+                    self._adjust()
                 if not self._waiting:
                     self._settled = True
                     self._snapshot = self._take_snapshot()
@@ -65,7 +69,7 @@ class BackendWorker:
 
     def _realtime(self) -> bool:
         """Absorb every keyframe at once, solve the window of the newest; whether there was one."""
-        self._receive(_LOOK_S)
+        self._receive(0.0 if self._mapper.loops.adjusting else _LOOK_S)
         newest: Keyframe | None = None
         while self._waiting:
             arrived, keyframe = self._waiting[0]
@@ -75,10 +79,11 @@ class BackendWorker:
             self._waiting.popleft()
             self._absorb(keyframe)
             newest = keyframe
-        if newest is None:
-            return False
-        self._solve(newest)
-        return True
+        if newest is not None:
+            self._solve(newest)
+        elif self._mapper.loops.adjusting:
+            self._adjust()
+        return newest is not None
 
     def _receive(self, timeout_s: float) -> None:
         first = self._keyframes.take(timeout_s)
@@ -102,10 +107,20 @@ class BackendWorker:
         self._scaled = {k for k in self._scaled if k > keyframe.id}
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
             self._mapper.add_depth(keyframe, depth.depth, depth.image_to_depth, self._log_scale)
+        if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
+            self._mapper.loops.add_place(keyframe.id, depth.descriptor)
 
     def _solve(self, keyframe: Keyframe) -> MapUpdate | None:
         self._bus.pulse.working(f"window of keyframe {keyframe.id}", _SOLVE_S)
+        loops, adjusted = self._mapper.loops, False
+        if self._ticks is not None and loops.adjusting:
+            # In lockstep its result comes a fixed number of keyframes after its beginning.
+            for _ in range(_LOCKSTEP_STEPS):
+                adjusted = adjusted or loops.adjust(float(np.exp(-self._log_scale))) is not None
         update = self._mapper.optimise(keyframe.id, self._log_scale)
+        closed = loops.look(keyframe.id) if self._close_loops else None
+        if closed is not None or adjusted:
+            update = self._mapper.whole(keyframe.id, loops.take_changes(), update)
         if update is not None:
             self._bus.publish("map_update", update)
             self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
@@ -115,6 +130,15 @@ class BackendWorker:
         self._bus.pulse.values["behind"] = str(len(self._waiting))
         self._bus.pulse.idle()
         return update
+
+    def _adjust(self) -> None:
+        """One step of the global adjustment, so that keyframes are heard in between."""
+        self._bus.pulse.working("global adjustment", _SOLVE_S)
+        loops, world = self._mapper.loops, self._mapper.world
+        if loops.adjust(float(np.exp(-self._log_scale))) is not None:
+            self._bus.publish("map_update", self._mapper.whole(max(world.keyframes), loops.take_changes()))
+            self._snapshot = self._take_snapshot()
+        self._bus.pulse.idle()
 
     # -- lockstep -----------------------------------------------------------------------------------
 
@@ -152,7 +176,7 @@ class BackendWorker:
     # -- the map for others -------------------------------------------------------------------------
 
     def _take_snapshot(self) -> MapSnapshot:
-        world = self._mapper.world
+        world, loops = self._mapper.world, self._mapper.loops.accepted
         poses = world.poses()
         indices = [world.keyframes[k].index if k in world.keyframes else world.carried[k][2] for k in poses]
         return MapSnapshot(
@@ -165,6 +189,10 @@ class BackendWorker:
             poses=np.array(list(poses.values())).reshape(-1, 4, 4),
             points=np.array(list(world.points), np.int64),
             positions=np.array([p.position for p in world.points.values()]).reshape(-1, 3),
+            loop_queries=np.array([loop.query_index for loop in loops], np.int64),
+            loop_candidates=np.array([loop.candidate_index for loop in loops], np.int64),
+            loop_poses=np.array([loop.candidate_from_query for loop in loops]).reshape(-1, 4, 4),
+            loop_inliers=np.array([loop.inliers for loop in loops], np.int64),
         )
 
 

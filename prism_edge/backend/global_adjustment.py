@@ -1,0 +1,164 @@
+"""Bundle adjustment of all keyframes, a step at a time so that whoever runs it can answer in between."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from prism_edge.backend.factors import FactorFactory, held
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.window import CONVERGED, DEPTH_PARALLAX_DEG, outliers, widest_parallax
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
+
+MOST_STEPS = 12
+OBSERVATIONS = 250  # of a keyframe at most
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """Where the keyframes and points belong that were there when it began."""
+
+    poses: dict[int, Array]
+    points: dict[int, Array]
+    error_before: float
+    error_after: float
+    steps: int
+    cpu_s: float
+
+
+class GlobalAdjustment:
+    """All keyframes with metric depth where rays say little (paper, section 3.5), the first pose held."""
+
+    def __init__(
+        self,
+        world: GlobalMap,
+        config: BackendConfig,
+        units_per_metre: float,
+        use_depth: bool,
+    ) -> None:
+        """Takes down the map as it is now; raises RuntimeError where gtsam can't begin."""
+        began = time.process_time()
+        self._newest = max(world.keyframes)
+        self._before = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
+        self._points = _choose_points(world)
+        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        factors = FactorFactory(config, units_per_metre)
+        seen: set[int] = set()
+        for p in self._points:
+            point = world.points[p]
+            values.insert(L(p), point.position)
+            deepen = use_depth and point.parallax_deg < DEPTH_PARALLAX_DEG
+            for k in sorted(point.keyframes):
+                keyframe = world.keyframes[k]
+                keypoint = keyframe.observed[p]
+                seen.add(k)
+                graph.add(factors.reprojection(X(k), L(p), keyframe, keypoint))
+                if deepen and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
+                    graph.add(factors.metric_depth(X(k), L(p), keyframe, keypoint))
+        self._keyframes = sorted(seen)
+        for k in self._keyframes:
+            values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
+        if self._keyframes:
+            graph.add(held(X(self._keyframes[0]), self._before[self._keyframes[0]]))
+        parameters = gtsam.LevenbergMarquardtParams()
+        parameters.setlambdaInitial(1e-4)
+        self._optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+        self._error_before = self._error = self._optimiser.error()
+        self._steps = 0
+        self.done = len(self._keyframes) < 3
+        self._near = [
+            p for p in world.keyframes[self._newest].observed if p in world.points and p in set(self._points)
+        ]
+        self._near_before = np.array([world.points[p].position for p in self._near]).reshape(-1, 3)
+        self._cpu_s = time.process_time() - began
+
+    def step(self) -> bool:
+        """One iteration; True once there is nothing more to gain."""
+        if self.done:
+            return True
+        began = time.process_time()
+        try:
+            self._optimiser.iterate()
+        except RuntimeError:  # an indeterminate system: what there is so far has to do
+            self.done = True
+            return True
+        self._steps += 1
+        error = self._optimiser.error()
+        self.done = self._steps >= MOST_STEPS or self._error - error < 10 * CONVERGED * self._error
+        self._error = error
+        self._cpu_s += time.process_time() - began
+        return self.done
+
+    def result(self) -> Adjusted | None:
+        """What it came to, in the unit that the newest keyframe had; None where it is unusable."""
+        values = self._optimiser.values()
+        poses = {k: np.asarray(values.atPose3(X(k)).matrix()) for k in self._keyframes}
+        points = {p: np.asarray(values.atPoint3(L(p))) for p in self._points}
+        if not poses or not all(np.isfinite(v).all() for v in (*poses.values(), *points.values())):
+            return None
+        unit = self._unit_change(poses, points)
+        if not 0.5 < unit < 2.0:
+            return None
+        anchor = poses[self._keyframes[0]][:3, 3].copy()
+        for k, pose in poses.items():
+            poses[k] = normalised(from_rt(pose[:3, :3], anchor + (pose[:3, 3] - anchor) / unit))
+        points = {p: anchor + (place - anchor) / unit for p, place in points.items()}
+        return Adjusted(poses, points, self._error_before, self._error, self._steps, self._cpu_s)
+
+    def _unit_change(self, poses: dict[int, Array], points: dict[int, Array]) -> float:
+        """How much longer lengths at the newest keyframe have become: scale is for its unit."""
+        if self._newest not in poses or len(self._near) < 10:
+            return 1.0
+        before = transform(inverse(self._before[self._newest]), self._near_before)[:, 2]
+        now = transform(inverse(poses[self._newest]), np.array([points[p] for p in self._near]))[:, 2]
+        good = (before > 1e-6) & (now > 1e-6)
+        return float(np.median(now[good] / before[good])) if good.sum() >= 10 else 1.0
+
+
+def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[tuple[int, int]]:
+    """Take the result over; what came since moves with its surroundings. Returns observations found wrong."""
+    motion: dict[int, Array] = {}
+    for k in sorted(world.keyframes):
+        keyframe = world.keyframes[k]
+        before = keyframe.world_from_camera
+        if k in adjusted.poses:
+            keyframe.world_from_camera = adjusted.poses[k]
+        else:
+            known = [o for o, _ in world.covisible(k) if o in motion] or sorted(motion)[-1:]
+            if known:
+                keyframe.world_from_camera = normalised(motion[known[0]] @ before)
+        motion[k] = keyframe.world_from_camera @ inverse(before)
+    moved: dict[int, Array] = {}
+    for p, point in world.points.items():
+        if p in adjusted.points:
+            moved[p] = adjusted.points[p]
+        elif point.keyframes:
+            moved[p] = transform(motion[min(point.keyframes)], point.position[None])[0]
+    for p, place in moved.items():
+        world.points[p].position = place
+    chosen = {p: world.points[p].position for p in adjusted.points if p in world.points}
+    if not chosen:
+        return []
+    for p, angle in widest_parallax(world, chosen).items():
+        world.points[p].parallax_deg = angle
+    poses = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
+    observations = [(k, p, world.keyframes[k].observed[p]) for p in chosen for k in sorted(world.points[p].keyframes)]
+    wrong = outliers(world, poses, chosen, observations, config)
+    for k, p in wrong:
+        world.drop_observation(k, p)
+    return wrong
+
+
+def _choose_points(world: GlobalMap) -> list[int]:
+    """Points that at least two keyframes see: of each keyframe those that most others see too."""
+    chosen: set[int] = set()
+    for k in sorted(world.keyframes):
+        mine = [p for p in world.keyframes[k].observed if len(world.points[p].keyframes) >= 2]
+        mine.sort(key=lambda p: (-len(world.points[p].keyframes), p))
+        chosen.update(mine[:OBSERVATIONS])
+    return sorted(chosen)

@@ -1,0 +1,234 @@
+"""Loops from end to end: found, verified, spread over the map, their double points made one, all adjusted."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from prism_edge.backend import global_adjustment, pose_graph
+from prism_edge.backend.global_adjustment import GlobalAdjustment
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.backend.loops import Loop, Surroundings, median_depth, plausible, verify
+from prism_edge.backend.places import candidates
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import Array, inverse, rotation_angle
+from prism_edge.messages import F32
+from prism_edge.tracking.place_index import PlaceIndex
+
+log = logging.getLogger("prism_edge.backend")
+
+CANDIDATES = 3  # verified for each keyframe at most
+AGREEING = 2  # neighbours of the query that must see the place; or the keyframes after it
+PATIENCE = 3  # keyframes within which another must confirm a loop whose query has too few neighbours
+SAME_ANGLE, SAME_SHIFT = np.radians(3.0), 0.15  # how far two loops of one return may differ; median depths
+SLIGHT_ANGLE, SLIGHT_SHIFT, SLIGHT_STRETCH = np.radians(1.0), 0.03, 0.02  # a window's own work mends that
+FUSED_NEIGHBOURS, FUSE_RADIUS = 5, 5.0
+REST = 8  # keyframes between the beginnings of two global adjustments
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """A loop as it was accepted, for reports."""
+
+    query: int
+    candidate: int
+    query_index: int  # frames
+    candidate_index: int
+    candidate_from_query: Array
+    inliers: int
+
+
+@dataclass
+class MapChanges:
+    """What loops changed besides places; the tracker must do the same."""
+
+    fused: list[tuple[int, int]] = field(default_factory=list)  # from, into
+    added: list[tuple[int, int, int]] = field(default_factory=list)  # keyframe, point, keypoint
+    dropped: list[tuple[int, int]] = field(default_factory=list)  # keyframe, point
+
+
+class LoopCloser:
+    """Watches one map for returns. Every call works on the newest keyframe; nothing here knows time."""
+
+    def __init__(self, world: GlobalMap, config: BackendConfig, use_depth: bool, seed: int = 0) -> None:
+        self._world, self._config, self._use_depth, self._seed = world, config, use_depth, seed
+        self.index = PlaceIndex()
+        self.accepted: list[Accepted] = []
+        self._unconfirmed: list[Loop] = []
+        self._adjustment: GlobalAdjustment | None = None
+        self._wanted = False  # something was closed that no global adjustment has seen
+        self._last_begun = -REST
+        self._count = 0  # keyframes looked at
+        self.changes = MapChanges()
+
+    def add_place(self, keyframe: int, descriptor: F32) -> None:
+        """Note what a keyframe looks like to the network."""
+        if keyframe in self._world.keyframes:
+            self.index.add(keyframe, descriptor)
+
+    def look(self, query: int) -> Accepted | None:
+        """Look for a return to an earlier place; what is accepted is in the map when this returns."""
+        self._count += 1
+        for loop in self._verified(query):
+            if self._confirmed(loop) and self._close(loop):
+                return self.accepted[-1]
+        return None
+
+    def _verified(self, query: int) -> list[Loop]:
+        if query not in self._world.keyframes:
+            return []
+        found = []
+        for candidate in candidates(self._world, self.index, query, CANDIDATES):
+            loop = verify(self._world, query, candidate, self._config.loop_inliers, self._seed)
+            if loop is not None:
+                found.append(loop)
+        return sorted(found, key=lambda loop: -loop.inliers)
+
+    def _confirmed(self, loop: Loop) -> bool:
+        """Whether neighbours of the query, or keyframes just before it, say the same."""
+        recent = [other for other in self._unconfirmed if loop.query - other.query <= PATIENCE]
+        self._unconfirmed = [*recent, loop]
+        apart = not self._connected(loop)
+        if not apart and not plausible(self._world, loop):
+            log.info("loop %d-%d asks for more drift than there can be", loop.query, loop.candidate)
+            return False
+        if loop.neighbours >= AGREEING:
+            return True
+        return any(other.query != loop.query and self._alike(loop, other) for other in recent)
+
+    def _alike(self, loop: Loop, other: Loop) -> bool:
+        """Whether two loops move the newest part of the map by the same motion."""
+        world = self._world
+        if other.query not in world.keyframes:
+            return False
+        view = world.keyframes[loop.query]
+        there = loop.world_from_query @ inverse(view.world_from_camera)
+        also = other.world_from_query @ inverse(world.keyframes[other.query].world_from_camera)
+        off = inverse(also @ view.world_from_camera) @ there @ view.world_from_camera
+        near = float(np.linalg.norm(off[:3, 3])) < SAME_SHIFT * median_depth(world, view)
+        return near and rotation_angle(off[:3, :3]) < SAME_ANGLE
+
+    def _connected(self, loop: Loop) -> bool:
+        return pose_graph.connected(self._world, self._pairs(), loop.query, loop.candidate)
+
+    def _pairs(self) -> list[tuple[int, int]]:
+        return [(a.candidate, a.query) for a in self.accepted]
+
+    def _close(self, loop: Loop) -> bool:
+        world = self._world
+        query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
+        joined = self._connected(loop)
+        if not joined or not self._slight(loop, query):
+            moved = pose_graph.spread(world, loop, self._pairs(), joined)
+            if moved is None:
+                return False
+            pose_graph.apply(world, moved)
+        relative = inverse(candidate.world_from_camera) @ loop.world_from_query
+        self.accepted.append(
+            Accepted(loop.query, loop.candidate, query.index, candidate.index, relative, loop.inliers)
+        )
+        made = self._join(query, [(i, world.present(p)) for i, p in loop.pairs])
+        made += self._join_neighbours(loop)
+        self._unconfirmed.clear()
+        self._wanted = True
+        self._adjustment = None  # what it began with is out of date
+        log.info(
+            "loop: keyframe %d is back at %d (%d points agree, %d keyframes beside it; %d points joined)",
+            loop.query,
+            loop.candidate,
+            loop.inliers,
+            loop.neighbours,
+            made,
+        )
+        return True
+
+    def _slight(self, loop: Loop, query: GlobalKeyframe) -> bool:
+        off = inverse(query.world_from_camera) @ loop.world_from_query
+        shift = float(np.linalg.norm(off[:3, 3])) / median_depth(self._world, query)
+        return (
+            shift < SLIGHT_SHIFT
+            and rotation_angle(off[:3, :3]) < SLIGHT_ANGLE
+            and abs(float(np.log(loop.scale))) < SLIGHT_STRETCH
+        )
+
+    def _join_neighbours(self, loop: Loop) -> int:
+        """What the keyframes beside the query see of the place."""
+        world, made = self._world, 0
+        surroundings = Surroundings(world, loop.candidate, without=loop.query)
+        inside = set(surroundings.keyframes)
+        near = [k for k, shared in world.covisible(loop.query) if shared >= 15 and k not in inside]
+        for k in near[:FUSED_NEIGHBOURS]:
+            view = world.keyframes[k]
+            found = surroundings.look(view, view.world_from_camera, (FUSE_RADIUS,))
+            if found is not None and len(found.keypoints) >= self._config.loop_inliers // 2:
+                pairs = [(i, world.present(p)) for i, p in zip(found.keypoints.tolist(), found.points.tolist(), strict=True)]
+                made += self._join(view, pairs)
+        return made
+
+    def _join(self, view: GlobalKeyframe, pairs: list[tuple[int, int]]) -> int:
+        """Let a keyframe see points of the other end; what it saw in their place becomes them."""
+        world, made = self._world, 0
+        own = {keypoint: point for point, keypoint in view.observed.items()}
+        for keypoint, point in pairs:
+            mine = own.get(keypoint)
+            if point not in world.points or point in view.observed or mine == point:
+                continue
+            if mine is None or mine not in world.points:
+                world.observe(view.id, point, keypoint)
+                self.changes.added.append((view.id, point, keypoint))
+            elif not world.points[mine].keyframes & world.points[point].keyframes:
+                # Two points that one keyframe tells apart are two.
+                world.fuse(mine, point)
+                self.changes.fused.append((mine, point))
+            else:
+                continue
+            made += 1
+        return made
+
+    # -- the global adjustment ------------------------------------------------------------------------
+
+    @property
+    def adjusting(self) -> bool:
+        """Whether a global adjustment has begun, or should."""
+        due = self._count - self._last_begun >= REST
+        return self._adjustment is not None or (self._wanted and due)
+
+    @property
+    def unfinished(self) -> bool:
+        """Whether a loop was closed that no finished global adjustment has seen."""
+        return self._adjustment is not None or self._wanted
+
+    def adjust(self, units_per_metre: float) -> global_adjustment.Adjusted | None:
+        """Take the next step of the global adjustment; its result, already in the map, with the last one."""
+        if self._adjustment is None:
+            self._wanted, self._last_begun = False, self._count
+            try:
+                self._adjustment = GlobalAdjustment(
+                    self._world, self._config, units_per_metre, self._use_depth
+                )
+            except RuntimeError as error:
+                log.warning("no global adjustment: %s", str(error).splitlines()[0][:200])
+            return None
+        if not self._adjustment.step():
+            return None
+        adjusted, self._adjustment = self._adjustment.result(), None
+        if adjusted is None or adjusted.error_after > adjusted.error_before:
+            return None
+        self.changes.dropped += global_adjustment.apply(self._world, adjusted, self._config)
+        log.info(
+            "global adjustment: %d keyframes, %d points, %d steps, %.2f s of CPU, error %.0f to %.0f",
+            len(adjusted.poses),
+            len(adjusted.points),
+            adjusted.steps,
+            adjusted.cpu_s,
+            adjusted.error_before,
+            adjusted.error_after,
+        )
+        return adjusted
+
+    def take_changes(self) -> MapChanges:
+        """What has changed since this was last asked."""
+        taken, self.changes = self.changes, MapChanges()
+        return taken

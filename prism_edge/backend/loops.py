@@ -1,0 +1,284 @@
+"""Whether two keyframes show one place: from matched corners to a pose that the map's points agree with.
+
+Paper, section 3.5: Essential-matrix RANSAC on the corners of both, perspective-n-point on the map's points,
+then points of the candidate's whole surroundings looked for where that pose expects them. A place that only
+looks the same fails one of these, or the check by the query's neighbours, or asks for more drift than the way
+between can have brought (:func:`plausible`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, rotation_angle, scaled, transform
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.matching import match_projected
+from prism_edge.tracking.pose_refinement import refine_pose
+
+Index = NDArray[np.intp]
+
+MATCH_DISTANCE, MATCH_RATIO = 60, 0.9
+MIN_MATCHES, MIN_EPIPOLAR, MIN_PNP = 20, 15, 10
+EPIPOLAR_PX, PNP_PX = 2.0, 5.0
+EPIPOLAR_TRIES = 500
+SURROUNDINGS = 8  # keyframes beside the candidate whose points are looked for
+GUIDED_DISTANCE, GUIDED_RATIO = 64, 0.9
+GUIDED_RADII = (14.0, 7.0)  # pixels at the finest level
+DRIFT_RADIUS = 28.0
+NEIGHBOURS, NEIGHBOUR_INLIERS = 4, 15  # keyframes beside the query that must see the place too
+NEIGHBOUR_ANGLE, NEIGHBOUR_SHIFT = np.radians(3.0), 0.1  # how far they may disagree; of the median depth
+MIN_SCALED = 10  # points seen from both ends that tell the ratio of their units
+DRIFT_SHARE, DRIFT_DEPTHS = 0.15, 0.3  # of the way between; of the median depth
+TURN_DRIFT, TURN_DRIFT_PER_DEPTH = np.radians(10.0), np.radians(0.5)
+
+
+@dataclass(frozen=True)
+class Loop:
+    """Two keyframes that see one place. Lengths are in the unit of the candidate's end."""
+
+    query: int
+    candidate: int
+    world_from_query: Array  # (4, 4) where the candidate's end of the map has the query
+    scale: float  # of the candidate's unit in the query's: a length there times this is one here
+    log_scale_sigma: float
+    inliers: int
+    neighbours: int  # keyframes beside the query that agree
+    pairs: list[tuple[int, int]] = field(repr=False)  # keypoint of the query, point of the candidate's end
+
+
+def match_corners(a: Features, b: Features) -> tuple[Index, Index]:
+    """Mutual nearest descriptors, near enough and clearly nearer than the next; indices into each."""
+    if min(len(a), len(b)) < 2:
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    one, other = _bytes(a.descriptors), _bytes(b.descriptors)
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
+    there = {m.queryIdx: m.trainIdx for m in matcher.match(other, one)}
+    pairs = [
+        (best.queryIdx, best.trainIdx)
+        for best, second in matcher.knnMatch(one, other, k=2)
+        if best.distance <= MATCH_DISTANCE
+        and best.distance < MATCH_RATIO * second.distance
+        and there.get(best.trainIdx) == best.queryIdx
+    ]
+    found = np.array(pairs, np.intp).reshape(-1, 2)
+    return found[:, 0], found[:, 1]
+
+
+def verify(world: GlobalMap, query: int, candidate: int, least: int, seed: int = 0) -> Loop | None:
+    """The loop between two keyframes, at least ``least`` points agreeing; None where there is none."""
+    here, there = world.keyframes[query], world.keyframes[candidate]
+    surroundings = Surroundings(world, candidate, without=query)
+    found = None
+    pose = _first_pose(world, here, there, seed)
+    if pose is not None:
+        found = surroundings.look(here, pose, GUIDED_RADII)
+    if found is None or len(found.keypoints) < least:
+        # Seen from far aside few corners match blindly; where drift is small, the map's own pose leads there.
+        found = surroundings.look(here, here.world_from_camera, (DRIFT_RADIUS, *GUIDED_RADII))
+    if found is None or len(found.keypoints) < least:
+        return None
+    scale, sigma = _unit_ratio(world, here, found)
+    agreeing = _agreeing_neighbours(world, surroundings, here, found.world_from_camera, scale)
+    pairs = list(zip(found.keypoints.tolist(), found.points.tolist(), strict=True))
+    return Loop(query, candidate, found.world_from_camera, scale, sigma, len(pairs), agreeing, pairs)
+
+
+def plausible(world: GlobalMap, loop: Loop) -> bool:
+    """Whether drift along the way from candidate to query can be as large as the loop says."""
+    query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
+    way = abs(query.travelled - candidate.travelled)
+    depth = median_depth(world, query)
+    motion = inverse(query.world_from_camera) @ loop.world_from_query
+    shift = float(np.linalg.norm(query.world_from_camera[:3, 3] - loop.world_from_query[:3, 3]))
+    turn = rotation_angle(motion[:3, :3])
+    return (
+        shift <= DRIFT_SHARE * way + DRIFT_DEPTHS * depth
+        and turn <= TURN_DRIFT + TURN_DRIFT_PER_DEPTH * way / max(depth, 1e-9)
+    )
+
+
+def median_depth(world: GlobalMap, keyframe: GlobalKeyframe) -> float:
+    """Median depth of what a keyframe sees; 1 where it sees nothing."""
+    if not keyframe.observed:
+        return 1.0
+    places = np.array([world.points[p].position for p in keyframe.observed])
+    depth = float(np.median(transform(inverse(keyframe.world_from_camera), places)[:, 2]))
+    return depth if depth > 0 else 1.0
+
+
+@dataclass(frozen=True)
+class Found:
+    """A view placed among points: which keypoint shows which point."""
+
+    world_from_camera: Array
+    keypoints: Index
+    points: NDArray[np.int64]
+
+
+class Surroundings:
+    """The points of a keyframe and of those that see the same, as its end of a loop knows them."""
+
+    def __init__(self, world: GlobalMap, keyframe: int, without: int = -1) -> None:
+        near = [k for k, shared in world.covisible(keyframe) if shared >= 15 and k != without]
+        self.keyframes = [keyframe, *near[:SURROUNDINGS]]
+        seen: dict[int, tuple[int, int]] = {}
+        for k in self.keyframes:
+            for point, keypoint in world.keyframes[k].observed.items():
+                seen.setdefault(point, (k, keypoint))
+        views = [world.keyframes[k] for k, _ in seen.values()]
+        rows = [keypoint for _, keypoint in seen.values()]
+        self.points = np.array(list(seen), np.int64)
+        self.positions = np.array([world.points[p].position for p in seen]).reshape(-1, 3)
+        pairs = list(zip(views, rows, strict=True))
+        self.descriptors = np.array([v.features.descriptors[i] for v, i in pairs], np.uint64).reshape(-1, 4)
+        self.octaves = np.array([v.features.octaves[i] for v, i in pairs], np.intp)
+        centres = np.array([v.world_from_camera[:3, 3] for v in views]).reshape(-1, 3)
+        self.distances = np.linalg.norm(self.positions - centres, axis=1)
+        self.directions = (centres - self.positions) / np.maximum(self.distances, 1e-9)[:, None]
+
+    def look(self, view: GlobalKeyframe, start: Array, radii: tuple[float, ...]) -> Found | None:
+        """Look for the points where ``start`` (world_from_camera) expects them in a view, then refine it."""
+        pose = start
+        for radius in radii:
+            query, keypoint = self._match(view, pose, radius)
+            if len(query) < 6:
+                return None
+            estimate = refine_pose(
+                view.camera, pose, self.positions[query], view.pixels[keypoint], view.sigmas[keypoint]
+            )
+            pose = normalised(estimate.world_from_camera)
+            found = Found(pose, keypoint[estimate.inliers], self.points[query[estimate.inliers]])
+        return found
+
+    def _match(self, view: GlobalKeyframe, pose: Array, radius: float) -> tuple[Index, Index]:
+        local = transform(inverse(pose), self.positions)
+        front = np.flatnonzero(local[:, 2] > 1e-3)
+        camera = view.camera.ideal()
+        pixels = camera.project(local[front])
+        inside = np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1)
+        rows, pixels = front[inside], pixels[inside]
+        offset = pose[:3, 3] - self.positions[rows]
+        distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
+        octave = self.octaves[rows] + np.rint(np.log(self.distances[rows] / distance) / np.log(view.scale_factor))
+        # Seen from far aside, or far larger or smaller than then, a corner does not look the same.
+        same = np.einsum("ij,ij->i", offset, self.directions[rows]) > 0.5 * distance
+        same &= np.abs(octave - self.octaves[rows]) <= 4
+        rows, pixels, octave = rows[same], pixels[same], np.maximum(octave[same], 0).astype(np.intp)
+        query, keypoint = match_projected(
+            view.features,
+            pixels,
+            radius * view.scale_factor**octave,
+            octave,
+            self.descriptors[rows],
+            GUIDED_DISTANCE,
+            GUIDED_RATIO,
+        )
+        return rows[query], keypoint
+
+
+def _first_pose(
+    world: GlobalMap, here: GlobalKeyframe, there: GlobalKeyframe, seed: int
+) -> Array | None:
+    """world_from_query by corners that fit one epipolar geometry and points that fit one pose."""
+    mine, its = match_corners(here.features, there.features)
+    if len(mine) < MIN_MATCHES:
+        return None
+    # Both in the query's camera, so that one calibration serves two cameras.
+    calibration = here.camera.matrix
+    rays = there.camera.ideal().normalise(there.pixels[its])
+    its_pixels = rays * (here.camera.fx, here.camera.fy) + (here.camera.cx, here.camera.cy)
+    cv2.setRNGSeed(seed)
+    try:
+        essential, mask = cv2.findEssentialMat(
+            its_pixels,
+            here.pixels[mine],
+            calibration,
+            method=cv2.USAC_FAST,  # a thirtieth of plain RANSAC's time where nothing matches
+            prob=0.999,
+            threshold=EPIPOLAR_PX,
+            maxIters=EPIPOLAR_TRIES,
+        )
+        if essential is None or mask is None or mask.sum() < MIN_EPIPOLAR:
+            return None
+        fits = mask.ravel().astype(bool)
+        point_of = {keypoint: point for point, keypoint in there.observed.items()}
+        pairs = [
+            (i, point_of[j])
+            for i, j in zip(mine[fits].tolist(), its[fits].tolist(), strict=True)
+            if j in point_of
+        ]
+        if len(pairs) < MIN_PNP:
+            return None
+        found, rotation, translation, inliers = cv2.solvePnPRansac(
+            np.array([world.points[p].position for _, p in pairs]),
+            here.pixels[[i for i, _ in pairs]],
+            calibration,
+            None,
+            iterationsCount=200,
+            reprojectionError=PNP_PX,
+            confidence=0.999,
+            flags=cv2.SOLVEPNP_EPNP,
+        )
+    except cv2.error:
+        return None  # degenerate: all on one spot, say
+    if not found or inliers is None or len(inliers) < MIN_PNP:
+        return None
+    camera_from_world = from_rt(cv2.Rodrigues(rotation)[0], np.ravel(translation))
+    return inverse(camera_from_world) if np.isfinite(camera_from_world).all() else None
+
+
+def _unit_ratio(world: GlobalMap, here: GlobalKeyframe, found: Found) -> tuple[float, float]:
+    """How long the candidate's end finds what the query's end calls 1, and the sigma of its logarithm.
+
+    From points that both ends know: their depths in the query's camera by its own points and by the others.
+    """
+    own = {keypoint: point for point, keypoint in here.observed.items()}
+    pairs = [
+        (own[i], p)
+        for i, p in zip(found.keypoints.tolist(), found.points.tolist(), strict=True)
+        if i in own and own[i] != p
+    ]
+    if len(pairs) < MIN_SCALED:
+        return 1.0, 0.2
+    mine = np.array([world.points[p].position for p, _ in pairs])
+    its = np.array([world.points[p].position for _, p in pairs])
+    depth = transform(inverse(here.world_from_camera), mine)[:, 2]
+    its_depth = transform(inverse(found.world_from_camera), its)[:, 2]
+    good = (depth > 1e-6) & (its_depth > 1e-6)
+    if good.sum() < MIN_SCALED:
+        return 1.0, 0.2
+    ratios = np.log(its_depth[good] / depth[good])
+    middle = float(np.median(ratios))
+    spread = 1.48 * float(np.median(np.abs(ratios - middle)))
+    return float(np.exp(middle)), max(1.25 * spread / np.sqrt(good.sum()), 0.002)
+
+
+def _agreeing_neighbours(
+    world: GlobalMap, surroundings: Surroundings, here: GlobalKeyframe, pose: Array, scale: float
+) -> int:
+    """How many keyframes beside the query see the same place from where the loop then puts them."""
+    agreeing = 0
+    inside = set(surroundings.keyframes)
+    near = [k for k, shared in world.covisible(here.id) if shared >= 15 and k not in inside]
+    for k in near[:NEIGHBOURS]:
+        view = world.keyframes[k]
+        expected = pose @ scaled(inverse(here.world_from_camera) @ view.world_from_camera, scale)
+        found = surroundings.look(view, expected, GUIDED_RADII)
+        if found is None or len(found.keypoints) < NEIGHBOUR_INLIERS:
+            continue
+        off = inverse(expected) @ found.world_from_camera
+        reach = NEIGHBOUR_SHIFT * scale * median_depth(world, view)
+        if rotation_angle(off[:3, :3]) < NEIGHBOUR_ANGLE and np.linalg.norm(off[:3, 3]) < reach:
+            agreeing += 1
+    return agreeing
+
+
+def _bytes(words: NDArray[np.uint64]) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(words).view(np.uint8).reshape(-1, 32)
+
+

@@ -1,0 +1,177 @@
+"""A loop's correction spread over the keyframes between its ends: similarities joined by covisibility.
+
+The unit of a monocular map drifts as its poses do, so each keyframe is a similarity (Strasdat et al., RSS
+2010): a point of its camera is at scale * R p + c in the world. Joined are keyframes that share points, by
+their present relative poses, and the two of the loop by what was measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import X
+
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.backend.loops import Loop, median_depth
+from prism_edge.geometry.poses import Array, from_rt, inverse, normalised
+
+MANY_SHARED = 50  # every such pair is joined; of the others each keyframe with its best few
+BEST_FEW = 3
+TURN, SHIFT, STRETCH = 0.01, 0.02, 0.01  # sigmas of a joint: rad, median depths, log scale
+LOOP_SHARE = 0.3  # of those sigmas, for a loop
+ITERATIONS = 20
+CONVERGED = 1e-5
+
+
+@dataclass(frozen=True)
+class Similarity:
+    """``world = scale * rotation @ camera + centre``: a keyframe's pose and its unit in the map's."""
+
+    world_from_camera: Array
+    scale: float
+
+    def move(self, before: Array, points: Array) -> Array:
+        """World points (n, 3), seen from the camera as it was at ``before``, where it sees them now."""
+        local = (points - before[:3, 3]) @ before[:3, :3]
+        return self.scale * local @ self.world_from_camera[:3, :3].T + self.world_from_camera[:3, 3]
+
+
+def spread(
+    world: GlobalMap, loop: Loop, earlier: list[tuple[int, int]], joined: bool = True
+) -> dict[int, Similarity] | None:
+    """Where each keyframe belongs once ``loop`` holds; None where the solver fails.
+
+    The first keyframe of the candidate's part of the map is held, and the query keeps its unit: the scale
+    that everybody uses at the moment stays right. ``earlier`` are pairs that past loops joined. Keyframes
+    that hang together with neither end stay out. With ``joined`` False the ends are of separate parts, and
+    the query's moves as one.
+    """
+    edges = _joints(world, earlier)
+    part = _reachable(edges, {loop.query, loop.candidate})
+    values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
+    for k in part:
+        values.insert(X(k), _similarity(world.keyframes[k].world_from_camera, 1.0))
+    depths = {k: median_depth(world, world.keyframes[k]) for k in part}
+    for (a, b), shared in edges.items():
+        if a in part and b in part:
+            relative = inverse(world.keyframes[a].world_from_camera) @ world.keyframes[b].world_from_camera
+            noise = _noise(depths[a], max(100.0 / shared, 0.25) ** 0.5)
+            graph.add(gtsam.BetweenFactorSimilarity3(X(a), X(b), _similarity(relative, 1.0), noise))
+    measured = inverse(world.keyframes[loop.candidate].world_from_camera) @ loop.world_from_query
+    graph.add(
+        gtsam.BetweenFactorSimilarity3(
+            X(loop.candidate),
+            X(loop.query),
+            _similarity(measured, loop.scale),
+            _noise(depths[loop.candidate], LOOP_SHARE, loop.log_scale_sigma),
+        )
+    )
+    home = part if joined else _reachable(edges, {loop.candidate})
+    held = min(home)
+    tight = gtsam.noiseModel.Isotropic.Sigma(7, 1e-6)
+    graph.add(
+        gtsam.PriorFactorSimilarity3(
+            X(held), _similarity(world.keyframes[held].world_from_camera, 1.0), tight
+        )
+    )
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setMaxIterations(ITERATIONS)
+    parameters.setRelativeErrorTol(CONVERGED)
+    if not joined:  # one motion from where it was, however far
+        _carry(world, values, part - home, loop)
+    try:
+        result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
+    except RuntimeError:
+        return None
+    found = {k: _pose_and_scale(result.atSimilarity3(X(k))) for k in sorted(part)}
+    unit = found[loop.query][1] if joined else 1.0
+    anchor = world.keyframes[held].world_from_camera[:3, 3]
+    out: dict[int, Similarity] = {}
+    for k, (pose, scale) in found.items():
+        centre = anchor + (pose[:3, 3] - anchor) / unit
+        out[k] = Similarity(normalised(from_rt(pose[:3, :3], centre)), scale / unit)
+    sound = all(np.isfinite(s.world_from_camera).all() and 0.1 < s.scale < 10.0 for s in out.values())
+    return out if sound else None
+
+
+def apply(world: GlobalMap, moved: dict[int, Similarity]) -> None:
+    """Move keyframes, the points that they see (by the first that does), and their network depths."""
+    before = {k: world.keyframes[k].world_from_camera for k in moved}
+    owned: dict[int, list[int]] = {}
+    for p, point in world.points.items():
+        viewers = [k for k in point.keyframes if k in moved]
+        if viewers:
+            owned.setdefault(min(viewers), []).append(p)
+    for k, similarity in moved.items():
+        mine = owned.get(k, [])
+        if mine:
+            places = similarity.move(before[k], np.array([world.points[p].position for p in mine]))
+            for p, place in zip(mine, places, strict=True):
+                world.points[p].position = place
+        keyframe = world.keyframes[k]
+        keyframe.world_from_camera = similarity.world_from_camera
+        if keyframe.depths is not None:
+            keyframe.depths = keyframe.depths * similarity.scale
+
+
+def connected(world: GlobalMap, earlier: list[tuple[int, int]], a: int, b: int) -> bool:
+    """Whether shared points, or loops so far, lead from one keyframe to another."""
+    return b in _reachable(_joints(world, earlier), {a})
+
+
+def _joints(world: GlobalMap, earlier: list[tuple[int, int]]) -> dict[tuple[int, int], float]:
+    """Pairs of keyframes to join, and how many points they share."""
+    joints: dict[tuple[int, int], float] = {}
+    for k in sorted(world.keyframes):
+        ranked = world.covisible(k)
+        before = [(o, n) for o, n in ranked if o < k]
+        for rank, (other, shared) in enumerate(before):
+            if shared >= MANY_SHARED or (rank < BEST_FEW and shared > 0):
+                joints[other, k] = float(shared)
+    for a, b in earlier:
+        if a in world.keyframes and b in world.keyframes:
+            joints.setdefault((min(a, b), max(a, b)), 30.0)
+    return joints
+
+
+def _reachable(edges: dict[tuple[int, int], float], start: set[int]) -> set[int]:
+    near: dict[int, list[int]] = {}
+    for a, b in edges:
+        near.setdefault(a, []).append(b)
+        near.setdefault(b, []).append(a)
+    seen, front = set(start), list(start)
+    while front:
+        for k in near.get(front.pop(), []):
+            if k not in seen:
+                seen.add(k)
+                front.append(k)
+    return seen
+
+
+def _carry(world: GlobalMap, values: gtsam.Values, part: set[int], loop: Loop) -> None:
+    query: GlobalKeyframe = world.keyframes[loop.query]
+    whole = Similarity(loop.world_from_query, loop.scale)
+    for k in part:
+        relative = inverse(query.world_from_camera) @ world.keyframes[k].world_from_camera
+        centre = whole.move(query.world_from_camera, world.keyframes[k].world_from_camera[None, :3, 3])[0]
+        rotation = loop.world_from_query[:3, :3] @ relative[:3, :3]
+        values.update(X(k), _similarity(from_rt(rotation, centre), loop.scale))
+
+
+def _similarity(pose: Array, scale: float) -> gtsam.Similarity3:
+    """gtsam's similarity is scale * (R p + t)."""
+    return gtsam.Similarity3(gtsam.Rot3(pose[:3, :3]), pose[:3, 3] / scale, scale)
+
+
+def _pose_and_scale(similarity: gtsam.Similarity3) -> tuple[Array, float]:
+    scale = float(similarity.scale())
+    return from_rt(similarity.rotation().matrix(), scale * np.asarray(similarity.translation())), scale
+
+
+def _noise(depth: float, factor: float, log_scale_sigma: float | None = None) -> gtsam.noiseModel.Base:
+    stretch = STRETCH * factor if log_scale_sigma is None else max(log_scale_sigma, 0.1 * STRETCH)
+    return gtsam.noiseModel.Diagonal.Sigmas(
+        np.array([TURN * factor] * 3 + [SHIFT * depth * factor] * 3 + [stretch])
+    )
