@@ -43,7 +43,6 @@ class GlobalAdjustment:
     ) -> None:
         """Takes down the map as it is now; raises RuntimeError where gtsam can't begin."""
         began = time.process_time()
-        self._newest = max(world.keyframes)
         self._before = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
         self._points = _choose_points(world)
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -71,10 +70,12 @@ class GlobalAdjustment:
         self._error_before = self._error = self._optimiser.error()
         self._steps = 0
         self.done = len(self._keyframes) < 3
-        self._near = [
-            p for p in world.keyframes[self._newest].observed if p in world.points and p in set(self._points)
-        ]
-        self._near_before = np.array([world.points[p].position for p in self._near]).reshape(-1, 3)
+        chosen = set(self._points)
+        self._seen = {k: [p for p in world.keyframes[k].observed if p in chosen] for k in self._keyframes}
+        self._depths = {
+            k: _depths(self._before[k], [world.points[p].position for p in seen])
+            for k, seen in self._seen.items()
+        }
         self._cpu_s = time.process_time() - began
 
     def step(self) -> bool:
@@ -95,7 +96,7 @@ class GlobalAdjustment:
         return self.done
 
     def result(self) -> Adjusted | None:
-        """What it came to, in the unit that the newest keyframe had; None where it is unusable."""
+        """What it came to, in the unit that the map had; None where it is unusable."""
         values = self._optimiser.values()
         poses = {k: np.asarray(values.atPose3(X(k)).matrix()) for k in self._keyframes}
         points = {p: np.asarray(values.atPoint3(L(p))) for p in self._points}
@@ -111,13 +112,18 @@ class GlobalAdjustment:
         return Adjusted(poses, points, self._error_before, self._error, self._steps, self._cpu_s)
 
     def _unit_change(self, poses: dict[int, Array], points: dict[int, Array]) -> float:
-        """How much longer lengths at the newest keyframe have become: scale is for its unit."""
-        if self._newest not in poses or len(self._near) < 10:
-            return 1.0
-        before = transform(inverse(self._before[self._newest]), self._near_before)[:, 2]
-        now = transform(inverse(poses[self._newest]), np.array([points[p] for p in self._near]))[:, 2]
-        good = (before > 1e-6) & (now > 1e-6)
-        return float(np.median(now[good] / before[good])) if good.sum() >= 10 else 1.0
+        """How much longer lengths have become, over all keyframes: the scale is for what they were."""
+        changes = []
+        for k, seen in self._seen.items():
+            if len(seen) >= 10:
+                before, now = self._depths[k], _depths(poses[k], [points[p] for p in seen])
+                good = (before > 1e-6) & (now > 1e-6)
+                changes.append(float(np.median(np.log(now[good] / before[good]))) if good.any() else 0.0)
+        return float(np.exp(np.median(changes))) if changes else 1.0
+
+
+def _depths(world_from_camera: Array, places: list[Array]) -> Array:
+    return transform(inverse(world_from_camera), np.array(places).reshape(-1, 3))[:, 2]
 
 
 def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[tuple[int, int]]:

@@ -24,6 +24,7 @@ AGREEING = 2  # neighbours of the query that must see the place; or the keyframe
 PATIENCE = 3  # keyframes within which another must confirm a loop whose query has too few neighbours
 SAME_ANGLE, SAME_SHIFT = np.radians(3.0), 0.15  # how far two loops of one return may differ; median depths
 SLIGHT_ANGLE, SLIGHT_SHIFT, SLIGHT_STRETCH = np.radians(1.0), 0.03, 0.02  # a window's own work mends that
+SAME_RETURN = 5  # keyframes within which coming back to one place is one return
 FUSED_NEIGHBOURS, FUSE_RADIUS = 5, 5.0
 REST = 8  # keyframes between the beginnings of two global adjustments
 
@@ -80,11 +81,20 @@ class LoopCloser:
         if query not in self._world.keyframes:
             return []
         found = []
-        for candidate in candidates(self._world, self.index, query, CANDIDATES):
+        for candidate in candidates(self._world, self.index, query, CANDIDATES, self._just_closed(query)):
             loop = verify(self._world, query, candidate, self._config.loop_inliers, self._seed)
             if loop is not None:
                 found.append(loop)
         return sorted(found, key=lambda loop: -loop.inliers)
+
+    def _just_closed(self, query: int) -> set[int]:
+        """Keyframes of the places that the last few keyframes were found to be back at."""
+        near: set[int] = set()
+        for loop in self.accepted[-SAME_RETURN:]:
+            if query - loop.query <= SAME_RETURN and loop.candidate in self._world.keyframes:
+                near.add(loop.candidate)
+                near.update(k for k, shared in self._world.covisible(loop.candidate) if shared >= 15)
+        return near
 
     def _confirmed(self, loop: Loop) -> bool:
         """Whether neighbours of the query, or keyframes just before it, say the same."""

@@ -32,6 +32,7 @@ GUIDED_RADII = (14.0, 7.0)  # pixels at the finest level
 DRIFT_RADIUS = 28.0
 NEIGHBOURS, NEIGHBOUR_INLIERS = 4, 15  # keyframes beside the query that must see the place too
 NEIGHBOUR_ANGLE, NEIGHBOUR_SHIFT = np.radians(3.0), 0.1  # how far they may disagree; of the median depth
+MIN_FRESH = 12  # points that the query did not know: else nothing would be closed
 MIN_SCALED = 10  # points seen from both ends that tell the ratio of their units
 DRIFT_SHARE, DRIFT_DEPTHS = 0.15, 0.3  # of the way between; of the median depth
 TURN_DRIFT, TURN_DRIFT_PER_DEPTH = np.radians(10.0), np.radians(0.5)
@@ -82,9 +83,11 @@ def verify(world: GlobalMap, query: int, candidate: int, least: int, seed: int =
         found = surroundings.look(here, here.world_from_camera, (DRIFT_RADIUS, *GUIDED_RADII))
     if found is None or len(found.keypoints) < least:
         return None
+    pairs = list(zip(found.keypoints.tolist(), found.points.tolist(), strict=True))
+    if sum(point not in here.observed for _, point in pairs) < MIN_FRESH:
+        return None
     scale, sigma = _unit_ratio(world, here, found)
     agreeing = _agreeing_neighbours(world, surroundings, here, found.world_from_camera, scale)
-    pairs = list(zip(found.keypoints.tolist(), found.points.tolist(), strict=True))
     return Loop(query, candidate, found.world_from_camera, scale, sigma, len(pairs), agreeing, pairs)
 
 

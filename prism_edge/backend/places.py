@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
+
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.tracking.place_index import PlaceIndex
 
@@ -10,18 +12,20 @@ FEW_SHARED = 15  # a loop counts between keyframes that share fewer points than 
 SAME_PLACE = 60  # keyframes that share this many show one place: one of them is enough
 
 
-def candidates(world: GlobalMap, index: PlaceIndex, query: int, most: int) -> list[int]:
+def candidates(
+    world: GlobalMap, index: PlaceIndex, query: int, most: int, without: Container[int] = ()
+) -> list[int]:
     """At most ``most`` earlier keyframes that look like ``query``, most alike first (paper, section 3.5).
 
-    Left out are the latest before it, those that share points with it already, and those that show the
-    same place as a better candidate.
+    Left out are the latest before it, those that share points with it already, those that show the same
+    place as a better candidate, and those in ``without``.
     """
     descriptor = index.get(query)
     if descriptor is None or query not in world.keyframes:
         return []
     earlier = sorted(k for k in world.keyframes if k < query)
     shared = dict(world.covisible(query))
-    among = [k for k in earlier[:-RECENT] if shared.get(k, 0) < FEW_SHARED]
+    among = [k for k in earlier[:-RECENT] if shared.get(k, 0) < FEW_SHARED and k not in without]
     chosen: list[int] = []
     covered: set[int] = set()
     for k, _ in index.rank(descriptor, among):

@@ -43,8 +43,8 @@ def spread(
 ) -> dict[int, Similarity] | None:
     """Where each keyframe belongs once ``loop`` holds; None where the solver fails.
 
-    The first keyframe of the candidate's part of the map is held, and the query keeps its unit: the scale
-    that everybody uses at the moment stays right. ``earlier`` are pairs that past loops joined. Keyframes
+    The first keyframe of the candidate's part of the map is held, and the map keeps its unit on the whole:
+    the scale that everybody uses stays right. ``earlier`` are pairs that past loops joined. Keyframes
     that hang together with neither end stay out. With ``joined`` False the ends are of separate parts, and
     the query's moves as one.
     """
@@ -86,7 +86,7 @@ def spread(
     except RuntimeError:
         return None
     found = {k: _pose_and_scale(result.atSimilarity3(X(k))) for k in sorted(part)}
-    unit = found[loop.query][1] if joined else 1.0
+    unit = float(np.exp(np.median([np.log(scale) for _, scale in found.values()]))) if joined else 1.0
     anchor = world.keyframes[held].world_from_camera[:3, 3]
     out: dict[int, Similarity] = {}
     for k, (pose, scale) in found.items():

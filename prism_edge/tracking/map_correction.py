@@ -9,8 +9,8 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
-from prism_edge.tracking.local_map import LocalMap
-from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
+from prism_edge.tracking.local_map import NO_POINT, LocalMap
+from prism_edge.tracking.mapping import MATCHING_SIGMA_PX, merge
 from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.pose_refinement import refine_pose
 
@@ -24,6 +24,9 @@ def flaw(update: MapUpdate) -> str:
         ("points", "positions"),
         ("points", "parallax_deg"),
         ("dropped_keyframes", "dropped_points"),
+        ("fused_from", "fused_into"),
+        ("added_keyframes", "added_points"),
+        ("added_keyframes", "added_keypoints"),
     )
     for one, other in together:
         if len(getattr(update, one)) != len(getattr(update, other)):
@@ -85,6 +88,29 @@ def apply_correction(
             table.log_depth_sigma[rows], MATCHING_SIGMA_PX / (focal * angle)
         )
     return motion
+
+
+def join(world: LocalMap, update: MapUpdate) -> dict[int, int]:
+    """Do what a loop showed: make its double points one, let keyframes see points of the other end.
+
+    Returns which point each double became.
+    """
+    merge(world, update.fused_into, update.fused_from)
+    for number, point, keypoint in zip(
+        update.added_keyframes.tolist(),
+        update.added_points.tolist(),
+        update.added_keypoints.tolist(),
+        strict=True,
+    ):
+        keyframe = world.keyframes.get(number)
+        if keyframe is None or not 0 <= keypoint < len(keyframe.points):
+            continue
+        if keyframe.points[keypoint] == NO_POINT and point not in keyframe.points:
+            known = np.array([point], np.int64)
+            if world.points.known(known)[0]:
+                keyframe.points[keypoint] = point
+                world.points.observations[world.points.rows(known)] += 1
+    return dict(zip(update.fused_from.tolist(), update.fused_into.tolist(), strict=True))
 
 
 def fit(

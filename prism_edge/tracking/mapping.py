@@ -165,14 +165,22 @@ def share_points(
 def fuse(world: LocalMap, first: Ids, second: Ids) -> None:
     """Make each pair of points one: the better observed keeps its place, and takes what saw the other."""
     table = world.points
-    into: dict[int, int] = {}
-    taken: set[int] = set()
     pairs = np.stack([first, second], axis=1)
-    alive = table.known(pairs.ravel()).reshape(-1, 2).all(axis=1) & (first != second)
-    pairs = pairs[alive]
+    pairs = pairs[table.known(pairs.ravel()).reshape(-1, 2).all(axis=1) & (first != second)]
     rows = table.rows(pairs.ravel()).reshape(-1, 2)
     swap = table.observations[rows[:, 0]] < table.observations[rows[:, 1]]
-    pairs[swap], rows[swap] = pairs[swap, ::-1], rows[swap, ::-1]
+    pairs[swap] = pairs[swap, ::-1]
+    merge(world, pairs[:, 0], pairs[:, 1])
+
+
+def merge(world: LocalMap, keep: Ids, drop: Ids) -> None:
+    """Make each pair of points one: what saw the second sees the first. Unknown points are passed over."""
+    table = world.points
+    into: dict[int, int] = {}
+    taken: set[int] = set()
+    pairs = np.stack([keep, drop], axis=1)
+    pairs = pairs[table.known(pairs.ravel()).reshape(-1, 2).all(axis=1) & (keep != drop)]
+    rows = table.rows(pairs.ravel()).reshape(-1, 2)
     for (kept, dropped), (kept_row, dropped_row) in zip(pairs.tolist(), rows.tolist(), strict=True):
         if kept in taken or dropped in taken:
             continue  # a chain is left for the next keyframe

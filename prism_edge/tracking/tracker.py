@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_log, transform
-from prism_edge.messages import DEGRADED, INITIALISING, LOST, OK
+from prism_edge.messages import DEGRADED, INITIALISING, LOST, OK, MapUpdate
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
@@ -19,7 +19,7 @@ from prism_edge.tracking.initialisation import reconstruct
 from prism_edge.tracking.keyframe_culling import cull_keyframes
 from prism_edge.tracking.keyframe_decision import decide
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.map_correction import apply_correction, fit
+from prism_edge.tracking.map_correction import apply_correction, fit, join
 from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import locate
 from prism_edge.tracking.seeding import seed_from_depth
@@ -310,23 +310,25 @@ class Tracker:
         self._reference_depth = self.world.median_depth(self.world.newest())
         return len(ids)
 
-    def apply_update(
-        self,
-        based_on: int,
-        keyframes: Ids,
-        poses: Array,
-        points: Ids,
-        positions: Array,
-        parallax_deg: NDArray[np.float32],
-        dropped: tuple[Ids, Ids],
-    ) -> None:
+    def apply_update(self, update: MapUpdate) -> None:
         """Take over the backend's corrections; the last frame moves with its surroundings."""
         motion = apply_correction(
-            self.world, based_on, keyframes, poses, points, positions, parallax_deg, self._factors
+            self.world,
+            update.based_on,
+            update.keyframes,
+            update.poses,
+            update.points,
+            update.positions,
+            update.parallax_deg,
+            self._factors,
         )
-        self.world.drop_observations(*dropped)
+        self.world.drop_observations(update.dropped_keyframes, update.dropped_points)
+        became = join(self.world, update)
         last = self._last
         if last is not None:
+            if became:
+                last.points = np.array([became.get(p, p) for p in last.points.tolist()], np.int64)
+                self._refresh(last)
             start = motion @ last.world_from_camera
             last.world_from_camera = fit(
                 self.world, last.camera, last.features, last.points, start, self._factors

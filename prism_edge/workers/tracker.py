@@ -262,15 +262,7 @@ class TrackerWorker:
             return
         self._update_sequence = message.sequence
         if len(message.keyframes):
-            self._tracker.apply_update(
-                message.based_on,
-                message.keyframes,
-                message.poses,
-                message.points,
-                message.positions,
-                message.parallax_deg,
-                (message.dropped_keyframes, message.dropped_points),
-            )
+            self._tracker.apply_update(message)
 
     # -- commands ---------------------------------------------------------------------------------
 
