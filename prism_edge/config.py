@@ -35,6 +35,7 @@ ABLATIONS = {
     "kalman": "the scale filter: the last observation is the estimate",
     "wls": "the weighted least squares: an observation is a plain mean",
     "depth_factor": "metric depth in the window's bundle adjustment",
+    "loop": "place recognition and loop closure",
 }
 
 

@@ -153,7 +153,8 @@ def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[t
     for p, angle in widest_parallax(world, chosen).items():
         world.points[p].parallax_deg = angle
     poses = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
-    observations = [(k, p, world.keyframes[k].observed[p]) for p in chosen for k in sorted(world.points[p].keyframes)]
+    seen = ((k, p) for p in chosen for k in sorted(world.points[p].keyframes))
+    observations = [(k, p, world.keyframes[k].observed[p]) for k, p in seen]
     wrong = outliers(world, poses, chosen, observations, config)
     for k, p in wrong:
         world.drop_observation(k, p)

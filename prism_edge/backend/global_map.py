@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -143,7 +144,7 @@ class GlobalMap:
             if kept in self._now and (present := self.present(kept)) in message.fused_from:
                 del self._now[kept]
                 self.fuse(present, kept)
-        points = np.array([self.present(p) for p in message.points.tolist()], np.int64)
+        points = _ids(map(self.present, message.points.tolist()))
         # Two keypoints may show what is one point now: the first keeps it.
         _, firsts = np.unique(points, return_index=True)
         double = np.ones(len(points), bool)
@@ -155,10 +156,10 @@ class GlobalMap:
             points=points,
             new_points=message.new_points[fresh],
             new_positions=message.new_positions[fresh],
-            culled_points=np.array([p for p in message.culled_points.tolist() if p not in self._now], np.int64),
-            late_points=np.array([self.present(p) for p in message.late_points.tolist()], np.int64),
-            fused_from=np.array([self.present(p) for p in message.fused_from.tolist()], np.int64),
-            fused_into=np.array([self.present(p) for p in message.fused_into.tolist()], np.int64),
+            culled_points=_ids(p for p in message.culled_points.tolist() if p not in self._now),
+            late_points=_ids(map(self.present, message.late_points.tolist())),
+            fused_from=_ids(map(self.present, message.fused_from.tolist())),
+            fused_into=_ids(map(self.present, message.fused_into.tolist())),
         )
 
     def present(self, point: int) -> int:
@@ -242,6 +243,10 @@ class GlobalMap:
         self._now[old] = kept
         while len(self._now) > MAX_RENAMED:
             del self._now[next(iter(self._now))]
+
+
+def _ids(points: Iterable[int]) -> NDArray[np.int64]:
+    return np.array(list(points), np.int64)
 
 
 def _features(message: Keyframe, camera: Camera) -> Features:

@@ -173,8 +173,8 @@ class LoopCloser:
             view = world.keyframes[k]
             found = surroundings.look(view, view.world_from_camera, (FUSE_RADIUS,))
             if found is not None and len(found.keypoints) >= self._config.loop_inliers // 2:
-                pairs = [(i, world.present(p)) for i, p in zip(found.keypoints.tolist(), found.points.tolist(), strict=True)]
-                made += self._join(view, pairs)
+                pairs = zip(found.keypoints.tolist(), found.points.tolist(), strict=True)
+                made += self._join(view, [(i, world.present(p)) for i, p in pairs])
         return made
 
     def _join(self, view: GlobalKeyframe, pairs: list[tuple[int, int]]) -> int:

@@ -167,7 +167,8 @@ class Surroundings:
         rows, pixels = front[inside], pixels[inside]
         offset = pose[:3, 3] - self.positions[rows]
         distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
-        octave = self.octaves[rows] + np.rint(np.log(self.distances[rows] / distance) / np.log(view.scale_factor))
+        nearer = np.log(self.distances[rows] / distance) / np.log(view.scale_factor)
+        octave = self.octaves[rows] + np.rint(nearer)
         # Seen from far aside, or far larger or smaller than then, a corner does not look the same.
         same = np.einsum("ij,ij->i", offset, self.directions[rows]) > 0.5 * distance
         same &= np.abs(octave - self.octaves[rows]) <= 4

@@ -22,8 +22,10 @@ MIN_ALIGNED_PARALLAX_DEG = 1.0
 class Mapper:
     """Owns the global map of one epoch. Knows nothing of the bus."""
 
-    def __init__(self, config: BackendConfig, use_depth: bool = True, first_id: int = 0, seed: int = 0) -> None:
-        """Updates are numbered from ``first_id``."""
+    def __init__(
+        self, config: BackendConfig, use_depth: bool = True, first_id: int = 0, seed: int = 0
+    ) -> None:
+        """Updates are numbered from ``first_id``; ``seed`` is of the loops' RANSAC."""
         self._config = config
         self._use_depth = use_depth
         self._seed = seed

@@ -48,6 +48,8 @@ def spread(
     that hang together with neither end stay out. With ``joined`` False the ends are of separate parts, and
     the query's moves as one.
     """
+    if not (np.isfinite(loop.world_from_query).all() and np.isfinite(loop.scale) and loop.scale > 0):
+        return None
     edges = _joints(world, earlier)
     part = _reachable(edges, {loop.query, loop.candidate})
     values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()

@@ -16,7 +16,6 @@ from prism_edge.errors import ConfigError
 _ABSENT = {
     "plucker": "there is no ray-distance factor",
     "dsug": "the uncertainty gate is a constant: there is nothing",
-    "loop": "there is no loop closure",
     "init": "there is no synchronous initialisation over several keyframes",
 }
 

@@ -10,6 +10,7 @@ from typing import Any
 
 import prism_edge
 from prism_edge.config import Config
+from prism_edge.evaluation.loops import judge_loops
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import VOID_ABOVE, Usage
 from prism_edge.evaluation.scores import UNKNOWN, score
@@ -55,6 +56,7 @@ def metrics(
         "timings_void": usage.foreign_cpu is None or usage.foreign_cpu > VOID_ABOVE,
         "keyframes": len(snapshot.keyframes) if snapshot is not None else None,
         "map_points": len(snapshot.points) if snapshot is not None else None,
+        "loops": judge_loops(snapshot, recording.frames, truth),
         "log_scale": snapshot.log_scale if snapshot is not None else None,
         "scale": recording.last_scale(),
         "violations": recording.violations(),

@@ -35,6 +35,7 @@ def show(metrics: dict[str, Any], out: Path) -> None:
         ("memory", f"{_number(metrics['peak_pss_mb']['total'])} MB PSS"),
         ("machine used by others", _number(metrics["foreign_cpu"], 100.0, "%") + (" (timings void)" * void)),
         ("map", f"{metrics['keyframes']} keyframes, {metrics['map_points']} points"),
+        ("loops", f"{metrics['loops']['accepted']}, right {_number(metrics['loops']['precision'], 100.0, '%')}"),
     ):
         run.add_row(label, value)
     console.print(run)

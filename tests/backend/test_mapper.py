@@ -195,15 +195,7 @@ class Pair:
             self.due.append((frame + self.lag, codec.unpack(codec.pack(update), MapUpdate)))
 
     def apply(self, update: MapUpdate) -> None:
-        self.tracker.apply_update(
-            update.based_on,
-            update.keyframes,
-            update.poses,
-            update.points,
-            update.positions,
-            update.parallax_deg,
-            (update.dropped_keyframes, update.dropped_points),
-        )
+        self.tracker.apply_update(update)
         self.applied += 1
 
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import inverse, se3_log, transform
-from prism_edge.tracking.map_correction import apply_correction, fit
-from tests.tracking.cloud import CAMERA, FACTORS, Cloud, check, pose_at
+from prism_edge.messages import MapUpdate
+from prism_edge.tracking.map_correction import apply_correction, fit, join
+from tests.tracking.cloud import CAMERA, FACTORS, Cloud, check, map_update, pose_at
 
 MOTION = pose_at(0.3, -0.2, 0.1, 0.02, 0.1, -0.05)
 POSES = [pose_at(0.3 * i, 0.0, 0.0, 0.0, -0.04 * i) for i in range(6)]
@@ -157,3 +158,44 @@ def test_a_view_that_is_carried_a_thousand_times_stays_rigid():
         step = new @ inverse(pose)
         pose = new
     assert pose[:3, :3] @ pose[:3, :3].T == pytest.approx(np.eye(3), abs=1e-9)
+
+
+def loop_update(**arrays) -> MapUpdate:
+    return map_update(5, **{name: np.array(values, np.int64) for name, values in arrays.items()})
+
+
+def test_a_loop_makes_points_one_the_way_it_says():
+    """The backend goes on speaking of the point that it kept, however often either was seen."""
+    cloud = Cloud(400, seed=0)
+    world, _ = cloud.mapped(POSES)
+    ids = world.points.ids
+    often = ids[np.argsort(-world.points.observations)[0]]
+    alone = world.keyframes[5]
+    rarely = int(alone.points[alone.observed()[0]])
+    became = join(world, loop_update(fused_from=[often, 10**6], fused_into=[rarely, 10**6 + 1]))
+    assert became[often] == rarely
+    assert world.points.known(np.array([often, rarely])).tolist() == [False, True]
+    assert all(often not in keyframe.points for keyframe in world.keyframes.values())
+    check(world)
+
+
+def test_a_loop_lets_keyframes_see_points_where_they_can():
+    cloud = Cloud(400, seed=0)
+    world, _ = cloud.mapped(POSES)
+    keyframe = world.keyframes[0]
+    keypoint = int(keyframe.observed()[3])
+    point = int(keyframe.points[keypoint])
+    keyframe.points[keypoint] = -1
+    world.points.observations[world.points.rows(np.array([point]))] -= 1
+    taken = int(keyframe.observed()[0])
+    join(
+        world,
+        loop_update(
+            # as it should be; a keypoint that has a point; an unknown keyframe, point and keypoint
+            added_keyframes=[0, 0, 99, 0, 0],
+            added_points=[point, point, point, 10**6, int(keyframe.points[taken])],
+            added_keypoints=[keypoint, taken, keypoint, keypoint, 10**5],
+        ),
+    )
+    assert keyframe.points[keypoint] == point
+    check(world)

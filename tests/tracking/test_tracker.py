@@ -14,7 +14,7 @@ from prism_edge.messages import DEGRADED, INITIALISING, LOST, OK
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.tracker import FrameResult, Tracker
 from tests.synthetic.scene import block_texture
-from tests.tracking.cloud import check, pose_at
+from tests.tracking.cloud import check, map_update, pose_at
 from tests.tracking.footage import IDENTITY, RATE_HZ, footage
 
 CONFIG = TrackingConfig(features=500)
@@ -311,15 +311,15 @@ def test_a_correction_moves_the_map_and_the_last_frame_alike():
     world = run.tracker.world
     before = run.tracker.last_pose()
     ids = world.points.ids[world.points.alive].copy()
-    none = np.zeros(0, np.int64)
     run.tracker.apply_update(
-        world.newest().id,
-        np.array(list(world.keyframes)),
-        np.array([motion @ k.world_from_camera for k in world.keyframes.values()]),
-        ids,
-        transform(motion, world.points.position[world.points.rows(ids)]),
-        np.zeros(len(ids), np.float32),
-        (none, none),
+        map_update(
+            world.newest().id,
+            keyframes=np.array(list(world.keyframes)),
+            poses=np.array([motion @ k.world_from_camera for k in world.keyframes.values()]),
+            points=ids,
+            positions=transform(motion, world.points.position[world.points.rows(ids)]),
+            parallax_deg=np.zeros(len(ids), np.float32),
+        )
     )
     # The last frame is fitted anew, to points with the noise that they have.
     assert np.abs(se3_log(inverse(motion @ before) @ run.tracker.last_pose())).max() < 0.01
@@ -337,15 +337,8 @@ def test_observations_the_backend_found_wrong_are_dropped():
     world = run.tracker.world
     keyframe = world.newest()
     wrong = keyframe.points[keyframe.observed()][:20].copy()
-    empty = np.zeros((0, 4, 4))
     run.tracker.apply_update(
-        keyframe.id,
-        np.zeros(0, np.int64),
-        empty,
-        np.zeros(0, np.int64),
-        np.zeros((0, 3)),
-        np.zeros(0, np.float32),
-        (np.full(20, keyframe.id), wrong),
+        map_update(keyframe.id, dropped_keyframes=np.full(20, keyframe.id), dropped_points=wrong)
     )
     assert not np.isin(keyframe.points, wrong).any()
     check(world)

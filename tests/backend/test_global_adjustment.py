@@ -1,0 +1,115 @@
+"""All keyframes at once, against the truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.global_adjustment import GlobalAdjustment, apply
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import inverse, se3_exp, se3_log
+from tests.backend.ring import position_error
+from tests.backend.world import Teller, check
+from tests.tracking.cloud import pose_at
+
+CONFIG = BackendConfig()
+
+
+def shaken(count: int = 8, sigma: float = 0.02) -> tuple[Teller, GlobalMap]:
+    """Keyframes of a cloud, each put a little beside its place."""
+    teller, world, rng = Teller(noise_px=0.3), GlobalMap(), np.random.default_rng(3)
+    for i in range(count):
+        world.absorb(teller.keyframe(pose_at(0.25 * i, 0.05 * i, 0.0, 0.0, -0.04 * i)))
+    for k in list(world.keyframes)[1:]:
+        keyframe = world.keyframes[k]
+        keyframe.world_from_camera = keyframe.world_from_camera @ se3_exp(sigma * rng.normal(size=6))
+    for point in world.points.values():
+        point.position = point.position + 2 * sigma * rng.normal(size=3)
+    return teller, world
+
+
+def run(world: GlobalMap, config: BackendConfig = CONFIG):
+    job = GlobalAdjustment(world, config, 1.0, use_depth=False)
+    steps = 0
+    while not job.step():
+        steps += 1
+        assert steps < 100
+    return job.result()
+
+
+def test_it_finds_the_truth_again():
+    teller, world = shaken()
+    poses = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
+    before = position_error(poses, teller.poses)
+    adjusted = run(world)
+    assert adjusted.error_after < 0.2 * adjusted.error_before
+    assert adjusted.cpu_s > 0
+    apply(world, adjusted, CONFIG)
+    after = position_error({k: f.world_from_camera for k, f in world.keyframes.items()}, teller.poses)
+    assert after < 0.2 * before
+    check(world)
+
+
+def test_the_first_pose_and_the_unit_hold():
+    _, world = shaken(sigma=0.0)
+    for keyframe in world.keyframes.values():
+        keyframe.world_from_camera = keyframe.world_from_camera.copy()
+    adjusted = run(world)
+    assert adjusted.poses[0] == pytest.approx(world.keyframes[0].world_from_camera, abs=1e-5)
+    lengths = [
+        np.linalg.norm(adjusted.poses[k][:3, 3]) / np.linalg.norm(world.keyframes[k].world_from_camera[:3, 3])
+        for k in range(1, 8)
+    ]
+    assert np.median(lengths) == pytest.approx(1.0, abs=0.01)
+
+
+def test_what_came_meanwhile_moves_along():
+    teller, world = shaken(sigma=0.0)
+    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=False)
+    late = teller.keyframe(pose_at(2.0, 0.4, 0.0, 0.0, -0.32))
+    world.absorb(late)
+    newer = [p for p, point in world.points.items() if point.keyframes == {8}]
+    while not job.step():
+        pass
+    adjusted = job.result()
+    motion = pose_at(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
+    moved = replace(
+        adjusted,
+        poses={k: motion @ pose for k, pose in adjusted.poses.items()},
+        points={p: motion[:3, :3] @ x + motion[:3, 3] for p, x in adjusted.points.items()},
+    )
+    apply(world, moved, CONFIG)
+    off = se3_log(inverse(motion @ late.world_from_camera) @ world.keyframes[8].world_from_camera)
+    assert np.abs(off).max() < 0.02
+    for p in newer:
+        true = motion[:3, :3] @ teller.cloud.positions[p] + motion[:3, 3]
+        assert np.linalg.norm(world.points[p].position - true) < 0.1
+
+
+def test_a_gross_outlier_is_found_and_dropped():
+    _, world = shaken(sigma=0.002)
+    point = next(p for p in world.points if len(world.points[p].keyframes) >= 5)
+    keyframe = world.keyframes[sorted(world.points[point].keyframes)[2]]
+    keyframe.pixels[keyframe.observed[point]] += 60.0
+    wrong = apply(world, run(world), CONFIG)
+    assert (keyframe.id, point) in wrong
+    assert point not in keyframe.observed
+    check(world)
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_too_few_keyframes_are_left_alone(count):
+    _, world = shaken(count, sigma=0.0)
+    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=False)
+    assert job.step()
+
+
+def test_two_keyframes_at_one_pose_and_points_at_no_parallax():
+    teller, world = Teller(noise_px=0.3), GlobalMap()
+    for _ in range(4):
+        world.absorb(teller.keyframe(pose_at(0.0)))
+    adjusted = run(world)
+    assert adjusted is None or all(np.isfinite(p).all() for p in adjusted.poses.values())

@@ -1,0 +1,168 @@
+"""Loops from end to end on a ring: a drifting walk comes back, and what only looks alike does not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.mapper import Mapper
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
+from prism_edge.messages import F32
+from tests.backend.ring import Ring, position_error
+from tests.backend.world import check, quiet
+
+CONFIG = BackendConfig()
+DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
+
+
+def walk(ring: Ring, count: int, places: bool = True, mapper: Mapper | None = None) -> Mapper:
+    """A mapper that has heard ``count`` keyframes, and closed what loops there were."""
+    mapper = mapper or Mapper(CONFIG, use_depth=False)
+    for message in ring.keyframes(count):
+        hear(mapper, ring, message, ring.looks_like(message.id) if places else None)
+    return mapper
+
+
+def hear(mapper: Mapper, ring: Ring, message, descriptor: F32 | None) -> None:
+    mapper.absorb(message)
+    if descriptor is not None:
+        mapper.loops.add_place(message.id, descriptor)
+    mapper.loops.look(message.id)
+
+
+def finish(mapper: Mapper) -> None:
+    while mapper.loops.unfinished:
+        mapper.loops.adjust(1.0)
+
+
+@pytest.fixture(scope="module")
+def closed() -> tuple[Ring, Mapper, float]:
+    """A ring walked once and a little more, by a tracker whose place and scale drift."""
+    ring = Ring(drift=DRIFT, stretch=1.004)
+    mapper = walk(ring, 46)
+    plain = walk(Ring(drift=DRIFT, stretch=1.004), 46, places=False)
+    return ring, mapper, position_error(plain.keyframe_poses(), ring.true)
+
+
+def test_a_drifted_walk_is_restored(closed):
+    ring, mapper, before = closed
+    assert before > 0.14
+    assert mapper.loops.accepted
+    finish(mapper)
+    assert position_error(mapper.keyframe_poses(), ring.true) < 0.1 * before
+    check(mapper.world)
+
+
+def test_each_loop_says_where_the_query_is_from_its_candidate(closed):
+    ring, mapper, _ = closed
+    for loop in mapper.loops.accepted:
+        true = inverse(ring.true[loop.candidate]) @ ring.true[loop.query]
+        # In the map's own unit, which has drifted by a tenth.
+        found = loop.candidate_from_query[:3, 3]
+        unit = float(found @ true[:3, 3] / (true[:3, 3] @ true[:3, 3]))
+        assert unit == pytest.approx(1.0, abs=0.2)
+        assert np.linalg.norm(found - unit * true[:3, 3]) < 0.05
+        assert rotation_angle(true[:3, :3].T @ loop.candidate_from_query[:3, :3]) < 0.01
+        assert (loop.query_index, loop.candidate_index) == (10 * loop.query, 10 * loop.candidate)
+        assert loop.inliers >= CONFIG.loop_inliers
+
+
+def test_double_points_become_one_and_the_tracker_is_told(closed):
+    ring, mapper, _ = closed
+    update = mapper.whole(45, mapper.loops.take_changes())
+    assert update.loop_closed
+    assert len(update.fused_from) > 50
+    pairs = zip(update.fused_from, update.fused_into, strict=True)
+    same = [ring.point_of[a] == ring.point_of[b] for a, b in pairs]
+    assert np.mean(same) > 0.98
+    assert not np.isin(update.fused_from, update.points).any()
+    assert np.isin(update.fused_into, update.points).mean() > 0.9
+    assert not mapper.loops.take_changes().fused  # told once
+
+
+def test_a_keyframe_that_still_speaks_of_a_double_is_understood():
+    ring = Ring(drift=DRIFT)
+    mapper = walk(ring, 42)
+    assert mapper.loops.accepted
+    gone = {a for a, _ in mapper.loops.changes.fused}
+    message = ring.keyframe()
+    spoken = gone & set(message.points.tolist())
+    assert spoken
+    mapper.absorb(message)
+    check(mapper.world)
+    observed = mapper.world.keyframes[message.id].observed
+    assert not gone & set(observed)
+    assert {mapper.world.present(p) for p in spoken} & set(observed)
+
+
+def test_a_place_that_only_looks_the_same_is_refused():
+    """The far side of the ring is a copy of the near one, corner by corner: half a ring is no drift."""
+    ring = Ring(alike=True)
+    mapper = walk(ring, 34)
+    ranked = mapper.loops.index.rank(ring.looks_like(30), range(20))
+    assert ranked[0][0] == 10  # it is what the network would say
+    assert not mapper.loops.accepted
+    assert position_error(mapper.keyframe_poses(), ring.true) < 0.01
+
+
+def test_without_descriptors_there_are_no_loops():
+    assert not walk(Ring(drift=DRIFT), 44, places=False).loops.accepted
+
+
+def test_descriptors_that_are_all_equal_do_no_harm():
+    ring = Ring(drift=DRIFT)
+    mapper = Mapper(CONFIG, use_depth=False)
+    for message in ring.keyframes(46):
+        hear(mapper, ring, message, np.ones(16, np.float32))
+    finish(mapper)
+    for loop in mapper.loops.accepted:
+        true = inverse(ring.true[loop.candidate]) @ ring.true[loop.query]
+        assert np.abs(se3_log(inverse(true) @ loop.candidate_from_query)).max() < 0.1
+    assert all(np.isfinite(pose).all() for pose in mapper.keyframe_poses().values())
+
+
+def test_a_keyframe_without_features_closes_nothing():
+    ring = Ring()
+    mapper = walk(ring, 30)
+    blind = quiet(ring.keyframe())
+    hear(mapper, ring, blind, ring.looks_like(5))
+    assert not mapper.loops.accepted
+    assert mapper.loops.look(999) is None
+
+
+def test_two_keyframes_at_one_pose_are_no_trouble():
+    ring = Ring(drift=DRIFT)
+    mapper = walk(ring, 40)
+    message = ring.keyframe(ring.true[-1])
+    hear(mapper, ring, message, ring.looks_like(message.id))
+    mapper = walk(ring, 2, mapper=mapper)
+    finish(mapper)
+    assert all(np.isfinite(pose).all() for pose in mapper.keyframe_poses().values())
+    check(mapper.world)
+
+
+def test_a_loop_that_fits_already_moves_nothing_but_joins_points():
+    ring = Ring()
+    mapper = walk(ring, 43)
+    assert mapper.loops.accepted
+    assert mapper.loops.changes.fused
+    for k, pose in mapper.keyframe_poses().items():
+        assert np.abs(se3_log(inverse(ring.true[k]) @ pose)).max() < 0.01
+
+
+def test_too_few_agreeing_points_are_no_loop():
+    ring = Ring(drift=DRIFT)
+    strict = Mapper(replace(CONFIG, loop_inliers=1000), use_depth=False)
+    assert not walk(ring, 44, mapper=strict).loops.accepted
+
+
+def test_two_walks_are_the_same_to_the_last_bit():
+    found = []
+    for _ in range(2):
+        mapper = walk(Ring(drift=DRIFT), 43)
+        finish(mapper)
+        found.append(np.array(list(mapper.keyframe_poses().values())).tobytes())
+    assert found[0] == found[1]

@@ -1,0 +1,117 @@
+"""Verification of one candidate, on places seen twice and on such that only seem so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.loops import match_corners, plausible, verify
+from prism_edge.geometry.poses import inverse, se3_log
+from tests.backend.ring import Ring, features_of
+
+DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
+
+
+def walked(count: int = 42, **options) -> tuple[Ring, GlobalMap]:
+    ring, world = Ring(**options), GlobalMap()
+    for message in ring.keyframes(count):
+        world.absorb(message)
+    return ring, world
+
+
+@pytest.fixture(scope="module")
+def drifted() -> tuple[Ring, GlobalMap]:
+    return walked(drift=DRIFT, stretch=1.004)
+
+
+def test_a_return_is_placed_where_the_old_end_has_it(drifted):
+    ring, world = drifted
+    loop = verify(world, 41, 2, 30)
+    assert loop is not None
+    there = inverse(world.keyframes[2].world_from_camera) @ loop.world_from_query
+    assert np.abs(se3_log(inverse(inverse(ring.true[2]) @ ring.true[41]) @ there)).max() < 0.03
+    assert loop.neighbours >= 2
+    assert loop.scale == pytest.approx(1.004**-40, abs=0.02)
+    right = [ring.point_of[p] for _, p in loop.pairs]
+    message_points = world.keyframes[41].observed
+    shows = {keypoint: ring.point_of[p] for p, keypoint in message_points.items()}
+    assert np.mean([shows[i] == p for (i, _), p in zip(loop.pairs, right, strict=True)]) > 0.98
+    assert plausible(world, loop)
+
+
+def test_one_seed_gives_one_answer(drifted):
+    _, world = drifted
+    a, b = verify(world, 41, 2, 30, seed=3), verify(world, 41, 2, 30, seed=3)
+    assert a.world_from_query.tobytes() == b.world_from_query.tobytes()
+    assert a.pairs == b.pairs
+
+
+def test_another_place_is_none(drifted):
+    _, world = drifted
+    assert verify(world, 41, 20, 30) is None
+
+
+def test_corners_that_look_right_in_wrong_places_are_none():
+    """Descriptors as at the place itself, everything else at random."""
+    ring = Ring(drift=DRIFT)
+    world = GlobalMap()
+    messages = ring.keyframes(42)
+    rng = np.random.default_rng(5)
+    last = messages[41]
+    shuffled = rng.uniform((0, 0), (640, 480), last.pixels.shape).astype(np.float32)
+    for message in [*messages[:41], replace(last, pixels=shuffled)]:
+        world.absorb(message)
+    assert verify(world, 41, 1, 30) is None
+
+
+def test_a_perfect_copy_elsewhere_asks_for_too_much_drift():
+    _, world = walked(26, alike=True)
+    loop = verify(world, 24, 4, 30)
+    assert loop is not None
+    assert loop.neighbours >= 2  # nothing in the pictures gives it away
+    assert not plausible(world, loop)
+
+
+def test_descriptors_all_equal_make_no_wrong_loop():
+    """Corners that can't be told apart leave the geometry, which goes for the right place or none."""
+    ring, world = Ring(drift=DRIFT), GlobalMap()
+    for message in ring.keyframes(42):
+        world.absorb(replace(message, descriptors=np.zeros_like(message.descriptors)))
+    assert verify(world, 41, 20, 30) is None
+    loop = verify(world, 41, 1, 30)
+    if loop is not None:
+        there = inverse(world.keyframes[1].world_from_camera) @ loop.world_from_query
+        assert np.abs(se3_log(inverse(inverse(ring.true[1]) @ ring.true[41]) @ there)).max() < 0.05
+
+
+def test_two_keyframes_at_one_pose_are_a_loop_without_a_baseline():
+    ring, world = walked(41)
+    world.absorb(ring.keyframe(ring.true[1]))
+    loop = verify(world, 41, 1, 30)
+    assert loop is not None
+    assert np.abs(se3_log(inverse(ring.true[1]) @ loop.world_from_query)).max() < 0.02
+
+
+def test_matches_are_mutual_and_right():
+    ring = Ring()
+    first, second = ring.keyframes(2)
+    a, b = match_corners(features_of(first), features_of(second))
+    assert len(a) > 50
+    assert len(set(a.tolist())) == len(set(b.tolist())) == len(a)
+    assert (first.points[a] == second.points[b]).mean() > 0.99
+
+
+def test_nothing_matches_nothing():
+    ring = Ring()
+    first = ring.keyframe()
+    none = replace(
+        first,
+        pixels=np.zeros((0, 2), np.float32),
+        octaves=np.zeros(0, np.uint8),
+        descriptors=np.zeros((0, 32), np.uint8),
+    )
+    a, b = match_corners(features_of(first), features_of(none))
+    assert len(a) == len(b) == 0

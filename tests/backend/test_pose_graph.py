@@ -1,0 +1,121 @@
+"""A loop's correction spread over the way, against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
+from prism_edge.backend.loops import Loop
+from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, apply, connected, spread
+from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
+from tests.tracking.cloud import CAMERA, pose_at
+
+SHARED = 100
+
+
+def chain(poses: list[np.ndarray], first: int = 0, world: GlobalMap | None = None) -> GlobalMap:
+    """Keyframes of which each shares a hundred points with the next alone, all 3 units before it."""
+    world = world or GlobalMap()
+    for i, pose in enumerate(poses):
+        k = first + i
+        ids = range(SHARED * k, SHARED * (k + 2))
+        world.keyframes[k] = GlobalKeyframe(
+            k, k, CAMERA, pose.copy(), np.zeros((2 * SHARED, 2)), np.ones(2 * SHARED), {}
+        )
+        for keypoint, p in enumerate(ids):
+            world.points.setdefault(p, GlobalPoint(transform(pose, np.array([[0.0, 0.0, 3.0]]))[0]))
+            world.observe(k, p, keypoint)
+    return world
+
+
+def loop(world: GlobalMap, query: int, candidate: int, pose: np.ndarray, scale: float = 1.0) -> Loop:
+    return Loop(query, candidate, pose, scale, 0.001, 50, 3, [])
+
+
+def test_a_turn_is_spread_evenly():
+    """N equal joints and a loop: least squares gives each joint D / (N + v), v the loop's variance share."""
+    n, gap = 20, np.array([0.0, 0.3, 0.0])
+    poses = [from_rt(so3_exp(np.array([0.0, 0.1 * i, 0.0])), np.zeros(3)) for i in range(n + 1)]
+    world = chain(poses)
+    there = from_rt(poses[-1][:3, :3] @ so3_exp(gap), np.zeros(3))
+    moved = spread(world, loop(world, n, 0, there), [])
+    for k in range(n + 1):
+        turn = so3_log(poses[k][:3, :3].T @ moved[k].world_from_camera[:3, :3])
+        assert turn == pytest.approx(gap * k / (n + LOOP_SHARE**2), abs=1e-4)
+        assert moved[k].world_from_camera[:3, 3] == pytest.approx(np.zeros(3), abs=1e-4)
+
+
+def test_drift_of_scale_is_taken_out():
+    """Each step is 1 % shorter than the last; the loop says by how much in all."""
+    n = 40
+    turn = so3_exp(np.array([0.0, 2 * np.pi / n, 0.0]))
+    true, told = [np.eye(4)], [np.eye(4)]
+    for k in range(n):
+        step = from_rt(turn, np.array([0.5, 0.0, 0.0]))
+        true.append(true[-1] @ step)
+        told.append(told[-1] @ from_rt(turn, np.array([0.5 * 0.99**k, 0.0, 0.0])))
+    world = chain(told)
+    moved = spread(world, loop(world, n, 0, true[n], 0.99**-n), [])
+    lengths = [
+        np.linalg.norm(moved[k + 1].world_from_camera[:3, 3] - moved[k].world_from_camera[:3, 3])
+        for k in range(n)
+    ]
+    assert max(lengths) / min(lengths) < 1.03
+    assert 0.99**-n > 1.4  # what they were apart before
+    assert np.median([s.scale for s in moved.values()]) == pytest.approx(1.0, abs=1e-6)
+
+
+def test_points_and_depths_go_with_their_keyframe():
+    world = chain([pose_at(0.1 * i) for i in range(4)])
+    world.keyframes[2].depths = np.full(2 * SHARED, 3.0)
+    before = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
+    places = {p: point.position for p, point in world.points.items()}
+    motion = pose_at(0.3, -0.2, 0.1, 0.1, 0.2, -0.1)
+    apply(world, {k: Similarity(motion @ pose, 1.5) for k, pose in before.items()})
+    for k, keyframe in world.keyframes.items():
+        for p in keyframe.observed:
+            if min(world.points[p].keyframes) == k:
+                was = transform(inverse(before[k]), places[p][None])[0]
+                now = transform(inverse(keyframe.world_from_camera), world.points[p].position[None])[0]
+                assert now == pytest.approx(1.5 * was, abs=1e-9)
+    assert world.keyframes[2].depths == pytest.approx(4.5)
+
+
+def test_what_hangs_on_neither_end_stays():
+    world = chain([pose_at(0.3 * i) for i in range(6)])
+    chain([pose_at(50.0 + 0.3 * i) for i in range(3)], first=100, world=world)
+    assert connected(world, [], 0, 5)
+    assert not connected(world, [], 0, 101)
+    assert connected(world, [(3, 101)], 0, 102)
+    moved = spread(world, loop(world, 5, 0, pose_at(1.6, 0.1)), [])
+    assert set(moved) == set(range(6))
+
+
+def test_a_part_of_its_own_is_moved_as_one():
+    """Two maps without a common point: the newer is carried to where the loop says, whatever its unit was."""
+    world = chain([pose_at(0.3 * i) for i in range(6)])
+    far = se3_exp(np.array([30.0, -5.0, 2.0, 0.5, 1.0, -0.3]))
+    poses = [far @ pose_at(0.2 * i) for i in range(4)]
+    chain(poses, first=100, world=world)
+    there = pose_at(0.7, 0.2, 0.0, 0.0, 0.1, 0.0)
+    moved = spread(world, loop(world, 102, 3, there, 2.0), [], joined=False)
+    for k in range(6):
+        assert moved[k].world_from_camera == pytest.approx(world.keyframes[k].world_from_camera, abs=1e-4)
+        assert moved[k].scale == pytest.approx(1.0, abs=1e-4)
+    for i in range(4):
+        relative = inverse(poses[2]) @ poses[i]
+        relative[:3, 3] *= 2.0
+        assert moved[100 + i].world_from_camera == pytest.approx(there @ relative, abs=1e-3)
+        assert moved[100 + i].scale == pytest.approx(2.0, abs=1e-3)
+
+
+def test_two_keyframes_with_identical_poses():
+    world = chain([pose_at(0.0), pose_at(0.0), pose_at(0.3)])
+    moved = spread(world, loop(world, 2, 0, pose_at(0.31)), [])
+    assert all(np.isfinite(s.world_from_camera).all() for s in moved.values())
+
+
+def test_nonsense_is_refused():
+    world = chain([pose_at(0.3 * i) for i in range(4)])
+    assert spread(world, loop(world, 3, 0, np.full((4, 4), np.nan)), []) is None

@@ -1,0 +1,84 @@
+"""Retrieval by descriptors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.tracking.place_index import ENOUGH_FOR_A_MEAN, PlaceIndex
+
+
+def filled(rows: np.ndarray) -> PlaceIndex:
+    index = PlaceIndex()
+    for k, row in enumerate(rows):
+        assert index.add(k, row.astype(np.float32))
+    return index
+
+
+def test_few_are_ranked_by_plain_cosine():
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(ENOUGH_FOR_A_MEAN - 1, 20))
+    query = rng.normal(size=20).astype(np.float32)
+    ranked = filled(rows).rank(query, range(100))
+    cosine = rows @ query / np.linalg.norm(rows, axis=1) / np.linalg.norm(query)
+    assert [k for k, _ in ranked] == np.argsort(-cosine).tolist()
+    assert [s for _, s in ranked] == pytest.approx(sorted(cosine, reverse=True), abs=1e-5)
+
+
+def test_many_are_ranked_by_what_tells_them_apart():
+    """A common part a hundred times as large as the differences changes nothing."""
+    rng = np.random.default_rng(1)
+    own = rng.normal(size=(40, 16))
+    own /= np.linalg.norm(own, axis=1, keepdims=True)
+    rows = own - own.mean(axis=0)
+    common = np.full(16, 25.0)
+    common -= 0.0
+    index = filled(common + rows)
+    for k in (3, 17):
+        ranked = index.rank((common + rows[k] + 0.05 * rng.normal(size=16)).astype(np.float32), range(40))
+        assert ranked[0][0] == k
+        assert ranked[0][1] > 0.8 > ranked[1][1]
+
+
+def test_only_those_asked_for_are_ranked():
+    index = filled(np.eye(5))
+    assert [k for k, _ in index.rank(np.ones(5, np.float32), [3, 1, 99])] == [1, 3]
+
+
+def test_what_is_removed_is_gone_from_the_mean_too():
+    rng = np.random.default_rng(2)
+    rows = rng.normal(size=(30, 8))
+    index, fresh = filled(rows), PlaceIndex()
+    for k in range(0, 30, 2):
+        index.remove(k)
+    index.remove(777)
+    for k in range(1, 30, 2):
+        fresh.add(k, rows[k].astype(np.float32))
+    query = rng.normal(size=8).astype(np.float32)
+    for (a, s), (b, t) in zip(index.rank(query, range(30)), fresh.rank(query, range(30)), strict=True):
+        assert a == b
+        assert s == pytest.approx(t, abs=1e-5)
+    assert len(index) == 15
+    assert 0 not in index
+    assert 1 in index
+
+
+def test_descriptors_all_equal_tell_nothing_apart():
+    index = filled(np.ones((20, 8)))
+    ranked = index.rank(np.ones(8, np.float32), range(20))
+    assert [k for k, _ in ranked] == list(range(20))
+    assert all(s == 0.0 for _, s in ranked)
+
+
+@pytest.mark.parametrize(
+    "bad", [np.zeros(8), np.full(8, np.nan), np.full(8, np.inf), np.zeros(0), np.ones(7)], ids=str
+)
+def test_what_is_no_descriptor_is_refused(bad):
+    index = filled(np.eye(8))
+    assert not index.add(99, bad.astype(np.float32))
+    assert index.rank(bad.astype(np.float32), range(8)) == []
+    assert len(index) == 8
+
+
+def test_an_empty_index_ranks_nothing():
+    assert PlaceIndex().rank(np.ones(4, np.float32), range(10)) == []
