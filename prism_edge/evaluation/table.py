@@ -25,6 +25,7 @@ def show(metrics: dict[str, Any], out: Path) -> None:
     console.print(errors)
 
     latency, cpu, void = metrics["latency_ms"], metrics["cpu_ms_per_frame"], metrics["timings_void"]
+    loops = metrics["loops"]
     run = Table(show_header=False, title="run")
     for label, value in (
         ("coverage", f"{_number(metrics['coverage'])} of {metrics['frames']} frames"),
@@ -35,7 +36,7 @@ def show(metrics: dict[str, Any], out: Path) -> None:
         ("memory", f"{_number(metrics['peak_pss_mb']['total'])} MB PSS"),
         ("machine used by others", _number(metrics["foreign_cpu"], 100.0, "%") + (" (timings void)" * void)),
         ("map", f"{metrics['keyframes']} keyframes, {metrics['map_points']} points"),
-        ("loops", f"{metrics['loops']['accepted']}, right {_number(metrics['loops']['precision'], 100.0, '%')}"),
+        ("loops", f"{loops['accepted']}, right {_number(loops['precision'], 100.0, '%')}"),
     ):
         run.add_row(label, value)
     console.print(run)

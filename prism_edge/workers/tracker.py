@@ -24,6 +24,7 @@ from prism_edge.messages import (
     DEGRADED,
     INITIALISING,
     LOCALISED,
+    LOOP_CLOSED,
     LOST,
     Acknowledged,
     Depth,
@@ -48,6 +49,7 @@ _LOOK_S = 0.01  # between frames, for what the others have sent
 _FRAME_S = 5.0
 _PATIENCE_S = 30.0  # lockstep: an answer that takes longer isn't coming
 _STATUS_NS = 500_000_000
+_SAID_NS = 2_000_000_000
 SEED_DEPTH_SIGMA = 0.2  # relative error of one pixel of network depth
 UNKNOWN_SCALE_SIGMA = 1.0
 
@@ -72,6 +74,8 @@ class TrackerWorker:
         self._early: dict[tuple[str, int], Any] = {}
         self._last_index, self._dropped = -1, 0
         self._shown: tuple[str, int, str] | None = None
+        self._happened, self._happened_until_ns = "", 0  # to the map, and until when status says so
+        self._now_ns = 0  # stamp of the newest frame
         self._localise_only = False
         self._desk = bus.commands({"reset": self._reset, "localise_only": self._switch_localise_only})
 
@@ -104,7 +108,7 @@ class TrackerWorker:
     def _track(self, frame: Frame) -> None:
         if self._last_index >= 0 or not self._bus.life:  # what came while we were down was not dropped by us
             self._dropped += max(frame.index - self._last_index - 1, 0)
-        self._last_index = frame.index
+        self._last_index, self._now_ns = frame.index, frame.stamp_ns
         camera = self._camera_of(frame)
         if camera is None:
             last = self._tracker.last_result
@@ -263,6 +267,8 @@ class TrackerWorker:
         self._update_sequence = message.sequence
         if len(message.keyframes):
             self._tracker.apply_update(message)
+        if message.loop_closed:
+            self._say(LOOP_CLOSED)
 
     # -- commands ---------------------------------------------------------------------------------
 
@@ -279,11 +285,17 @@ class TrackerWorker:
         self._localise_only = wanted
         return Reply(True, "the map stays as it is" if wanted else "the map is built on")
 
+    def _say(self, word: str) -> None:
+        """What has happened to the map: `status` says it for a while."""
+        self._happened, self._happened_until_ns = word, self._now_ns + _SAID_NS
+
     # -- status -----------------------------------------------------------------------------------
 
     def _show(self, odometry: str, matched: int, stamp_ns: int) -> None:
         """Publish `status` twice a second and whenever a word changes."""
         state = LOCALISED if self._localise_only else BUILDING
+        if self._happened and stamp_ns < self._happened_until_ns:
+            state = self._happened
         due = stamp_ns // _STATUS_NS
         if self._shown == (odometry, due, state):
             return
