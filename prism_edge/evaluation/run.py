@@ -99,9 +99,11 @@ def extent(config: SourceConfig) -> tuple[Slot | None, int | None]:
     """First place and number of frames of a source that can be played (None: not to be known).
 
     A synthetic source is not opened for that: it would build its whole world. Raises SourceError or
-    ConfigError where the source is unusable.
+    ConfigError where the source is unusable, EvaluationError where it is a live camera.
     """
     source = open_source(config)
+    if source.live:
+        raise EvaluationError("a live camera has neither an end nor truth: evaluate a recording of it")
     with contextlib.nullcontext() if source.synthetic else source:
         return source.peek(), source.frame_count
 

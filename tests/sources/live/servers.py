@@ -9,7 +9,7 @@ import socket
 import subprocess
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -118,7 +118,9 @@ class MjpegServer(ThreadingHTTPServer):
         self.silent = threading.Event()  # connections stay open, nothing is sent
         self.ending = threading.Event()  # connections are closed
         self.status = 200
-        self.mangle = bytes  # what becomes of each JPEG
+        self.picture: Callable[[int], bytes] = jpeg  # the k-th JPEG
+        self.mangle: Callable[[bytes], bytes] = bytes  # what becomes of it
+        self.period_s = 0.01
         self.raw: bytes | None = None  # sent instead of all images, after the header
         self.sent = 0
 
@@ -148,11 +150,11 @@ class _Handler(BaseHTTPRequestHandler):
             if server.silent.is_set() or server.raw is not None:
                 server.ending.wait(0.01)
                 continue
-            data = server.mangle(jpeg(server.sent))
+            data = server.mangle(server.picture(server.sent))
             head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
             self.wfile.write(head.encode() + data + b"\r\n")
             server.sent += 1
-            time.sleep(0.01)
+            time.sleep(server.period_s)
 
 
 @contextmanager
