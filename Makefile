@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .ONESHELL:
-.PHONY: help setup demo test lint accuracy audit lock docs clean
+.PHONY: help setup demo test lint accuracy audit exporter lock docs clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -44,6 +44,9 @@ accuracy: $(STAMP) ## recorded sequences beside the checkout: the slow tests, an
 
 audit: $(STAMP) ## known vulnerabilities of the locked dependencies; needs a network
 	tools/audit.sh $(BIN)
+
+exporter: ## make the environment of tools/export_da3 in .venv-export (PyTorch; the daemon needs none)
+	tools/export_da3/setup.sh
 
 docs: $(STAMP) ## write the table of docs/CONFIGURATION.md anew
 	$(BIN)/python tools/document_config.py

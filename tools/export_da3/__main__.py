@@ -1,0 +1,96 @@
+"""Exports a Depth Anything 3 checkpoint to ONNX files that prism_edge runs.
+
+    python tools/export_da3 CHECKPOINT OUT.onnx [--model NAME] [--height H --width W] [--precision ...]
+
+CHECKPOINT is a folder or file (.safetensors, .pth). Each file is compared with PyTorch on images, output by
+output, and deleted where it misses the bound: 1e-4 for fp32, as printed for the others. docs/EXPORT.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from prism_edge.depth.inner_tensor import GRID
+from prism_edge.errors import ModelError, PrismError
+from tools.export_da3 import checkpoints
+from tools.export_da3.convert import FP32, PRECISIONS
+from tools.export_da3.export import Job, export
+from tools.export_da3.networks import DESCRIPTORS, PATCH, Wanted
+
+HEIGHT, WIDTH = 252, 336  # of a camera of 4:3
+
+
+def main(arguments: list[str] | None = None) -> int:
+    args = _parser().parse_args(arguments)
+    try:
+        given = _checkpoints(args)
+        job = Job(
+            checkpoints=given,
+            out=args.out,
+            height=args.height,
+            width=args.width,
+            views=args.views,
+            wanted=Wanted(
+                "" if args.descriptor == "none" or args.views > 1 else args.descriptor,
+                args.rays,
+                args.intrinsics,
+            ),
+            precisions=args.precision or [FP32],
+            name=args.name,
+            scale_bias_sigma=args.scale_bias_sigma,
+            external=args.external_data,
+            images=args.images or [],
+        )
+        export(job)
+    except PrismError as error:
+        print(f"export_da3: error: {error}", file=sys.stderr)
+        return error.exit_code
+    return 0
+
+
+def _checkpoints(args: argparse.Namespace) -> list[checkpoints.Checkpoint]:
+    """One checkpoint, or a relative and a metric one to be nested."""
+    if args.random_weights is not None:
+        if not args.model:
+            raise ModelError("--random-weights needs --model")
+        given = checkpoints.random(args.model, args.random_weights)
+        if args.metric:
+            given += checkpoints.random("da3metric-large", args.random_weights + 1)
+    else:
+        if args.checkpoint is None:
+            raise ModelError("a checkpoint is needed: a folder or a file, or --random-weights SEED")
+        given = checkpoints.load(args.checkpoint, checkpoints.variant_of(args.checkpoint, args.model))
+        if args.metric:
+            given += checkpoints.load(args.metric, "da3metric-large")
+    return given
+
+
+def _parser() -> argparse.ArgumentParser:
+    form = argparse.RawDescriptionHelpFormatter
+    parser = argparse.ArgumentParser(prog="export_da3", description=__doc__, formatter_class=form)
+    add = parser.add_argument
+    add("checkpoint", metavar="CHECKPOINT", type=Path, nargs="?")
+    add("out", metavar="OUT.onnx", type=Path)
+    add("--model", choices=checkpoints.MODEL_NAMES, default="", help="default: what its config.json says")
+    add("--metric", metavar="CHECKPOINT", type=Path, help="nest it with this da3metric-large: metric depth")
+    add("--random-weights", metavar="SEED", type=int, help="no checkpoint: a test of the export")
+    add("--height", type=int, default=HEIGHT, metavar="H", help=f"a multiple of {PATCH} (default {HEIGHT})")
+    add("--width", type=int, default=WIDTH, metavar="W", help=f"a multiple of {PATCH} (default {WIDTH})")
+    add("--views", type=int, default=1, metavar="N", help="images at once, with their poses (default 1)")
+    add("--precision", nargs="+", choices=PRECISIONS, help="fp16 and int8 go beside OUT (default fp32)")
+    add("--descriptor", choices=(*DESCRIPTORS, "none"), default=GRID, help="of places (default grid)")
+    add("--rays", action="store_true", help="put out each pixel's ray (networks of several views)")
+    add("--intrinsics", action="store_true", help="put out the camera matrix (networks of several views)")
+    add("--name", default="", help="in the model card (default: model and size)")
+    add("--scale-bias-sigma", type=float, default=0.1, metavar="S", help="of one with metres (default 0.1)")
+    add("--external-data", action="store_true", help="weights in OUT.onnx.data (always so beyond 2 GB)")
+    add("--images", nargs="+", type=Path, metavar="PATH", help="files or folders (default: a simulated room)")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

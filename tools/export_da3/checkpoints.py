@@ -1,0 +1,174 @@
+"""The checkpoints of Depth Anything 3: what each gives, and its network with its weights."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from depth_anything_3.cfg import create_object, load_config
+from depth_anything_3.model.da3 import DepthAnything3Net
+from depth_anything_3.registry import MODEL_REGISTRY
+from depth_anything_3.utils.model_loading import convert_general_state_dict
+
+from prism_edge.depth.contract import FOCAL_NORMALISED, RELATIVE
+from prism_edge.errors import ModelError
+
+# Metres = output * f / 300, f in pixels of the network's input (the package's apply_metric_scaling).
+METRIC_FOCAL_LENGTH = 300.0
+NESTED = "da3nested-giant-large"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One kind of checkpoint. Those of several views give confidence, rays and cameras; the others sky."""
+
+    name: str  # the package's
+    title: str
+    licence: str
+    depth_kind: str
+    several_views: bool
+
+
+APACHE, NON_COMMERCIAL = "Apache-2.0", "CC-BY-NC-4.0"
+VARIANTS = {
+    variant.name: variant
+    for variant in (
+        Variant("da3-small", "SMALL", APACHE, RELATIVE, True),
+        Variant("da3-base", "BASE", APACHE, RELATIVE, True),
+        Variant("da3-large", "LARGE", NON_COMMERCIAL, RELATIVE, True),
+        Variant("da3-giant", "GIANT", NON_COMMERCIAL, RELATIVE, True),
+        Variant("da3metric-large", "METRIC-LARGE", APACHE, FOCAL_NORMALISED, False),
+        Variant("da3mono-large", "MONO-LARGE", APACHE, RELATIVE, False),
+    )
+}
+MODEL_NAMES = (*VARIANTS, NESTED)
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A network with its weights. ``revision`` says which: a digest's beginning, or random-SEED."""
+
+    variant: Variant
+    net: DepthAnything3Net
+    revision: str
+
+
+def variant_of(path: Path, named: str) -> str:
+    """The variant: ``named``, or what config.json beside the weights says. Raises ModelError for none."""
+    if named:
+        return named
+    config = (path if path.is_dir() else path.parent) / "config.json"
+    try:
+        name = json.loads(config.read_text(encoding="utf-8")).get("model_name")
+    except (OSError, ValueError, AttributeError):
+        name = None
+    if name not in MODEL_NAMES:
+        raise ModelError(f"{path}: does not say which checkpoint it is; name it with --model")
+    return str(name)
+
+
+def load(path: Path, name: str) -> list[Checkpoint]:
+    """The checkpoint in a folder or file (.safetensors, .pth); a nested one holds two, relative and metric.
+
+    Raises ModelError where there is none or its weights are not those of ``name``.
+    """
+    file = weights_file(path)
+    weights = _read(file)
+    with file.open("rb") as content:
+        revision = "sha256:" + hashlib.file_digest(content, "sha256").hexdigest()[:12]
+    if name == NESTED:
+        parts = (("da3-giant", "model.da3."), ("da3metric-large", "model.da3_metric."))
+    else:
+        parts = ((name, "model."),)
+    nets = [_filled(part, weights, prefix, file) for part, prefix in parts]
+    return [Checkpoint(VARIANTS[part], net, revision) for (part, _), net in zip(parts, nets, strict=True)]
+
+
+def random(name: str, seed: int) -> list[Checkpoint]:
+    """The architecture of ``name`` with seeded random weights, for tests: its depths mean nothing."""
+    names = ("da3-giant", "da3metric-large") if name == NESTED else (name,)
+    checkpoints = []
+    for part in names:
+        torch.manual_seed(seed)
+        net = build(part)
+        with torch.no_grad():
+            for key, value in net.named_parameters():
+                if key.endswith(("pos_embed", "cls_token")):  # zeros when new: would hide a wrong resizing
+                    value.normal_(0.0, 0.5)
+                elif key.endswith("fc_fov.0.bias"):
+                    value.fill_(1.0)  # radians; a field of view of 0 has no focal length
+                elif key.endswith("output_conv2.2.weight"):
+                    value.mul_(5.0)  # depths that differ by more than a few percent
+                elif key.endswith("sky_output_conv2.2.bias"):
+                    value.fill_(0.3)  # at the limit: some pixels are sky, some are not
+        checkpoints.append(Checkpoint(VARIANTS[part], net, f"random-{seed}"))
+    return checkpoints
+
+
+def build(name: str) -> DepthAnything3Net:
+    """The package's network ``name`` as it is when new, without the Gaussian head."""
+    config = load_config(MODEL_REGISTRY[name])
+    for part in ("gs_head", "gs_adapter"):
+        config.pop(part, None)
+    return create_object(config).eval().requires_grad_(False)
+
+
+def weights_file(path: Path) -> Path:
+    """The one weights file of a folder, or the file itself. Raises ModelError."""
+    if path.is_file():
+        return path
+    found = [file for kind in ("*.safetensors", "*.pth", "*.pt") for file in sorted(path.glob(kind))]
+    if len(found) != 1:
+        what = "several weight files: name one" if found else "no .safetensors or .pth file"
+        raise ModelError(f"{path}: {what}" if path.is_dir() else f"{path}: there is no such checkpoint")
+    return found[0]
+
+
+def _read(file: Path) -> dict[str, torch.Tensor]:
+    try:
+        if file.suffix == ".safetensors":
+            from safetensors.torch import load_file
+
+            weights: Any = load_file(str(file))
+        else:
+            weights = torch.load(str(file), map_location="cpu", weights_only=True)  # runs no pickled code
+            weights = weights.get("state_dict", weights.get("model", weights))
+    except Exception as error:  # safetensors', torch's and zipfile's, without a common root
+        reason = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
+        raise ModelError(f"{file}: can't be read as weights ({reason})") from None
+    if not isinstance(weights, dict) or not all(isinstance(item, torch.Tensor) for item in weights.values()):
+        raise ModelError(f"{file}: holds no table of tensors")
+    return weights
+
+
+def _filled(name: str, weights: dict[str, torch.Tensor], prefix: str, file: Path) -> DepthAnything3Net:
+    """The network ``name`` with those of the weights that begin with ``prefix`` (or with nothing)."""
+    net = build(name)
+    own = net.state_dict(keep_vars=True)
+    candidates = [
+        {key.removeprefix(prefix): value for key, value in weights.items() if key.startswith(prefix)},
+        weights,
+        # Training checkpoints use other names for the same parts.
+        {k.removeprefix("model."): v for k, v in convert_general_state_dict(dict(weights)).items()},
+        {
+            k.removeprefix("model."): v
+            for k, v in convert_general_state_dict({f"module.{k}": v for k, v in weights.items()}).items()
+        },
+    ]
+    table = max(candidates, key=lambda table: len(own.keys() & table.keys()))
+    # Layers that share their weights may be saved under one of their names.
+    given = {own[key].data_ptr() for key in own.keys() & table.keys()}
+    missing = [key for key, value in own.items() if value.data_ptr() not in given]
+    if missing:
+        raise ModelError(f"{file}: is not {name}: {len(missing)} weights are missing, such as {missing[0]}")
+    for key in own.keys() & table.keys():
+        if own[key].shape != table[key].shape:
+            raise ModelError(
+                f"{file}: is not {name}: {key} is {list(table[key].shape)}, not {list(own[key].shape)}"
+            )
+    net.load_state_dict({key: table[key].float() for key in own.keys() & table.keys()}, strict=False)
+    return net
