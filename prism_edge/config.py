@@ -36,6 +36,8 @@ ABLATIONS = {
     "wls": "the weighted least squares: an observation is a plain mean",
     "depth_factor": "metric depth in the window's bundle adjustment",
     "loop": "place recognition and loop closure",
+    "dsug": "the uncertainty gate: depth weighs alike at every pixel",
+    "plucker": "the ray-distance factor: points that rest on depth keep their reprojections",
 }
 
 
@@ -141,6 +143,17 @@ class ScaleConfig:
 
 
 @dataclass(frozen=True)
+class GateConfig:
+    """Dynamic scene uncertainty gating (paper, section 3.2; docs/GATE.md)."""
+
+    alpha: float = limits(0.5, 0.0, 1.0, "share of u_spatial in u, where the network gives confidence")
+    tau: float = limits(0.0, 0.0, 10.0, "uncertainty at which a weight is 1/2; 0: the network's own")
+    temperature: float = limits(0.0, 0.0, 10.0, "softness of the gate; 0: the network's own")
+    memory: int = limits(4, 1, 20, "earlier keyframes that a new one is compared with")
+    images: bool = field(default=False, metadata={"help": "publish u and w of each keyframe as images"})
+
+
+@dataclass(frozen=True)
 class BackendConfig:
     """Window bundle adjustment (paper, appendix A: W = 12, 15 iterations, Huber 0.05 / 0.1 m)."""
 
@@ -156,6 +169,8 @@ class BackendConfig:
     huber_depth_m: float = limits(0.1, 0.001, 10.0, "Huber threshold of a depth residual (m)")
     loops: bool = field(default=True, metadata={"help": "recognise places seen before, and close loops"})
     loop_inliers: int = limits(30, 10, 1000, "points that must agree on a loop")
+    ray_sigma_m: float = limits(0.01, 1e-4, 1.0, "noise of a point's distance from a ray (m)")
+    huber_ray_m: float = limits(0.05, 0.001, 10.0, "Huber threshold of that distance (m)")
     max_carried: int = limits(10_000, 0, 1_000_000, "poses kept of culled keyframes, the last culled")
 
 
@@ -228,6 +243,7 @@ class Config:
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     depth: DepthConfig = section(DepthConfig, "depth")
     scale: ScaleConfig = section(ScaleConfig, "scale")
+    gate: GateConfig = section(GateConfig, "scale")
     backend: BackendConfig = section(BackendConfig, "backend")
     lockstep: LockstepConfig = field(default_factory=LockstepConfig)
     supervisor: SupervisorConfig = section(SupervisorConfig, "supervisor")

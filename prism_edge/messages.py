@@ -178,12 +178,16 @@ class Scale:
 
 @dataclass(frozen=True)
 class Gate:
-    """DSUG's weight of each keypoint of a keyframe (a constant 1 where the gate is off)."""
+    """DSUG's weight w of each keypoint of a keyframe, and the uncertainty u that it follows from.
+
+    Where nothing is known of a pixel, u is nan and w 1; so it is everywhere where the gate is off.
+    """
 
     keyframe: int
     index: int
     epoch: int
     weights: F32 = array("float32", -1)
+    uncertainty: F32 = array("float32", -1)
 
 
 @dataclass(frozen=True)
@@ -209,6 +213,7 @@ class MapUpdate:
     added_keyframes: I64 = optional("int64", -1)
     added_points: I64 = optional("int64", -1)  # ... point,
     added_keypoints: I64 = optional("int64", -1)  # ... keypoint
+    weights: F32 = optional("float32", -1)  # of each point, 0..1: how far it stands still; empty: as before
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,9 @@ TOPICS = {
         ),
         # for scorers alone: the exact camera pose of each frame, from sources that make their own images
         Topic("truth", "geometry_msgs/msg/PoseStamped", 30, "source"),
+        # for a look at the gate: u and w of each keyframe, only where gate.images is set
+        Topic("uncertainty", "sensor_msgs/msg/Image", 3, "scale", reliable=False, priority="data_low"),
+        Topic("weight", "sensor_msgs/msg/Image", 3, "scale", reliable=False, priority="data_low"),
         # internal: what the five tell each other
         Topic("internal/frame", m.Frame, 30, "source", ("tracker",), reliable=False),
         Topic(
@@ -61,8 +64,7 @@ TOPICS = {
         Topic("internal/keyframe", m.Keyframe, 3, "tracker", ("scale", "backend")),
         Topic("internal/keyframe_image", m.KeyframeImage, 3, "tracker", ("depth",), reliable=False),
         Topic("internal/depth", m.Depth, 3, "depth", ("tracker", "scale", "backend")),
-        # a constant 1 for now, which nobody needs to hear
-        Topic("internal/gate", m.Gate, 3, "scale"),
+        Topic("internal/gate", m.Gate, 3, "scale", ("backend",)),
         Topic("internal/log_scale", m.Scale, 3, "scale", ("tracker", "backend")),
         Topic("internal/map_update", m.MapUpdate, 3, "backend", ("tracker",)),
         # asked for by whoever wants the whole map: the evaluation

@@ -1,4 +1,11 @@
-"""Native gtsam factors of the map: reprojection and metric depth, each with its robust kernel."""
+"""Native gtsam factors of the map: reprojection, Pluecker ray and metric depth, each with its robust kernel.
+
+The ray's residual (paper, equation 6) is the distance of a point X from the ray (d, m) of a pixel,
+|d x X + m| / |d| with m = t x d. For a point at range r and an angle a off the ray that is r sin a, so a
+bearing factor whitened by sigma_ray / r has the same value to second order in a. r is the range when the
+factor is made and has to be refreshed as the point moves. As it stays out of the derivatives, shrinking
+the map gains nothing, which the exact residual, being a length, would reward.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +19,9 @@ from prism_edge.backend.global_map import GlobalKeyframe
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
+LEAST_WEIGHT = 1e-3  # a gate that is shut leaves a factor finite
+_RAY_STEP = 0.01
+_LEAST_RANGE = 1e-3  # map units
 _SIGMA_STEP = 0.1  # of log sigma: noise models are shared between depths that are about as uncertain
 
 
@@ -22,6 +32,7 @@ class FactorFactory:
         """``units_per_metre`` turns thresholds in metres into the map's unit."""
         self._config = config
         self._huber_depth = config.huber_depth_m * units_per_metre
+        self._ray_sigma = config.ray_sigma_m * units_per_metre
         self._calibrations: dict[int, gtsam.Cal3_S2] = {}
 
     def reprojection(
@@ -36,21 +47,38 @@ class FactorFactory:
         )
 
     def metric_depth(
-        self, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int, weight: float = 1.0
+        self, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int
     ) -> gtsam.NonlinearFactor:
         """Network depth of a keypoint (along z, map units) as a range factor: range = z * |K^-1 p|.
 
-        The Huber threshold is a length, gtsam's is in sigmas, so k = delta / sigma. ``weight`` in (0, 1]
-        divides the variance (the gate's Omega).
+        The Huber threshold is a length, gtsam's is in sigmas, so k = delta / sigma. The gate's weight
+        divides the variance (Omega = w / sigma^2).
         """
         assert keyframe.depths is not None
         camera = keyframe.camera
         pixel = keyframe.pixels[keypoint]
         x, y = (float(pixel[0]) - camera.cx) / camera.fx, (float(pixel[1]) - camera.cy) / camera.fy
         distance = float(keyframe.depths[keypoint]) * math.sqrt(x * x + y * y + 1.0)
-        sigma = self._config.depth_sigma * distance / math.sqrt(max(weight, 1e-3))
+        weight = max(keyframe.gate_weight(keypoint), LEAST_WEIGHT)
+        sigma = self._config.depth_sigma * distance / math.sqrt(weight)
         noise = depth_noise(round(math.log(sigma) / _SIGMA_STEP), self._huber_depth)
         return gtsam.RangeFactor3D(pose_key, point_key, distance, noise)
+
+    def ray(
+        self, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int, current_range: float
+    ) -> gtsam.NonlinearFactor:
+        """Distance of a point from the ray of a keypoint; ``current_range`` is the point's, map units.
+
+        It repeats what the reprojection of the same pixel says: use one of them. Huber's k = delta / sigma.
+        """
+        camera, pixel = keyframe.camera, keyframe.pixels[keypoint]
+        direction = (pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0
+        weight = max(keyframe.gate_weight(keypoint), LEAST_WEIGHT)
+        sigma = self._ray_sigma / math.sqrt(weight)
+        angle = sigma / max(current_range, _LEAST_RANGE)
+        threshold = self._config.huber_ray_m / self._config.ray_sigma_m * math.sqrt(weight)
+        noise = ray_noise(round(math.log(angle) / _RAY_STEP), round(threshold, 2))
+        return gtsam.BearingFactor3D(pose_key, point_key, gtsam.Unit3(np.array(direction)), noise)
 
     def _calibrate(self, keyframe: GlobalKeyframe) -> gtsam.Cal3_S2:
         camera = keyframe.camera
@@ -70,6 +98,12 @@ def depth_noise(step: int, huber: float) -> gtsam.noiseModel.Base:
     """Range noise of sigma exp(step * 0.1); ``huber`` is a length in the same unit."""
     sigma = math.exp(step * _SIGMA_STEP)
     return _robust(max(huber / sigma, 1e-3), gtsam.noiseModel.Isotropic.Sigma(1, sigma))
+
+
+@lru_cache(maxsize=4096)
+def ray_noise(step: int, huber: float) -> gtsam.noiseModel.Base:
+    """Bearing noise of sigma exp(step * 0.01) radians; ``huber`` is in sigmas."""
+    return _robust(max(huber, 1e-3), gtsam.noiseModel.Isotropic.Sigma(2, math.exp(step * _RAY_STEP)))
 
 
 def _robust(huber: float, noise: gtsam.noiseModel.Base) -> gtsam.noiseModel.Base:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
@@ -39,6 +40,13 @@ class GlobalKeyframe:
     features: Features = field(default_factory=no_features, repr=False)
     scale_factor: float = 1.2  # between pyramid levels
     travelled: float = 0.0  # path length to here, map units as the tracker had them
+    # The gate's weight of each keypoint in [0, 1], nan where nothing is known of it.
+    weights: NDArray[np.float64] | None = None
+
+    def gate_weight(self, keypoint: int) -> float:
+        """The gate's weight of a keypoint; 1 where nothing is held against it."""
+        weight = 1.0 if self.weights is None else float(self.weights[keypoint])
+        return weight if math.isfinite(weight) else 1.0
 
 
 @dataclass

@@ -12,7 +12,7 @@ from prism_edge.backend.loop_closing import LoopCloser, MapChanges
 from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
-from prism_edge.messages import Keyframe, MapUpdate
+from prism_edge.messages import Gate, Keyframe, MapUpdate
 from prism_edge.tracking.seeding import agreement, sample_depth
 
 MIN_ALIGNED = 20
@@ -23,9 +23,15 @@ class Mapper:
     """Owns the global map of one epoch. Knows nothing of the bus."""
 
     def __init__(
-        self, config: BackendConfig, use_depth: bool = True, first_id: int = 0, seed: int = 0
+        self,
+        config: BackendConfig,
+        use_depth: bool = True,
+        first_id: int = 0,
+        seed: int = 0,
+        use_rays: bool = True,
     ) -> None:
         """Updates are numbered from ``first_id``; ``seed`` is of the loops' RANSAC."""
+        self._use_rays = use_rays
         self._config = config
         self._use_depth = use_depth
         self._seed = seed
@@ -68,11 +74,21 @@ class Mapper:
             factor = agreed.units_per_metre
         keyframe.depths = own * factor
 
+    def add_gate(self, message: Gate) -> None:
+        """Attach the gate's weights to a keyframe's keypoints (those of a message that fits it)."""
+        keyframe = self.world.keyframes.get(message.keyframe) if message.epoch == self.epoch else None
+        if keyframe is not None and len(message.weights) == len(message.uncertainty) == len(keyframe.pixels):
+            weights = np.clip(message.weights.astype(np.float64), 0.0, 1.0)
+            keyframe.weights = np.where(np.isnan(message.uncertainty), np.nan, weights)
+
     def optimise(self, newest: int, log_scale: float) -> MapUpdate | None:
         """Solve the window of a keyframe and take its result over; None where nothing was solved."""
         started = time.perf_counter()
         window = choose_window(self.world, newest, self._config)
-        solution = solve(self.world, window, self._config, float(np.exp(-log_scale)), self._use_depth)
+        units_per_metre = float(np.exp(-log_scale))
+        solution = solve(
+            self.world, window, self._config, units_per_metre, self._use_depth, self._use_rays
+        )
         if solution is None:
             return None
         return self._take_over(newest, solution, started)

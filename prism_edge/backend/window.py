@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
@@ -15,6 +16,7 @@ from prism_edge.geometry.poses import Array
 
 CHI2_2D_99 = 9.21
 DEPTH_PARALLAX_DEG = 3.0  # above it two rays place a point far better than a network does
+REFINING = 4  # iterations kept for the second round
 CONVERGED = 1e-4  # relative decrease of the cost that is not worth another iteration
 
 
@@ -71,13 +73,40 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
     return Window(sorted(free), sorted(anchors), points)
 
 
-def solve(
-    world: GlobalMap, window: Window, config: BackendConfig, units_per_metre: float, use_depth: bool
-) -> Solution | None:
-    """Optimise a window; None where there is nothing to optimise or gtsam fails on it."""
-    if not window.free or len(window.points) < 10:
-        return None
-    graph, values, observations = gtsam.NonlinearFactorGraph(), gtsam.Values(), []
+@dataclass(frozen=True)
+class Ray:
+    """An observation that counts as a ray: its noise goes with the point's range, which moves."""
+
+    keyframe: int
+    point: int
+    keypoint: int
+
+
+@dataclass
+class Problem:
+    """A window as gtsam has it. ``rays`` are not in ``graph``: each round makes them anew."""
+
+    graph: gtsam.NonlinearFactorGraph
+    values: gtsam.Values
+    observations: list[tuple[int, int, int]]  # keyframe, point, keypoint
+    rays: list[Ray]
+    factors: FactorFactory
+
+
+def assemble(
+    world: GlobalMap,
+    window: Window,
+    config: BackendConfig,
+    units_per_metre: float,
+    use_depth: bool,
+    use_rays: bool = True,
+) -> Problem:
+    """Factors and starting values of a window.
+
+    A point that rests on depth (its rays differ by less than 3 degrees) has a metric depth factor at each
+    keyframe that has depth for it, and there a ray in place of the reprojection, which would say the same.
+    """
+    graph, values, observations, rays = gtsam.NonlinearFactorGraph(), gtsam.Values(), [], []
     factors = FactorFactory(config, units_per_metre)
     for k in window.free + window.held:
         values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
@@ -89,30 +118,69 @@ def solve(
         point, point_key = world.points[p], L(p)
         values.insert(point_key, point.position)
         # Depth says something where rays hardly differ, and of scale where nothing else does.
-        deepen = use_depth and (scale_is_free or point.parallax_deg < DEPTH_PARALLAX_DEG)
+        shallow = point.parallax_deg < DEPTH_PARALLAX_DEG
+        deepen = use_depth and (scale_is_free or shallow)
         for k in point.keyframes & members.keys():
             pose_key, keyframe = members[k]
             keypoint = keyframe.observed[p]
-            graph.add(factors.reprojection(pose_key, point_key, keyframe, keypoint))
             observations.append((k, p, keypoint))
-            if deepen and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
+            deep = deepen and keyframe.depths is not None and keyframe.depths[keypoint] > 0
+            if deep:
                 graph.add(factors.metric_depth(pose_key, point_key, keyframe, keypoint))
+            if deep and shallow and use_rays:
+                rays.append(Ray(k, p, keypoint))
+            else:
+                graph.add(factors.reprojection(pose_key, point_key, keyframe, keypoint))
+    return Problem(graph, values, observations, rays, factors)
+
+
+def with_rays(world: GlobalMap, problem: Problem, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
+    """The problem's graph with its ray factors, whitened by the ranges that ``values`` have."""
+    if not problem.rays:
+        return problem.graph
+    graph = gtsam.NonlinearFactorGraph(problem.graph)
+    centres = {k: values.atPose3(X(k)).translation() for k in {ray.keyframe for ray in problem.rays}}
+    for ray in problem.rays:
+        offset = values.atPoint3(L(ray.point)) - centres[ray.keyframe]
+        distance = math.sqrt(float(offset @ offset))
+        keyframe = world.keyframes[ray.keyframe]
+        graph.add(problem.factors.ray(X(ray.keyframe), L(ray.point), keyframe, ray.keypoint, distance))
+    return graph
+
+
+def solve(
+    world: GlobalMap,
+    window: Window,
+    config: BackendConfig,
+    units_per_metre: float,
+    use_depth: bool,
+    use_rays: bool = True,
+) -> Solution | None:
+    """Optimise a window; None where there is nothing to optimise or gtsam fails on it."""
+    if not window.free or len(window.points) < 10:
+        return None
+    problem = assemble(world, window, config, units_per_metre, use_depth, use_rays)
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(1e-4)
     parameters.setlambdaInitial(1e-4)
+    # Rays are whitened by ranges that the first round changes: a second one sets that right.
+    rounds = [config.iterations - REFINING] * bool(problem.rays) + [config.iterations]
+    observations, result, iterations, before, error = problem.observations, problem.values, 0, None, 0.0
     try:
-        optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
-        before = previous = optimiser.error()
-        # Step by step, so that the interpreter breathes between iterations.
-        iterations = 0
-        while iterations < config.iterations:
-            optimiser.iterate()
-            iterations += 1
-            error = optimiser.error()
-            if previous - error < CONVERGED * previous:
-                break
-            previous = error
-        result = optimiser.values()
+        for most in rounds:
+            graph = with_rays(world, problem, result)
+            optimiser = gtsam.LevenbergMarquardtOptimizer(graph, result, parameters)
+            error = previous = optimiser.error()
+            before = error if before is None else before
+            # Step by step, so that the interpreter breathes between iterations.
+            while iterations < most:
+                optimiser.iterate()
+                iterations += 1
+                error = optimiser.error()
+                if previous - error < CONVERGED * previous:
+                    break
+                previous = error
+            result = optimiser.values()
     except RuntimeError:
         return None
     poses = {k: result.atPose3(X(k)).matrix() for k in window.free}
@@ -121,7 +189,7 @@ def solve(
         return None
     wrong = outliers(world, poses, points, observations, config)
     parallax = widest_parallax(world, points)
-    return Solution(poses, points, parallax, wrong, iterations, before, optimiser.error())
+    return Solution(poses, points, parallax, wrong, iterations, before or 0.0, error)
 
 
 def widest_parallax(world: GlobalMap, points: dict[int, Array]) -> dict[int, float]:

@@ -26,6 +26,7 @@ TRUTH = "geometry_msgs/msg/PoseStamped"
 TF = "tf2_msgs/msg/TFMessage"
 SCALE = "prism_edge_msgs/msg/Scale"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
+IMAGE = "sensor_msgs/msg/Image"
 
 # Levels of diagnostics, as diagnostic_msgs/msg/DiagnosticStatus numbers them.
 LEVEL_OK, LEVEL_WARN, LEVEL_ERROR, LEVEL_STALE = 0, 1, 2, 3
@@ -113,6 +114,21 @@ def scale(
         observation_sigma=float(observation_sigma),
         points=int(points),
         accepted=bool(accepted),
+    )
+
+
+def image(stamp_ns: int, frame_id: str, values: NDArray[np.floating[Any]]) -> Any:
+    """sensor_msgs/Image of one float a pixel (h, w), encoding 32FC1."""
+    height, width = values.shape
+    data = np.ascontiguousarray(values, dtype="<f4").view(np.uint8).ravel()
+    return _t[IMAGE](
+        header=_header(stamp_ns, frame_id),
+        height=height,
+        width=width,
+        encoding="32FC1",
+        is_bigendian=0,
+        step=4 * width,
+        data=data,
     )
 
 

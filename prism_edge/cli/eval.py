@@ -14,8 +14,6 @@ from prism_edge.errors import ConfigError
 
 # Parts of the method that can't be left out of this version, as they are not in it.
 _ABSENT = {
-    "plucker": "there is no ray-distance factor",
-    "dsug": "the uncertainty gate is a constant: there is nothing",
     "init": "there is no synchronous initialisation over several keyframes",
 }
 

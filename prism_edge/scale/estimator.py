@@ -6,11 +6,13 @@ import math
 
 import numpy as np
 
-from prism_edge.config import ScaleConfig
+from prism_edge.config import GateConfig, ScaleConfig
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import F32, Depth, Gate, Keyframe, Scale
 from prism_edge.scale.filter import ScaleFilter
+from prism_edge.scale.gate import Floats
+from prism_edge.scale.gate_keyframes import KeyframeGate
 from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
 from prism_edge.scale.samples import sample
 from prism_edge.scale.steady import SteadyScale
@@ -19,15 +21,19 @@ from prism_edge.scale.steady import SteadyScale
 class ScaleEstimator:
     """Scale of the newest map; a new epoch starts afresh, since its unit is another.
 
-    ``ablate`` may name 'kalman' (the last observation is the estimate) and 'wls' (a plain mean of points).
+    ``ablate`` may name 'kalman' (the last observation is the estimate), 'wls' (a plain mean of points) and
+    'dsug' (the gate stays open).
     """
 
-    def __init__(self, config: ScaleConfig, ablate: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, config: ScaleConfig, ablate: tuple[str, ...] = (), gate: GateConfig | None = None
+    ) -> None:
         self._config = config
         self._kalman = "kalman" not in ablate
         self._least_squares = "wls" not in ablate
         self._epoch: int | None = None
         self._bias_sigma = 0.0  # of the network, as last heard
+        self._gate = KeyframeGate(gate or GateConfig(), "dsug" not in ablate)
         self._filter = ScaleFilter(config, self._kalman)
         self._steady = self._new_steady()
 
@@ -58,14 +64,20 @@ class ScaleEstimator:
             self._epoch = keyframe.epoch
             self._filter = ScaleFilter(self._config, self._kalman)
             self._steady = self._new_steady()
+            self._gate.forget()
         weights = np.ones(len(keyframe.pixels), dtype=np.float32)
+        uncertainty = np.full(len(keyframe.pixels), np.nan, dtype=np.float32)
         scale = self._filter
         scale.predict(keyframe.stamp_ns * 1e-9, keyframe.travelled)
         if depth is not None and math.isfinite(depth.bias_sigma) and depth.bias_sigma >= 0.0:
             self._bias_sigma = depth.bias_sigma
         observation, accepted = None, False
-        if depth is not None and depth.valid:
-            observation = self._observe(keyframe, depth, weights)
+        camera = _camera_of(keyframe)
+        if depth is not None and depth.valid and camera is not None:
+            gated = self._gate.assess(keyframe, depth, camera, scale.log_scale)
+            if gated is not None:
+                weights, uncertainty = gated.weights.astype(np.float32), gated.uncertainty.astype(np.float32)
+            observation = self._observe(keyframe, depth, camera, weights)
             if observation is not None:
                 accepted = scale.update(observation)
             elif scale.is_open:
@@ -84,18 +96,19 @@ class ScaleEstimator:
             points=observation.points if observation else 0,
             accepted=accepted,
         )
-        gate = Gate(keyframe=keyframe.id, index=keyframe.index, epoch=keyframe.epoch, weights=weights)
-        return message, gate
+        return message, Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, uncertainty)
+
+    def gate_images(self) -> tuple[Floats, Floats] | None:
+        """u and w of every pixel of the newest keyframe's depth map (h, w); None where the gate was open."""
+        return self._gate.images()
 
     def _new_steady(self) -> SteadyScale:
         return SteadyScale(self._config.hold_sigmas if self._kalman else 0.0)
 
-    def _observe(self, keyframe: Keyframe, depth: Depth, weights: F32) -> Observation | None:
+    def _observe(
+        self, keyframe: Keyframe, depth: Depth, camera: Camera, weights: F32
+    ) -> Observation | None:
         c = self._config
-        try:
-            camera = Camera.from_array(keyframe.camera_model, keyframe.camera)
-        except ConfigError:
-            return None  # a message no camera can have sent is worth as much as no message
         if not np.isfinite(depth.image_to_depth).all():
             return None
         samples = sample(
@@ -117,3 +130,11 @@ class ScaleEstimator:
             c.frame_sigma,
             c.min_points,
         )
+
+
+def _camera_of(keyframe: Keyframe) -> Camera | None:
+    """None for a message no camera can have sent: worth as much as no message."""
+    try:
+        return Camera.from_array(keyframe.camera_model, keyframe.camera)
+    except ConfigError:
+        return None

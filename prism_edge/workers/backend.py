@@ -11,7 +11,7 @@ import numpy as np
 from prism_edge.backend.mapper import Mapper
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
-from prism_edge.messages import Acknowledged, Depth, Keyframe, MapSnapshot, MapUpdate, Tracked
+from prism_edge.messages import Acknowledged, Depth, Gate, Keyframe, MapSnapshot, MapUpdate, Tracked
 from prism_edge.processes import processes_for
 
 log = logging.getLogger("prism_edge.backend")
@@ -19,7 +19,7 @@ log = logging.getLogger("prism_edge.backend")
 _LOOK_S = 0.05
 _SOLVE_S = 20.0
 _PATIENCE_S = 30.0  # lockstep: a keyframe or depth that takes longer isn't coming
-# Real time: how long a keyframe waits for its depth before its window is solved without.
+# Real time: how long a keyframe waits for its depth and gate before its window is solved without.
 _DEPTH_WAIT_S = 0.25
 _LOCKSTEP_STEPS = 3  # of a global adjustment with each keyframe
 
@@ -35,13 +35,16 @@ class BackendWorker:
         self._keyframes = bus.queue("keyframe", 64)
         self._depths = bus.queue("depth", 64)
         self._scales = bus.queue("log_scale", 64)
+        self._gates = bus.queue("gate", 64)
         self._ends = bus.queue("end")
         self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
-        self._mapper = Mapper(config.backend, self._use_depth, bus.first_id, config.seed)
+        use_rays = "plucker" not in config.ablate
+        self._mapper = Mapper(config.backend, self._use_depth, bus.first_id, config.seed, use_rays)
         self._waiting: deque[tuple[float, Keyframe]] = deque()
         self._early: dict[int, Depth] = {}
         self._log_scale = 0.0
         self._scaled: set[int] = set()
+        self._gated: dict[int, Gate] = {}
         self._settled = False
         self._snapshot = self._take_snapshot()
         bus.answer("map_snapshot", lambda: self._snapshot)
@@ -73,7 +76,7 @@ class BackendWorker:
         newest: Keyframe | None = None
         while self._waiting:
             arrived, keyframe = self._waiting[0]
-            missing = self._use_depth and keyframe.id not in self._early
+            missing = self._use_depth and not {keyframe.id} <= self._early.keys() & self._gated.keys()
             if missing and time.monotonic() - arrived < _DEPTH_WAIT_S:
                 break
             self._waiting.popleft()
@@ -93,6 +96,9 @@ class BackendWorker:
                 self._waiting.append((now, keyframe))
         for depth in self._depths.drain():
             self._early[depth.keyframe] = depth
+        for gate in self._gates.drain():
+            self._gated[gate.keyframe] = gate
+            self._mapper.add_gate(gate)
         for scale in self._scales.drain():
             self._scaled.add(scale.keyframe)
             if scale.epoch == self._mapper.epoch and np.isfinite(scale.log_scale):
@@ -104,6 +110,10 @@ class BackendWorker:
         self._mapper.absorb(keyframe)
         depth = self._early.pop(keyframe.id, None)
         self._early = {k: kept for k, kept in self._early.items() if k > keyframe.id}
+        gate = self._gated.pop(keyframe.id, None)
+        if gate is not None:
+            self._mapper.add_gate(gate)
+        self._gated = {k: kept for k, kept in self._gated.items() if k > keyframe.id}
         self._scaled = {k for k in self._scaled if k > keyframe.id}
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
             self._mapper.add_depth(keyframe, depth.depth, depth.image_to_depth, self._log_scale)
@@ -171,7 +181,8 @@ class BackendWorker:
     def _complete(self, keyframe: int) -> bool:
         here = any(waiting.id == keyframe for _, waiting in self._waiting)
         has_depth = "depth" not in self._peers or keyframe in self._early
-        return here and has_depth and ("scale" not in self._peers or keyframe in self._scaled)
+        has_scale = "scale" not in self._peers or (keyframe in self._scaled and keyframe in self._gated)
+        return here and has_depth and has_scale
 
     # -- the map for others -------------------------------------------------------------------------
 

@@ -36,7 +36,8 @@ class ScaleWorker:
         self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
         self._waiting = Rendezvous()
         self._served: deque[int] = deque(maxlen=256)  # keyframes; a later frame's may come with an earlier's
-        self._estimator = ScaleEstimator(config.scale, config.ablate)
+        self._estimator = ScaleEstimator(config.scale, config.ablate, config.gate)
+        self._shows_images, self._camera_frame = config.gate.images, config.frames.camera
 
     def run(self) -> None:
         """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""
@@ -109,6 +110,15 @@ class ScaleWorker:
         self._bus.publish("log_scale", scale)
         self._bus.publish("gate", gate)
         self._bus.publish("scale", self._public(scale))
+        if self._shows_images:
+            self._show(scale.stamp_ns)
+
+    def _show(self, stamp_ns: int) -> None:
+        """u and w of the newest keyframe's every pixel, for a look."""
+        images = self._estimator.gate_images()
+        if images is not None:
+            for topic, values in zip(("uncertainty", "weight"), images, strict=True):
+                self._bus.publish(topic, ros.image(stamp_ns, self._camera_frame, values))
 
     def _public(self, scale: Scale) -> Any:
         return ros.scale(

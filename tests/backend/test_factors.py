@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalKeyframe
 from prism_edge.config import BackendConfig
-from prism_edge.geometry.poses import inverse, se3_exp, transform
+from prism_edge.geometry.poses import inverse, scaled, se3_exp, transform
 from tests.tracking.cloud import CAMERA, pose_at
 
 CONFIG = BackendConfig()
@@ -28,12 +28,26 @@ def metric_depth(
     pixel: np.ndarray, depth: float, units_per_metre: float = 1.0, weight: float = 1.0
 ) -> gtsam.NonlinearFactor:
     factory = FactorFactory(CONFIG, units_per_metre)
-    return factory.metric_depth(X(0), L(0), keyframe_of(pixel, 0, depth), 0, weight)
+    return factory.metric_depth(X(0), L(0), keyframe_of(pixel, 0, depth, weight), 0)
 
 
-def keyframe_of(pixel: np.ndarray, octave: int, depth: float = 0.0) -> GlobalKeyframe:
-    sigmas, depths = np.array([1.2**octave]), np.array([depth])
-    return GlobalKeyframe(0, 0, CAMERA, POSE, pixel[None], sigmas, {0: 0}, depths)
+def ray(
+    pixel: np.ndarray, current_range: float, units_per_metre: float = 1.0, weight: float = 1.0
+) -> gtsam.NonlinearFactor:
+    factory = FactorFactory(CONFIG, units_per_metre)
+    return factory.ray(X(0), L(0), keyframe_of(pixel, 0, 0.0, weight), 0, current_range)
+
+
+def keyframe_of(pixel: np.ndarray, octave: int, depth: float = 0.0, weight: float = 1.0) -> GlobalKeyframe:
+    sigmas, depths, weights = np.array([1.2**octave]), np.array([depth]), np.array([weight])
+    return GlobalKeyframe(0, 0, CAMERA, POSE, pixel[None], sigmas, {0: 0}, depths, weights=weights)
+
+
+def pluecker_distance(pose: np.ndarray, pixel: np.ndarray, point: np.ndarray) -> float:
+    """|d x X + m| / |d| with m = t x d: the paper's equation 6, in the world frame."""
+    d = pose[:3, :3] @ np.linalg.inv(CAMERA.matrix) @ (*pixel, 1.0)
+    moment = np.cross(pose[:3, 3], d)
+    return float(np.linalg.norm(np.cross(d, point) + moment) / np.linalg.norm(d))
 
 
 def values_of(pose: np.ndarray, point: np.ndarray) -> gtsam.Values:
@@ -122,3 +136,53 @@ def test_a_held_pose_is_dearer_than_any_measurement():
     factor = held(X(0), POSE)
     assert factor.error(values_of(POSE, POINT)) == pytest.approx(0.0)
     assert factor.error(values_of(POSE @ pose_at(0.001), POINT)) > 1e5
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.floats(-40, 40), st.floats(-40, 40), st.floats(0.1, 1.0), st.floats(0.5, 2.0))
+def test_a_ray_is_the_pluecker_distance_to_second_order(dx, dy, weight, units_per_metre):
+    """Its own Huber threshold, 0.05 m, and the gate's weight included."""
+    local = transform(inverse(POSE), POINT[None])
+    pixel = CAMERA.project(local)[0] + (dx, dy)
+    distance = pluecker_distance(POSE, pixel, POINT)
+    current = float(np.linalg.norm(local))
+    sigma = CONFIG.ray_sigma_m * units_per_metre / np.sqrt(weight)
+    expected = huber(distance / sigma, CONFIG.huber_ray_m * units_per_metre / sigma)
+    angle = np.arcsin(distance / current)
+    # sin a = a (1 - a^2 / 6); sigmas are rounded to a hundredth, thresholds in sigmas too
+    tolerance = angle**2 / 3 + 0.012
+    error = ray(pixel, current, units_per_metre, weight).error(values_of(POSE, POINT))
+    assert error == pytest.approx(expected, rel=tolerance, abs=1e-9)
+
+
+def test_a_gross_ray_costs_in_proportion_to_its_distance():
+    """Beyond 0.05 m Huber's loss is linear; before, quadratic."""
+    local = transform(inverse(POSE), POINT[None])
+    current = float(np.linalg.norm(local))
+    costs = []
+    for metres in (0.01, 0.02, 0.2, 0.4):
+        aside = POINT + POSE[:3, 0] * metres
+        costs.append(ray(CAMERA.project(local)[0], current).error(values_of(POSE, aside)))
+    assert costs[1] / costs[0] == pytest.approx(4.0, rel=0.02)
+    assert costs[3] / costs[2] == pytest.approx(2.0, rel=0.15)
+
+
+def test_rays_alone_say_nothing_of_the_scale():
+    """d cost / d log s = 0, where the exact residual, a length, would reward shrinking the map."""
+    local = transform(inverse(POSE), POINT[None])
+    pixel = CAMERA.project(local)[0] + (3.0, -2.0)
+    factor = ray(pixel, float(np.linalg.norm(local)))
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(factor)
+    gradient = graph.linearize(values_of(POSE, POINT)).gradientAtZero()
+    # d/d log s moves the point by itself and the camera by its position, in its own frame
+    along = np.dot(gradient.at(X(0))[3:], POSE[:3, :3].T @ POSE[:3, 3]) + np.dot(gradient.at(L(0)), POINT)
+    assert np.linalg.norm(gradient.at(L(0))) > 1.0, "it does say something"
+    assert along == pytest.approx(0.0, abs=1e-8)
+    exact = [pluecker_distance(scaled(POSE, s), pixel, s * POINT) for s in (1.0, 0.9)]
+    assert exact[1] == pytest.approx(0.9 * exact[0])
+
+
+def test_a_shut_gate_lets_a_ray_be():
+    factor = ray(np.array([100.0, 100.0]), 2.0, weight=0.0)
+    assert 0 < factor.error(values_of(POSE, POINT)) < 1.0

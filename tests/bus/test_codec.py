@@ -131,7 +131,7 @@ def test_defects_are_told_in_one_line(data, says):
 
 
 def test_a_huge_size_is_refused_before_memory_is_touched():
-    data = pack(m.Gate(1, 2, 3, np.zeros(0, np.float32)))
+    data = pack(m.Gate(1, 2, 3, np.zeros(0, np.float32), np.ones(2, np.float32)))
     huge = data.replace(b'["<f4",0]', b'["<f4",9]').replace(b'"<f4",9', b'"<f4",4')
     assert huge != data
     with pytest.raises(BusError, match="truncated in weights"):

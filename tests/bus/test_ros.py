@@ -24,6 +24,7 @@ EXAMPLES = {
     ros.ODOMETRY: ros.odometry(STAMP, "odom", "base_link", POSE, COVARIANCE, TWIST, COVARIANCE + 100),
     ros.POSE: ros.pose_with_covariance(STAMP, "map", POSE, COVARIANCE),
     ros.TRUTH: ros.pose_stamped(STAMP, "map", POSE),
+    ros.IMAGE: ros.image(STAMP, "camera", np.arange(6.0).reshape(2, 3)),
     ros.TF: ros.transforms([(STAMP, "map", "odom", POSE), (STAMP + 1, "odom", "base_link", np.eye(4))]),
     ros.SCALE: ros.scale(STAMP, "map", 0.1, 0.2, 0.15, True, 7, 0.12, 0.3, 42, True),
     ros.DIAGNOSTICS: ros.diagnostics(STAMP, [("tracking", ros.LEVEL_WARN, "lost", {"fps": 29.5})]),

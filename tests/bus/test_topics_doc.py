@@ -35,6 +35,8 @@ MESSAGES = {
     "scale": (ros.scale(1, "map", 0.0, 0.25, 0.1, metric=True), "1.0 0.25 True"),
     "status": (ros.diagnostics(1, [("tracking", 0, "ok building", {})]), "0 tracking ok building"),
     "health": (ros.diagnostics(1, [("depth", 1, "restarted", {})]), "1 depth restarted"),
+    "uncertainty": (ros.image(1, "camera", np.full((2, 3), 0.25)), "camera 32FC1 (2, 3) 0.25"),
+    "weight": (ros.image(1, "camera", np.full((3, 2), 0.5)), "camera 32FC1 (3, 2) 0.5"),
     "truth": (ros.pose_stamped(1, "map", POSE), "map 1.5 2.5 3.5"),
 }
 

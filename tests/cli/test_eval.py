@@ -34,7 +34,7 @@ def test_out_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--out" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("part", ["plucker", "dsug", "init"])
+@pytest.mark.parametrize("part", ["init"])
 def test_parts_that_are_not_there_are_refused_in_plain_words(
     part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from prism_edge.config import Config, DepthConfig
 from prism_edge.geometry.poses import inverse, transform
-from prism_edge.messages import Acknowledged, Depth, EndOfStream, Keyframe, Scale, Tracked
+from prism_edge.messages import Acknowledged, Depth, EndOfStream, Gate, Keyframe, Scale, Tracked
 from prism_edge.workers import backend as worker
 from tests.backend.ring import Ring, position_error
 from tests.backend.world import Teller
@@ -77,6 +77,13 @@ def scale_of(keyframe: Keyframe, log_scale: float = 0.1, **changes: object) -> S
     return replace(made, **changes)
 
 
+def gate_of(keyframe: Keyframe, weight: float = 1.0) -> Gate:
+    count = len(keyframe.pixels)
+    known = np.full(count, 0.3, np.float32)
+    known[0] = np.nan
+    return Gate(keyframe.id, keyframe.index, keyframe.epoch, np.full(count, weight, np.float32), known)
+
+
 def tick(index: int, keyframe: int = -1) -> Tracked:
     return Tracked(index, index * 33_000_000, 0, "ok", True, keyframe, 0, np.eye(4))
 
@@ -94,6 +101,7 @@ def test_each_keyframe_brings_a_correction():
     made = worker.BackendWorker(CONFIG, bus)
     for keyframe in told:
         bus.give("depth", depth_of(keyframe, teller))
+        bus.give("gate", gate_of(keyframe))
         bus.give("log_scale", scale_of(keyframe))
         bus.give("keyframe", keyframe)
         made._realtime()
@@ -204,6 +212,7 @@ def test_a_new_map_begins_with_a_new_epoch():
     bus, (teller, old) = ListBus("keyframe"), keyframes(3)
     again, new = keyframes(3, epoch=1, first=3)
     bus.give("depth", *(depth_of(k, teller) for k in old))
+    bus.give("gate", *(gate_of(k) for k in (*old, *new)))
     bus.give("keyframe", *old)
     made = worker.BackendWorker(CONFIG, bus)
     made._realtime()
@@ -331,11 +340,13 @@ def test_what_is_kept_for_later_does_not_grow():
     made = worker.BackendWorker(CONFIG, bus)
     for keyframe in told:
         bus.give("depth", depth_of(keyframe, teller))
+        bus.give("gate", gate_of(keyframe))
         bus.give("log_scale", scale_of(keyframe))
         bus.give("keyframe", keyframe)
         made._realtime()
     assert len(made._early) <= 1
     assert len(made._scaled) <= 1
+    assert len(made._gated) <= 1
     assert not made._waiting
 
 
@@ -364,6 +375,7 @@ def round_the_ring(bus: ListBus, config: Config, count: int = 43) -> Ring:
         keyframe = ring.keyframe()
         bus.give("keyframe", keyframe)
         bus.give("depth", ring_depth(keyframe, ring))
+        bus.give("gate", gate_of(keyframe))
         bus.give("log_scale", scale_of(keyframe, 0.0))
         bus.give("tracked", tick(i, keyframe.id))
     bus.give("end", EndOfStream(count, count, 0, 0, count - 1))
@@ -406,3 +418,33 @@ def test_the_end_waits_for_the_global_adjustment_of_the_last_loop():
     assert len(adjusted.keyframes) == 43
     assert bus.states.count("global adjustment") >= 2, "step by step"
     assert snapshot(bus).settled
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_the_gates_weights_reach_the_keyframe_before_or_after_it(late, monkeypatch):
+    bus, (teller, told) = ListBus("keyframe"), keyframes(2)
+    made = worker.BackendWorker(CONFIG, bus)
+    bus.give("depth", depth_of(told[0], teller))
+    if late:
+        monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    else:
+        bus.give("gate", gate_of(told[0], 0.25))
+    bus.give("keyframe", told[0])
+    made._realtime()
+    if late:
+        bus.give("gate", gate_of(told[0], 0.25))
+        made._realtime()
+    keyframe = made._mapper.world.keyframes[0]
+    assert keyframe.gate_weight(1) == 0.25
+    assert keyframe.gate_weight(0) == 1.0, "nothing is known of it"
+
+
+def test_a_gate_that_does_not_fit_its_keyframe_is_passed_over():
+    bus, (teller, told) = ListBus("keyframe"), keyframes(2)
+    made = worker.BackendWorker(CONFIG, bus)
+    bus.give("depth", depth_of(told[0], teller))
+    short = gate_of(told[0], 0.25)
+    bus.give("gate", replace(short, weights=short.weights[:5]), replace(short, epoch=7))
+    bus.give("keyframe", told[0])
+    made._realtime()
+    assert made._mapper.world.keyframes[0].weights is None

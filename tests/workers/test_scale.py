@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from prism_edge.bus import codec, ros
-from prism_edge.config import Config, ScaleConfig
+from prism_edge.config import Config, GateConfig, ScaleConfig
 from prism_edge.messages import Acknowledged, EndOfStream, Gate, Scale, Tracked
 from prism_edge.topics import TOPICS
 from prism_edge.workers.scale import ScaleWorker, main
@@ -132,6 +132,25 @@ def test_each_pair_gives_scale_gate_and_the_public_scale(bus, start):
     assert float(bus.pulse.values["log_scale"]) == pytest.approx(scales[-1].log_scale, abs=1e-4)
     assert float(bus.pulse.values["sigma"]) == pytest.approx(scales[-1].sigma, abs=1e-4)
     assert bus.states[0] == "ready"
+
+
+@pytest.mark.parametrize("images", [False, True])
+def test_u_and_w_are_shown_where_that_is_asked_for(bus, start, images):
+    keyframes = [keyframe_of_wall(k, 0.4 * k) for k in range(2)]
+    bus.give("depth", *(depth_of(k, dsug_tau=0.2, dsug_temperature=0.05) for k in keyframes))
+    bus.give("keyframe", *keyframes)
+    start(gate=GateConfig(images=images))
+    bus.wait_for("scale", 2)
+    if not images:
+        assert not bus.of("uncertainty")
+        return
+    bus.wait_for("weight", 2)
+    u, w = bus.of("uncertainty")[-1], bus.of("weight")[-1]
+    assert (u.encoding, u.height, u.width, u.step) == ("32FC1", 120, 160, 640)
+    assert u.header.frame_id == "camera_optical"
+    assert np.nanmax(u.data.view("<f4")) < 0.01
+    assert np.isnan(bus.of("uncertainty")[0].data.view("<f4")).all(), "a first keyframe has nothing before it"
+    assert np.all(w.data.view("<f4") > 0.9)
 
 
 def test_a_keyframe_that_comes_after_its_depth_is_served_too(bus, start):

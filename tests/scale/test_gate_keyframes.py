@@ -1,0 +1,117 @@
+"""The gate as keyframe and depth messages drive it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.config import GateConfig, ScaleConfig
+from prism_edge.scale.estimator import ScaleEstimator
+from prism_edge.scale.gate_keyframes import KeyframeGate
+from tests.scale.scene import CAMERA, SHAPE, depth_of, keyframe_of_wall
+
+FITTED = {"dsug_tau": 0.2, "dsug_temperature": 0.05}
+
+
+def with_thing(depth, left=20, right=60):
+    """The same depth with something at half the distance in some columns."""
+    values = depth.depth.copy()
+    values[:, left:right] *= 0.5
+    return replace(depth, depth=values)
+
+
+def behind_it(keyframe, left=20, right=60):
+    """Which keypoints lie in those columns, and which well outside."""
+    column = keyframe.pixels[:, 0] / CAMERA.width * SHAPE[1]
+    return (column > left + 3) & (column < right - 3), (column < left - 3) | (column > right + 3)
+
+
+def play(estimator, depths):
+    gates = []
+    for k, change in enumerate(depths):
+        keyframe = keyframe_of_wall(k, 0.4 * k)
+        gates.append((keyframe, *estimator.process(keyframe, change(depth_of(keyframe, **FITTED)))))
+    return gates
+
+
+def test_a_thing_that_appears_loses_its_weight_and_the_rest_keeps_theirs():
+    *_, (keyframe, scale, gate) = play(ScaleEstimator(ScaleConfig()), [lambda d: d, lambda d: d, with_thing])
+    inside, outside = behind_it(keyframe)
+    assert gate.uncertainty[inside] == pytest.approx(math.log(2.0), abs=0.05)
+    assert np.all(gate.weights[inside] < 0.01)
+    assert np.all(gate.weights[outside] > 0.95)
+    assert scale.observation == pytest.approx(0.0, abs=0.02)
+
+
+def test_without_the_gate_the_same_thing_pulls_at_the_scale():
+    half = lambda depth: with_thing(depth, 0, 75)  # noqa: E731
+    observed = {}
+    for ablate in ((), ("dsug",)):
+        *_, (_, scale, gate) = play(ScaleEstimator(ScaleConfig(), ablate), [lambda d: d, lambda d: d, half])
+        observed[ablate] = abs(scale.observation)
+        assert np.all(gate.weights == 1.0) == bool(ablate)
+    assert observed["dsug",] > 0.1 > 3 * observed[()]
+
+
+def test_a_network_without_tau_and_t_leaves_the_gate_open():
+    keyframe = keyframe_of_wall(0, 0.0)
+    gate = KeyframeGate(GateConfig())
+    for _ in range(2):
+        assert gate.assess(keyframe, depth_of(keyframe), CAMERA, 0.0) is None
+        assert gate.images() is None
+
+
+def test_the_configurations_tau_and_t_win():
+    depth = depth_of(keyframe_of_wall(0, 0.0), **FITTED)
+    assert KeyframeGate(GateConfig()).parameters(depth).tau == 0.2
+    own = KeyframeGate(GateConfig(tau=0.3, temperature=0.1)).parameters(depth)
+    assert (own.tau, own.temperature) == (0.3, 0.1)
+
+
+def test_the_images_show_u_and_w_of_every_pixel():
+    gate = KeyframeGate(GateConfig())
+    for k in range(2):
+        keyframe = keyframe_of_wall(k, 0.4 * k)
+        depth = depth_of(keyframe, **FITTED)
+        gate.assess(keyframe, with_thing(depth) if k else depth, CAMERA, 0.0)
+    uncertainty, weight = gate.images()
+    assert uncertainty.shape == weight.shape == SHAPE
+    assert np.median(uncertainty[20:100, 25:55]) == pytest.approx(math.log(2.0), abs=0.05)
+    assert np.all(weight[20:100, 25:55] < 0.01)
+    assert np.all(weight[20:100, 80:150] > 0.95)
+
+
+def test_a_new_map_forgets_the_old_ones_views():
+    estimator = ScaleEstimator(ScaleConfig())
+    play(estimator, [lambda d: d, lambda d: d])
+    keyframe = keyframe_of_wall(9, 4.0, epoch=1)
+    _, gate = estimator.process(keyframe, with_thing(depth_of(keyframe, **FITTED)))
+    assert np.isnan(gate.uncertainty).all()
+    assert np.all(gate.weights == 1.0)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        {"depth": np.full(SHAPE, np.nan, np.float32)},
+        {"depth": np.zeros((0, 0), np.float32)},
+        {"confidence": np.ones((3, 5), np.float32)},
+        {"confidence": np.full(SHAPE, np.nan, np.float32)},
+        {"image_to_depth": np.full(4, np.nan)},
+        {"image_to_depth": np.zeros(4)},
+        {"dsug_tau": -1.0},
+        {"dsug_temperature": math.inf},
+    ],
+)
+def test_damaged_depth_gives_finite_weights(damage):
+    estimator = ScaleEstimator(ScaleConfig())
+    for k in range(3):
+        keyframe = keyframe_of_wall(k, 0.4 * k)
+        depth = replace(depth_of(keyframe, **FITTED), **(damage if k == 1 else {}))
+        scale, gate = estimator.process(keyframe, depth)
+        assert np.isfinite(gate.weights).all()
+        assert ((gate.weights >= 0) & (gate.weights <= 1)).all()
+        assert math.isfinite(scale.log_scale)
