@@ -46,7 +46,7 @@ class SourceConfig:
     """Where frames come from."""
 
     uri: str = text("", "folder of a dataset or of images, a video file, or a camera's address")
-    camera: str = text("", "camera file (YAML); empty: what the recording carries or is known for")
+    camera: str = text("", "camera file (YAML); auto: as the network sees it; empty: what the recording says")
     rate_hz: float = limits(0.0, 0.0, 1000.0, "play at this rate; 0: the recording's own stamps")
     wait_s: float = limits(0.0, 0.0, 3600.0, "release the first frame no sooner than this after ready")
     absent_s: float = limits(10.0, 0.0, 45.0, "longest wait, at the start, for a camera that isn't there")

@@ -7,6 +7,7 @@ from typing import Any
 
 from prism_edge.cli.settings import add_common, add_input, config_from
 from prism_edge.config import Config
+from prism_edge.errors import ConfigError
 
 
 def add_parser(subparsers: Any) -> None:
@@ -41,9 +42,11 @@ def check(config: Config) -> None:
     """Raise the PrismError that a process would end in, before any is started."""
     from prism_edge.bus.access import check_network
     from prism_edge.bus.keys import check_loopback, check_robot_name
-    from prism_edge.sources.open import open_source
+    from prism_edge.sources.open import AUTO, open_source
 
     check_robot_name(config.robot)
     check_loopback(config.bus.endpoint)
     check_network(config.network)
     open_source(config.source)
+    if config.source.camera == AUTO and not config.depth.model:
+        raise ConfigError("camera auto needs a depth network that predicts intrinsics (--model)")

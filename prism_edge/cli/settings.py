@@ -45,7 +45,7 @@ def add_playing(parser: argparse.ArgumentParser) -> None:
         "--model", metavar="MODEL", help="depth network: ONNX file, known name, or nested:RELATIVE,METRIC"
     )
     parser.add_argument(
-        "--camera", metavar="FILE", help="camera file (YAML; ROS camera_info is read as it is)"
+        "--camera", metavar="FILE", help="camera file (YAML or ROS camera_info); auto: as the network sees it"
     )
     parser.add_argument(
         "--lockstep", action="store_true", help="drop no frame: the next waits until all have done the last"

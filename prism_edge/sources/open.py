@@ -30,16 +30,19 @@ RECOGNISED = (
     "a camera (v4l2:/dev/video0, oak:, rtsp://HOST/PATH, http://HOST/PATH)"
 )
 
+AUTO = "auto"  # in place of a camera file: the depth network is asked (workers/uncalibrated.py)
 _UNKNOWN: Intrinsics = ("not calibrated", UNCALIBRATED)
 
 
 def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
     """The source that a configuration names, still closed.
 
-    Where it needn't be ``calibrated``, missing intrinsics are no error: its camera is then UNCALIBRATED.
+    Where it needn't be ``calibrated``, or its camera is AUTO, missing intrinsics are no error: its camera is
+    then UNCALIBRATED, until whoever opened it gives it another.
     Raises SourceError where it is not there, not recognised, or empty, and ConfigError where its camera
     file is wrong or missing.
     """
+    calibrated = calibrated and config.camera != AUTO
     if not config.uri:
         raise SourceError(f"no source given; name one of: {RECOGNISED}")
     path = Path(config.uri).expanduser()

@@ -15,6 +15,7 @@ from prism_edge.messages import EndOfStream, Frame
 from prism_edge.processes import processes_for
 from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
 from prism_edge.sources.checks import FrameChecks
+from prism_edge.sources.open import AUTO
 from prism_edge.sources.pack import pack
 from prism_edge.sources.schedule import Schedule
 from prism_edge.workers.pause import Pause
@@ -28,6 +29,7 @@ _GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
 _PATIENCE_S = 60.0
 # Started again, it is known that there is a camera: it gets most of the time that a start may take.
 _ABSENT_S = 45.0
+_ESTIMATING_S = 180.0  # a large network is loaded, and a slow computer runs it five times
 
 
 class SourceWorker:
@@ -235,9 +237,16 @@ def main(config: Config, bus: Bus) -> None:
     """Runs until ``bus.stopped``; raises SourceError or ConfigError where there is nothing to play."""
     bus.pulse.working("opening the source", 60.0)
     absent_s = max(config.source.absent_s, _ABSENT_S if bus.life else 0.0)
-    source = open_source(replace(config.source, absent_s=absent_s))
+    config = replace(config, source=replace(config.source, absent_s=absent_s))
+    source = open_source(config.source)
     if source.live and config.is_lockstep:
         raise ConfigError("a live camera can't wait for lockstep: use mode realtime, or a recording")
+    if config.source.camera == AUTO:
+        from prism_edge.workers.uncalibrated import estimated_camera  # brings onnxruntime along
+
+        bus.pulse.working("estimating the camera", _ESTIMATING_S)
+        source.camera_origin, source.camera = estimated_camera(config, bus.stopped)
+        bus.pulse.working("opening the source", 60.0)
     with source:
         log.info("%s; camera: %s", source.name, source.camera_origin)
         SourceWorker(config, bus, source).run()

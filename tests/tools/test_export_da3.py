@@ -86,6 +86,8 @@ def test_the_daemons_session_says_what_the_packages_forward_pass_says(exported, 
     shape = cv2.imread(str(image)).shape
     expected = truth["intrinsics"][0][[0, 1], [0, 1]] * [shape[1] / width, shape[0] / height]
     assert seen[:2] == pytest.approx(expected, rel=1e-4)
+    # As large on the left of the principal point as on the right, pixels counted from their centres.
+    assert seen[2:] == pytest.approx([(shape[1] - 1) / 2, (shape[0] - 1) / 2], abs=1e-3)
 
 
 def test_the_card_says_what_the_file_is(exported):

@@ -46,6 +46,7 @@ def trace(network: nn.Module, example: Sequence[Tensor], inputs: Sequence[str], 
                 dynamo=False,
             )
         fold(raw, path)
+        remove(raw)
     except RuntimeError as error:
         raise ModelError(f"{path.name}: can't be exported ({str(error).splitlines()[0][:150]})") from None
     return path
@@ -64,11 +65,19 @@ def fold(source: Path, out: Path) -> None:
     onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
 
 
-def half(source: Path, out: Path) -> Path:
-    """``source`` (fp32) in half precision, but for the operators that need more; inputs and outputs fp32."""
+def in_precision(source: Path, precision: str) -> onnx.ModelProto:
+    """The network of the fp32 file ``source`` in one of PRECISIONS."""
+    if precision == FP16:
+        return _half(onnx.load(str(source)))
+    if precision == INT8:
+        return _quantised(source, source.with_name("quantised.onnx"))
+    return onnx.load(str(source))
+
+
+def _half(model: onnx.ModelProto) -> onnx.ModelProto:
+    """In half precision, but for the operators that need more; inputs and outputs stay fp32."""
     from onnxruntime.transformers.float16 import convert_float_to_float16
 
-    model = onnx.load(str(source))
     for number, node in enumerate(model.graph.node):  # folding left some without a name of their own
         node.name = f"{node.name}_{number}"
     kept_nodes = [node.name for node in model.graph.node if f"/{NESTED_PART}/" in node.name]
@@ -79,10 +88,9 @@ def half(source: Path, out: Path) -> Path:
             keep_io_types=True,
             op_block_list=list(_KEPT_FP32),
             node_block_list=kept_nodes,
-            disable_shape_infer=model.ByteSize() > _LARGEST_MESSAGE,
+            disable_shape_infer=_weights_in(model) > _LARGEST_MESSAGE,
         )
-    save(_without_repeated_casts(converted), out)
-    return out
+    return _without_repeated_casts(converted)
 
 
 def _without_repeated_casts(model: onnx.ModelProto) -> onnx.ModelProto:
@@ -103,8 +111,8 @@ def _without_repeated_casts(model: onnx.ModelProto) -> onnx.ModelProto:
     return ordered.model
 
 
-def quantised(source: Path, out: Path) -> Path:
-    """``source`` (fp32) with its matrix products in int8: weights by channel, activations as they come.
+def _quantised(source: Path, scratch: Path) -> onnx.ModelProto:
+    """The fp32 file ``source`` with its matrix products in int8: weights by channel, and activations.
 
     Convolutions stay fp32: they are few, and the depth head's last ones are what its detail rests on.
     """
@@ -115,7 +123,7 @@ def quantised(source: Path, out: Path) -> Path:
     try:
         quantize_dynamic(
             str(source),
-            str(out),
+            str(scratch),
             op_types_to_quantize=["MatMul", "Gemm"],
             per_channel=True,
             weight_type=QuantType.QInt8,
@@ -124,21 +132,14 @@ def quantised(source: Path, out: Path) -> Path:
         )
     finally:
         logging.getLogger().setLevel(level)
-    return out
+    return onnx.load(str(scratch))
 
 
-def describe(path: Path, card: ModelCard, external: bool = False) -> None:
-    """Writes the card into the file's metadata; ``external`` puts the weights into a file beside it."""
-    model = onnx.load(str(path))
-    remove(path)
+def save(model: onnx.ModelProto, card: ModelCard, path: Path, external: bool = False) -> None:
+    """Writes one file that carries its card; the weights beside it if ``external``, or if they must be."""
     helper.set_model_props(model, card.to_metadata())
     model.producer_name, model.producer_version = "prism_edge export_da3", "1"
-    save(model, path, external)
-
-
-def save(model: onnx.ModelProto, path: Path, external: bool = False) -> None:
-    """Writes one file, or a graph and its weights beside it where they don't fit one message."""
-    external = external or model.ByteSize() > _LARGEST_MESSAGE
+    external = external or _weights_in(model) > _LARGEST_MESSAGE
     onnx.save(model, str(path), save_as_external_data=external, location=weights_of(path).name)
 
 
@@ -151,6 +152,11 @@ def remove(path: Path) -> None:
     """The file and its weights."""
     for file in (path, weights_of(path)):
         file.unlink(missing_ok=True)
+
+
+def _weights_in(model: onnx.ModelProto) -> int:
+    """Bytes of the weights; ByteSize itself fails beyond what a message can hold."""
+    return sum(len(tensor.raw_data) for tensor in model.graph.initializer)
 
 
 def weight_bytes(path: Path) -> int:

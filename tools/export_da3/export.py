@@ -66,13 +66,8 @@ def export(job: Job) -> list[Path]:
         for precision in dict.fromkeys(job.precisions):
             made = Path(folder) / precision / out_of(job.out, precision).name
             made.parent.mkdir()
-            if precision == convert.FP16:
-                convert.half(base, made)
-            elif precision == convert.INT8:
-                convert.quantised(base, made)
-            else:
-                convert.save(convert.onnx.load(str(base)), made)
-            convert.describe(made, card(job, network, precision), job.external)
+            network_card = card(job, network, precision)
+            convert.save(convert.in_precision(base, precision), network_card, made, job.external)
             _check_parity(made, precision, inputs, truths)
             convert.remove(out_of(job.out, precision))
             for file in (convert.weights_of(made), made):  # the graph last: it is what is looked for

@@ -15,6 +15,8 @@ from tools.export_da3 import cameras
 from tools.export_da3.nested import NestedDepth
 
 PATCH = 14  # pixels
+# The package counts pixels from the image's corner, prism_edge from the first one's centre.
+HALF_PIXEL = ((0.0, 0.0, 0.5), (0.0, 0.0, 0.5), (0.0, 0.0, 0.0))
 DESCRIPTORS = (GRID, MEAN, TOKEN)
 
 
@@ -56,7 +58,8 @@ class SingleView(nn.Module):
             given["descriptor"] = _descriptor(self.net, features, grid, self._wanted.descriptor)
         if "intrinsics" in self.output_names:
             encoded = self.net.cam_dec(features[-1][1])
-            given["intrinsics"] = pose_encoding_to_extri_intri(encoded, (height, width))[1][:, 0]
+            matrix = pose_encoding_to_extri_intri(encoded, (height, width))[1][:, 0]
+            given["intrinsics"] = matrix - matrix.new_tensor(HALF_PIXEL)
         return tuple(given[name] for name in self.output_names)
 
 

@@ -17,7 +17,7 @@ from prism_edge.depth.inner_tensor import TOKEN, pool
 from prism_edge.errors import ModelError
 from tools.export_da3.convert import FP16, FP32, INT8
 from tools.export_da3.nested import SKY_LIMIT
-from tools.export_da3.networks import PATCH, Wanted
+from tools.export_da3.networks import HALF_PIXEL, PATCH, Wanted
 
 Outputs = dict[str, NDArray[np.float32]]
 
@@ -87,7 +87,8 @@ def reference(net: DepthAnything3Net, image: Tensor, wanted: Wanted) -> Outputs:
     truth = {"depth": dense.depth[:, 0]}
     if net.cam_dec is not None:
         truth |= {"confidence": dense.depth_conf[:, 0], "rays": dense.ray[:, 0]}
-        truth["intrinsics"] = net._process_camera_estimation(features, height, width, dense).intrinsics[:, 0]
+        matrix = net._process_camera_estimation(features, height, width, dense).intrinsics[:, 0]
+        truth["intrinsics"] = matrix - torch.tensor(HALF_PIXEL)
     else:
         truth["sky"] = dense.sky[:, 0]
     outputs = {name: value.numpy() for name, value in truth.items()}
