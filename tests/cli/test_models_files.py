@@ -129,7 +129,8 @@ def test_a_network_that_has_been_tampered_with_fails_verification(server, plain:
     assert "models remove tiny_tint" in said(capsys, "pull", "tiny_tint", code=5)
 
 
-def test_a_network_from_a_url(server: WebServer, plain: Path, capsys):
+def test_a_network_from_a_url(server: WebServer, plain: Path, capsys, monkeypatch):
+    monkeypatch.setattr("prism_edge.depth.download.time.sleep", lambda seconds: None)
     url = f"{server.url}/tiny.onnx"
     assert "no SHA-256" in said(capsys, "pull", url, "--name", "mine", code=5)
     server.plan = ["truncate", "503"]
