@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 from collections.abc import Mapping
@@ -14,6 +15,8 @@ from prism_edge.depth import contract, download
 from prism_edge.depth.folders import folders
 from prism_edge.depth.registry import File, read_file_item
 from prism_edge.errors import ModelError
+
+log = logging.getLogger("prism_edge.depth")
 
 MANIFEST = "pulled.yaml"
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -61,7 +64,11 @@ def all_pulled() -> list[Pulled]:
     found: dict[str, Pulled] = {}
     for folder in folders():
         for path in sorted(folder.glob(f"*/{MANIFEST}")):
-            pulled = manifest_of(path.parent)
+            try:
+                pulled = manifest_of(path.parent)
+            except ModelError as error:  # one broken folder does not hide the others
+                log.warning("%s", error)
+                continue
             if pulled:
                 found.setdefault(pulled.name, pulled)
     return [found[name] for name in sorted(found)]

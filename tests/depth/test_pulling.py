@@ -345,6 +345,7 @@ def test_a_broken_manifest_is_one_line(models: Path, content: str):
     with pytest.raises(ModelError) as error:
         find_pulled("net")
     assert "\n" not in str(error.value)
+    assert all_pulled() == []  # a list goes on without it
 
 
 @pytest.mark.parametrize("name", ["", "..", "a/b", "../x", "."])

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
 from prism_edge.depth import vetting
@@ -189,6 +191,30 @@ def test_damaged_weights_have_another_digest(tmp_path: Path):
     path.write_bytes(content)
     with pytest.raises(ModelError, match=f"not the registered {digest[:12]}"):
         vet(path, digest)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.data())
+def test_a_damaged_network_runs_or_is_refused_in_one_line(damaged: Path, data: st.DataObject):
+    content = bytearray((damaged.parent / "whole.onnx").read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        content[at : at + data.draw(st.integers(1, 3))] = data.draw(st.binary(max_size=3))
+        content = content or bytearray(1)
+    damaged.write_bytes(content)
+    try:
+        said = OnnxNetwork(damaged).name
+    except ModelError as error:
+        said = str(error)
+    assert "\n" not in said
+
+
+@pytest.fixture(scope="module")
+def damaged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where a damaged file goes; the sound one lies beside it as whole.onnx."""
+    folder = tmp_path_factory.mktemp("damaged")
+    write_tiny_network(folder / "whole.onnx", TinyNetwork(confidence=True, descriptor=True))
+    return folder / "damaged.onnx"
 
 
 def test_a_tensor_shorter_than_its_shape_is_refused(tmp_path: Path):
