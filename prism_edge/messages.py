@@ -48,7 +48,7 @@ class Frame:
 
     index: int  # in the recording, from 0; gaps are frames that were dropped or unreadable
     stamp_ns: int  # capture, in the recording's or camera's own clock
-    captured_monotonic_ns: int  # scheduled release on this host's monotonic clock
+    captured_monotonic_ns: int  # capture on this host's monotonic clock; a recording's scheduled release
     colour: bool
     duplicate: bool  # an exact copy of its predecessor
     camera_model: str

@@ -25,6 +25,7 @@ SCHEMES = ("rtsp", "rtsps", "http", "https")
 
 # What a server may make FFmpeg open: nothing but connections to itself.
 _PROTOCOLS = "rtsp,rtp,srtp,tcp,udp,tls,http,https,httpproxy,crypto"
+_ESCAPES = "in a password write # as %23, @ as %40, / as %2F and ? as %3F"
 _MJPEG = "mpjpeg"  # FFmpeg's name of multipart JPEG
 
 
@@ -154,7 +155,8 @@ class StreamConnection:
 def shown(parts: SplitResult) -> str:
     """An address without what may be secret in it: user, password, query."""
     host = parts.netloc.rpartition("@")[2]
-    return f"{parts.scheme}://{host}{parts.path}" + ("?..." if parts.query else "")
+    path = "/..." if "@" in parts.path else parts.path  # a / in a password ends the host too early
+    return f"{parts.scheme}://{host}{path}" + ("?..." if parts.query else "")
 
 
 def reason_of(error: Exception, is_late: bool, timeout_s: float) -> str:
@@ -172,8 +174,10 @@ def _split(uri: str) -> SplitResult:
     try:
         parts = urlsplit(uri)
         host, _ = parts.hostname, parts.port
-    except ValueError as error:
-        raise SourceError(f"the source's address is wrong: {error}") from None
+    except ValueError:  # its words may quote a password
+        raise SourceError(f"the source's address is wrong; {_ESCAPES}") from None
+    if any(c in parts.fragment for c in "@/?"):
+        raise SourceError(f"the source's address goes on behind its options (#); {_ESCAPES}")
     if not host:
         raise SourceError(f"{shown(parts)}: the address names no host")
     if any(ord(c) <= 32 or ord(c) == 127 for c in uri):

@@ -1,6 +1,7 @@
 """A real RTSP server for the tests, run by the system's Python, which has GStreamer's bindings.
 
-rtsp_server.py PORT WIDTH HEIGHT RATE: serves /h264 and /mjpeg, a moving ball; PORT 0 takes a free one.
+rtsp_server.py PORT WIDTH HEIGHT RATE: serves /h264, /reordered and /mjpeg, a moving ball.
+PORT 0 takes a free one.
 Prints `port N` once it listens.
 """
 
@@ -16,6 +17,9 @@ from gi.repository import GLib, Gst, GstRtspServer  # noqa: E402
 
 ENCODERS = {
     "h264": "x264enc tune=zerolatency speed-preset=ultrafast key-int-max=10 ! rtph264pay name=pay0 pt=96",
+    # Pictures that refer to later ones: sent out of order, and stamped so.
+    "reordered": "x264enc bframes=2 key-int-max=12 speed-preset=ultrafast rc-lookahead=4 sync-lookahead=0 "
+    "! video/x-h264,profile=main ! rtph264pay name=pay0 pt=96",
     "mjpeg": "jpegenc ! rtpjpegpay name=pay0 pt=26",
 }
 

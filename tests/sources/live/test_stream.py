@@ -58,9 +58,12 @@ def rtsp() -> Iterator[RtspServer]:
     server.kill()
 
 
-@pytest.mark.parametrize("name", ["h264", "mjpeg"])
-def test_rtsp_plays(rtsp: RtspServer, name: str) -> None:
-    with watching(rtsp.address(name)) as camera:
+@pytest.mark.parametrize(
+    ("name", "options"),
+    [("h264", "timeout=1"), ("mjpeg", "timeout=1"), ("reordered", "timeout=2"), ("h264", "transport=udp")],
+)
+def test_rtsp_plays(rtsp: RtspServer, name: str, options: str) -> None:
+    with watching(rtsp.address(name, options)) as camera:
         assert camera.period_ns == pytest.approx(1e9 / 30, rel=0.01)
         seen = images(camera, 20)
         now = time.monotonic_ns()
