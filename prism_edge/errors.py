@@ -49,3 +49,9 @@ class CalibrationError(PrismError):
     """Views of a board don't give a camera's intrinsics."""
 
     exit_code = 9
+
+
+class MapError(PrismError):
+    """A stored map can't be read, written or used."""
+
+    exit_code = 10

@@ -34,6 +34,7 @@ EXIT_CODES = """exit codes:
   7    a process kept dying and was given up
   8    a run can't be scored, or broke a rule of the evaluation
   9    views of a board don't give a camera's intrinsics
+  10   a stored map can't be read, written or used
   70   an error of prism_edge itself
   130  ended by Ctrl-C
 """

@@ -1,0 +1,144 @@
+"""A journal that is cut short anywhere gives back what was whole."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from prism_edge.backend import journal as module
+from prism_edge.backend import map_file
+from prism_edge.backend.journal import Journal
+from prism_edge.errors import MapError
+
+RECORDS = [bytes([i]) * (10 + i) for i in range(20)]
+
+
+def base(value: int) -> Callable[[int], bytes]:
+    """Makes a base whose array says which it is."""
+    return lambda generation: map_file.pack({"generation": generation}, {"v": np.array([value])})
+
+
+def recovered(folder: Path) -> tuple[int, list[bytes]]:
+    found = Journal(folder).recover()
+    assert found is not None
+    return int(found[1]["v"][0]), found[2]
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    journal = Journal(tmp_path / "j")
+    journal.begin(base(7))
+    for record in RECORDS:
+        journal.append(record)
+    journal.close()
+    return tmp_path / "j"
+
+
+def test_what_was_written_is_recovered(written: Path) -> None:
+    assert recovered(written) == (7, RECORDS)
+
+
+def test_nothing_to_recover(tmp_path: Path) -> None:
+    assert Journal(tmp_path / "new").recover() is None
+
+
+def test_a_new_base_takes_the_tails_place_and_numbers_go_on(written: Path) -> None:
+    journal = Journal(written)
+    assert journal.recover() is not None
+    journal.begin(base(8))
+    assert recovered(written) == (8, [])
+    journal.append(b"more")
+    assert recovered(written) == (8, [b"more"])
+
+
+@given(st.integers(0, 10_000), st.integers(0, 255))
+@settings(max_examples=80, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_tail_cut_or_damaged_anywhere_gives_what_was_whole(written: Path, at: int, change: int) -> None:
+    whole = (written / "tail").read_bytes()
+    at %= len(whole)
+    damaged = whole[:at] + bytes([whole[at] ^ change]) + whole[at + 1 :] if change else whole[:at]
+    (written / "tail").write_bytes(damaged)
+    try:
+        value, records = recovered(written)
+    finally:
+        (written / "tail").write_bytes(whole)
+    assert value == 7
+    assert records == RECORDS[: len(records)]
+    # no more is lost than the record that was hit, and those after it
+    header = module._HEAD.size
+    ends = np.cumsum([header + 8] + [header + len(r) for r in RECORDS])
+    assert len(records) == max(int((ends <= at).sum()) - 1, 0)
+
+
+def test_a_kill_between_base_and_tail_loses_nothing(written: Path) -> None:
+    old_tail = (written / "tail").read_bytes()
+    journal = Journal(written)
+    journal.recover()
+    journal.begin(base(8))
+    journal.close()
+    (written / "tail").write_bytes(old_tail)  # as if the kill had come before the old one was removed
+    assert recovered(written) == (8, [])
+
+
+@pytest.mark.parametrize("damage", [b"", b"noise", None])
+def test_a_base_that_is_none_recovers_nothing(written: Path, damage: bytes | None) -> None:
+    path = written / "base"
+    path.write_bytes(path.read_bytes()[:-1] if damage is None else damage)
+    assert Journal(written).recover() is None
+
+
+def test_a_base_without_generation_recovers_nothing(written: Path) -> None:
+    for info in ({}, {"generation": "x"}, {"generation": -1}):
+        (written / "base").write_bytes(map_file.pack(info, {}))
+        assert Journal(written).recover() is None
+
+
+def test_it_is_long_once_the_tail_has_outgrown_the_base(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "LEAST_TAIL", 1000)
+    journal = Journal(tmp_path)
+    journal.begin(base(0))
+    written = 0
+    while not journal.is_long:
+        journal.append(bytes(100))
+        written += 100
+    assert 900 <= written <= 1100
+    journal.begin(base(1))
+    assert not journal.is_long
+
+
+def test_a_full_disk_is_an_error_and_the_next_base_tries_afresh(written: Path) -> None:
+    journal = Journal(written)
+    journal.begin(base(1))
+    real = journal._file
+    journal._file = open("/dev/full", "wb", buffering=0)  # noqa: SIM115
+    with pytest.raises(MapError, match="No space left"):
+        journal.append(b"lost")
+    assert real is not None
+    real.close()
+    assert not journal.is_open
+    with pytest.raises(MapError, match="no base"):
+        journal.append(b"lost too")
+    journal.begin(base(2))
+    journal.append(b"kept")
+    assert recovered(written) == (2, [b"kept"])
+
+
+def test_clear_forgets(written: Path) -> None:
+    journal = Journal(written)
+    journal.clear()
+    assert os.listdir(written) == []
+    assert journal.recover() is None
+
+
+def test_a_folder_that_can_not_be_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(MapError, match="can't keep a journal"):
+        Journal(tmp_path / "file" / "j")
