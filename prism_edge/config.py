@@ -194,6 +194,16 @@ class SupervisorConfig:
 
 
 @dataclass(frozen=True)
+class StateConfig:
+    """What is kept from run to run (docs/OPERATIONS.md)."""
+
+    directory: str = text("", "folder of maps and journal; empty: systemd's, or ~/.local/state/prism-edge")
+    journal: bool = field(
+        default=True, metadata={"help": "a backend that was started again recovers its map from a journal"}
+    )
+
+
+@dataclass(frozen=True)
 class LogConfig:
     """One line for each event that matters (docs/OPERATIONS.md)."""
 
@@ -247,6 +257,7 @@ class Config:
     backend: BackendConfig = section(BackendConfig, "backend")
     lockstep: LockstepConfig = field(default_factory=LockstepConfig)
     supervisor: SupervisorConfig = section(SupervisorConfig, "supervisor")
+    state: StateConfig = field(default_factory=StateConfig)
     log: LogConfig = field(default_factory=LogConfig)
     metrics: MetricsConfig = field(default_factory=MetricsConfig)
 

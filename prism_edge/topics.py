@@ -98,6 +98,7 @@ COMMANDS = {
         Command("info", "supervisor", "say what runs and how it is", changes=False),
         Command("pause", "source", "hold the images back, or let them go on", "on or off", "on"),
         Command("reset", "tracker", "begin a new map; odom goes on"),
+        Command("save_map", "backend", "save the map in the state directory", "a name"),
         Command("localise_only", "tracker", "leave the map as it is, or build it again", "on or off", "on"),
     )
 }

@@ -9,14 +9,19 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loop_closing import LoopCloser, MapChanges
+from prism_edge.backend.map_file import Arrays, Info
+from prism_edge.backend.stored_map import LARGEST_ID, from_arrays, to_arrays
 from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
+from prism_edge.errors import MapError
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import Gate, Keyframe, MapUpdate
+from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.seeding import agreement, sample_depth
 
 MIN_ALIGNED = 20
 MIN_ALIGNED_PARALLAX_DEG = 1.0
+LARGEST_LOG_SCALE = 20.0
 
 
 class Mapper:
@@ -35,18 +40,40 @@ class Mapper:
         self._config = config
         self._use_depth = use_depth
         self._seed = seed
-        self._begin(0)
+        self.begin(0)
         self.sequence = first_id
 
-    def _begin(self, epoch: int) -> None:
+    def begin(self, epoch: int, world: GlobalMap | None = None, index: PlaceIndex | None = None) -> None:
+        """Begin a map, empty or one that there was."""
         self.epoch = epoch
-        self.world = GlobalMap(self._config.max_carried)
+        self.world = GlobalMap(self._config.max_carried) if world is None else world
         self.loops = LoopCloser(self.world, self._config, self._use_depth, self._seed)
+        if index is not None:
+            self.loops.index = index
+
+    def stored(self) -> tuple[Info, Arrays]:
+        """The map for a file (stored_map.py), with its epoch."""
+        info, arrays = to_arrays(self.world, self.loops.index)
+        return {**info, "epoch": self.epoch}, arrays
+
+    def restore(self, info: Info, arrays: Arrays, epoch: int | None = None) -> float:
+        """Take up a map that was stored, as ``epoch`` or its own; returns its log scale.
+
+        Raises MapError for one that can't be.
+        """
+        world, index = from_arrays(info, arrays, self._config.max_carried)
+        own, log_scale = info.get("epoch"), info.get("log_scale")
+        if type(own) is not int or not 0 <= own < LARGEST_ID:
+            raise MapError("the map's epoch is none")
+        if not isinstance(log_scale, (int, float)) or not abs(log_scale) < LARGEST_LOG_SCALE:
+            raise MapError("the map's log scale is none")
+        self.begin(own if epoch is None else epoch, world, index)
+        return float(log_scale)
 
     def absorb(self, message: Keyframe) -> None:
         """Take in a keyframe; a new epoch begins a new map."""
         if message.epoch != self.epoch:
-            self._begin(message.epoch)
+            self.begin(message.epoch)
         self.world.absorb(message)
         for gone in message.culled_keyframes.tolist():
             self.loops.index.remove(gone)

@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
 from types import ModuleType, TracebackType
 from typing import Any
 
@@ -38,6 +39,7 @@ class Bus:
     def __init__(self, session: Any, robot: str, process: str, lossless: bool) -> None:
         self.robot, self.process = robot, process
         self.life = 0  # how often this process was started before, in this run
+        self.run_directory: Path | None = None  # of the supervisor's run, where that started this process
         self.stopped = threading.Event()
         self._session, self._lossless = session, lossless
         self._lock = threading.RLock()

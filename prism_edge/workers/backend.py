@@ -9,10 +9,12 @@ from collections import deque
 import numpy as np
 
 from prism_edge.backend.mapper import Mapper
+from prism_edge.bus.commands import Reply
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.messages import Acknowledged, Depth, Gate, Keyframe, MapSnapshot, MapUpdate, Tracked
 from prism_edge.processes import processes_for
+from prism_edge.workers.map_keeper import MapKeeper
 
 log = logging.getLogger("prism_edge.backend")
 
@@ -40,12 +42,17 @@ class BackendWorker:
         self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
         use_rays = "plucker" not in config.ablate
         self._mapper = Mapper(config.backend, self._use_depth, bus.first_id, config.seed, use_rays)
+        self._keeper = MapKeeper(config, bus, self._mapper)
+        self._desk = bus.commands({"save_map": self._save_map})
         self._waiting: deque[tuple[float, Keyframe]] = deque()
         self._early: dict[int, Depth] = {}
         self._log_scale = 0.0
         self._scaled: set[int] = set()
         self._gated: dict[int, Gate] = {}
         self._settled = False
+        recovered = self._keeper.recover()
+        if recovered is not None:
+            self._log_scale = recovered
         self._snapshot = self._take_snapshot()
         bus.answer("map_snapshot", lambda: self._snapshot)
 
@@ -56,6 +63,7 @@ class BackendWorker:
             self._bus.await_ready(self._peers, _PATIENCE_S)
         ending = False
         while not self._bus.stopped.is_set():
+            self._desk.serve()
             worked = self._realtime() if self._ticks is None else self._lockstep()
             ending = ending or bool(self._ends.drain())
             # The last keyframe may still be under way when the end is: one quiet look more.
@@ -119,6 +127,7 @@ class BackendWorker:
             self._mapper.add_depth(keyframe, depth.depth, depth.image_to_depth, self._log_scale)
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
             self._mapper.loops.add_place(keyframe.id, depth.descriptor)
+        self._keeper.note(keyframe, self._log_scale)
 
     def _solve(self, keyframe: Keyframe) -> MapUpdate | None:
         self._bus.pulse.working(f"window of keyframe {keyframe.id}", _SOLVE_S)
@@ -131,6 +140,7 @@ class BackendWorker:
         closed = loops.look(keyframe.id) if self._close_loops else None
         if closed is not None or adjusted:
             update = self._mapper.whole(keyframe.id, loops.take_changes(), update)
+            self._keeper.overhauled()
         if update is not None:
             self._bus.publish("map_update", update)
             self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
@@ -147,6 +157,7 @@ class BackendWorker:
         loops, world = self._mapper.loops, self._mapper.world
         if loops.adjust(float(np.exp(-self._log_scale))) is not None:
             self._bus.publish("map_update", self._mapper.whole(max(world.keyframes), loops.take_changes()))
+            self._keeper.overhauled()
             self._snapshot = self._take_snapshot()
         self._bus.pulse.idle()
 
@@ -183,6 +194,14 @@ class BackendWorker:
         has_depth = "depth" not in self._peers or keyframe in self._early
         has_scale = "scale" not in self._peers or (keyframe in self._scaled and keyframe in self._gated)
         return here and has_depth and has_scale
+
+    # -- commands -----------------------------------------------------------------------------------
+
+    def _save_map(self, argument: str) -> Reply:
+        try:
+            return Reply(True, self._keeper.save(argument, self._log_scale))
+        finally:
+            self._bus.pulse.idle()
 
     # -- the map for others -------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ import importlib
 import logging
 import os
 import sys
+from pathlib import Path
 
 from prism_edge.config import Config
 from prism_edge.config_file import load
@@ -70,6 +71,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
             sys.modules["cv2"].setNumThreads(1)
         with Bus.open(config, process.name) as bus:
             bus.life = life
+            bus.run_directory = Path(config_file).resolve().parent if parent is not None else None
             signals.also(bus.stopped)
             main(config, bus)
         if not signals.stopped.is_set():

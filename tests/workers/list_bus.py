@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -53,6 +54,7 @@ class ListBus:
         self.drivers, self.patience, self.idle_looks = drivers, patience, 0
         self.one_by_one = True  # False: an inbox of the newest drops what is older, as the real one does
         self.life, self.first_id = 0, 0
+        self.run_directory: Path | None = None
         self.sent: list[tuple[str, Any]] = []
         self.inboxes: dict[str, ListInbox] = {}
         self.answers: dict[str, Callable[[], Any]] = {}

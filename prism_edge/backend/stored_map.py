@@ -1,0 +1,287 @@
+"""The global map as arrays, and back: what map_file.py writes. Reading trusts nothing and says what is wrong.
+
+For K keyframes with N keypoints in all, M points, D numbers a place descriptor:
+
+================ =========== ================================================================
+keyframes        i8 (K)      numbers
+indices          i8 (K)      frames they were made from
+poses            f8 (K,4,4)  world_from_camera, map units
+cameras          i8 (K)      row of info["cameras"]: [model, [width, height, fx, fy, cx, cy, ...]]
+scale_factors    f8 (K)      between pyramid levels
+travelled        f8 (K)      path length to there, map units
+starts           i8 (K+1)    where each one's keypoints begin
+pixels           f4 (N,2)    undistorted
+octaves          u1 (N)      pyramid level
+descriptors      u1 (N,32)   ORB
+seen             i8 (N)      point that a keypoint shows, -1 for none
+depths           f4 (N)      network depth there along z, map units; 0 for none
+weights          f4 (N)      the gate's weight there in [0, 1]; -1 where it knows nothing
+points           i8 (M)      numbers
+positions        f8 (M,3)    map units
+parallax_deg     f4 (M)      widest angle between a point's rays
+carried          i8 (C,3)    culled keyframe, the keyframe it hangs on, its frame
+links            f8 (C,4,4)  keyframe_from_culled
+places           i8 (P)      keyframes that have a place descriptor
+place_descriptors f4 (P,D)   of norm 1
+================ =========== ================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
+from prism_edge.backend.map_file import Arrays, Info
+from prism_edge.errors import ConfigError, MapError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import normalised
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.place_index import PlaceIndex
+
+MOST_KEYFRAMES, MOST_POINTS, MOST_KEYPOINTS = 200_000, 20_000_000, 50_000_000
+LARGEST_ID = 2**62
+FARTHEST = 1e9  # map units; pixels
+HIGHEST_OCTAVE = 32
+LARGEST_IMAGE = 20_000  # pixels a side
+
+_COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
+    "keyframes": ("<i8", ("K",)),
+    "indices": ("<i8", ("K",)),
+    "poses": ("<f8", ("K", 4, 4)),
+    "cameras": ("<i8", ("K",)),
+    "scale_factors": ("<f8", ("K",)),
+    "travelled": ("<f8", ("K",)),
+    "starts": ("<i8", ("K+1",)),
+    "pixels": ("<f4", ("N", 2)),
+    "octaves": ("|u1", ("N",)),
+    "descriptors": ("|u1", ("N", 32)),
+    "seen": ("<i8", ("N",)),
+    "depths": ("<f4", ("N",)),
+    "weights": ("<f4", ("N",)),
+    "points": ("<i8", ("M",)),
+    "positions": ("<f8", ("M", 3)),
+    "parallax_deg": ("<f4", ("M",)),
+    "carried": ("<i8", ("C", 3)),
+    "links": ("<f8", ("C", 4, 4)),
+    "places": ("<i8", ("P",)),
+    "place_descriptors": ("<f4", ("P", "D")),
+}
+
+
+def to_arrays(world: GlobalMap, index: PlaceIndex) -> tuple[Info, Arrays]:
+    """Everything of a map that is worth keeping."""
+    keyframes = list(world.keyframes.values())
+    sizes = [len(k.features) for k in keyframes]
+    cameras: dict[tuple[str, bytes], int] = {}
+    listed: list[list[Any]] = []
+    rows = []
+    for k in keyframes:
+        numbers = k.camera.to_array()
+        key = (k.camera.model, numbers.tobytes())
+        if key not in cameras:
+            cameras[key] = len(listed)
+            listed.append([k.camera.model, numbers.tolist()])
+        rows.append(cameras[key])
+    seen = np.full(sum(sizes), -1, np.int64)
+    starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    for start, k in zip(starts.tolist(), keyframes, strict=False):
+        for point, keypoint in k.observed.items():
+            seen[start + keypoint] = point
+    kept = np.unique(seen[seen >= 0]).tolist()
+    places = [k.id for k in keyframes if k.id in index]
+    descriptors = [index.get(k) for k in places]
+    arrays = {
+        "keyframes": np.array([k.id for k in keyframes], np.int64),
+        "indices": np.array([k.index for k in keyframes], np.int64),
+        "poses": _stack((k.world_from_camera for k in keyframes), (4, 4)),
+        "cameras": np.array(rows, np.int64),
+        "scale_factors": np.array([k.scale_factor for k in keyframes], np.float64),
+        "travelled": np.array([k.travelled for k in keyframes], np.float64),
+        "starts": starts,
+        "pixels": _join([k.features.pixels for k in keyframes], (0, 2), np.float32),
+        "octaves": _join([k.features.octaves for k in keyframes], (0,), np.uint8),
+        "descriptors": _join([_bytes_of(k.features) for k in keyframes], (0, 32), np.uint8),
+        "seen": seen,
+        "depths": _join([_depths_of(k) for k in keyframes], (0,), np.float32),
+        "weights": _join([_weights_of(k) for k in keyframes], (0,), np.float32),
+        "points": np.array(kept, np.int64),
+        "positions": _stack((world.points[p].position for p in kept), (3,)),
+        "parallax_deg": np.array([world.points[p].parallax_deg for p in kept], np.float32),
+        "carried": np.array([(k, c[0], c[2]) for k, c in world.carried.items()], np.int64).reshape(-1, 3),
+        "links": _stack((c[1] for c in world.carried.values()), (4, 4)),
+        "places": np.array(places, np.int64),
+        "place_descriptors": np.array(descriptors, np.float32).reshape(len(places), -1 if places else 0),
+    }
+    return {"cameras": listed}, arrays
+
+
+def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap, PlaceIndex]:
+    """The map that :func:`to_arrays` was given. Raises MapError for one that can't be."""
+    _check_columns(arrays)
+    _check_values(arrays)
+    cameras = _cameras(info, arrays["cameras"])
+    world = GlobalMap(max_carried)
+    ids = arrays["points"].tolist()
+    for p, position, parallax in zip(ids, arrays["positions"], arrays["parallax_deg"].tolist(), strict=True):
+        world.points[p] = GlobalPoint(position.copy(), set(), parallax)
+    if not np.isin(arrays["seen"][arrays["seen"] >= 0], arrays["points"]).all():
+        raise MapError("the map's keyframes see points that it does not have")
+    starts = arrays["starts"].tolist()
+    for row, number in enumerate(arrays["keyframes"].tolist()):
+        part = slice(starts[row], starts[row + 1])
+        world.keyframes[number] = _keyframe(number, row, part, arrays, cameras)
+        for keypoint, point in enumerate(arrays["seen"][part].tolist()):
+            if point >= 0:
+                world.observe(number, point, keypoint)
+    for point in [p for p, seen in world.points.items() if not seen.keyframes]:
+        del world.points[point]
+    for (culled, anchor, frame), link in zip(arrays["carried"].tolist(), arrays["links"], strict=True):
+        if anchor not in world.keyframes or culled in world.keyframes:
+            raise MapError("the map's culled keyframes hang on ones that it does not have")
+        world.carried[culled] = (anchor, normalised(link), frame)
+    index = PlaceIndex()
+    for number, descriptor in zip(arrays["places"].tolist(), arrays["place_descriptors"], strict=True):
+        if number not in world.keyframes or not index.add(number, descriptor):
+            raise MapError("the map's place descriptors are none")
+    return world, index
+
+
+def _keyframe(
+    number: int, row: int, part: slice, arrays: Arrays, cameras: list[Camera]
+) -> GlobalKeyframe:
+    camera = cameras[int(arrays["cameras"][row])]
+    pixels = arrays["pixels"][part].astype(np.float64)
+    octaves = arrays["octaves"][part].astype(np.intp)
+    packed = np.ascontiguousarray(arrays["descriptors"][part]).view(np.uint64).reshape(-1, 4)
+    factor = float(arrays["scale_factors"][row])
+    depths = arrays["depths"][part].astype(np.float64)
+    weights = arrays["weights"][part].astype(np.float64)
+    known = weights >= 0.0
+    return GlobalKeyframe(
+        number,
+        int(arrays["indices"][row]),
+        camera,
+        normalised(arrays["poses"][row]),
+        pixels,
+        factor ** octaves.astype(np.float64),
+        {},
+        depths if depths.any() else None,
+        features=Features.build(pixels, octaves, packed, camera.width, camera.height),
+        scale_factor=factor,
+        travelled=float(arrays["travelled"][row]),
+        weights=np.where(known, weights, np.nan) if known.any() else None,
+    )
+
+
+def _check_columns(arrays: Arrays) -> None:
+    """Names, types and shapes, which must agree with one another."""
+    if arrays.keys() != _COLUMNS.keys():
+        raise MapError(f"the map has no {', '.join(sorted(_COLUMNS.keys() ^ arrays.keys()))[:100]}")
+    sizes: dict[str, int] = {}
+    for name, (dtype, shape) in _COLUMNS.items():
+        array = arrays[name]
+        fits = array.dtype == np.dtype(dtype) and array.ndim == len(shape)
+        for want, have in zip(shape, array.shape, strict=False):
+            if isinstance(want, str):
+                size = have - 1 if want == "K+1" else have
+                fits &= sizes.setdefault(want.removesuffix("+1"), size) == size
+            else:
+                fits &= want == have
+        if not fits:
+            raise MapError(f"the map's {name} are {array.dtype} {array.shape}: not as many as belong there")
+    for size, least, most, what in (
+        ("K", 1, MOST_KEYFRAMES, "keyframes"),
+        ("N", 0, MOST_KEYPOINTS, "keypoints"),
+        ("M", 0, MOST_POINTS, "points"),
+    ):
+        if not least <= sizes[size] <= most:
+            raise MapError(f"the map has {sizes[size]} {what}; {least} to {most} can be")
+
+
+def _check_values(arrays: Arrays) -> None:
+    starts = arrays["starts"]
+    checks = {
+        "keyframes": _numbers(arrays["keyframes"]),
+        "indices": _between(arrays["indices"], 0, LARGEST_ID),
+        "poses": _rigid(arrays["poses"]),
+        "scale_factors": _between(arrays["scale_factors"], 1.01, 4.0),
+        "travelled": _between(arrays["travelled"], 0.0, FARTHEST),
+        "starts": starts[0] == 0 and starts[-1] == len(arrays["seen"]) and bool((np.diff(starts) >= 0).all()),
+        "pixels": _between(arrays["pixels"], -FARTHEST, FARTHEST),
+        "octaves": _between(arrays["octaves"], 0, HIGHEST_OCTAVE),
+        "seen": _between(arrays["seen"], -1, LARGEST_ID),
+        "depths": _between(arrays["depths"], 0.0, FARTHEST),
+        "weights": _between(arrays["weights"], -1.0, 1.0),
+        "points": _numbers(arrays["points"]),
+        "positions": _between(arrays["positions"], -FARTHEST, FARTHEST),
+        "parallax_deg": _between(arrays["parallax_deg"], 0.0, 180.0),
+        "carried": _between(arrays["carried"], 0, LARGEST_ID) and _numbers(arrays["carried"][:, 0]),
+        "links": _rigid(arrays["links"]),
+        "places": _numbers(arrays["places"]),
+        "place_descriptors": _between(arrays["place_descriptors"], -1.01, 1.01),
+    }
+    wrong = [name for name, sound in checks.items() if not sound]
+    if wrong:
+        raise MapError(f"the map's {wrong[0]} hold values that can't be")
+
+
+def _between(array: NDArray[Any], low: float, high: float) -> bool:
+    """Whether all values are within bounds, which no NaN is."""
+    return bool(((array >= low) & (array <= high)).all())
+
+
+def _numbers(array: NDArray[Any]) -> bool:
+    return _between(array, 0, LARGEST_ID) and len(np.unique(array)) == len(array)
+
+
+def _rigid(poses: NDArray[np.float64]) -> bool:
+    """Whether matrices (n, 4, 4) are rotations and finite shifts."""
+    if not _between(poses, -FARTHEST, FARTHEST):
+        return False
+    rotations = poses[:, :3, :3]
+    products = rotations @ rotations.transpose(0, 2, 1)
+    last = (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all()
+    return bool((np.abs(products - np.eye(3)) < 1e-3).all() and (np.linalg.det(rotations) > 0).all() and last)
+
+
+def _cameras(info: Info, rows: NDArray[np.int64]) -> list[Camera]:
+    listed = info.get("cameras")
+    if not isinstance(listed, list) or not _between(rows, 0, len(listed) - 1):
+        raise MapError("the map's cameras are none")
+    cameras = []
+    for entry in listed:
+        try:
+            model, numbers = entry
+            camera = Camera.from_array(model, np.array(numbers, np.float64))
+        except (ConfigError, TypeError, ValueError) as error:
+            raise MapError(f"a camera of the map is none: {error}".replace("\n", " ")[:200]) from None
+        if max(camera.width, camera.height) > LARGEST_IMAGE:
+            raise MapError(f"a camera of the map has images of {camera.width}x{camera.height}")
+        cameras.append(camera)
+    return cameras
+
+
+def _bytes_of(features: Features) -> NDArray[np.uint8]:
+    return np.ascontiguousarray(features.descriptors).view(np.uint8).reshape(-1, 32)
+
+
+def _depths_of(keyframe: GlobalKeyframe) -> NDArray[np.float64]:
+    return np.zeros(len(keyframe.features)) if keyframe.depths is None else keyframe.depths
+
+
+def _weights_of(keyframe: GlobalKeyframe) -> NDArray[np.float64]:
+    if keyframe.weights is None:
+        return np.full(len(keyframe.features), -1.0)
+    return np.nan_to_num(keyframe.weights, nan=-1.0)
+
+
+def _stack(matrices: Iterable[NDArray[np.float64]], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    return np.array(list(matrices), np.float64).reshape(-1, *shape)
+
+
+def _join(parts: list[NDArray[Any]], empty: tuple[int, ...], dtype: type) -> NDArray[Any]:
+    return np.concatenate([np.zeros(empty, dtype), *parts]).astype(dtype)

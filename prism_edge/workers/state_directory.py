@@ -1,0 +1,41 @@
+"""Where maps are kept from run to run, and under which names."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from prism_edge.backend.map_file import SUFFIX
+from prism_edge.config import StateConfig
+from prism_edge.errors import MapError
+
+_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
+
+
+def state_directory(config: StateConfig) -> Path:
+    """As configured; else systemd's StateDirectory=; else the user's own folder for state (XDG)."""
+    if config.directory:
+        return Path(config.directory)
+    given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if given:
+        return Path(given)
+    home = os.environ.get("XDG_STATE_HOME", "")
+    return (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "prism-edge"
+
+
+def map_path(config: StateConfig, name: str) -> Path:
+    """The file of a map. Raises MapError for a name that could lead anywhere but into the folder of maps."""
+    if not _NAME.fullmatch(name):
+        raise MapError(f"{name!r:.80} is no name for a map: up to 64 letters, digits, _ - and . (not first)")
+    return maps_folder(config) / (name + SUFFIX)
+
+
+def maps_folder(config: StateConfig) -> Path:
+    """The folder of maps."""
+    return state_directory(config) / "maps"
+
+
+def map_names(config: StateConfig) -> list[str]:
+    """The maps that there are."""
+    return sorted(path.name.removesuffix(SUFFIX) for path in maps_folder(config).glob("[!.]*" + SUFFIX))

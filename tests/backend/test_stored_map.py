@@ -1,0 +1,217 @@
+"""A map becomes arrays and the same map again; arrays that no map would give are refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from prism_edge.backend import map_file
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.map_file import Arrays, Info
+from prism_edge.backend.stored_map import from_arrays, to_arrays
+from prism_edge.backend.window import choose_window, solve
+from prism_edge.config import BackendConfig
+from prism_edge.errors import MapError
+from prism_edge.tracking.place_index import PlaceIndex
+from tests.backend.world import Teller
+from tests.tracking.cloud import pose_at
+
+
+def example() -> tuple[GlobalMap, PlaceIndex]:
+    """Eight keyframes, of which one was culled; depth on some, a place descriptor for each."""
+    world, index, teller = GlobalMap(), PlaceIndex(), Teller(noise_px=0.5)
+    rng = np.random.default_rng(3)
+    for i, pose in enumerate(pose_at(0.1 * i) for i in range(8)):
+        message = teller.keyframe(pose)
+        added = world.absorb(message)
+        if i % 2:
+            added.depths = message.depths.astype(np.float64)
+            added.weights = rng.random(len(added.pixels))
+            added.weights[::5] = np.nan
+        index.add(added.id, rng.normal(size=16).astype(np.float32))
+    world._forget_keyframe(3)
+    index.remove(3)
+    return world, index
+
+
+EXAMPLE = example()
+STORED = map_file.unpack(map_file.pack(*to_arrays(*EXAMPLE)))
+
+
+def test_every_part_of_the_map_comes_back() -> None:
+    world, index = EXAMPLE
+    again, places = from_arrays(*STORED, max_carried=100)
+    assert list(again.keyframes) == list(world.keyframes)
+    for number, keyframe in world.keyframes.items():
+        found = again.keyframes[number]
+        np.testing.assert_allclose(found.world_from_camera, keyframe.world_from_camera, atol=1e-12)
+        np.testing.assert_array_equal(found.pixels, keyframe.pixels)
+        np.testing.assert_array_equal(found.sigmas, keyframe.sigmas)
+        np.testing.assert_array_equal(found.features.descriptors, keyframe.features.descriptors)
+        np.testing.assert_array_equal(found.features.order, keyframe.features.order)
+        assert found.observed == keyframe.observed
+        assert found.index == keyframe.index
+        assert found.camera == keyframe.camera
+        assert found.travelled == keyframe.travelled
+        if keyframe.depths is None:
+            assert found.depths is None
+            assert found.weights is None
+        else:
+            assert found.depths is not None
+            np.testing.assert_allclose(found.depths, keyframe.depths, rtol=1e-6)
+            assert found.weights is not None
+            np.testing.assert_allclose(found.weights, keyframe.weights, rtol=1e-6)
+    assert again.points.keys() == world.points.keys()
+    for number, point in world.points.items():
+        np.testing.assert_array_equal(again.points[number].position, point.position)
+        assert again.points[number].keyframes == point.keyframes
+    assert again.carried.keys() == world.carried.keys()
+    for number, pose in world.poses().items():
+        np.testing.assert_allclose(again.poses()[number], pose, atol=1e-12)
+    for number in world.keyframes:
+        np.testing.assert_allclose(places.get(number), index.get(number), atol=1e-6)
+    assert 3 not in places
+
+
+def test_what_comes_back_is_optimised_alike() -> None:
+    config = BackendConfig()
+    solved = []
+    for world in (EXAMPLE[0], from_arrays(*STORED, max_carried=100)[0]):
+        solution = solve(world, choose_window(world, 7, config), config, 1.0, False)
+        assert solution is not None
+        solved.append(solution)
+    for number, pose in solved[0].poses.items():
+        np.testing.assert_allclose(solved[1].poses[number], pose, atol=1e-6)
+
+
+def test_what_comes_back_may_be_changed() -> None:
+    again, _ = from_arrays(*STORED, max_carried=100)
+    for keyframe in again.keyframes.values():
+        keyframe.world_from_camera[0, 3] += 1.0
+    for point in again.points.values():
+        point.position[0] += 1.0
+    assert to_arrays(again, PlaceIndex())[1]["positions"][0, 0] == STORED[1]["positions"][0, 0] + 1.0
+
+
+def changed(name: str, change: Callable[[np.ndarray], Any]) -> tuple[Info, Arrays]:
+    """The example with one array changed in place, or another in its stead."""
+    info, arrays = STORED[0], {k: v.copy() for k, v in STORED[1].items()}
+    result = change(arrays[name])
+    if isinstance(result, np.ndarray):
+        arrays[name] = result
+    return info, arrays
+
+
+def put(value: Any, at: Any = 0) -> Callable[[np.ndarray], None]:
+    def change(array: np.ndarray) -> None:
+        array[at] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("keyframes", put(1, 0)),  # twice
+        ("keyframes", put(-1)),
+        ("keyframes", lambda a: a[:-1]),
+        ("keyframes", lambda a: a.astype(np.float64)),
+        ("poses", put(np.nan)),
+        ("poses", put(2.0, (0, 0, 0))),  # no rotation
+        ("poses", lambda a: a * (1, 1, 1, 1) * np.array([-1, -1, -1, 1])[:, None]),  # a mirror
+        ("poses", put(1.0, (0, 3, 0))),
+        ("poses", put(1e30, (0, 0, 3))),
+        ("cameras", put(1)),
+        ("cameras", put(-1)),
+        ("scale_factors", put(0.0)),
+        ("scale_factors", put(1e300)),
+        ("travelled", put(np.inf)),
+        ("starts", put(1)),
+        ("starts", put(10**12, -1)),
+        ("starts", put(10**6, 2)),
+        ("pixels", put(np.nan)),
+        ("octaves", put(200)),
+        ("seen", put(10**9)),  # a point that is not there
+        ("seen", put(-2)),
+        ("depths", put(-1.0)),
+        ("weights", put(1.5)),
+        ("weights", put(np.nan)),
+        ("points", lambda a: np.concatenate([a[1:2], a[1:]])),
+        ("positions", put(np.inf)),
+        ("parallax_deg", put(999.0)),
+        ("carried", put(10**6, (0, 1))),  # hangs on nothing
+        ("carried", put(1, (0, 0))),  # is there
+        ("links", put(np.nan)),
+        ("places", put(10**6)),
+        ("places", lambda a: a[:-1]),
+        ("place_descriptors", put(np.nan)),
+        ("place_descriptors", put(0.0)),  # no direction
+        ("place_descriptors", put(50.0)),
+        ("descriptors", lambda a: a[:, :31]),
+    ],
+)
+def test_values_that_can_not_be_are_refused(name: str, change: Callable[[np.ndarray], Any]) -> None:
+    with pytest.raises(MapError) as caught:
+        from_arrays(*changed(name, change), max_carried=100)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "cameras",
+    [
+        None,
+        [],
+        [5],
+        [["pinhole", "x"]],
+        [["nonsense", [640, 480, 500, 500, 320, 240]]],
+        [["pinhole", [640, 480, -1, 500, 320, 240]]],
+        [["pinhole", [1e9, 1e9, 500, 500, 320, 240]]],  # its grid would fill the memory
+        [["pinhole", [[1], [2, 3]]]],
+    ],
+    ids=str,
+)
+def test_cameras_that_can_not_be_are_refused(cameras: Any) -> None:
+    with pytest.raises(MapError):
+        from_arrays({"cameras": cameras}, STORED[1], max_carried=100)
+
+
+def test_a_first_keyframe_without_points_is_a_map_and_nothing_at_all_is_none() -> None:
+    world, told = GlobalMap(), Teller().keyframe(pose_at(0.0))
+    none, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
+    unseen = np.full(len(told.points), -1)
+    world.absorb(replace(told, points=unseen, new_points=none, new_positions=nowhere))
+    again, _ = from_arrays(*map_file.unpack(map_file.pack(*to_arrays(world, PlaceIndex()))), max_carried=1)
+    assert list(again.keyframes) == [0]
+    assert again.points == {}
+    with pytest.raises(MapError, match="0 keyframes"):
+        from_arrays(*to_arrays(GlobalMap(), PlaceIndex()), max_carried=1)
+
+
+def test_a_missing_and_a_surplus_array_are_named() -> None:
+    info, arrays = STORED
+    with pytest.raises(MapError, match="octaves"):
+        from_arrays(info, {k: v for k, v in arrays.items() if k != "octaves"}, max_carried=100)
+    with pytest.raises(MapError, match="more"):
+        from_arrays(info, {**arrays, "more": arrays["points"]}, max_carried=100)
+
+
+@given(st.data())
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+def test_whatever_stands_in_the_arrays_it_is_a_map_or_an_error(data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(sorted(STORED[1])))
+    array = STORED[1][name].copy()
+    flat = array.reshape(-1)
+    at = data.draw(st.integers(0, len(flat) - 1))
+    number = st.integers(0, 255) if array.dtype == np.uint8 else st.integers(-(2**40), 2**40)
+    flat[at] = data.draw(number if array.dtype.kind in "iu" else st.floats(width=32))
+    try:
+        world, _ = from_arrays(STORED[0], {**STORED[1], name: array}, max_carried=100)
+    except MapError:
+        return
+    assert np.isfinite(np.array(list(world.poses().values()))).all()

@@ -1,0 +1,195 @@
+"""The backend's map beyond its process: recovered after a kill, saved by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prism_edge.backend import map_file
+from prism_edge.backend.mapper import Mapper
+from prism_edge.config import BackendConfig, StateConfig
+from prism_edge.errors import MapError
+from prism_edge.workers import backend as worker
+from prism_edge.workers import state_directory
+from prism_edge.workers.state_directory import map_names, map_path
+from tests.workers.list_bus import ListBus
+from tests.workers.test_backend import CONFIG, depth_of, gate_of, keyframes, scale_of, snapshot
+
+
+def run(folder: Path, told: list, teller, life: int = 0, config=CONFIG, ask: tuple[str, ...] = ()) -> ListBus:
+    """One life of a backend with its run's folder, which hears some keyframes and a command for each name."""
+    bus = ListBus("keyframe")
+    bus.life, bus.first_id, bus.run_directory = life, life * 1_000_000, folder
+    made = worker.BackendWorker(config, bus)
+    for keyframe in told:
+        bus.give("depth", depth_of(keyframe, teller))
+        bus.give("gate", gate_of(keyframe))
+        bus.give("log_scale", scale_of(keyframe, 0.25))
+        bus.give("keyframe", keyframe)
+        made._realtime()
+    for name in ask:
+        bus.desk.ask("save_map", name)
+    made._desk.serve()
+    made._snapshot = made._take_snapshot()
+    return bus
+
+
+def test_a_life_that_ended_by_force_is_gone_on_from(tmp_path: Path) -> None:
+    teller, told = keyframes(6)
+    before = snapshot(run(tmp_path, told[:5], teller))
+    bus = run(tmp_path, [], teller, life=1)
+    recovered = snapshot(bus)
+    assert recovered.keyframes.tolist() == before.keyframes.tolist()
+    assert set(recovered.points.tolist()) == set(before.points.tolist())
+    assert recovered.log_scale == pytest.approx(0.25)
+    np.testing.assert_allclose(recovered.poses, before.poses, atol=0.03)  # corrections since are made again
+    after = run(tmp_path, told[5:], teller, life=2)
+    assert snapshot(after).keyframes.tolist() == [0, 1, 2, 3, 4, 5]
+    (update,) = after.of("map_update")
+    assert update.sequence > 1_000_000  # newer than what earlier lives said
+    assert set(update.keyframes.tolist()) >= {2, 3, 4, 5}
+
+
+def test_the_first_life_of_a_run_forgets_what_another_left(tmp_path: Path) -> None:
+    teller, told = keyframes(4)
+    run(tmp_path, told, teller)
+    assert len(snapshot(run(tmp_path, [], teller)).keyframes) == 0
+    assert len(snapshot(run(tmp_path, [], teller, life=1)).keyframes) == 0
+
+
+def test_a_new_epoch_begins_the_journal_anew(tmp_path: Path) -> None:
+    teller, told = keyframes(6)
+    later = [replace(k, epoch=1) for k in told[3:]]
+    run(tmp_path, [*told[:3], *later], teller)
+    assert snapshot(run(tmp_path, [], teller, life=1)).keyframes.tolist() == [3, 4, 5]
+
+
+def test_a_map_that_moved_as_a_whole_is_written_as_a_whole(tmp_path: Path) -> None:
+    teller, told = keyframes(4)
+    bus = ListBus("keyframe")
+    bus.run_directory = tmp_path
+    made = worker.BackendWorker(CONFIG, bus)
+    for keyframe in told[:3]:
+        bus.give("depth", depth_of(keyframe, teller))
+        bus.give("gate", gate_of(keyframe))
+        bus.give("keyframe", keyframe)
+        made._realtime()
+    made._mapper.world.keyframes[1].world_from_camera[0, 3] += 5.0
+    made._keeper.overhauled()
+    made._absorb(told[3])
+    again = snapshot(run(tmp_path, [], teller, life=1))
+    assert again.poses[1][0, 3] == pytest.approx(made._mapper.world.keyframes[1].world_from_camera[0, 3])
+
+
+@pytest.mark.parametrize("file", ["base", "tail"])
+@pytest.mark.parametrize("damage", ["noise", "cut", "gone"])
+def test_a_damaged_journal_ends_in_a_smaller_map_or_none(tmp_path: Path, file: str, damage: str) -> None:
+    teller, told = keyframes(5)
+    run(tmp_path, told, teller)
+    path = tmp_path / "journal" / file
+    data = path.read_bytes()
+    if damage == "gone":
+        path.unlink()
+    else:
+        path.write_bytes(data[: len(data) // 2] if damage == "cut" else b"noise" + data[5:])
+    bus = run(tmp_path, [], teller, life=1)
+    known = snapshot(bus).keyframes.tolist()
+    assert known == list(range(len(known)))
+    assert bool(known) == (file == "tail")
+    assert bus.states == []  # and it is up: nothing was raised
+
+
+def test_a_full_disk_costs_the_journal_alone_and_health_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise MapError("can't write base: No space left on device")
+
+    monkeypatch.setattr(map_file, "write", full)
+    teller, told = keyframes(4)
+    bus = run(tmp_path, told, teller, ask=("lab",))
+    assert snapshot(bus).keyframes.tolist() == [0, 1, 2, 3]
+    assert bus.of("map_update")
+    assert "No space left" in bus.pulse.values["journal"]
+    (reply,) = bus.desk.replies
+    assert (reply.ok, reply.said) == (False, "can't write base: No space left on device")
+
+
+def test_no_journal_where_there_is_no_folder_for_it_or_none_is_wanted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    teller, told = keyframes(2)
+    run(tmp_path, told, teller, config=replace(CONFIG, state=StateConfig(journal=False)))
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    run(tmp_path / "run", told, teller)
+    assert (tmp_path / "state" / "journal" / "base").is_file()
+
+
+class TestSaving:
+    @pytest.fixture(autouse=True)
+    def _state(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+
+    def test_a_saved_map_is_the_map(self, tmp_path: Path) -> None:
+        teller, told = keyframes(5)
+        bus = run(tmp_path, told, teller, ask=("lab", "lab"))
+        assert [r.ok for r in bus.desk.replies] == [True, True]
+        assert bus.desk.replies[0].said.startswith("saved lab: 5 keyframes, ")
+        assert map_names(CONFIG.state) == ["lab"]
+        info, arrays = map_file.unpack(map_file.read(map_path(CONFIG.state, "lab")))
+        mapper = Mapper(BackendConfig())
+        assert mapper.restore(info, arrays) == pytest.approx(0.25)
+        np.testing.assert_allclose(list(mapper.world.poses().values()), snapshot(bus).poses, atol=1e-12)
+        assert info["robot"] == CONFIG.robot
+        assert info["model"] == CONFIG.depth.model
+
+    def test_no_map_no_file(self, tmp_path: Path) -> None:
+        bus = run(tmp_path, [], keyframes(1)[0], ask=("lab",))
+        assert [(r.ok, r.said) for r in bus.desk.replies] == [(False, "there is no map to save yet")]
+        assert map_names(CONFIG.state) == []
+
+    @pytest.mark.parametrize(
+        "name", ["", ".", "..", "../x", "/etc/x", "a/b", ".hidden", "a" * 65, "a b", "ä", "a\n"]
+    )
+    def test_a_name_leads_nowhere_else(self, tmp_path: Path, name: str) -> None:
+        teller, told = keyframes(2)
+        bus = run(tmp_path, told, teller, ask=(name,))
+        assert not bus.desk.replies[0].ok
+        assert "is no name for a map" in bus.desk.replies[0].said
+        assert not (tmp_path / "state" / "maps").exists()
+
+
+def test_a_stored_map_with_wrong_plain_values_is_refused() -> None:
+    _, told = keyframes(3)
+    mapper = Mapper(BackendConfig())
+    for keyframe in told:
+        mapper.absorb(keyframe)
+    info, arrays = mapper.stored()
+    for wrong in ({"epoch": "x"}, {"epoch": -1}, {"log_scale": None}, {"log_scale": 1e9}, {"epoch": True}):
+        with pytest.raises(MapError):
+            Mapper(BackendConfig()).restore({**info, "log_scale": 0.0, **wrong}, arrays)
+
+
+@pytest.mark.parametrize(
+    ("environment", "config", "expected"),
+    [
+        ({"STATE_DIRECTORY": "/a:/b"}, StateConfig(), "/a"),
+        ({"STATE_DIRECTORY": "/a"}, StateConfig(directory="/c"), "/c"),
+        ({"XDG_STATE_HOME": "/x"}, StateConfig(), "/x/prism-edge"),
+        ({"XDG_STATE_HOME": "relative", "HOME": "/h"}, StateConfig(), "/h/.local/state/prism-edge"),
+        ({"HOME": "/h"}, StateConfig(), "/h/.local/state/prism-edge"),
+    ],
+)
+def test_where_state_is_kept(
+    environment: dict[str, str], config: StateConfig, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert state_directory.state_directory(config) == Path(expected)
