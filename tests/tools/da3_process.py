@@ -97,6 +97,12 @@ def geometry() -> None:
     )
 
 
+def names() -> None:
+    """Prints which checkpoint each folder name is taken for."""
+    folders = ("DA3-SMALL", "da3_metric_large", "DA3MONO-LARGE", "da3_nested_giant_large")
+    print(json.dumps([checkpoints.variant_of(Path("/nowhere") / folder / "x.pth", "") for folder in folders]))
+
+
 def refusals(folder: str) -> None:
     """Prints what each wrong call says, and whether a file was left."""
     files = Path(folder)
@@ -127,5 +133,5 @@ def refusals(folder: str) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    actions = {"checkpoint": checkpoint, "reference": reference, "geometry": geometry, "refusals": refusals}
+    actions = {function.__name__: function for function in (checkpoint, reference, geometry, names, refusals)}
     actions[sys.argv[1]](*sys.argv[2:])

@@ -153,6 +153,11 @@ def test_geometry_is_the_packages_own(exported):
     assert max(errors.values()) < 2e-5, errors
 
 
+def test_a_published_folders_name_says_which_checkpoint_it_is(exported):
+    found = json.loads(run(PROCESS, "names"))
+    assert found == ["da3-small", "da3metric-large", "da3mono-large", "da3nested-giant-large"]
+
+
 def test_what_cannot_be_exported_is_refused_in_one_line_and_leaves_no_file(exported):
     folder, _ = exported
     says = {

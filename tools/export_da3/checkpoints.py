@@ -58,7 +58,10 @@ class Checkpoint:
 
 
 def variant_of(path: Path, named: str) -> str:
-    """The variant: ``named``, or what config.json beside the weights says. Raises ModelError for none."""
+    """The variant: ``named``, or what config.json beside the weights or the folder's name says.
+
+    Raises ModelError for none.
+    """
     if named:
         return named
     config = (path if path.is_dir() else path.parent) / "config.json"
@@ -66,9 +69,16 @@ def variant_of(path: Path, named: str) -> str:
         name = json.loads(config.read_text(encoding="utf-8")).get("model_name")
     except (OSError, ValueError, AttributeError):
         name = None
-    if name not in MODEL_NAMES:
-        raise ModelError(f"{path}: does not say which checkpoint it is; name it with --model")
-    return str(name)
+    folder = config.resolve().parent.name
+    for known in MODEL_NAMES:
+        if name == known or _letters(folder) == _letters(known):
+            return known
+    raise ModelError(f"{path}: does not say which checkpoint it is; name it with --model")
+
+
+def _letters(name: str) -> str:
+    """A name without what it is written with: DA3METRIC-LARGE and da3_metric_large are one."""
+    return "".join(letter for letter in name.lower() if letter.isalnum())
 
 
 def load(path: Path, name: str) -> list[Checkpoint]:
