@@ -27,6 +27,7 @@ _TRUTH_FRAME = "simulated_world"
 _GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
 # Lockstep: whoever takes longer over a frame died with it, and all wait for us.
 _PATIENCE_S = 60.0
+_STILL_S = 2.0  # without a frame for this long, there is no rate
 # Started again, it is known that there is a camera: it gets most of the time that a start may take.
 _ABSENT_S = 45.0
 _ESTIMATING_S = 180.0  # a large network is loaded, and a slow computer runs it five times
@@ -213,7 +214,8 @@ class SourceWorker:
         shown = ("frames", "released", "duplicates", "unreadable", "wrong_size", "bad_stamps", "skipped")
         self._bus.pulse.values.update({name: str(getattr(counts, name)) for name in shown})
         times = self._released_at
-        rate = (len(times) - 1) / (times[-1] - times[0]) if len(times) > 1 else 0.0
+        flows = len(times) > 1 and time.monotonic() - times[-1] < _STILL_S
+        rate = (len(times) - 1) / (times[-1] - times[0]) if flows else 0.0
         health = self._source.health() | self._pause.health
         if "warning" not in health:
             self._bus.pulse.values.pop("warning", None)

@@ -16,6 +16,7 @@ from prism_edge.errors import ConfigError
 from prism_edge.messages import Tracked
 from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.live.driver import CameraLostError, Grab
+from prism_edge.workers import source as source_worker
 from prism_edge.workers.source import SourceWorker, main
 from tests.workers.test_source import Recorder, running, wait_for
 
@@ -57,7 +58,8 @@ def test_what_was_replaced_by_something_newer_is_counted_as_skipped() -> None:
         assert "ended" not in bus.states
 
 
-def test_a_lost_camera_shows_on_health_and_the_worker_stays() -> None:
+def test_a_lost_camera_shows_on_health_and_the_worker_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(source_worker, "_STILL_S", 0.05)
     gone = threading.Event()
 
     def script(k: int) -> Grab:
@@ -72,6 +74,7 @@ def test_a_lost_camera_shows_on_health_and_the_worker_stays() -> None:
         gone.set()
         wait_for(lambda: bus.pulse.values.get("warning") == "camera: reconnecting (not there)")
         assert bus.pulse.values["camera"] == "reconnecting: not there"
+        wait_for(lambda: bus.pulse.values["fps"] == "0.0")
         bench.refusal = None
         gone.clear()
         wait_for(lambda: "warning" not in bus.pulse.values)

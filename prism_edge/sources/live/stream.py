@@ -95,6 +95,8 @@ class StreamConnection:
             raise CameraLostError("the stream carries no video")
         self._container, self._options, self._is_mjpeg = container, options, is_mjpeg
         self._stream = container.streams.video[0]
+        if self._stream.codec_context is None:
+            raise CameraLostError("the stream's codec is not known")
         # One thread: the cores belong to the tracker, and frame threads hold images back.
         self._stream.thread_type = "SLICE"
         self._stream.codec_context.thread_count = 1

@@ -272,7 +272,20 @@ def babbler() -> Iterator[Babbler]:
     server.close()
 
 
+def handshake(codec: str) -> bytes:
+    """A whole conversation of RTSP's, said at once."""
+    sdp = f"v=0\r\ns=x\r\nt=0 0\r\nm=video 0 RTP/AVP 96\r\na=rtpmap:96 {codec}/90000\r\na=control:track\r\n"
+    parts = (
+        "Public: OPTIONS, DESCRIBE, SETUP, PLAY\r\n\r\n",
+        f"Content-Type: application/sdp\r\nContent-Length: {len(sdp)}\r\n\r\n{sdp}",
+        "Session: 1\r\nTransport: RTP/AVP/TCP;unicast;interleaved=0-1\r\n\r\n",
+        "Session: 1\r\n\r\n",
+    )
+    return "".join(f"RTSP/1.0 200 OK\r\nCSeq: {k}\r\n{part}" for k, part in enumerate(parts, 1)).encode()
+
+
 HEADS = [
+    handshake("H264"),
     b"",
     b"RTSP/1.0 200 OK\r\nCSeq: 1\r\n",
     b"RTSP/1.0 200 OK\r\nCSeq: 2\r\nContent-Type: application/sdp\r\nContent-Length: 120\r\n\r\nv=0\r\n",
@@ -293,6 +306,13 @@ def survive(babbler: Babbler, answer: bytes, scheme: str) -> None:
                     assert isinstance(grab.decode(), str | np.ndarray)
         finally:
             connection.close()
+
+
+def test_a_stream_that_nobody_can_decode(babbler: Babbler) -> None:
+    packet = bytes([0x80, 96, 0, 1, 0, 0, 0, 0, 0, 0, 0, 1]) + b"?" * 20
+    babbler.answer = handshake("NONSENSE") + (b"$\0" + len(packet).to_bytes(2, "big") + packet) * 5
+    with pytest.raises(CameraLostError, match="codec"):
+        StreamDriver(f"rtsp://127.0.0.1:{babbler.port}/x#timeout=0.5").connect()
 
 
 @settings(max_examples=60, deadline=None)
