@@ -19,6 +19,7 @@ from prism_edge.sources.address import parse_options
 from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import decode
 from prism_edge.sources.live.arrival_clock import ArrivalClock
+from prism_edge.sources.live.backlog import Backlog
 from prism_edge.sources.live.driver import CameraLostError, Grab
 
 SCHEMES = ("rtsp", "rtsps", "http", "https")
@@ -105,6 +106,7 @@ class StreamConnection:
         self.period_ns = round(1e9 / rate) if rate and not is_mjpeg and 0.1 <= rate <= 1000 else 0
         self._packets: Iterator[Any] = container.demux(self._stream)
         self._clock = ArrivalClock()
+        self._backlog, self._left_out = Backlog(), 0
         self._decoded: deque[Grab] = deque()
 
     def grab(self) -> Grab | None:
@@ -120,7 +122,12 @@ class StreamConnection:
             if self._is_mjpeg:
                 return self._undecoded(bytes(packet), arrival_ns)
             if packet.pts is not None:
-                self._clock.observe(_ns(packet.pts, packet.time_base), arrival_ns)
+                stamp_ns = _ns(packet.pts, packet.time_base)
+                self._clock.observe(stamp_ns, arrival_ns)
+                late_ns = arrival_ns - self._clock.host_ns(stamp_ns)
+                if self._backlog.leaves_out(late_ns, packet.is_keyframe):
+                    self._left_out += 1
+                    return None
             try:
                 frames = packet.decode()
             except errors.InvalidDataError:
@@ -147,7 +154,8 @@ class StreamConnection:
         return Grab(arrival_ns - self._delay_ns, lambda: decode(data))
 
     def _grab(self, captured_ns: int, frame: Any) -> Grab:
-        return Grab(captured_ns - self._delay_ns, lambda: _pixels(frame))
+        missed, self._left_out = self._left_out, 0
+        return Grab(captured_ns - self._delay_ns, lambda: _pixels(frame), missed)
 
     @property
     def _delay_ns(self) -> int:

@@ -1,0 +1,99 @@
+"""A stream that is decoded too slowly, against a decoder that checks what it is given."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from prism_edge.sources.live import stream
+from prism_edge.sources.live.backlog import Backlog
+from prism_edge.sources.live.stream import Options, StreamConnection
+
+MS = 1_000_000
+PERIOD_MS, KEY_EVERY = 33, 15
+
+
+class Simulation:
+    """Packets every 33 ms, each taking ``cost_ms`` to decode; time is simulated."""
+
+    def __init__(self, cost_ms: float) -> None:
+        self.cost_ms, self.now_ns = cost_ms, 0
+        self.decoded: list[int] = []
+        video = SimpleNamespace(
+            codec_context=SimpleNamespace(thread_count=0), average_rate=Fraction(30), thread_type=""
+        )
+        streams = SimpleNamespace(video=[video])
+        self.container = SimpleNamespace(streams=streams, demux=lambda _: self._packets())
+
+    def _packets(self) -> Any:
+        k = 0
+        while True:
+            self.now_ns = max(self.now_ns, k * PERIOD_MS * MS)  # waits for it, or has it queued already
+            yield self._packet(k)
+            k += 1
+
+    def _packet(self, k: int) -> Any:
+        def decode() -> list[Any]:
+            assert k % KEY_EVERY == 0 or self.decoded[-1] == k - 1, "it builds on a picture that was left out"
+            self.decoded.append(k)
+            self.now_ns += round(self.cost_ms * MS)
+            return [SimpleNamespace(pts=k * PERIOD_MS, time_base=Fraction(1, 1000))]
+
+        stamp = {"pts": k * PERIOD_MS, "time_base": Fraction(1, 1000)}
+        return SimpleNamespace(size=100, is_keyframe=k % KEY_EVERY == 0, decode=decode, **stamp)
+
+
+@pytest.fixture
+def simulated(monkeypatch: pytest.MonkeyPatch) -> Any:
+    def make(cost_ms: float) -> tuple[Simulation, StreamConnection]:
+        simulation = Simulation(cost_ms)
+        monkeypatch.setattr(stream.time, "monotonic_ns", lambda: simulation.now_ns)
+        return simulation, StreamConnection(simulation.container, Options(), False)
+
+    return make
+
+
+def test_a_decoder_that_keeps_up_gets_everything(simulated: Any) -> None:
+    simulation, connection = simulated(30.0)
+    grabs = [connection.grab() for _ in range(300)]
+    assert len(simulation.decoded) == 300
+    assert all(grab.missed == 0 for grab in grabs)
+
+
+def test_a_decoder_that_is_too_slow_skips_to_key_frames_and_never_falls_far_behind(simulated: Any) -> None:
+    simulation, connection = simulated(60.0)
+    index, late_ms = -1, []
+    while simulation.now_ns < 60_000 * MS:
+        grab = connection.grab()
+        if grab is not None:
+            index += 1 + grab.missed
+            assert index == simulation.decoded[-1]  # what was left out shows as gaps
+            assert grab.captured_ns == index * PERIOD_MS * MS
+            late_ms.append((simulation.now_ns - grab.captured_ns) / MS)
+    assert max(late_ms) < 1_000 + 2 * 60
+    assert min(late_ms[len(late_ms) // 2 :]) < 400  # it catches up, again and again
+    assert len(simulation.decoded) > 0.8 * 60_000 / 60
+
+
+def test_one_pause_is_caught_up_with(simulated: Any) -> None:
+    simulation, connection = simulated(5.0)
+    for _ in range(20):
+        connection.grab()
+    simulation.now_ns += 3_000 * MS  # the machine slept
+    for _ in range(200):
+        connection.grab()
+    assert simulation.decoded[-1] == 219
+    assert len(simulation.decoded) < 200
+
+
+def test_the_choice() -> None:
+    backlog = Backlog()
+    assert not backlog.leaves_out(900 * MS, False)
+    assert backlog.leaves_out(1100 * MS, False)
+    assert not backlog.leaves_out(1000 * MS, True)
+    assert backlog.leaves_out(100 * MS, False)  # in time again, but its forerunner was left out
+    assert not backlog.leaves_out(100 * MS, True)
+    assert not backlog.leaves_out(100 * MS, False)
