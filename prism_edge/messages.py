@@ -80,6 +80,7 @@ class Tracked:
     reference: int  # keyframe that carries this frame, -1 for none
     reference_from_camera: F64 = array("float64", 4, 4)  # map units
     dropped: int = 0  # frames so far that the tracker never got
+    probe: bool = False  # lost: this frame's picture goes to the depth worker, to be recognised
 
 
 @dataclass(frozen=True)
@@ -120,11 +121,16 @@ class Keyframe:
     scale_factor: float = 1.2  # between pyramid levels: a keypoint is as much less precise a level up
 
 
+def probe_of(index: int) -> int:
+    """The number under which the picture of a lost camera's frame travels; no keyframe has such a one."""
+    return -2 - index
+
+
 @dataclass(frozen=True)
 class KeyframeImage:
     """The picture of a keyframe, for the depth worker alone."""
 
-    keyframe: int
+    keyframe: int  # below -1: a probe (:func:`probe_of`), of which only the descriptor is wanted
     index: int
     stamp_ns: int
     epoch: int

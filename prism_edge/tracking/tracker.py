@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_log, transform
-from prism_edge.messages import DEGRADED, INITIALISING, LOST, OK, MapUpdate
+from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
@@ -22,6 +22,7 @@ from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import apply_correction, fit, join
 from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import locate
+from prism_edge.tracking.relocalisation import Relocaliser
 from prism_edge.tracking.seeding import seed_from_depth
 
 log = logging.getLogger("prism_edge.tracking")
@@ -61,6 +62,9 @@ class Tracker:
         self.scale_factor = config.scale_factor
         self._frames = FrameTracker(self._factors, config.max_local_points)
         self.world = LocalMap()
+        self.places = Relocaliser(seed)
+        self._lost = False
+        self.wants_probe = False  # lost, and the last frame shows something
         self.epoch = first_id
         self.log_scale = 0.0
         self._next_keyframe = first_id
@@ -113,7 +117,15 @@ class Tracker:
                     self._restart()
                 return _nothing(INITIALISING)
             self._velocity[:] = 0.0
-            return _nothing(LOST if silent_s > self._config.lost_after_s else DEGRADED)
+            if silent_s > self._config.lost_after_s and not self._lost:
+                self._lost = True
+                self.places.begin()
+                log.info("lost at frame %d", index)
+            self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES
+            return _nothing(LOST if self._lost else DEGRADED)
+        if self._lost:
+            log.info("found again at frame %d, %.1f s later", index, silent_s)
+        self._lost = self.wants_probe = False
         self._update_motion(frame, stamp_ns)
         self._initialised = True
         self._fresh = (index, frame)
@@ -131,6 +143,10 @@ class Tracker:
         if not (self.world.points.alive.any() and len(features) >= self._config.min_matches):
             return None
         previous, frame = self._last, None
+        if self._lost:
+            return self.places.attempt(
+                self.world, self._frames, camera, features, previous, self._config.min_matches
+            )
         if previous is not None:
             elapsed = (stamp_ns - self._last_stamp) * 1e-9
             moving = previous.world_from_camera @ se3_exp(self._velocity * elapsed)
@@ -219,7 +235,7 @@ class Tracker:
             first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
             mapping.fuse(self.world, first, second)
         mapping.cull_recent_points(self.world, keyframe.id)
-        cull_keyframes(self.world, self._config.max_keyframes)
+        self.places.forget(cull_keyframes(self.world, self._config.max_keyframes))
         self.world.points.squeeze()
         frame.points = keyframe.points.copy()
         self._reference_matches = 0
@@ -310,6 +326,13 @@ class Tracker:
         self._reference_depth = self.world.median_depth(self.world.newest())
         return len(ids)
 
+    def recognise(self, keyframe: int, descriptor: F32) -> None:
+        """Take the network's descriptor of a keyframe; below 0, of what a lost camera saw."""
+        if keyframe in self.world.keyframes:
+            self.places.add_place(keyframe, descriptor)
+        elif keyframe < 0 and self._lost:
+            self.places.heard(self.world, descriptor)
+
     def apply_update(self, update: MapUpdate) -> None:
         """Take over the backend's corrections; the last frame moves with its surroundings."""
         motion = apply_correction(
@@ -348,6 +371,8 @@ class Tracker:
     def _restart(self) -> None:
         """Begin a new map."""
         self.world = LocalMap()
+        self.places = Relocaliser(self._seed)
+        self._lost = self.wants_probe = False
         self.epoch += 1
         self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
         self._last, self._initialised, self._velocity = None, False, np.zeros(6)

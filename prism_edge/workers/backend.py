@@ -103,7 +103,8 @@ class BackendWorker:
             if keyframe.epoch >= self._mapper.epoch:  # else of a map that is gone
                 self._waiting.append((now, keyframe))
         for depth in self._depths.drain():
-            self._early[depth.keyframe] = depth
+            if depth.keyframe >= 0:  # else a probe's, which is for the tracker
+                self._early[depth.keyframe] = depth
         for gate in self._gates.drain():
             self._gated[gate.keyframe] = gate
             self._mapper.add_gate(gate)

@@ -15,7 +15,7 @@ from prism_edge.config import Config
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import no_confidence, no_descriptor
 from prism_edge.geometry.cameras import Camera
-from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked
+from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
 from prism_edge.processes import processes_for
 from prism_edge.sources.pack import rgb
 
@@ -87,14 +87,14 @@ class DepthWorker:
         if self._last >= 0 and passed_over > 0:  # ids are given in order; a restarted tracker goes back
             values = self._bus.pulse.values
             values["dropped"] = str(int(values["dropped"]) + passed_over)
-        self._last = image.keyframe
+        self._last = max(image.keyframe, self._last) if image.keyframe < 0 else image.keyframe
         self._answer(image)
         return True
 
     def _acknowledge(self, tick: Tracked) -> None:
         """Lockstep: frame ``tick.index`` is done here once its keyframe, if it became one, has its depth."""
-        if tick.keyframe >= 0:
-            image = self._await(tick.keyframe)
+        if tick.keyframe >= 0 or tick.probe:
+            image = self._await(probe_of(tick.index) if tick.probe else tick.keyframe)
             if self._bus.stopped.is_set():
                 return
             if image is not None:
@@ -110,7 +110,7 @@ class DepthWorker:
             if image is not None:
                 self._early[image.keyframe] = image
         image = self._early.pop(keyframe, None)
-        self._early = {early: kept for early, kept in self._early.items() if early > keyframe}
+        self._early = {early: kept for early, kept in self._early.items() if early > keyframe or keyframe < 0}
         if image is None and not self._bus.stopped.is_set():
             log.warning("the picture of keyframe %d has not come: going on without", keyframe)
             self._bus.pulse.count("dropped")

@@ -72,10 +72,9 @@ class ScaleWorker:
     def _take_depth(self, timeout_s: float) -> None:
         """Handles all pairs that are complete once a depth has come or the time is over."""
         depth = self._depths.take(timeout_s)
-        if depth is not None:
-            self._waiting.add_depth(depth)
-        for later in self._depths.drain():
-            self._waiting.add_depth(later)
+        for come in ([] if depth is None else [depth]) + self._depths.drain():
+            if come.keyframe >= 0:  # else a probe's, which is for the tracker
+                self._waiting.add_depth(come)
         for keyframe in self._keyframes.drain():
             self._waiting.add_keyframe(keyframe)
         for keyframe, depth in self._waiting.complete():

@@ -26,6 +26,7 @@ from prism_edge.messages import (
     LOCALISED,
     LOOP_CLOSED,
     LOST,
+    RELOCALISING,
     Acknowledged,
     Depth,
     Frame,
@@ -33,6 +34,7 @@ from prism_edge.messages import (
     MapUpdate,
     Scale,
     Tracked,
+    probe_of,
 )
 from prism_edge.processes import processes_for
 from prism_edge.sources.pack import grey
@@ -49,6 +51,7 @@ _LOOK_S = 0.01  # between frames, for what the others have sent
 _FRAME_S = 5.0
 _PATIENCE_S = 30.0  # lockstep: an answer that takes longer isn't coming
 _STATUS_NS = 500_000_000
+_PROBE_NS = 300_000_000  # between two looks of the network at what a lost camera sees
 _SAID_NS = 2_000_000_000
 SEED_DEPTH_SIGMA = 0.2  # relative error of one pixel of network depth
 UNKNOWN_SCALE_SIGMA = 1.0
@@ -73,6 +76,7 @@ class TrackerWorker:
         self._expected: list[tuple[int, str, int]] = []  # lockstep: due at frame, topic, keyframe
         self._early: dict[tuple[str, int], Any] = {}
         self._last_index, self._dropped = -1, 0
+        self._probed_ns = -_PROBE_NS
         self._shown: tuple[str, int, str] | None = None
         self._happened, self._happened_until_ns = "", 0  # to the map, and until when status says so
         self._now_ns = 0  # stamp of the newest frame
@@ -126,7 +130,16 @@ class TrackerWorker:
         if keyframe is not None:
             self._announce(keyframe, frame)
         made = -1 if keyframe is None else keyframe.id
-        self._tick(frame, result.odometry, published, made, result.reference, result.reference_from_camera)
+        probe = not repeated and tracker.wants_probe and self._probe(frame)
+        self._tick(
+            frame,
+            result.odometry,
+            published,
+            made,
+            result.reference,
+            result.reference_from_camera,
+            probe,
+        )
         self._show(result.odometry, result.matched, frame.stamp_ns)
 
     def _camera_of(self, frame: Frame) -> Camera | None:
@@ -150,6 +163,7 @@ class TrackerWorker:
         keyframe: int = -1,
         reference: int = -1,
         reference_from_camera: Array | None = None,
+        probe: bool = False,
     ) -> None:
         """Tell the others what became of a frame."""
         self._bus.publish(
@@ -164,6 +178,7 @@ class TrackerWorker:
                 reference,
                 np.eye(4) if reference_from_camera is None else reference_from_camera,
                 self._dropped,
+                probe,
             ),
         )
         if self._lockstep:
@@ -187,13 +202,23 @@ class TrackerWorker:
             self._scale_sigma,
         )
 
-    def _announce(self, keyframe: LocalKeyframe, frame: Frame) -> None:
-        message = keyframe_message(self._tracker, keyframe, self._travelled)
-        self._bus.publish("keyframe", message)
+    def _probe(self, frame: Frame) -> bool:
+        """Show the depth worker what a lost camera sees, now and then; whether this frame was shown."""
+        if "depth" not in self._peers or frame.stamp_ns - self._probed_ns < _PROBE_NS:
+            return False
+        self._probed_ns = frame.stamp_ns
+        self._show_picture(frame, probe_of(frame.index))
+        if self._lockstep:
+            due = frame.index + self._config.lockstep.depth_lag
+            self._expected.append((due, "depth", probe_of(frame.index)))
+            self._expected.sort(key=lambda due: due[0])
+        return True
+
+    def _show_picture(self, frame: Frame, number: int) -> None:
         self._bus.publish(
             "keyframe_image",
             KeyframeImage(
-                keyframe.id,
+                number,
                 frame.index,
                 frame.stamp_ns,
                 self._tracker.epoch,
@@ -203,6 +228,11 @@ class TrackerWorker:
                 frame.image,
             ),
         )
+
+    def _announce(self, keyframe: LocalKeyframe, frame: Frame) -> None:
+        message = keyframe_message(self._tracker, keyframe, self._travelled)
+        self._bus.publish("keyframe", message)
+        self._show_picture(frame, keyframe.id)
         if self._lockstep:
             lags = self._config.lockstep
             for topic, producer, lag in (
@@ -247,7 +277,9 @@ class TrackerWorker:
         return self._early.pop((topic, keyframe))
 
     def _apply_depth(self, message: Depth) -> None:
-        if message.valid and message.epoch == self._tracker.epoch:
+        if message.epoch == self._tracker.epoch:
+            self._tracker.recognise(message.keyframe, message.descriptor)
+        if message.keyframe >= 0 and message.valid and message.epoch == self._tracker.epoch:
             sigma = float(np.hypot(SEED_DEPTH_SIGMA, message.bias_sigma))
             self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
 
@@ -294,7 +326,9 @@ class TrackerWorker:
     def _show(self, odometry: str, matched: int, stamp_ns: int) -> None:
         """Publish `status` twice a second and whenever a word changes."""
         state = LOCALISED if self._localise_only else BUILDING
-        if self._happened and stamp_ns < self._happened_until_ns:
+        if odometry == LOST:
+            state = RELOCALISING
+        elif self._happened and stamp_ns < self._happened_until_ns:
             state = self._happened
         due = stamp_ns // _STATUS_NS
         if self._shown == (odometry, due, state):

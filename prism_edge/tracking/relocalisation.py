@@ -1,0 +1,146 @@
+"""Finding a lost camera anywhere in the map, a few keyframes with each frame.
+
+Which keyframes first is the depth network's word: it sees the lost camera's picture (a *probe*) and its
+descriptor ranks all keyframes. Until it has answered, and where it gives none, the newest come first and
+then all others in turn. A pose counts once a second frame confirms it: what was published wrongly can't be
+taken back.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import inverse, rotation_angle
+from prism_edge.messages import F32
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
+from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.place_index import PlaceIndex
+from prism_edge.tracking.recovery import locate
+
+TRIES = 2  # keyframes tried with a frame; each takes some 10 ms
+RANKED = 8  # keyframes of the network's ranking that are tried before the round goes on
+NEAR = 3  # covisible keyframes beside the newest that are tried first
+CERTAIN = 2.0  # times the matches that tracking needs
+SAME_ANGLE, SAME_SHIFT = np.radians(10.0), 0.2  # a frame later; of the median depth
+
+
+class Relocaliser:
+    """Knows what keyframes look like, and where a lost camera was looked for already."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self._seed = seed
+        self.index = PlaceIndex()
+        self._round: deque[int] = deque()
+        self._tentative: TrackedFrame | None = None
+
+    def begin(self) -> None:
+        """Tracking has just been lost."""
+        self._round.clear()
+        self._tentative = None
+
+    def add_place(self, keyframe: int, descriptor: F32) -> None:
+        """Note what the network says of a keyframe."""
+        self.index.add(keyframe, descriptor)
+
+    def forget(self, keyframes: list[int]) -> None:
+        """Keyframes that have left the map."""
+        for keyframe in keyframes:
+            self.index.remove(keyframe)
+
+    def heard(self, world: LocalMap, descriptor: F32) -> None:
+        """The network's word on the lost camera's picture: what it names is tried next."""
+        named: list[int] = []
+        covered: set[int] = set()
+        for k, _ in self.index.rank(descriptor, world.keyframes):
+            if k not in covered:
+                named.append(k)
+                covered.update(world.keyframes[k].neighbours[:2])
+            if len(named) == RANKED:
+                break
+        self._round = deque([*named, *(k for k in self._round if k not in named)])
+
+    def attempt(
+        self,
+        world: LocalMap,
+        frames: FrameTracker,
+        camera: Camera,
+        features: Features,
+        last: TrackedFrame | None,
+        least: int,
+    ) -> TrackedFrame | None:
+        """The frame's place in the map once two frames agree on it; None so far.
+
+        ``last`` is the last tracked frame, ``least`` the matches that tracking needs.
+        """
+        enough = int(CERTAIN * least)
+        tentative, self._tentative = self._tentative, None
+        if tentative is not None:
+            frame = self._placed(world, frames, camera, features, tentative, enough)
+            if frame is not None and _near(world, tentative, frame):
+                return frame
+        if last is not None:  # a hand before the lens: it may not have moved
+            self._tentative = self._placed(world, frames, camera, features, last, enough)
+        for keyframe in self._next(world) if self._tentative is None else []:
+            pose = locate(world, camera, features, world.keyframes[keyframe], self._seed)
+            if pose is None:
+                continue
+            seen = world.keyframes[keyframe]
+            frames.refresh_local_map(world, seen.points[seen.observed()])
+            frame = frames.track(world, camera, features, pose, None, least)
+            if frame is not None and frame.matched >= enough:
+                self._tentative = frame
+                break
+        return None
+
+    def _placed(
+        self,
+        world: LocalMap,
+        frames: FrameTracker,
+        camera: Camera,
+        features: Features,
+        before: TrackedFrame,
+        enough: int,
+    ) -> TrackedFrame | None:
+        ids = before.points[before.points >= 0]
+        frames.refresh_local_map(world, ids[world.points.known(ids)])
+        frame = frames.track(world, camera, features, before.world_from_camera, before, enough // 2)
+        return frame if frame is not None and frame.matched >= enough else None
+
+    def _next(self, world: LocalMap) -> list[int]:
+        """The next keyframes of the round; a new round once all have had their turn."""
+        chosen: list[int] = []
+        waiting = self._round or self._new_round(world)
+        while waiting and len(chosen) < TRIES:
+            k = waiting.popleft()
+            if k in world.keyframes:
+                chosen.append(k)
+        self._round = waiting
+        return chosen
+
+    @staticmethod
+    def _new_round(world: LocalMap) -> deque[int]:
+        """The newest and those beside it, then all the others, far ones first between near ones."""
+        if not world.keyframes:
+            return deque()
+        newest = world.newest()
+        first = [newest.id, *(k.id for k in world.covisible(newest, NEAR))]
+        rest = [k for k in sorted(world.keyframes) if k not in first]
+        spread = [k for start in range(4) for k in rest[start::4]]
+        return deque([*first, *spread])
+
+
+def _near(world: LocalMap, before: TrackedFrame, after: TrackedFrame) -> bool:
+    """Whether two places of successive frames are within a frame's motion of each other."""
+    step = inverse(before.world_from_camera) @ after.world_from_camera
+    ids = after.points[after.points >= 0]
+    places = world.points.position[world.points.rows(ids)]
+    pose = after.world_from_camera
+    depth = float(np.median((places - pose[:3, 3]) @ pose[:3, 2])) if len(ids) else 1.0
+    return (
+        rotation_angle(step[:3, :3]) < SAME_ANGLE
+        and float(np.linalg.norm(step[:3, 3])) < SAME_SHIFT * max(depth, 1e-9)
+    )

@@ -1,0 +1,105 @@
+"""A recording in which the camera is carried off blind and set down again turned (a test of relocalisation).
+
+    python tools/make_kidnapping.py FOLDER OUT [--dark 300 600] [--roll 20] [--frames N]
+
+FOLDER is any folder of images that `prism-edge run` plays. OUT becomes a folder of the 7-Scenes layout
+(frame-NNNNNN.color.png), played at 30 images a second: the images from the first --dark number up to (not
+with) the second are black, and those from there on are turned about the optical axis by --roll degrees, as
+if the camera came back held askew. Where a 7-Scenes folder has true poses they are written too, turned alike;
+positions stay as they are, so any other reference for positions still holds. camera.yaml describes the camera.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from prism_edge.config import SourceConfig
+from prism_edge.errors import PrismError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array, from_rt, so3_exp
+from prism_edge.sources import open_source
+from prism_edge.sources.base import Image
+from prism_edge.sources.truth import read_truth
+
+
+def roll_of(degrees: float) -> Array:
+    """upright_from_turned (4, 4): a camera turned clockwise about its optical axis, as seen from behind it."""
+    return from_rt(so3_exp(np.array([0.0, 0.0, np.radians(degrees)])), np.zeros(3))
+
+
+def turned(pixels: NDArray[np.uint8], camera: Camera, degrees: float) -> NDArray[np.uint8]:
+    """What the camera would have seen turned by ``degrees``: black where it saw nothing.
+
+    The rotation homography K R^T K^-1; exact for an ideal pinhole, whose image this must be.
+    """
+    rotation = roll_of(degrees)[:3, :3]
+    homography = camera.matrix @ rotation.T @ np.linalg.inv(camera.matrix)
+    size = (camera.width, camera.height)
+    return np.asarray(cv2.warpPerspective(pixels, homography, size, flags=cv2.INTER_LINEAR), np.uint8)
+
+
+def write(folder: str, out: Path, dark: tuple[int, int], degrees: float, most: int) -> int:
+    """Writes the recording; returns how many images it has. Raises PrismError where FOLDER is unusable."""
+    source = open_source(SourceConfig(uri=folder))
+    truth = read_truth(folder)
+    with source:
+        if not source.camera.is_ideal:
+            raise SystemExit("the camera has distortion: turning its images would need them undistorted first")
+        known = {} if truth is None else dict(zip(truth[0].tolist(), truth[1], strict=True))
+        out.mkdir(parents=True, exist_ok=True)
+        describe(source.camera, out / "camera.yaml")
+        count = 0
+        while (image := source.read()) is not None and image.index < most:
+            if not isinstance(image, Image):
+                continue
+            pixels, pose = image.pixels, known.get(image.stamp_ns)
+            if dark[0] <= image.index < dark[1]:
+                pixels = np.zeros_like(pixels)
+            elif image.index >= dark[1]:
+                pixels = turned(pixels, source.camera, degrees)
+                pose = None if pose is None else pose @ roll_of(degrees)
+            name = f"frame-{image.index:06d}"
+            if not cv2.imwrite(str(out / f"{name}.color.png"), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+                raise SystemExit(f"{out}: can't write images there")
+            if pose is not None:
+                np.savetxt(out / f"{name}.pose.txt", pose, fmt="%.9e")
+            count += 1
+    return count
+
+
+def describe(camera: Camera, path: Path) -> None:
+    """The camera file for `--camera`."""
+    path.write_text(
+        f"model: {camera.model}\nwidth: {camera.width}\nheight: {camera.height}\n"
+        f"fx: {camera.fx}\nfy: {camera.fy}\ncx: {camera.cx}\ncy: {camera.cy}\n"
+    )
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="A recording with a blind stretch and a turned re-entry.")
+    parser.add_argument("folder", help="recording to take")
+    parser.add_argument("out", type=Path, help="folder to write")
+    parser.add_argument("--dark", nargs=2, type=int, default=(300, 600), metavar=("FROM", "TO"))
+    parser.add_argument("--roll", type=float, default=20.0, help="degrees (default 20)")
+    parser.add_argument("--frames", type=int, default=10**9, help="stop after so many")
+    arguments = parser.parse_args()
+    try:
+        count = write(
+            arguments.folder, arguments.out, tuple(arguments.dark), arguments.roll, arguments.frames
+        )
+    except PrismError as error:
+        sys.exit(str(error))
+    print(f"{count} images in {arguments.out}")
+
+
+if __name__ == "__main__":
+    main()
