@@ -119,8 +119,12 @@ class TrackerWorker:
             self._tick(frame, INITIALISING if last is None else last.odometry, published=False)
             return
         tracker, before = self._tracker, self._tracker.last_pose()
-        repeated = frame.duplicate and tracker.last_result is not None
-        result = tracker.last_result if repeated else None
+        last = tracker.last_result
+        # A camera that shows the same darkness over and over is lost like any other.
+        repeated = frame.duplicate and last is not None and (
+            last.world_from_camera is not None or last.odometry == INITIALISING
+        )
+        result = last if repeated else None
         if result is None:
             result = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera)
         published = result.world_from_camera is not None
