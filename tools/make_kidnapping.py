@@ -5,8 +5,8 @@
 FOLDER is any folder of images that `prism-edge run` plays. OUT becomes a folder of the 7-Scenes layout
 (frame-NNNNNN.color.png), played at 30 images a second: the images from the first --dark number up to (not
 with) the second are black, and those from there on are turned about the optical axis by --roll degrees, as
-if the camera came back held askew. Where a 7-Scenes folder has true poses they are written too, turned alike;
-positions stay as they are, so any other reference for positions still holds. camera.yaml describes the camera.
+if the camera came back held askew. Where FOLDER has true poses they are written too, turned alike; positions
+stay as they are, so any other reference for positions still holds. camera.yaml describes the camera.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from prism_edge.sources.truth import read_truth
 
 
 def roll_of(degrees: float) -> Array:
-    """upright_from_turned (4, 4): a camera turned clockwise about its optical axis, as seen from behind it."""
+    """upright_from_turned (4, 4): a camera turned clockwise about its axis, as seen from behind it."""
     return from_rt(so3_exp(np.array([0.0, 0.0, np.radians(degrees)])), np.zeros(3))
 
 
@@ -52,7 +52,7 @@ def write(folder: str, out: Path, dark: tuple[int, int], degrees: float, most: i
     truth = read_truth(folder)
     with source:
         if not source.camera.is_ideal:
-            raise SystemExit("the camera has distortion: turning its images would need them undistorted first")
+            raise SystemExit("the camera has distortion: its images would have to be undistorted first")
         known = {} if truth is None else dict(zip(truth[0].tolist(), truth[1], strict=True))
         out.mkdir(parents=True, exist_ok=True)
         describe(source.camera, out / "camera.yaml")

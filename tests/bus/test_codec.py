@@ -82,7 +82,7 @@ def with_header(text: str) -> bytes:
     return GOOD[:8] + struct.pack("<II", len(header), 0) + header + b"\0" * (-len(header) % 8) + arrays
 
 
-VALUES = '[3,99,7,"ok",true,-1,0,0]'
+VALUES = '[3,99,7,"ok",true,-1,0,0,false]'
 SHAPES = '[["<f8",4,4]]'
 
 

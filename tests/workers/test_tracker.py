@@ -11,6 +11,8 @@ from prism_edge.bus import ros
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import (
     EndOfStream,
+    Frame,
+    probe_of,
 )
 from tests.tracking.footage import footage
 from tests.workers.list_bus import ListBus
@@ -280,3 +282,46 @@ def test_a_frame_that_makes_no_sense_is_passed_over(bus, world, changes, config,
     assert "frame 6" in caplog.text
     if config is LOCKSTEP:
         assert [a.index for a in bus.of("acknowledged")] == list(range(12))
+
+
+def dark(index: int) -> Frame:
+    """The same darkness as in the frame before."""
+    made = frame(index, of=0)
+    return replace(made, image=np.zeros_like(made.image), duplicate=True)
+
+
+def test_a_camera_carried_off_in_the_dark_is_lost_and_found_again(bus, world):
+    frames = [frame(i) for i in range(30)]
+    frames += [replace(dark(30), duplicate=False), *(dark(i) for i in range(31, 60))]
+    # It comes back where it was before, which is not where it was lost.
+    frames += [frame(i, of=i - 50) for i in range(60, 75)]
+    run(bus, frames)
+    states = {t.index: t.odometry for t in bus.of("tracked")}
+    assert states[29] == "ok"
+    assert states[41] == "lost", "0.4 s later"
+    assert not {t.index for t in bus.of("tracked") if t.published} & set(range(30, 61))
+    placed = positions(bus)
+    assert max(placed) == 74
+    assert min(i for i in placed if i >= 30) < 66, "found within 0.2 s"
+    for i in placed:
+        if i >= 60:
+            assert np.linalg.norm(placed[i] - true_position(i - 50)) < 0.03
+    words = [s.status[0].message for s in bus.of("status")]
+    assert "lost relocalising" in words
+    assert words[-1].startswith("ok")
+
+
+def test_the_network_is_shown_what_a_lost_camera_sees(bus, world):
+    """A picture that nothing in the map fits goes to the depth worker now and then, and to nobody's map."""
+    other = np.random.default_rng(0).integers(0, 256, (240, 320), dtype=np.uint8)
+    frames = [frame(i) for i in range(20)]
+    frames += [replace(frame(i, of=0), image=np.roll(other, i, axis=1)) for i in range(20, 60)]
+    run(bus, frames, LOCKSTEP)
+    probes = [m for m in bus.of("keyframe_image") if m.keyframe < 0]
+    asked = [t.index for t in bus.of("tracked") if t.probe]
+    assert [m.index for m in probes] == asked
+    assert [m.keyframe for m in probes] == [probe_of(i) for i in asked]
+    assert len(asked) >= 2
+    assert min(np.diff(asked)) >= 9
+    assert {t.odometry for t in bus.of("tracked") if t.probe} == {"lost"}
+    assert all(k.id >= 0 for k in bus.of("keyframe"))

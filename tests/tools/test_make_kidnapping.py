@@ -1,0 +1,72 @@
+"""The kidnapping recording: what is black, what is turned, and by how much."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import cv2
+import numpy as np
+import pytest
+
+from prism_edge.config import SourceConfig
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources import open_source
+from prism_edge.sources.truth import read_truth
+from tests.synthetic.sequence import write_sequence
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "make_kidnapping.py"
+
+
+@pytest.fixture(scope="module")
+def tool() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("make_kidnapping", TOOL)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["make_kidnapping"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_turned_camera_sees_a_ray_where_it_should(tool):
+    camera = Camera(320, 240, 260.0, 250.0, 161.0, 118.0)
+    ray = np.array([0.2, -0.15, 1.0])
+    pixels = np.zeros((240, 320, 3), np.uint8)
+    at = camera.project(ray[None])[0]
+    cv2.circle(pixels, (round(at[0]), round(at[1])), 4, (255, 255, 255), -1)
+    seen = tool.turned(pixels, camera, 20.0)
+    rows, columns = np.nonzero(seen[..., 0] > 128)
+    expected = camera.project((tool.roll_of(20.0)[:3, :3].T @ ray)[None])[0]
+    assert (columns.mean(), rows.mean()) == pytest.approx(expected, abs=0.7)
+    assert np.linalg.norm(expected - at) > 10
+    assert np.array_equal(tool.turned(pixels, camera, 0.0), pixels)
+
+
+def test_a_recording_is_carried_off_and_comes_back(tool, tmp_path):
+    source = write_sequence(tmp_path / "in", frames=9, width=160, height=120)
+    count = tool.write(str(source), tmp_path / "out", (3, 6), 20.0, 8)
+    assert count == 8
+    out = tmp_path / "out"
+    with open_source(SourceConfig(uri=str(out), camera=str(out / "camera.yaml"))) as made:
+        images = [made.read().pixels for _ in range(8)]
+    with open_source(SourceConfig(uri=str(source))) as original:
+        first = original.read().pixels
+        camera = original.camera
+    assert made.camera == camera
+    assert np.array_equal(images[0], first)
+    assert [int(image.max()) == 0 for image in images] == [False] * 3 + [True] * 3 + [False] * 2
+    stamps, poses = read_truth(str(tmp_path / "out"))
+    _, before = read_truth(str(source))
+    assert len(stamps) == 8
+    assert poses[:, :3, 3] == pytest.approx(before[:8, :3, 3], abs=1e-6)
+    assert poses[:6] == pytest.approx(before[:6], abs=1e-6)
+    assert poses[6] == pytest.approx(before[6] @ tool.roll_of(20.0), abs=1e-6)
+
+
+def test_an_unusable_recording_is_one_line(tool, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["make_kidnapping", str(tmp_path / "nothing"), str(tmp_path / "out")])
+    with pytest.raises(SystemExit) as ended:
+        tool.main()
+    assert "nothing" in str(ended.value)
+    assert "\n" not in str(ended.value)

@@ -1,0 +1,139 @@
+"""A lost camera is found anywhere in the map, and nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.poses import inverse, se3_log
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
+from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.relocalisation import TRIES, Relocaliser
+from tests.backend.ring import Ring, looking_out
+from tests.tracking.cloud import CAMERA, FACTORS, Cloud, pose_at
+
+LAP = 24
+HEADINGS = [2 * np.pi * i / LAP for i in range(LAP)]
+
+
+@pytest.fixture
+def place() -> tuple[Cloud, LocalMap]:
+    """A map of the whole ring, the newest keyframe at the end of it."""
+    ring, cloud = Ring(count=2500), Cloud(10, seed=4)
+    cloud.positions, cloud.descriptors = ring.points, ring.words
+    world, _ = cloud.mapped([looking_out(h) for h in HEADINGS])
+    return cloud, world
+
+
+def looks(heading: float) -> np.ndarray:
+    bins = np.linspace(0.0, 2.0 * np.pi, 32, endpoint=False)
+    return (3.0 + np.exp(4.0 * (np.cos(heading - bins) - 1.0))).astype(np.float32)
+
+
+class Lost:
+    """A lost camera in front of a relocaliser."""
+
+    def __init__(self, world: LocalMap, known: bool = True) -> None:
+        self.world, self.frames = world, FrameTracker(FACTORS, 5000)
+        self.relocaliser = Relocaliser()
+        for k in world.keyframes if known else ():
+            self.relocaliser.add_place(k, looks(HEADINGS[k]))
+        self.relocaliser.begin()
+
+    def see(self, features: Features) -> TrackedFrame | None:
+        return self.relocaliser.attempt(self.world, self.frames, CAMERA, features, None, 25)
+
+
+def at(heading: float) -> np.ndarray:
+    """A little beside the ring, and held askew."""
+    return looking_out(heading) @ pose_at(0.15, -0.1, 0.2, 0.05, 0.05, 0.35)
+
+
+def test_it_is_found_far_from_where_it_was_lost(place):
+    cloud, world = place
+    lost, true = Lost(world), at(HEADINGS[9] + 0.1)
+    seen = (lost.see(cloud.view(true, noise_px=0.5, bits=15)[0]) for _ in range(LAP))
+    tried, found = next((i, frame) for i, frame in enumerate(seen) if frame is not None)
+    assert found.matched >= 50
+    assert np.abs(se3_log(inverse(true) @ found.world_from_camera)).max() < 0.02
+    assert tried >= 1, "one frame alone is not believed"
+
+
+def test_the_network_s_word_goes_first(place):
+    cloud, world = place
+    lost, true = Lost(world), at(HEADINGS[9] + 0.1)
+    lost.relocaliser.heard(world, looks(HEADINGS[9] + 0.1))
+    assert lost.see(cloud.view(true, noise_px=0.5, bits=15)[0]) is None
+    found = lost.see(cloud.view(true, noise_px=0.5, bits=15)[0])
+    assert np.abs(se3_log(inverse(true) @ found.world_from_camera)).max() < 0.02
+
+
+def test_a_wrong_word_only_costs_time(place):
+    cloud, world = place
+    lost, true = Lost(world), at(HEADINGS[9])
+    lost.relocaliser.heard(world, looks(HEADINGS[9] + np.pi))
+    found = [lost.see(cloud.view(true, bits=15)[0]) for _ in range(LAP)]
+    assert any(frame is not None for frame in found)
+
+
+@pytest.mark.parametrize(
+    "descriptor", [np.ones(32), np.zeros(32), np.full(32, np.nan), np.zeros(0), np.ones(7)], ids=str
+)
+def test_descriptors_that_say_nothing_leave_the_round(place, descriptor):
+    cloud, world = place
+    lost = Lost(world, known=False)
+    for k in world.keyframes:
+        lost.relocaliser.add_place(k, descriptor.astype(np.float32))
+    lost.relocaliser.heard(world, descriptor.astype(np.float32))
+    found = [lost.see(cloud.view(at(HEADINGS[14]), bits=15)[0]) for _ in range(LAP)]
+    assert any(frame is not None for frame in found)
+
+
+def test_every_keyframe_has_its_turn(place):
+    _, world = place
+    lost = Lost(world)
+    tried = [k for _ in range(LAP // TRIES) for k in lost.relocaliser._next(world)]
+    assert sorted(tried) == sorted(world.keyframes)
+
+
+def test_another_place_is_not_found(place):
+    _, world = place
+    elsewhere = Ring(count=2500, seed=77)
+    cloud = Cloud(10, seed=5)
+    cloud.positions, cloud.descriptors = elsewhere.points, elsewhere.words
+    lost = Lost(world)
+    for i in range(LAP):
+        lost.relocaliser.heard(world, looks(HEADINGS[i]))
+        assert lost.see(cloud.view(at(HEADINGS[i]))[0]) is None
+
+
+def test_two_frames_that_contradict_each_other_are_not_believed(place):
+    """Each alone is convincing; together they would be a leap of the camera."""
+    cloud, world = place
+    lost = Lost(world)
+    for i in range(LAP):
+        heading = HEADINGS[4] if i % 2 else HEADINGS[16]
+        lost.relocaliser.heard(world, looks(heading))
+        assert lost.see(cloud.view(at(heading), bits=10)[0]) is None
+
+
+def test_a_frame_without_features_and_a_map_without_points(place):
+    cloud, world = place
+    lost = Lost(world)
+    none = Features.build(np.zeros((0, 2)), np.zeros(0, np.intp), np.zeros((0, 4), np.uint64), 640, 480)
+    assert lost.see(none) is None
+    for keyframe in world.keyframes.values():
+        keyframe.points[:] = -1
+    assert lost.see(cloud.view(at(0.3))[0]) is None
+
+
+def test_keyframes_that_have_gone_are_passed_over(place):
+    _, world = place
+    lost = Lost(world)
+    lost.relocaliser.heard(world, looks(HEADINGS[3]))
+    del world.keyframes[3]
+    lost.relocaliser.forget([3])
+    tried = [k for _ in range(LAP) for k in lost.relocaliser._next(world)]
+    assert 3 not in tried
+    assert set(tried) == set(world.keyframes)
