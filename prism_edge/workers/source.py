@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections import deque
@@ -10,11 +11,12 @@ from dataclasses import replace
 from prism_edge.bus.lockstep import Gatekeeper
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
-from prism_edge.errors import ConfigError
+from prism_edge.errors import ConfigError, SourceError
 from prism_edge.messages import EndOfStream, Frame
 from prism_edge.processes import processes_for
 from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
 from prism_edge.sources.checks import FrameChecks
+from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.open import AUTO
 from prism_edge.sources.pack import pack
 from prism_edge.sources.schedule import Schedule
@@ -249,6 +251,14 @@ def main(config: Config, bus: Bus) -> None:
         bus.pulse.working("estimating the camera", _ESTIMATING_S)
         source.camera_origin, source.camera = estimated_camera(config, bus.stopped)
         bus.pulse.working("opening the source", 60.0)
-    with source:
+    if isinstance(source, LiveCamera):
+        source.stopped = bus.stopped
+    with contextlib.ExitStack() as stack:
+        try:
+            stack.enter_context(source)
+        except SourceError:
+            if bus.stopped.is_set():  # it had only begun to wait for its camera
+                return
+            raise
         log.info("%s; camera: %s", source.name, source.camera_origin)
         SourceWorker(config, bus, source).run()

@@ -102,6 +102,17 @@ def test_a_source_started_again_goes_on_counting_even_if_the_clock_was_set_back(
     assert len(steps) == 1
 
 
+def test_being_stopped_ends_the_wait_for_a_camera(tmp_path: Path) -> None:
+    file = tmp_path / "camera.yaml"
+    file.write_text("width: 64\nheight: 48\nfx: 60\nfy: 60\ncx: 31.5\ncy: 23.5\n")
+    uri = f"v4l2:{tmp_path}/video0"
+    config = replace(CONFIG, source=SourceConfig(uri=uri, camera=str(file), absent_s=45.0))
+    with running(lambda bus: main(config, bus)) as bus:  # type: ignore[arg-type]
+        wait_for(lambda: "working" in bus.states)
+    # `running` has stopped it, and seen that it ended soon and without an error.
+    assert "ready" not in bus.states
+
+
 @pytest.mark.parametrize(
     ("config", "words"),
     [

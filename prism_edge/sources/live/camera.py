@@ -53,6 +53,7 @@ class LiveCamera(Source):
         self._asks_camera = camera is None
         self._wall_from_monotonic_ns = time.time_ns() - time.monotonic_ns()
         self._watch = PictureWatch()
+        self.stopped = threading.Event()  # set from outside, it ends the wait for a camera that isn't there
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
         # Shared with the thread, under this lock:
@@ -138,7 +139,7 @@ class LiveCamera(Source):
                 return self._driver.connect()
             except CameraLostError as error:
                 left = deadline - time.monotonic()
-                if left <= 0 or self._closing.wait(min(left, self._timing.first_pause_s)):
+                if left <= 0 or self.stopped.wait(min(left, self._timing.first_pause_s)):
                     raise SourceError(f"{self.name}: {error}") from None
                 if not told:
                     log.warning("%s: %s; waiting up to %.0f s for it", self.name, error, left)
