@@ -104,6 +104,8 @@ def test_weights_may_lie_beside_the_graph(exported):
     folder, _ = exported
     assert (folder / "small1.onnx.data").stat().st_size > 50e6
     assert (folder / "small1.onnx").stat().st_size < 5e6
+    # whoever may read the one may read the other
+    assert (folder / "small1.onnx.data").stat().st_mode == (folder / "small1.onnx").stat().st_mode
 
 
 @pytest.mark.parametrize(("precision", "bound", "smaller"), [("fp16", 2e-2, 0.55), ("int8", 5e-2, 0.55)])

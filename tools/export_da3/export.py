@@ -72,6 +72,7 @@ def export(job: Job) -> list[Path]:
             convert.remove(out_of(job.out, precision))
             for file in (convert.weights_of(made), made):  # the graph last: it is what is looked for
                 if file.exists():
+                    file.chmod(base.stat().st_mode)  # weights are written for their owner alone
                     shutil.move(file, job.out.parent / file.name)
             written.append(out_of(job.out, precision))
     for path in written:
