@@ -213,7 +213,9 @@ class MapUpdate:
     parallax_deg: F32 = array("float32", -1)  # widest angle between the rays of each point
     dropped_keyframes: I64 = array("int64", -1)  # observations found to be wrong: keyframe,
     dropped_points: I64 = array("int64", -1)  # ... point
-    # A loop shows that points are one, and that keyframes see points of the other end: keyframe,
+    loop_query: int = -1  # the loop that was closed: its newer keyframe, -1 for none,
+    loop_candidate: int = -1  # ... and the older
+    # It shows that points are one, and that keyframes see points of the other end: keyframe,
     fused_from: I64 = optional("int64", -1)
     fused_into: I64 = optional("int64", -1)
     added_keyframes: I64 = optional("int64", -1)

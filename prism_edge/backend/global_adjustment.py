@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import gtsam
@@ -40,8 +41,12 @@ class GlobalAdjustment:
         config: BackendConfig,
         units_per_metre: float,
         use_depth: bool,
+        parts: Iterable[set[int]] = (),
     ) -> None:
-        """Takes down the map as it is now; raises RuntimeError where gtsam can't begin."""
+        """Takes down the map as it is now; raises RuntimeError where gtsam can't begin.
+
+        Of each of ``parts``, which hang together in themselves alone, the first pose is held.
+        """
         began = time.process_time()
         self._before = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
         self._points = _choose_points(world)
@@ -62,8 +67,9 @@ class GlobalAdjustment:
         self._keyframes = sorted(seen)
         for k in self._keyframes:
             values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
-        if self._keyframes:
-            graph.add(held(X(self._keyframes[0]), self._before[self._keyframes[0]]))
+        anchors = {min(part & seen) for part in parts if part & seen} | set(self._keyframes[:1])
+        for k in sorted(anchors):
+            graph.add(held(X(k), self._before[k]))
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setlambdaInitial(1e-4)
         self._optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)

@@ -104,9 +104,9 @@ class LoopCloser:
         if not apart and not plausible(self._world, loop):
             log.info("loop %d-%d asks for more drift than there can be", loop.query, loop.candidate)
             return False
-        if loop.neighbours >= AGREEING:
-            return True
-        return any(other.query != loop.query and self._alike(loop, other) for other in recent)
+        confirmed = any(other.query != loop.query and self._alike(loop, other) for other in recent)
+        # Between separate parts of the map no way bounds what a look-alike may ask for: both must agree.
+        return (confirmed and loop.neighbours >= 1) if apart else (confirmed or loop.neighbours >= AGREEING)
 
     def _alike(self, loop: Loop, other: Loop) -> bool:
         """Whether two loops move the newest part of the map by the same motion."""
@@ -216,7 +216,11 @@ class LoopCloser:
             self._wanted, self._last_begun = False, self._count
             try:
                 self._adjustment = GlobalAdjustment(
-                    self._world, self._config, units_per_metre, self._use_depth
+                    self._world,
+                    self._config,
+                    units_per_metre,
+                    self._use_depth,
+                    pose_graph.parts(self._world, self._pairs()),
                 )
             except RuntimeError as error:
                 log.warning("no global adjustment: %s", str(error).splitlines()[0][:200])

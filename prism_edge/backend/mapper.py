@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.loop_closing import LoopCloser, MapChanges
+from prism_edge.backend.loop_closing import Accepted, LoopCloser, MapChanges
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.stored_map import LARGEST_ID, from_arrays, to_arrays
 from prism_edge.backend.window import Solution, choose_window, solve
@@ -147,7 +147,13 @@ class Mapper:
             dropped_points=outliers[:, 1],
         )
 
-    def whole(self, newest: int, changes: MapChanges, beside: MapUpdate | None = None) -> MapUpdate:
+    def whole(
+        self,
+        newest: int,
+        changes: MapChanges,
+        beside: MapUpdate | None = None,
+        closed: Accepted | None = None,
+    ) -> MapUpdate:
         """An update of everything, after a loop or a global adjustment; ``beside`` is the window's own."""
         world = self.world
         self.sequence += 1
@@ -163,7 +169,9 @@ class Mapper:
             sequence=self.sequence,
             based_on=newest,
             index=world.keyframes[newest].index,
-            loop_closed=bool(changes.fused or changes.added),
+            loop_closed=closed is not None,
+            loop_query=-1 if closed is None else closed.query,
+            loop_candidate=-1 if closed is None else closed.candidate,
             solve_ms=0.0 if beside is None else beside.solve_ms,
             keyframes=np.array(list(world.keyframes), np.int64),
             poses=np.array([k.world_from_camera for k in world.keyframes.values()]).reshape(-1, 4, 4),

@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop, median_depth
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised
 
@@ -43,10 +43,10 @@ def spread(
 ) -> dict[int, Similarity] | None:
     """Where each keyframe belongs once ``loop`` holds; None where the solver fails.
 
-    The first keyframe of the candidate's part of the map is held, and the map keeps its unit on the whole:
+    The first keyframe is held, and the map keeps its unit on the whole:
     the scale that everybody uses stays right. ``earlier`` are pairs that past loops joined. Keyframes
     that hang together with neither end stay out. With ``joined`` False the ends are of separate parts, and
-    the query's moves as one.
+    the newer moves as one.
     """
     if not (np.isfinite(loop.world_from_query).all() and np.isfinite(loop.scale) and loop.scale > 0):
         return None
@@ -70,7 +70,9 @@ def spread(
             _noise(depths[loop.candidate], LOOP_SHARE, loop.log_scale_sigma),
         )
     )
-    home = part if joined else _reachable(edges, {loop.candidate})
+    home = part
+    if not joined:  # the newer part is moved
+        home = min((_reachable(edges, {end}) for end in (loop.candidate, loop.query)), key=min)
     held = min(home)
     tight = gtsam.noiseModel.Isotropic.Sigma(7, 1e-6)
     graph.add(
@@ -118,6 +120,15 @@ def apply(world: GlobalMap, moved: dict[int, Similarity]) -> None:
             keyframe.depths = keyframe.depths * similarity.scale
 
 
+def parts(world: GlobalMap, earlier: list[tuple[int, int]]) -> list[set[int]]:
+    """Keyframes that hang together by shared points, or by loops so far; the first keyframe's come first."""
+    edges, left, found = _joints(world, earlier), set(world.keyframes), []
+    while left:
+        found.append(_reachable(edges, {min(left)}) & left)
+        left -= found[-1]
+    return found
+
+
 def connected(world: GlobalMap, earlier: list[tuple[int, int]], a: int, b: int) -> bool:
     """Whether shared points, or loops so far, lead from one keyframe to another."""
     return b in _reachable(_joints(world, earlier), {a})
@@ -153,13 +164,16 @@ def _reachable(edges: dict[tuple[int, int], float], start: set[int]) -> set[int]
 
 
 def _carry(world: GlobalMap, values: gtsam.Values, part: set[int], loop: Loop) -> None:
-    query: GlobalKeyframe = world.keyframes[loop.query]
-    whole = Similarity(loop.world_from_query, loop.scale)
+    """Start a part where the loop puts it as a whole."""
+    query = world.keyframes[loop.query].world_from_camera
+    turn = loop.world_from_query[:3, :3] @ query[:3, :3].T
+    old, new, scale = query[:3, 3], loop.world_from_query[:3, 3], loop.scale
+    if loop.query not in part:  # it is the candidate's that moves
+        turn, old, new, scale = turn.T, new, old, 1.0 / scale
     for k in part:
-        relative = inverse(query.world_from_camera) @ world.keyframes[k].world_from_camera
-        centre = whole.move(query.world_from_camera, world.keyframes[k].world_from_camera[None, :3, 3])[0]
-        rotation = loop.world_from_query[:3, :3] @ relative[:3, :3]
-        values.update(X(k), _similarity(from_rt(rotation, centre), loop.scale))
+        pose = world.keyframes[k].world_from_camera
+        centre = scale * turn @ (pose[:3, 3] - old) + new
+        values.update(X(k), _similarity(from_rt(turn @ pose[:3, :3], centre), scale))
 
 
 def _similarity(pose: Array, scale: float) -> gtsam.Similarity3:

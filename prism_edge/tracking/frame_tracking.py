@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.features import Features
-from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
 from prism_edge.tracking.point_table import Ids, Index, PointTable
 from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
@@ -40,6 +40,12 @@ class TrackedFrame:
     covariance: Array  # (6, 6), translation first, camera frame, map units
     matched: int
     residual_px: float
+
+    @classmethod
+    def of_keyframe(cls, keyframe: LocalKeyframe, matched: int) -> TrackedFrame:
+        """A keyframe as the frame that tracking goes on from."""
+        pose, points = keyframe.world_from_camera.copy(), keyframe.points.copy()
+        return cls(keyframe.camera, keyframe.features, pose, points, np.zeros((6, 6)), matched, 0.0)
 
 
 def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, inverse
 from prism_edge.tracking.features import Features
+from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import hamming
 from prism_edge.tracking.point_table import Ids
@@ -57,3 +58,24 @@ def locate(
         return None
     pose = from_rt(cv2.Rodrigues(rotation)[0], translation.ravel())
     return inverse(pose) if np.all(np.isfinite(pose)) else None
+
+
+def recover(
+    world: LocalMap,
+    frames: FrameTracker,
+    camera: Camera,
+    features: Features,
+    newest: LocalKeyframe,
+    least: int,
+    seed: int,
+) -> TrackedFrame | None:
+    """Look for the camera among the newest keyframes and those that shared points with them."""
+    for keyframe in [newest, *world.covisible(newest, 3)][:3]:
+        pose = locate(world, camera, features, keyframe, seed)
+        if pose is None:
+            continue
+        frames.refresh_local_map(world, keyframe.points[keyframe.observed()])
+        frame = frames.track(world, camera, features, pose, None, least)
+        if frame is not None and frame.matched >= least:
+            return frame
+    return None

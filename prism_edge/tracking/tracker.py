@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +13,18 @@ from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_l
 from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
+from prism_edge.tracking.frame_result import FrameResult, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.initialisation import reconstruct
-from prism_edge.tracking.keyframe_culling import cull_keyframes
+from prism_edge.tracking.keyframe_culling import cull_keyframes, drop_keyframe
 from prism_edge.tracking.keyframe_decision import decide
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import apply_correction, fit, join
 from prism_edge.tracking.point_table import Ids
-from prism_edge.tracking.recovery import locate
+from prism_edge.tracking.recovery import recover
 from prism_edge.tracking.relocalisation import Relocaliser
 from prism_edge.tracking.seeding import seed_from_depth
+from prism_edge.tracking.submaps import Parts
 
 log = logging.getLogger("prism_edge.tracking")
 
@@ -35,19 +36,8 @@ DEGRADED_MATCHES = 50
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
 CAN_WAIT_MATCHES = 100
 CREDIBLE_SPREAD = 0.35  # of log network depth about triangulated depth
+MOST_BETWEEN_NS = 200_000_000  # what one frame adds to how long a lost camera has looked about
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
-
-
-@dataclass(frozen=True)
-class FrameResult:
-    """What became of a frame. Lengths are in map units."""
-
-    odometry: str
-    world_from_camera: Array | None  # None: nothing to publish
-    covariance: Array  # (6, 6), translation first, camera frame
-    reference: int  # keyframe that carries the frame, -1 for none
-    reference_from_camera: Array
-    matched: int
 
 
 class Tracker:
@@ -63,7 +53,9 @@ class Tracker:
         self._frames = FrameTracker(self._factors, config.max_local_points)
         self.world = LocalMap()
         self.places = Relocaliser(seed)
-        self._lost = False
+        self.parts = Parts()
+        self._lost, self._looked_ns, self._looking_at = False, 0, 0
+        self._waiting: LocalKeyframe | None = None  # a new part's first keyframe, until its depth has come
         self.wants_probe = False  # lost, and the last frame shows something
         self.epoch = first_id
         self.log_scale = 0.0
@@ -105,7 +97,7 @@ class Tracker:
             points = np.full(len(features), -1, np.int64)
             self._pending = self._insert(index, stamp_ns, camera, features, np.eye(4), points)
             self._seen_at = stamp_ns
-        return _nothing(INITIALISING)
+        return nothing(INITIALISING)
 
     def _continue(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
         frame = self._track(stamp_ns, camera, features)
@@ -115,21 +107,23 @@ class Tracker:
                 if silent_s > (DEPTH_PATIENCE_S if self._last is None else INITIAL_PATIENCE_S):
                     log.info("the first keyframe could not be tracked: starting again")
                     self._restart()
-                return _nothing(INITIALISING)
+                return nothing(INITIALISING)
             self._velocity[:] = 0.0
             if silent_s > self._config.lost_after_s and not self._lost:
-                self._lost = True
+                self._lost, self._looked_ns, self._looking_at = True, 0, stamp_ns
                 self.places.begin()
                 log.info("lost at frame %d", index)
             self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES
-            return _nothing(LOST if self._lost else DEGRADED)
+            if self._lost:
+                self._look_on(index, stamp_ns, camera, features)
+            return nothing(LOST if self._lost else DEGRADED)
         if self._lost:
             log.info("found again at frame %d, %.1f s later", index, silent_s)
-        self._lost = self.wants_probe = False
+            self._settle(frame)
         self._update_motion(frame, stamp_ns)
         self._initialised = True
         self._fresh = (index, frame)
-        reference = self.world.newest()
+        reference = self.parts.newest(self.world)
         return FrameResult(
             OK if frame.matched >= DEGRADED_MATCHES else DEGRADED,
             frame.world_from_camera,
@@ -137,7 +131,41 @@ class Tracker:
             reference.id,
             inverse(reference.world_from_camera) @ frame.world_from_camera,
             frame.matched,
+            self.parts.at_home,
         )
+
+    def _look_on(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> None:
+        """Lost: a camera that has shown something for long, but nothing known, begins a new part of the map.
+
+        It begins where the camera was last, so that `odom` goes on from there.
+        """
+        if len(features) >= MIN_FIRST_FEATURES:
+            self._looked_ns += min(stamp_ns - self._looking_at, MOST_BETWEEN_NS)
+        self._looking_at = stamp_ns
+        if self._waiting is not None:
+            if (stamp_ns - self._waiting.stamp_ns) * 1e-9 < DEPTH_PATIENCE_S:
+                return
+            self._give_up_waiting()
+        if not self._config.submap_after_s or self._looked_ns * 1e-9 < self._config.submap_after_s:
+            return
+        last = self.last_pose()
+        pose = self.world.newest().world_from_camera if last is None else last
+        self.parts.begin(self._next_keyframe)
+        points = np.full(len(features), -1, np.int64)
+        self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose, points)
+        log.info("nothing is known here: a new part of the map begins at frame %d", index)
+
+    def _give_up_waiting(self) -> None:
+        if self._waiting is not None and self._waiting.id in self.world.keyframes:
+            drop_keyframe(self.world, self._waiting)
+            self.parts.forget([self._waiting.id])
+        self._waiting, self._looked_ns = None, 0
+
+    def _settle(self, frame: TrackedFrame) -> None:
+        """The camera was lost and is found."""
+        self._give_up_waiting()
+        self.parts.enter(self.world, frame.points[frame.points >= 0])
+        self._lost = self.wants_probe = False
 
     def _track(self, stamp_ns: int, camera: Camera, features: Features) -> TrackedFrame | None:
         if not (self.world.points.alive.any() and len(features) >= self._config.min_matches):
@@ -160,22 +188,11 @@ class Tracker:
                 if frame is not None and frame.matched > SUDDEN_LOSS * previous.matched:
                     break
         if frame is None or frame.matched < self._config.min_matches:
-            frame = self._recover(camera, features)
+            newest = self.parts.newest(self.world)
+            frame = recover(
+                self.world, self._frames, camera, features, newest, self._config.min_matches, self._seed
+            )
         return frame if frame is not None and frame.matched >= self._config.min_matches else None
-
-    def _recover(self, camera: Camera, features: Features) -> TrackedFrame | None:
-        """Look for the camera among the newest keyframes and those that shared points with them."""
-        newest = self.world.newest()
-        candidates = [newest, *self.world.covisible(newest, 3)]
-        for keyframe in candidates[:3]:
-            pose = locate(self.world, camera, features, keyframe, self._seed)
-            if pose is None:
-                continue
-            self._frames.refresh_local_map(self.world, keyframe.points[keyframe.observed()])
-            frame = self._frames.track(self.world, camera, features, pose, None, self._config.min_matches)
-            if frame is not None and frame.matched >= self._config.min_matches:
-                return frame
-        return None
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)
@@ -204,7 +221,7 @@ class Tracker:
             return pending
         index, frame = self._fresh
         self._fresh = None
-        stamp_ns, reference = self._last_stamp, self.world.newest()
+        stamp_ns, reference = self._last_stamp, self.parts.newest(self.world)
         self._reference_matches = max(self._reference_matches, frame.matched)
         decision = decide(
             self._config,
@@ -216,7 +233,7 @@ class Tracker:
         )
         if not decision.wanted:
             return None
-        if len(self.world.keyframes) == 1 and not self._begin_structure(reference, frame):
+        if self.parts.size(self.world) == 1 and not self._begin_structure(reference, frame):
             return None
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
@@ -235,7 +252,9 @@ class Tracker:
             first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
             mapping.fuse(self.world, first, second)
         mapping.cull_recent_points(self.world, keyframe.id)
-        self.places.forget(cull_keyframes(self.world, self._config.max_keyframes))
+        culled = cull_keyframes(self.world, self._config.max_keyframes)
+        self.places.forget(culled)
+        self.parts.forget(culled)
         self.world.points.squeeze()
         frame.points = keyframe.points.copy()
         self._reference_matches = 0
@@ -275,7 +294,7 @@ class Tracker:
         self.world.changes.new_points.append(table.ids[rows[good]])
         frame.points[keypoints[~good]] = -1
         kept = np.isin(table.ids, table.ids[rows[good]])
-        self.world.cull_points(np.flatnonzero(table.alive & ~kept))
+        self.world.cull_points(np.flatnonzero(table.alive & ~kept & (table.reference == first.id)))
         self._velocity = np.zeros(6)
         return True
 
@@ -287,6 +306,7 @@ class Tracker:
         )
         self._next_keyframe += 1
         self.world.add_keyframe(keyframe)
+        self.parts.add(keyframe.id)
         return keyframe
 
     def announced(self, keyframe: LocalKeyframe) -> None:
@@ -302,7 +322,9 @@ class Tracker:
         keyframe = self.world.keyframes.get(keyframe_id)
         if keyframe is None:
             return 0
-        most = self._config.features if not self._initialised else self._config.features // 3
+        first = not self._initialised and self._last is None
+        first = first or (keyframe is self._waiting and self._lost)
+        most = self._config.features if first or not self._initialised else self._config.features // 3
         units_per_metre = float(np.exp(-self.log_scale))
         ids = seed_from_depth(
             self.world, keyframe, depth, image_to_depth, units_per_metre, relative_sigma, most
@@ -311,19 +333,14 @@ class Tracker:
             for point in ids:
                 keypoint = int(np.flatnonzero(keyframe.points == point)[0])
                 self.world.changes.late.append((int(point), keyframe.id, keypoint))
-        if not self._initialised and len(ids) >= self._config.min_matches and self._last is None:
-            self._last = TrackedFrame(
-                keyframe.camera,
-                keyframe.features,
-                keyframe.world_from_camera.copy(),
-                keyframe.points.copy(),
-                np.zeros((6, 6)),
-                len(ids),
-                0.0,
-            )
+        if first and len(ids) >= self._config.min_matches:
+            if self._waiting is not None:
+                self._waiting, self._lost, self.wants_probe = None, False, False
+                self._seen_at = keyframe.stamp_ns
+            self._last = TrackedFrame.of_keyframe(keyframe, len(ids))
             self._last_stamp = keyframe.stamp_ns
         self._since_refresh = REFRESH_FRAMES
-        self._reference_depth = self.world.median_depth(self.world.newest())
+        self._reference_depth = self.world.median_depth(self.parts.newest(self.world))
         return len(ids)
 
     def recognise(self, keyframe: int, descriptor: F32) -> None:
@@ -347,6 +364,8 @@ class Tracker:
         )
         self.world.drop_observations(update.dropped_keyframes, update.dropped_points)
         became = join(self.world, update)
+        if update.loop_query >= 0 and self.parts.merge(update.loop_query, update.loop_candidate):
+            log.info("the part of keyframe %d has its place in the map", update.loop_query)
         last = self._last
         if last is not None:
             if became:
@@ -371,12 +390,8 @@ class Tracker:
     def _restart(self) -> None:
         """Begin a new map."""
         self.world = LocalMap()
-        self.places = Relocaliser(self._seed)
-        self._lost = self.wants_probe = False
+        self.places, self.parts = Relocaliser(self._seed), Parts()
+        self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1
         self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
         self._last, self._initialised, self._velocity = None, False, np.zeros(6)
-
-
-def _nothing(odometry: str) -> FrameResult:
-    return FrameResult(odometry, None, np.zeros((6, 6)), -1, np.eye(4), 0)

@@ -140,7 +140,7 @@ class BackendWorker:
         update = self._mapper.optimise(keyframe.id, self._log_scale)
         closed = loops.look(keyframe.id) if self._close_loops else None
         if closed is not None or adjusted:
-            update = self._mapper.whole(keyframe.id, loops.take_changes(), update)
+            update = self._mapper.whole(keyframe.id, loops.take_changes(), update, closed)
             self._keeper.overhauled()
         if update is not None:
             self._bus.publish("map_update", update)

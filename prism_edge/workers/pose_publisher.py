@@ -29,7 +29,10 @@ class PosePublisher:
         log_scale: float,
         scale_sigma: float,
     ) -> None:
-        """Send the three messages of one frame; ``result`` must have a pose (map units)."""
+        """Send the three messages of one frame; ``result`` must have a pose (map units).
+
+        Where its place in the map is not known there is no `pose`, and `tf` ends at `odom`.
+        """
         assert result.world_from_camera is not None
         metres = float(np.exp(log_scale))
         # The map's frame is where the robot's base was at the first keyframe.
@@ -45,23 +48,21 @@ class PosePublisher:
         velocity = self._twist(twist)
         # Of a step between frames at 30 Hz, along the base's own axes as the twist is.
         velocity_covariance = self._covariance(result.covariance, metres, np.eye(4)) * 900.0
-        self._bus.publish("pose", ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map))
+        links = [
+            (stamp_ns, names.odom, names.base_link, odom_from_base),
+            (stamp_ns, names.base_link, names.camera, self._mount),
+        ]
+        if result.in_map:
+            links.insert(0, (stamp_ns, names.map, names.odom, map_from_base @ inverse(odom_from_base)))
+            pose = ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map)
+            self._bus.publish("pose", pose)
         self._bus.publish(
             "odom",
             ros.odometry(
                 stamp_ns, names.odom, names.base_link, odom_from_base, in_odom, velocity, velocity_covariance
             ),
         )
-        self._bus.publish(
-            "tf",
-            ros.transforms(
-                [
-                    (stamp_ns, names.map, names.odom, map_from_base @ inverse(odom_from_base)),
-                    (stamp_ns, names.odom, names.base_link, odom_from_base),
-                    (stamp_ns, names.base_link, names.camera, self._mount),
-                ]
-            ),
-        )
+        self._bus.publish("tf", ros.transforms(links))
 
     def _based(self, start_from_camera: Array) -> Array:
         """From a camera's pose relative to its start to the base's relative to the base's start."""

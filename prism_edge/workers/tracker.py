@@ -127,7 +127,7 @@ class TrackerWorker:
         result = last if repeated else None
         if result is None:
             result = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera)
-        published = result.world_from_camera is not None
+        published = result.world_from_camera is not None and result.in_map
         if result.world_from_camera is not None:
             self._publish(frame, result, before, repeated)
         keyframe = None if repeated or self._localise_only else tracker.maybe_keyframe()
@@ -330,7 +330,7 @@ class TrackerWorker:
     def _show(self, odometry: str, matched: int, stamp_ns: int) -> None:
         """Publish `status` twice a second and whenever a word changes."""
         state = LOCALISED if self._localise_only else BUILDING
-        if odometry == LOST:
+        if odometry == LOST or not self._tracker.parts.at_home:
             state = RELOCALISING
         elif self._happened and stamp_ns < self._happened_until_ns:
             state = self._happened

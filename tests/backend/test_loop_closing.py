@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend import pose_graph
 from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
-from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log
 from prism_edge.messages import F32
 from tests.backend.ring import Ring, position_error
 from tests.backend.world import check, quiet
@@ -72,8 +73,10 @@ def test_each_loop_says_where_the_query_is_from_its_candidate(closed):
 
 def test_double_points_become_one_and_the_tracker_is_told(closed):
     ring, mapper, _ = closed
-    update = mapper.whole(45, mapper.loops.take_changes())
+    last = mapper.loops.accepted[-1]
+    update = mapper.whole(45, mapper.loops.take_changes(), closed=last)
     assert update.loop_closed
+    assert (update.loop_query, update.loop_candidate) == (last.query, last.candidate)
     assert len(update.fused_from) > 50
     pairs = zip(update.fused_from, update.fused_into, strict=True)
     same = [ring.point_of[a] == ring.point_of[b] for a, b in pairs]
@@ -166,3 +169,43 @@ def test_two_walks_are_the_same_to_the_last_bit():
         finish(mapper)
         found.append(np.array(list(mapper.keyframe_poses().values())).tobytes())
     assert found[0] == found[1]
+
+
+def carried_off(ring: Ring) -> None:
+    """What the tracker's next keyframe sees is new to it, and where that is it doesn't know."""
+    ring.ids.clear()
+    ring.told[-1] = se3_exp(np.array([4.0, -2.0, 1.0, 0.4, -0.9, 0.3])) @ ring.told[-1]
+
+
+def test_a_part_mapped_apart_is_merged_when_its_place_is_recognised():
+    """A third of the ring, carried off blind, the rest on its own: the new part moves, the old stays."""
+    ring = Ring(lap=32)
+    mapper = walk(ring, 10)
+    carried_off(ring)
+    for poses in (ring.true, ring.told):
+        poses += 4 * [poses[-1]]  # it comes to itself four steps on
+    before = {k: pose.copy() for k, pose in mapper.keyframe_poses().items()}
+    mapper = walk(ring, 26, mapper=mapper)
+    first = mapper.loops.accepted[0]
+    assert first.candidate < 10 <= first.query
+    finish(mapper)
+    poses = mapper.keyframe_poses()
+    assert position_error(poses, ring.true) < 0.05
+    for k, pose in before.items():
+        assert np.abs(se3_log(inverse(pose) @ poses[k])).max() < 0.05
+    check(mapper.world)
+
+
+def test_a_part_of_its_own_is_adjusted_without_being_merged():
+    ring = Ring(lap=32)
+    mapper = walk(ring, 10)
+    carried_off(ring)
+    mapper = walk(ring, 6, places=False, mapper=mapper)
+    for k in (0, 10):
+        apart = pose_graph.parts(mapper.world, [])
+        assert any(k == min(part) for part in apart)
+    mapper.loops._wanted = True
+    finish(mapper)
+    poses = mapper.keyframe_poses()
+    assert poses[0] == pytest.approx(ring.told[0], abs=1e-4)
+    assert all(np.isfinite(pose).all() for pose in poses.values())

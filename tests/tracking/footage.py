@@ -44,3 +44,16 @@ def footage(frames: int = 75) -> Footage:
         for (luma, _), (y, x) in zip(drawn, offsets, strict=True)
     ]
     return Footage(camera, images, [d for _, d in drawn], [inverse(path[0]) @ pose for pose in path])
+
+
+@lru_cache(maxsize=2)
+def other_room(frames: int = 60) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Images, depths and poses of a walk through a place that is nowhere in the film."""
+    camera = footage().camera
+    renderer = Renderer(furnished_room(5), camera)
+    path = hand_held_path(frames, RATE_HZ)
+    drawn = [renderer.draw(pose) for pose in path]
+    return [
+        (np.clip(np.round(luma), 0, 255).astype(np.uint8), depth, inverse(path[0]) @ pose)
+        for (luma, depth), pose in zip(drawn, path, strict=True)
+    ]

@@ -14,7 +14,7 @@ from prism_edge.messages import (
     Frame,
     probe_of,
 )
-from tests.tracking.footage import footage
+from tests.tracking.footage import footage, other_room
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import (
     BASE_FROM_CAMERA,
@@ -325,3 +325,39 @@ def test_the_network_is_shown_what_a_lost_camera_sees(bus, world):
     assert min(np.diff(asked)) >= 9
     assert {t.odometry for t in bus.of("tracked") if t.probe} == {"lost"}
     assert all(k.id >= 0 for k in bus.of("keyframe"))
+
+
+def test_where_its_place_in_the_map_is_unknown_odom_goes_out_and_pose_does_not(bus, world):
+    """Carried off to another room, the camera maps there; a loop of the backend's brings it into the map."""
+    room, none = other_room(60), dict[str, object]()
+    closed = {"loop_closed": True, "loop_candidate": 0}
+    config = replace(CONFIG, tracking=replace(CONFIG.tracking, submap_after_s=0.3))
+    world.depth = lambda image: replace(depth_of(image, of=0), depth=depths[image.index])
+    depths = dict(enumerate(footage().depths)) | {42 + i: depth for i, (_, depth, _) in enumerate(room)}
+    world.update = lambda keyframe, sequence: update_of(
+        keyframe,
+        sequence,
+        poses=keyframe.world_from_camera[None],
+        **({**closed, "loop_query": keyframe.id} if keyframe.index > 80 else none),
+    )
+    frames = [frame(i) for i in range(30)]
+    frames += [replace(dark(i), duplicate=i > 30) for i in range(30, 42)]
+    frames += [replace(frame(42 + i, of=0), image=image) for i, (image, _, _) in enumerate(room)]
+    run(bus, frames, config)
+    tracked = {t.index: t for t in bus.of("tracked")}
+    placed, film = set(positions(bus)), footage()
+    index = {film.stamp_ns(i): i for i in range(200)}
+    moving = {index[ros.stamp_ns(m)] for m in bus.of("odom")}
+    astray = sorted(moving - placed)
+    assert astray
+    assert 42 < astray[0] < 70
+    assert astray == list(range(astray[0], astray[-1] + 1))
+    assert all(tracked[i].odometry in ("ok", "degraded") and not tracked[i].published for i in astray)
+    frames_of = [{t.header.frame_id for t in m.transforms} for m in bus.of("tf")]
+    assert sum("map" in names for names in frames_of) == len(placed)
+    assert "ok relocalising" in [s.status[0].message for s in bus.of("status")]
+    # Once a loop has told where that is, poses go out again; odom knows nothing of it.
+    assert max(placed) == 101
+    odom = {index[ros.stamp_ns(m)]: ros.pose_matrix(m.pose.pose)[:3, 3] for m in bus.of("odom")}
+    steps = [np.linalg.norm(odom[i + 1] - odom[i]) for i in sorted(odom) if i + 1 in odom]
+    assert max(steps) < 0.1

@@ -42,7 +42,7 @@ def frame(index: int, of: int | None = None, **changes: object) -> Frame:
     return replace(made, **changes)
 
 
-def depth_of(image: KeyframeImage, **changes: object) -> Depth:
+def depth_of(image: KeyframeImage, of: int | None = None, **changes: object) -> Depth:
     made = Depth(
         keyframe=image.keyframe,
         index=image.index,
@@ -54,7 +54,7 @@ def depth_of(image: KeyframeImage, **changes: object) -> Depth:
         valid=True,
         reason="",
         image_to_depth=IDENTITY,
-        depth=footage().depths[image.index],
+        depth=footage().depths[image.index if of is None else of],
         confidence=np.zeros((0, 0), np.float32),
         descriptor=np.zeros(0, np.float32),
     )

@@ -1,0 +1,75 @@
+"""Separate parts of one map: what was mapped while lost does not hang together with the rest until merged.
+
+All parts share keyframe and point numbers, and the world's frame as far as arithmetic goes; but where a part
+lies in it is unknown until the backend recognises a place of another part and moves the newer one there.
+"""
+
+from __future__ import annotations
+
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.point_table import Ids
+
+HOME = -1  # the part that the map began with; any other bears the number of its first keyframe
+
+
+class Parts:
+    """Which part each keyframe belongs to, and which one the camera is tracked in."""
+
+    def __init__(self) -> None:
+        self.current = HOME
+        self._of: dict[int, int] = {}  # keyframes that are not at home
+
+    @property
+    def at_home(self) -> bool:
+        """Whether poses are known in the map."""
+        return self.current == HOME
+
+    def of(self, keyframe: int) -> int:
+        """The part of a keyframe."""
+        return self._of.get(keyframe, HOME)
+
+    def add(self, keyframe: int) -> None:
+        """A new keyframe belongs to the part the camera is tracked in."""
+        if self.current != HOME:
+            self._of[keyframe] = self.current
+
+    def begin(self, keyframe: int) -> None:
+        """A new part begins with a keyframe."""
+        self.current = keyframe
+        self.add(keyframe)
+
+    def forget(self, keyframes: list[int]) -> None:
+        """Keyframes that have left the map."""
+        for keyframe in keyframes:
+            self._of.pop(keyframe, None)
+
+    def enter(self, world: LocalMap, points: Ids) -> None:
+        """The camera was found by these points: their part is where it is."""
+        votes: dict[int, int] = {}
+        for keyframe, count in world.votes(points).items():
+            votes[self.of(keyframe)] = votes.get(self.of(keyframe), 0) + count
+        if votes:
+            self.current = max(sorted(votes), key=lambda part: votes[part])
+
+    def merge(self, one: int, other: int) -> bool:
+        """Two keyframes turned out to see one place: the newer part becomes of the older. False: it was."""
+        old, new = sorted((self.of(one), self.of(other)))
+        if old == new:
+            return False
+        for keyframe in [k for k, part in self._of.items() if part == new]:
+            if old == HOME:
+                del self._of[keyframe]
+            else:
+                self._of[keyframe] = old
+        if self.current == new:
+            self.current = old
+        return True
+
+    def newest(self, world: LocalMap) -> LocalKeyframe:
+        """The latest keyframe of the part that the camera is in; of the map where that has none left."""
+        mine = [k for k in world.keyframes if self.of(k) == self.current]
+        return world.keyframes[max(mine)] if mine else world.newest()
+
+    def size(self, world: LocalMap) -> int:
+        """Keyframes in the part that the camera is in."""
+        return sum(self.of(k) == self.current for k in world.keyframes)

@@ -1,0 +1,73 @@
+"""Parts of a map: what belongs to which, and how they become one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prism_edge.tracking.submaps import HOME, Parts
+from tests.tracking.cloud import Cloud, pose_at
+
+
+def test_everything_is_at_home_until_a_part_begins():
+    parts = Parts()
+    parts.add(3)
+    assert parts.at_home
+    assert parts.of(3) == HOME
+    parts.begin(7)
+    parts.add(8)
+    assert not parts.at_home
+    assert [parts.of(k) for k in (3, 7, 8)] == [HOME, 7, 7]
+
+
+def test_merging_keeps_the_older_part():
+    parts = Parts()
+    parts.begin(10)
+    parts.add(11)
+    parts.begin(20)
+    parts.add(21)
+    assert parts.merge(21, 11)
+    assert [parts.of(k) for k in (10, 20, 21)] == [10, 10, 10]
+    assert parts.current == 10
+    assert not parts.merge(20, 10), "they are one"
+    assert parts.merge(2, 20)
+    assert parts.at_home
+    assert all(parts.of(k) == HOME for k in (2, 10, 11, 20, 21))
+
+
+def test_merging_two_parts_that_the_camera_is_not_in():
+    parts = Parts()
+    parts.begin(10)
+    parts.begin(20)
+    parts.begin(30)
+    parts.merge(10, 20)
+    assert parts.current == 30
+    assert parts.of(20) == 10
+
+
+def test_the_camera_is_in_the_part_whose_points_it_sees():
+    cloud = Cloud(400, seed=0)
+    world, _ = cloud.mapped([pose_at(0.2 * i) for i in range(6)])
+    parts = Parts()
+    parts.begin(4)
+    parts.add(5)
+    assert parts.newest(world).id == 5
+    assert parts.size(world) == 2
+    only_first = world.keyframes[0].points[:1]
+    for k in (3, 4, 5):
+        world.keyframes[k].points[np.isin(world.keyframes[k].points, only_first)] = -1
+    parts.enter(world, only_first)
+    assert parts.at_home
+    assert parts.newest(world).id == 3
+    parts.enter(world, np.zeros(0, np.int64))
+    assert parts.at_home, "nothing seen says nothing"
+
+
+def test_what_has_left_the_map_is_forgotten():
+    cloud = Cloud(100, seed=0)
+    world, _ = cloud.mapped([pose_at(0.2 * i) for i in range(3)])
+    parts = Parts()
+    parts.begin(2)
+    del world.keyframes[2]
+    parts.forget([2])
+    assert parts.of(2) == HOME
+    assert parts.newest(world).id == 1, "of the map, where the part has none left"
