@@ -245,6 +245,26 @@ class MapSnapshot:
 
 
 @dataclass(frozen=True)
+class WholeMap:
+    """Everything the backend knows of the map (answer to a query): what a tracker goes on from."""
+
+    epoch: int
+    sequence: int  # of the newest update that is in it
+    log_scale: float
+    scale_sigma: float  # of log_scale, the network's bias left out
+    data: U8 = array("uint8", -1)  # as in a file: backend/map_file.py, backend/stored_map.py
+
+
+@dataclass(frozen=True)
+class MapLoaded:
+    """The backend has taken up a stored map: the tracker asks for all of it, scale knows its unit."""
+
+    epoch: int
+    log_scale: float
+    scale_sigma: float
+
+
+@dataclass(frozen=True)
 class Acknowledged:
     """Lockstep: a process has done frame ``index`` and all the work that it caused."""
 

@@ -69,6 +69,9 @@ TOPICS = {
         Topic("internal/map_update", m.MapUpdate, 3, "backend", ("tracker",)),
         # asked for by whoever wants the whole map: the evaluation
         Topic("internal/map_snapshot", m.MapSnapshot, 0, "backend", latched=True),
+        # asked for by a tracker that was started again, or that hears of a loaded map
+        Topic("internal/whole_map", m.WholeMap, 0, "backend", ("tracker",), latched=True),
+        Topic("internal/map_loaded", m.MapLoaded, 0, "backend", ("tracker", "scale")),
         Topic("internal/acknowledged", m.Acknowledged, 30, "all", ("source",)),
         Topic("internal/heartbeat", m.Heartbeat, 2, "all", ("supervisor",), priority="data_low"),
     )
@@ -99,6 +102,7 @@ COMMANDS = {
         Command("pause", "source", "hold the images back, or let them go on", "on or off", "on"),
         Command("reset", "tracker", "begin a new map; odom goes on"),
         Command("save_map", "backend", "save the map in the state directory", "a name"),
+        Command("load_map", "backend", "take up a saved map, and find the camera in it", "a name"),
         Command("localise_only", "tracker", "leave the map as it is, or build it again", "on or off", "on"),
     )
 }

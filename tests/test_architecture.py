@@ -58,8 +58,9 @@ def test_every_folder_has_its_place() -> None:
 def heard(process: str) -> set[str]:
     """Topics whose names a worker's file hands to ``queue``, ``latest`` or ``ask``."""
     names: set[str] = set()
-    tree = ast.parse((PACKAGE / "workers" / f"{process}.py").read_text(encoding="utf-8"))
-    for node in ast.walk(tree):
+    files = [f"{process}.py", *(["map_adoption.py"] if process == "tracker" else [])]
+    trees = [ast.parse((PACKAGE / "workers" / file).read_text(encoding="utf-8")) for file in files]
+    for node in (node for tree in trees for node in ast.walk(tree)):
         # {name: bus.queue(name) for name in ("depth", ...)} asks for what it runs over
         asked = node.generators[0].iter if isinstance(node, ast.DictComp) else node
         is_call = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)

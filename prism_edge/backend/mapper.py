@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loop_closing import Accepted, LoopCloser, MapChanges
 from prism_edge.backend.map_file import Arrays, Info
-from prism_edge.backend.stored_map import LARGEST_ID, from_arrays, to_arrays
+from prism_edge.backend.stored_map import LARGEST_ID, KnownScale, from_arrays, to_arrays
 from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
@@ -21,7 +21,6 @@ from prism_edge.tracking.seeding import agreement, sample_depth
 
 MIN_ALIGNED = 20
 MIN_ALIGNED_PARALLAX_DEG = 1.0
-LARGEST_LOG_SCALE = 20.0
 
 
 class Mapper:
@@ -56,19 +55,17 @@ class Mapper:
         info, arrays = to_arrays(self.world, self.loops.index)
         return {**info, "epoch": self.epoch}, arrays
 
-    def restore(self, info: Info, arrays: Arrays, epoch: int | None = None) -> float:
-        """Take up a map that was stored, as ``epoch`` or its own; returns its log scale.
+    def restore(self, info: Info, arrays: Arrays, epoch: int | None = None) -> KnownScale:
+        """Take up a map that was stored, as ``epoch`` or its own; returns what was known of its unit.
 
         Raises MapError for one that can't be.
         """
         world, index = from_arrays(info, arrays, self._config.max_carried)
-        own, log_scale = info.get("epoch"), info.get("log_scale")
+        own, known = info.get("epoch"), KnownScale.of(info)
         if type(own) is not int or not 0 <= own < LARGEST_ID:
             raise MapError("the map's epoch is none")
-        if not isinstance(log_scale, (int, float)) or not abs(log_scale) < LARGEST_LOG_SCALE:
-            raise MapError("the map's log scale is none")
         self.begin(own if epoch is None else epoch, world, index)
-        return float(log_scale)
+        return known
 
     def absorb(self, message: Keyframe) -> None:
         """Take in a keyframe; a new epoch begins a new map."""

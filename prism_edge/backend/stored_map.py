@@ -29,6 +29,7 @@ place_descriptors f4 (P,D)   of norm 1
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -46,6 +47,8 @@ MOST_KEYFRAMES, MOST_POINTS, MOST_KEYPOINTS = 200_000, 20_000_000, 50_000_000
 LARGEST_ID = 2**62
 FARTHEST = 1e9  # map units; pixels
 HIGHEST_OCTAVE = 32
+LARGEST_LOG_SCALE = 20.0
+UNKNOWN_SCALE_SIGMA = 0.3
 LARGEST_IMAGE = 20_000  # pixels a side
 
 _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
@@ -70,6 +73,29 @@ _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "places": ("<i8", ("P",)),
     "place_descriptors": ("<f4", ("P", "D")),
 }
+
+
+@dataclass(frozen=True)
+class KnownScale:
+    """What is known of a map's unit: the logarithm of its metres, and its standard deviation."""
+
+    log_scale: float = 0.0
+    sigma: float = UNKNOWN_SCALE_SIGMA
+
+    @classmethod
+    def of(cls, info: Info) -> KnownScale:
+        """As a stored map says. Raises MapError where it says nothing that can be."""
+        log_scale, sigma = info.get("log_scale"), info.get("scale_sigma")
+        if not isinstance(log_scale, (int, float)) or not abs(log_scale) < LARGEST_LOG_SCALE:
+            raise MapError("the map's log scale is none")
+        if not isinstance(sigma, (int, float)) or not 0.0 <= sigma < LARGEST_LOG_SCALE:
+            raise MapError("the map's log scale has no standard deviation")
+        return cls(float(log_scale), float(sigma))
+
+    @property
+    def info(self) -> Info:
+        """For a stored map."""
+        return {"log_scale": self.log_scale, "scale_sigma": self.sigma}
 
 
 def to_arrays(world: GlobalMap, index: PlaceIndex) -> tuple[Info, Arrays]:

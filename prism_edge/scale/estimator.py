@@ -61,10 +61,7 @@ class ScaleEstimator:
         if self._epoch is not None and keyframe.epoch < self._epoch:
             return None
         if self._epoch != keyframe.epoch:
-            self._epoch = keyframe.epoch
-            self._filter = ScaleFilter(self._config, self._kalman)
-            self._steady = self._new_steady()
-            self._gate.forget()
+            self._begin(keyframe.epoch)
         weights = np.ones(len(keyframe.pixels), dtype=np.float32)
         uncertainty = np.full(len(keyframe.pixels), np.nan, dtype=np.float32)
         scale = self._filter
@@ -97,6 +94,18 @@ class ScaleEstimator:
             accepted=accepted,
         )
         return message, Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, uncertainty)
+
+    def take_over(self, epoch: int, log_scale: float, sigma: float) -> None:
+        """A map that was stored is gone on with, as ``epoch``: its unit is known."""
+        self._begin(epoch)
+        self._filter.take_over(log_scale, sigma)
+        self._steady.log_scale = log_scale
+
+    def _begin(self, epoch: int) -> None:
+        self._epoch = epoch
+        self._filter = ScaleFilter(self._config, self._kalman)
+        self._steady = self._new_steady()
+        self._gate.forget()
 
     def gate_images(self) -> tuple[Floats, Floats] | None:
         """u and w of every pixel of the newest keyframe's depth map (h, w); None where the gate was open."""

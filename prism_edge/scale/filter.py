@@ -98,6 +98,13 @@ class ScaleFilter:
         self._covariance = np.array([[shared + own, -shared], [-shared, shared]])
         self._unit_fixed = True
 
+    def take_over(self, log_scale: float, sigma: float) -> None:
+        """Begin with what an earlier run knew of this map's unit."""
+        known = min(max(sigma, 1e-3), _MAX_LOG)
+        self._state = np.array([log_scale, 0.0])
+        self._covariance = np.diag([known**2, self._config.frame_sigma**2])
+        self._unit_fixed = True
+
     def update(self, observation: Observation) -> bool:
         """Takes in a keyframe's observation; False where it was refused as an outlier."""
         z, variance = observation.log_scale, observation.point_variance + _LEAST_VARIANCE

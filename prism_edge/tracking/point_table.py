@@ -73,6 +73,17 @@ class PointTable:
 
     def add(self, count: int, **columns: object) -> Ids:
         """Append ``count`` points with the given column values; returns their new ids."""
+        ids = np.arange(self._next_id, self._next_id + count)
+        self._append(ids, columns)
+        return ids
+
+    def restore(self, ids: Ids, **columns: object) -> None:
+        """Fill an empty table with points that have their numbers already, in ascending order."""
+        assert self._size == 0
+        self._append(ids, columns)
+
+    def _append(self, ids: Ids, columns: dict[str, object]) -> None:
+        count = len(ids)
         need = self._size + count
         capacity = len(self._storage["ids"])
         if need > capacity:
@@ -81,15 +92,13 @@ class PointTable:
                 grown[: self._size] = column[: self._size]
                 self._storage[name] = grown
         rows = slice(self._size, need)
-        ids = np.arange(self._next_id, self._next_id + count)
-        self._next_id += count
+        self._next_id = max(self._next_id, int(ids[-1]) + 1) if count else self._next_id
         defaults = {"ids": ids, "alive": True, "weight": 1.0, "visible": 1, "found": 1}
         for name, value in (defaults | columns).items():
             self._storage[name][rows] = value  # type: ignore[assignment]
         self._size = need
         self._expose()
         self._index()
-        return ids
 
     def rows(self, ids: Ids) -> Index:
         """Row of each id; the ids must be present, dead or alive."""

@@ -19,6 +19,13 @@ class Parts:
         self.current = HOME
         self._of: dict[int, int] = {}  # keyframes that are not at home
 
+    @classmethod
+    def given(cls, of: dict[int, int]) -> Parts:
+        """Parts that there are already: the part of each keyframe that is not at home."""
+        parts = cls()
+        parts._of = dict(of)
+        return parts
+
     @property
     def at_home(self) -> bool:
         """Whether poses are known in the map."""

@@ -20,6 +20,7 @@ from prism_edge.tracking.keyframe_culling import cull_keyframes, drop_keyframe
 from prism_edge.tracking.keyframe_decision import decide
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import apply_correction, fit, join
+from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import recover
 from prism_edge.tracking.relocalisation import Relocaliser
@@ -57,6 +58,7 @@ class Tracker:
         self._lost, self._looked_ns, self._looking_at = False, 0, 0
         self._waiting: LocalKeyframe | None = None  # a new part's first keyframe, until its depth has come
         self.wants_probe = False  # lost, and the last frame shows something
+        self.may_map = True  # False: the map stays as it is, wherever the camera goes
         self.epoch = first_id
         self.log_scale = 0.0
         self._next_keyframe = first_id
@@ -114,7 +116,7 @@ class Tracker:
                 self.places.begin()
                 log.info("lost at frame %d", index)
             self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES
-            if self._lost:
+            if self._lost and self.may_map:
                 self._look_on(index, stamp_ns, camera, features)
             return nothing(LOST if self._lost else DEGRADED)
         if self._lost:
@@ -223,14 +225,9 @@ class Tracker:
         self._fresh = None
         stamp_ns, reference = self._last_stamp, self.parts.newest(self.world)
         self._reference_matches = max(self._reference_matches, frame.matched)
-        decision = decide(
-            self._config,
-            frame,
-            reference,
-            (stamp_ns - reference.stamp_ns) * 1e-9,
-            self._reference_matches,
-            self._reference_depth,
-        )
+        since_s = (stamp_ns - reference.stamp_ns) * 1e-9
+        matches, depth = self._reference_matches, self._reference_depth
+        decision = decide(self._config, frame, reference, since_s, matches, depth)
         if not decision.wanted:
             return None
         if self.parts.size(self.world) == 1 and not self._begin_structure(reference, frame):
@@ -353,14 +350,8 @@ class Tracker:
     def apply_update(self, update: MapUpdate) -> None:
         """Take over the backend's corrections; the last frame moves with its surroundings."""
         motion = apply_correction(
-            self.world,
-            update.based_on,
-            update.keyframes,
-            update.poses,
-            update.points,
-            update.positions,
-            update.parallax_deg,
-            self._factors,
+            self.world, update.based_on, update.keyframes, update.poses,
+            update.points, update.positions, update.parallax_deg, self._factors,
         )
         self.world.drop_observations(update.dropped_keyframes, update.dropped_points)
         became = join(self.world, update)
@@ -380,6 +371,17 @@ class Tracker:
         """Begin a new map with the next frame: another epoch, at the identity."""
         self._restart()
         self._pending, self._fresh, self._result, self._seen_at = None, None, None, None
+        self.may_map = True
+
+    def adopt(self, world: LocalMap, index: PlaceIndex, parts: Parts, epoch: int, log_scale: float) -> None:
+        """Go on in a map that was there: the camera is looked for anywhere in it."""
+        self.reset()
+        self.world, self.places.index, self.parts = world, index, parts
+        self.epoch, self.log_scale = epoch, log_scale
+        self._initialised, self._lost, self._looked_ns, self._looking_at = True, True, 0, 0
+        self._announced = max(world.keyframes)
+        self._next_keyframe = max(self._next_keyframe, self._announced + 1)
+        self._reference_matches, self._reference_depth = 0, world.median_depth(world.newest())
 
     def last_pose(self) -> Array | None:
         """world_from_camera of the last tracked frame as the map has it now."""

@@ -9,11 +9,22 @@ from collections import deque
 import numpy as np
 
 from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus.commands import Reply
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
-from prism_edge.messages import Acknowledged, Depth, Gate, Keyframe, MapSnapshot, MapUpdate, Tracked
+from prism_edge.messages import (
+    Acknowledged,
+    Depth,
+    Gate,
+    Keyframe,
+    MapLoaded,
+    MapSnapshot,
+    MapUpdate,
+    Tracked,
+)
 from prism_edge.processes import processes_for
+from prism_edge.workers.handover import Handover
 from prism_edge.workers.map_keeper import MapKeeper
 
 log = logging.getLogger("prism_edge.backend")
@@ -43,18 +54,20 @@ class BackendWorker:
         use_rays = "plucker" not in config.ablate
         self._mapper = Mapper(config.backend, self._use_depth, bus.first_id, config.seed, use_rays)
         self._keeper = MapKeeper(config, bus, self._mapper)
-        self._desk = bus.commands({"save_map": self._save_map})
+        self._desk = bus.commands({"save_map": self._save_map, "load_map": self._load_map})
+        self._whole = Handover()
         self._waiting: deque[tuple[float, Keyframe]] = deque()
         self._early: dict[int, Depth] = {}
-        self._log_scale = 0.0
+        self._scale = KnownScale()
         self._scaled: set[int] = set()
         self._gated: dict[int, Gate] = {}
         self._settled = False
         recovered = self._keeper.recover()
         if recovered is not None:
-            self._log_scale = recovered
+            self._scale = recovered
         self._snapshot = self._take_snapshot()
         bus.answer("map_snapshot", lambda: self._snapshot)
+        bus.answer("whole_map", self._whole.ask)
 
     def run(self) -> None:
         """Works until the bus is stopped; the map stays available."""
@@ -64,6 +77,7 @@ class BackendWorker:
         ending = False
         while not self._bus.stopped.is_set():
             self._desk.serve()
+            self._whole.serve(lambda: self._keeper.whole(self._scale))
             worked = self._realtime() if self._ticks is None else self._lockstep()
             ending = ending or bool(self._ends.drain())
             # The last keyframe may still be under way when the end is: one quiet look more.
@@ -111,11 +125,11 @@ class BackendWorker:
         for scale in self._scales.drain():
             self._scaled.add(scale.keyframe)
             if scale.epoch == self._mapper.epoch and np.isfinite(scale.log_scale):
-                self._log_scale = scale.log_scale
+                self._scale = KnownScale(scale.log_scale, scale.filter_sigma)
 
     def _absorb(self, keyframe: Keyframe) -> None:
         if keyframe.epoch != self._mapper.epoch:
-            self._log_scale = 0.0
+            self._scale = KnownScale()
         self._mapper.absorb(keyframe)
         depth = self._early.pop(keyframe.id, None)
         self._early = {k: kept for k, kept in self._early.items() if k > keyframe.id}
@@ -125,10 +139,10 @@ class BackendWorker:
         self._gated = {k: kept for k, kept in self._gated.items() if k > keyframe.id}
         self._scaled = {k for k in self._scaled if k > keyframe.id}
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
-            self._mapper.add_depth(keyframe, depth.depth, depth.image_to_depth, self._log_scale)
+            self._mapper.add_depth(keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale)
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
             self._mapper.loops.add_place(keyframe.id, depth.descriptor)
-        self._keeper.note(keyframe, self._log_scale)
+        self._keeper.note(keyframe, self._scale)
 
     def _solve(self, keyframe: Keyframe) -> MapUpdate | None:
         self._bus.pulse.working(f"window of keyframe {keyframe.id}", _SOLVE_S)
@@ -136,8 +150,8 @@ class BackendWorker:
         if self._ticks is not None and loops.adjusting:
             # In lockstep its result comes a fixed number of keyframes after its beginning.
             for _ in range(_LOCKSTEP_STEPS):
-                adjusted = adjusted or loops.adjust(float(np.exp(-self._log_scale))) is not None
-        update = self._mapper.optimise(keyframe.id, self._log_scale)
+                adjusted = adjusted or loops.adjust(float(np.exp(-self._scale.log_scale))) is not None
+        update = self._mapper.optimise(keyframe.id, self._scale.log_scale)
         closed = loops.look(keyframe.id) if self._close_loops else None
         if closed is not None or adjusted:
             update = self._mapper.whole(keyframe.id, loops.take_changes(), update, closed)
@@ -156,7 +170,7 @@ class BackendWorker:
         """One step of the global adjustment, so that keyframes are heard in between."""
         self._bus.pulse.working("global adjustment", _SOLVE_S)
         loops, world = self._mapper.loops, self._mapper.world
-        if loops.adjust(float(np.exp(-self._log_scale))) is not None:
+        if loops.adjust(float(np.exp(-self._scale.log_scale))) is not None:
             self._bus.publish("map_update", self._mapper.whole(max(world.keyframes), loops.take_changes()))
             self._keeper.overhauled()
             self._snapshot = self._take_snapshot()
@@ -200,9 +214,20 @@ class BackendWorker:
 
     def _save_map(self, argument: str) -> Reply:
         try:
-            return Reply(True, self._keeper.save(argument, self._log_scale))
+            return Reply(True, self._keeper.save(argument, self._scale))
         finally:
             self._bus.pulse.idle()
+
+    def _load_map(self, argument: str) -> Reply:
+        try:
+            self._scale, said = self._keeper.load(argument)
+        finally:
+            self._bus.pulse.idle()
+        self._waiting.clear()  # keyframes of the map that has gone
+        self._snapshot = self._take_snapshot()
+        loaded = MapLoaded(self._mapper.epoch, self._scale.log_scale, self._scale.sigma)
+        self._bus.publish("map_loaded", loaded)
+        return Reply(True, f"{said}; looking for the camera in it")
 
     # -- the map for others -------------------------------------------------------------------------
 
@@ -214,7 +239,7 @@ class BackendWorker:
             epoch=self._mapper.epoch,
             sequence=self._mapper.sequence,
             settled=self._settled,
-            log_scale=self._log_scale,
+            log_scale=self._scale.log_scale,
             keyframes=np.array(list(poses), np.int64),
             indices=np.array(indices, np.int64),
             poses=np.array(list(poses.values())).reshape(-1, 4, 4),

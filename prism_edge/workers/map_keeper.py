@@ -15,15 +15,17 @@ from prism_edge.backend import map_file
 from prism_edge.backend.journal import Journal
 from prism_edge.backend.map_file import Arrays
 from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus import codec
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.errors import BusError, MapError
-from prism_edge.messages import Keyframe
-from prism_edge.workers.state_directory import map_path, state_directory
+from prism_edge.messages import Keyframe, WholeMap
+from prism_edge.workers.state_directory import map_names, map_path, state_directory
 
 log = logging.getLogger("prism_edge.backend")
 
+EPOCHS_BETWEEN = 1000  # room for maps that the tracker may begin before it hears of a loaded one
 AGAIN_S = 60.0  # after a journal that could not be written (a full disk) it is tried again
 
 
@@ -42,8 +44,8 @@ class MapKeeper:
             except MapError as error:
                 self._say(error)
 
-    def recover(self) -> float | None:
-        """In a later life: take the map up where the last life left it; its log scale, None for no map.
+    def recover(self) -> KnownScale | None:
+        """In a later life: take the map up where the last life left it; its scale, None for no map.
 
         In the first, forget what an earlier run left: its tracker's numbers mean nothing in this one.
         """
@@ -58,30 +60,27 @@ class MapKeeper:
             return None
         info, arrays, records = found
         try:
-            log_scale = self._mapper.restore(info, arrays)
+            scale = self._mapper.restore(info, arrays)
             for record in records:
-                log_scale = self._absorb(record)
+                scale = self._absorb(record)
         except (MapError, BusError, KeyError, ValueError) as error:
             log.warning("the map could not be recovered: %s", error)
             self._mapper.begin(0)
             return None
         world = self._mapper.world
         log.info("recovered %d keyframes and %d points", len(world.keyframes), len(world.points))
-        return log_scale
+        return scale
 
-    def note(self, message: Keyframe, log_scale: float) -> None:
+    def note(self, message: Keyframe, scale: KnownScale) -> None:
         """A keyframe has been absorbed, with its depth and its place."""
         if self._journal is None or time.monotonic() < self._failed_s + AGAIN_S:
             return
         try:
             first = len(self._mapper.world.keyframes) == 1  # of a new map
             if first or self._overhauled or self._journal.is_long or not self._journal.is_open:
-                self._bus.pulse.working("writing the journal", 30.0)
-                self._journal.begin(lambda generation: self._packed(log_scale, generation=generation))
-                self._bus.pulse.values.pop("journal", None)
-                self._overhauled = False
+                self._begin_journal(self._journal, scale)
             else:
-                self._journal.append(self._record(message, log_scale))
+                self._journal.append(self._record(message, scale))
         except MapError as error:
             self._say(error)
 
@@ -89,14 +88,51 @@ class MapKeeper:
         """All of the map has moved: what the journal holds would contradict the tracker's."""
         self._overhauled = True
 
-    def save(self, name: str, log_scale: float) -> str:
+    def load(self, name: str) -> tuple[KnownScale, str]:
+        """Take a saved map up in place of the present one, as a new epoch; its scale, and what was loaded.
+
+        Raises MapError, with the present one kept, where there is none, or none that could be gone on with.
+        """
+        path = map_path(self._config.state, name)
+        if not path.exists():
+            there = ", ".join(map_names(self._config.state)) or "none"
+            raise MapError(f"there is no map {name}; there are: {there}")
+        self._bus.pulse.working("loading a map", 60.0)
+        info, arrays = map_file.unpack(map_file.read(path))
+        ours = self._config.tracking.scale_factor
+        if set(arrays.get("scale_factors", np.zeros(0)).tolist()) - {ours}:
+            raise MapError(f"the map was made with another tracking.scale_factor than {ours:g}")
+        scale = self._mapper.restore(info, arrays, self._mapper.epoch + EPOCHS_BETWEEN)
+        try:
+            if self._journal is not None:
+                self._begin_journal(self._journal, scale)
+        except MapError as error:
+            self._say(error)
+        world = self._mapper.world
+        return scale, f"loaded {name}: {len(world.keyframes)} keyframes, {len(world.points)} points"
+
+    def whole(self, scale: KnownScale) -> WholeMap | None:
+        """Everything, for a tracker to go on from; None where there is nothing."""
+        mapper = self._mapper
+        if not mapper.world.points:
+            return None
+        data = np.frombuffer(self._packed(scale), np.uint8)
+        return WholeMap(mapper.epoch, mapper.sequence, scale.log_scale, scale.sigma, data)
+
+    def _begin_journal(self, journal: Journal, scale: KnownScale) -> None:
+        self._bus.pulse.working("writing the journal", 30.0)
+        journal.begin(lambda generation: self._packed(scale, generation=generation))
+        self._bus.pulse.values.pop("journal", None)
+        self._overhauled = False
+
+    def save(self, name: str, scale: KnownScale) -> str:
         """Save the map under a name; says what was saved. Raises MapError."""
         path = map_path(self._config.state, name)
         world = self._mapper.world
         if not world.keyframes:
             raise MapError("there is no map to save yet")
         self._bus.pulse.working("saving the map", 60.0)
-        data = self._packed(log_scale, saved=datetime.now(UTC).isoformat(timespec="seconds"))
+        data = self._packed(scale, saved=datetime.now(UTC).isoformat(timespec="seconds"))
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -105,12 +141,13 @@ class MapKeeper:
         counts = f"{len(world.keyframes)} keyframes, {len(world.points)} points"
         return f"saved {name}: {counts}, {len(data) / 1e6:.1f} MB"
 
-    def _packed(self, log_scale: float, **info: str | int) -> bytes:
-        own = {"program": f"prism_edge {__version__}", "robot": self._config.robot, "log_scale": log_scale}
+    def _packed(self, scale: KnownScale, **info: str | int) -> bytes:
+        own = {"program": f"prism_edge {__version__}", "robot": self._config.robot}
         stored, arrays = self._mapper.stored()
-        return map_file.pack({**stored, **own, "model": self._config.depth.model, **info}, arrays)
+        known = {**stored, **own, **scale.info, "model": self._config.depth.model, **info}
+        return map_file.pack(known, arrays)
 
-    def _record(self, message: Keyframe, log_scale: float) -> bytes:
+    def _record(self, message: Keyframe, scale: KnownScale) -> bytes:
         keyframe = self._mapper.world.keyframes[message.id]
         depths, weights = keyframe.depths, keyframe.weights
         place = self._mapper.loops.index.get(message.id)
@@ -120,9 +157,9 @@ class MapKeeper:
             "weights": np.zeros(0, np.float32) if weights is None else weights.astype(np.float32),
             "place": np.zeros(0, np.float32) if place is None else place,
         }
-        return map_file.pack({"log_scale": log_scale}, arrays)
+        return map_file.pack(scale.info, arrays)
 
-    def _absorb(self, record: bytes) -> float:
+    def _absorb(self, record: bytes) -> KnownScale:
         info, arrays = map_file.unpack(record)
         message = codec.unpack(arrays["keyframe"].tobytes(), Keyframe)
         self._mapper.absorb(message)
@@ -133,7 +170,7 @@ class MapKeeper:
             keyframe.weights = arrays["weights"].astype(np.float64)
         if len(arrays["place"]):
             self._mapper.loops.add_place(message.id, arrays["place"])
-        return float(info["log_scale"])
+        return KnownScale.of(info)
 
     def _say(self, error: MapError) -> None:
         """The map goes on without a journal, which `health` shows until it can be written again."""

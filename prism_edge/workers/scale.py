@@ -32,6 +32,7 @@ class ScaleWorker:
         self._map_frame = config.frames.map
         self._keyframes = bus.queue("keyframe", 64)
         self._depths = bus.queue("depth", 64)
+        self._loaded = bus.queue("map_loaded", 8)
         self._ends = bus.queue("end")
         self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
         self._waiting = Rendezvous()
@@ -75,6 +76,8 @@ class ScaleWorker:
         for come in ([] if depth is None else [depth]) + self._depths.drain():
             if come.keyframe >= 0:  # else a probe's, which is for the tracker
                 self._waiting.add_depth(come)
+        for loaded in self._loaded.drain():
+            self._estimator.take_over(loaded.epoch, loaded.log_scale, loaded.scale_sigma)
         for keyframe in self._keyframes.drain():
             self._waiting.add_keyframe(keyframe)
         for keyframe, depth in self._waiting.complete():

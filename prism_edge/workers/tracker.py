@@ -34,6 +34,7 @@ from prism_edge.messages import (
     MapUpdate,
     Scale,
     Tracked,
+    WholeMap,
     probe_of,
 )
 from prism_edge.processes import processes_for
@@ -43,6 +44,7 @@ from prism_edge.tracking.local_map import LocalKeyframe
 from prism_edge.tracking.map_correction import flaw
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import FrameResult, Tracker
+from prism_edge.workers.map_adoption import MapAdoption
 from prism_edge.workers.pose_publisher import PosePublisher
 
 log = logging.getLogger("prism_edge.tracker")
@@ -66,6 +68,7 @@ class TrackerWorker:
         self._peers = {process.name for process in processes_for(config)} - {"tracker"}
         self._frames = bus.queue("frame", 64) if self._lockstep else bus.latest("frame")
         self._inboxes = {name: bus.queue(name) for name in ("depth", "log_scale", "map_update")}
+        self._maps = MapAdoption(config, bus)
         self._ends = bus.queue("end")
         self._tracker = Tracker(config.tracking, config.seed, bus.first_id)
         self._odometry = MetricOdometry()
@@ -85,12 +88,15 @@ class TrackerWorker:
 
     def run(self) -> None:
         """Tracks until the bus is stopped."""
+        if self._bus.life and not self._lockstep:
+            self._adopt(self._maps.of_the_last_life())
         self._bus.pulse.ready()
         if self._lockstep:
             self._bus.await_ready(self._peers, _PATIENCE_S)
         self._show(INITIALISING, 0, time.time_ns())
         while not self._bus.stopped.is_set():
             self._desk.serve()
+            self._adopt(self._maps.loaded())
             frame = self._frames.take(_LOOK_S)
             if frame is not None:
                 self._bus.pulse.working(f"frame {frame.index}", _FRAME_S)
@@ -306,6 +312,14 @@ class TrackerWorker:
         if message.loop_closed:
             self._say(LOOP_CLOSED)
 
+    def _adopt(self, whole: WholeMap | None) -> None:
+        """Go on in the backend's map, if there is one to go on in."""
+        if whole is None or not self._maps.take_over(self._tracker, whole):
+            return
+        self._scale_sigma, self._update_sequence = whole.scale_sigma, whole.sequence
+        self._travelled, self._localise_only = self._maps.travelled, False
+        self._expected.clear()
+
     # -- commands ---------------------------------------------------------------------------------
 
     def _reset(self, argument: str) -> Reply:
@@ -318,7 +332,7 @@ class TrackerWorker:
         last = self._tracker.last_result
         if wanted and (last is None or last.odometry == INITIALISING):
             return Reply(False, "there is no map to localise in yet")
-        self._localise_only = wanted
+        self._localise_only, self._tracker.may_map = wanted, not wanted
         return Reply(True, "the map stays as it is" if wanted else "the map is built on")
 
     def _say(self, word: str) -> None:

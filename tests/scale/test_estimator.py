@@ -53,6 +53,19 @@ def test_a_new_epoch_has_a_new_unit():
     assert abs(again[-1].log_scale) < 1e-3
 
 
+def test_a_stored_map_is_gone_on_with_in_its_own_unit():
+    estimator = ScaleEstimator(CONFIG)
+    play(estimator, 3)
+    estimator.take_over(1000, np.log(1.2), 0.02)
+    later = keyframe_of_wall(50, 20.0, 1.2, epoch=1000)
+    first = estimator.process(later, None)[0]
+    assert first.log_scale == pytest.approx(np.log(1.2))
+    assert first.filter_sigma == pytest.approx(0.02, abs=0.005)
+    results = play(estimator, 10, metres_per_unit=1.2, start=51, epoch=1000)
+    assert all(abs(r.log_scale - np.log(1.2)) < 0.03 for r in results)
+    assert estimator.process(keyframe_of_wall(9, 3.0, epoch=0), None) is None  # of the map before
+
+
 def test_a_keyframe_of_an_epoch_that_is_over_gets_no_answer():
     estimator = ScaleEstimator(CONFIG)
     play(estimator, 3, epoch=2)

@@ -10,7 +10,8 @@ import pytest
 
 from prism_edge.backend import map_file
 from prism_edge.backend.mapper import Mapper
-from prism_edge.config import BackendConfig, StateConfig
+from prism_edge.backend.stored_map import KnownScale
+from prism_edge.config import BackendConfig, StateConfig, TrackingConfig
 from prism_edge.errors import MapError
 from prism_edge.workers import backend as worker
 from prism_edge.workers import state_directory
@@ -143,10 +144,65 @@ class TestSaving:
         assert map_names(CONFIG.state) == ["lab"]
         info, arrays = map_file.unpack(map_file.read(map_path(CONFIG.state, "lab")))
         mapper = Mapper(BackendConfig())
-        assert mapper.restore(info, arrays) == pytest.approx(0.25)
+        assert mapper.restore(info, arrays).log_scale == pytest.approx(0.25)
         np.testing.assert_allclose(list(mapper.world.poses().values()), snapshot(bus).poses, atol=1e-12)
         assert info["robot"] == CONFIG.robot
         assert info["model"] == CONFIG.depth.model
+
+    def test_a_saved_map_is_loaded_in_another_run(self, tmp_path: Path) -> None:
+        teller, told = keyframes(6)
+        saved = run(tmp_path / "a", told[:5], teller, ask=("lab",))
+        bus = ListBus("keyframe")
+        bus.run_directory = tmp_path / "b"
+        made = worker.BackendWorker(replace(CONFIG, tracking=TrackingConfig(scale_factor=1.2)), bus)
+        bus.desk.ask("load_map", "lab")
+        made._desk.serve()
+        (reply,) = bus.desk.replies
+        assert reply.ok
+        assert reply.said.startswith("loaded lab: 5 keyframes, ")
+        (loaded,) = bus.of("map_loaded")
+        assert loaded.epoch > 0
+        assert loaded.log_scale == pytest.approx(0.25)
+        np.testing.assert_allclose(snapshot(bus).poses, snapshot(saved).poses, atol=1e-12)
+        whole = made._keeper.whole(made._scale)
+        assert whole is not None
+        assert (whole.epoch, whole.log_scale) == (loaded.epoch, loaded.log_scale)
+        # the tracker goes on in it, and what it still says of the map before is not heard
+        bus.give("keyframe", told[5])
+        bus.give("keyframe", replace(told[5], epoch=loaded.epoch))
+        for _ in range(3):
+            made._waiting = type(made._waiting)((0.0, k) for _, k in made._waiting)  # waited long enough
+            made._realtime()
+        assert snapshot(bus).keyframes.tolist() == [0, 1, 2, 3, 4, 5]
+
+    @pytest.mark.parametrize("content", [None, b"", b"PRISMMAP", b"noise" * 50])
+    def test_what_can_not_be_loaded_leaves_the_map_as_it_is(
+        self, tmp_path: Path, content: bytes | None
+    ) -> None:
+        folder = state_directory.maps_folder(CONFIG.state)
+        folder.mkdir(parents=True)
+        if content is not None:
+            (folder / "lab.prismmap").write_bytes(content)
+        teller, told = keyframes(3)
+        bus = run(tmp_path, told, teller, ask=("other",))
+        made = bus.desk.handlers["load_map"].__self__  # type: ignore[attr-defined]
+        bus.desk.replies.clear()
+        bus.desk.ask("load_map", "lab")
+        made._desk.serve()
+        (reply,) = bus.desk.replies
+        assert not reply.ok
+        assert ("there are: other" if content is None else "not a sound map") in reply.said
+        assert bus.of("map_loaded") == []
+        assert len(made._mapper.world.keyframes) == 3
+
+    def test_a_map_of_other_pyramids_is_refused(self, tmp_path: Path) -> None:
+        teller, told = keyframes(3)
+        run(tmp_path, [replace(k, scale_factor=1.5) for k in told], teller, ask=("lab",))
+        bus = run(tmp_path, [], teller)
+        made = bus.desk.handlers["load_map"].__self__  # type: ignore[attr-defined]
+        bus.desk.ask("load_map", "lab")
+        made._desk.serve()
+        assert "another tracking.scale_factor" in bus.desk.replies[-1].said
 
     def test_no_map_no_file(self, tmp_path: Path) -> None:
         bus = run(tmp_path, [], keyframes(1)[0], ask=("lab",))
@@ -170,9 +226,19 @@ def test_a_stored_map_with_wrong_plain_values_is_refused() -> None:
     for keyframe in told:
         mapper.absorb(keyframe)
     info, arrays = mapper.stored()
-    for wrong in ({"epoch": "x"}, {"epoch": -1}, {"log_scale": None}, {"log_scale": 1e9}, {"epoch": True}):
+    good = {**info, **KnownScale(0.1, 0.2).info}
+    assert Mapper(BackendConfig()).restore(good, arrays) == KnownScale(0.1, 0.2)
+    for wrong in (
+        {"epoch": "x"},
+        {"epoch": -1},
+        {"epoch": True},
+        {"log_scale": None},
+        {"log_scale": 1e9},
+        {"scale_sigma": -1.0},
+        {"scale_sigma": "x"},
+    ):
         with pytest.raises(MapError):
-            Mapper(BackendConfig()).restore({**info, "log_scale": 0.0, **wrong}, arrays)
+            Mapper(BackendConfig()).restore({**good, **wrong}, arrays)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,89 @@
+"""The tracker's map made from the backend's: for a tracker started again, or a map that was loaded."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.geometry.poses import Array
+from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
+from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
+from prism_edge.tracking.point_table import Ids
+
+NEIGHBOURS = 20
+LEAST_SHARED = 15
+SEEDED_SIGMA = 0.2  # relative depth error of a point that was never triangulated
+
+
+def local_copy(world: GlobalMap) -> LocalMap:
+    """Keyframes, points and who sees what, with the backend's numbers; nothing of it is news to the backend.
+
+    What the backend does not keep is put as cautiously as need be: points count as seen in as many frames
+    as there are keyframes that see them, and stamps are 0, long ago.
+    """
+    copy = LocalMap()
+    order = sorted(world.keyframes)
+    ids = np.array(sorted(p for p, point in world.points.items() if point.keyframes), np.int64)
+    if len(ids):
+        positions, parallax = _columns(world, ids)
+        first = [min(world.points[p].keyframes) for p in ids.tolist()]
+        focal = np.array([world.keyframes[k].camera.fx for k in first])
+        angle = np.radians(parallax)
+        with np.errstate(divide="ignore"):
+            sigma = np.where(angle > 0.0, MATCHING_SIGMA_PX / (focal * angle), SEEDED_SIGMA)
+        copy.points.restore(
+            ids,
+            position=positions,
+            parallax_deg=parallax,
+            log_depth_sigma=np.minimum(sigma, SEEDED_SIGMA),
+            reference=first,
+            reference_keypoint=[
+                world.keyframes[k].observed[p] for k, p in zip(first, ids.tolist(), strict=True)
+            ],
+            observations=0,
+        )
+    # In their order, so that points look as the newest keyframe saw them.
+    for k in order:
+        copy.add_keyframe(_keyframe(world, world.keyframes[k]))
+    return copy
+
+
+def parts_of(world: GlobalMap) -> dict[int, int]:
+    """Keyframes that no chain of shared points joins to the first one: each with the first of its own part.
+
+    Where such a part lies is unknown until a loop joins it (tracking/submaps.py).
+    """
+    part: dict[int, int] = {}
+    for start in sorted(world.keyframes):
+        if start in part:
+            continue
+        part[start], todo = start, [start]
+        while todo:
+            for point in world.keyframes[todo.pop()].observed:
+                new = [k for k in world.points[point].keyframes if k not in part]
+                part.update(dict.fromkeys(new, start))
+                todo += new
+    home = min(world.keyframes)
+    return {k: of for k, of in part.items() if of != home}
+
+
+def _columns(world: GlobalMap, ids: Ids) -> tuple[Array, Array]:
+    points = [world.points[p] for p in ids.tolist()]
+    return np.array([p.position for p in points]), np.array([p.parallax_deg for p in points])
+
+
+def _keyframe(world: GlobalMap, source: GlobalKeyframe) -> LocalKeyframe:
+    points = np.full(len(source.features), NO_POINT, np.int64)
+    for point, keypoint in source.observed.items():
+        points[keypoint] = point
+    shared = world.covisible(source.id)[:NEIGHBOURS]
+    return LocalKeyframe(
+        source.id,
+        source.index,
+        0,
+        source.world_from_camera.copy(),
+        source.camera,
+        source.features,
+        points,
+        [k for k, count in shared if count >= LEAST_SHARED],
+    )

@@ -1,0 +1,68 @@
+"""The tracker goes on in the backend's map: after its own restart, and when a stored map was loaded."""
+
+from __future__ import annotations
+
+import logging
+
+from prism_edge.backend import map_file
+from prism_edge.backend.local_copy import local_copy, parts_of
+from prism_edge.backend.stored_map import from_arrays
+from prism_edge.bus.session import Bus
+from prism_edge.config import Config
+from prism_edge.errors import MapError
+from prism_edge.messages import WholeMap
+from prism_edge.tracking.submaps import Parts
+from prism_edge.tracking.tracker import Tracker
+
+log = logging.getLogger("prism_edge.tracker")
+
+ASK_S = 3.0  # a tracker that was started again is wanted soon: without an answer it begins a new map
+LOADED_S = 30.0
+TAKING_OVER_S = 30.0
+LEAST_KEYFRAMES = 2  # a map of fewer is as soon made anew
+
+
+class MapAdoption:
+    """Asks for the whole map and hands it to the tracker."""
+
+    def __init__(self, config: Config, bus: Bus) -> None:
+        self._config, self._bus = config, bus
+        self._loaded = bus.queue("map_loaded", 8)
+        self.travelled = 0.0  # path length of the map that was taken over, map units
+
+    def of_the_last_life(self) -> WholeMap | None:
+        """The backend's map after a restart of the tracker; None where there is none to go on in."""
+        self._bus.pulse.working("asking for the map", 2 * ASK_S + TAKING_OVER_S)
+        self._bus.await_ready(["backend"], ASK_S)  # linked to it: else nobody would be asked
+        whole: WholeMap | None = self._bus.ask("whole_map", ASK_S)
+        if whole is None:
+            log.info("no map to go on in: beginning a new one")
+        return whole
+
+    def loaded(self) -> WholeMap | None:
+        """The map that the backend has just loaded; mostly None."""
+        heard = self._loaded.drain()
+        if not heard:
+            return None
+        self._bus.pulse.working("asking for the loaded map", LOADED_S + TAKING_OVER_S)
+        whole: WholeMap | None = self._bus.ask("whole_map", LOADED_S)
+        if whole is None or whole.epoch != heard[-1].epoch:
+            log.error("the loaded map has not come: going on in the present one")
+            return None
+        return whole
+
+    def take_over(self, tracker: Tracker, whole: WholeMap) -> bool:
+        """Put the tracker into the map, lost; False where it can't be gone on in."""
+        try:
+            info, arrays = map_file.unpack(whole.data.tobytes())
+            world, index = from_arrays(info, arrays, self._config.backend.max_carried)
+        except MapError as error:
+            log.error("the backend's map can't be gone on in: %s", error)
+            return False
+        if len(world.keyframes) < LEAST_KEYFRAMES:
+            return False
+        self.travelled = max(k.travelled for k in world.keyframes.values())
+        parts = Parts.given(parts_of(world))
+        tracker.adopt(local_copy(world), index, parts, whole.epoch, whole.log_scale)
+        log.info("looking for the camera among %d keyframes", len(world.keyframes))
+        return True

@@ -1,0 +1,100 @@
+"""The tracker's map made from the backend's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.local_copy import SEEDED_SIGMA, local_copy, parts_of
+from prism_edge.tracking.recovery import locate
+from tests.backend.world import Teller
+from tests.tracking.cloud import CAMERA, Cloud, check, pose_at
+
+
+def told(count: int = 6) -> tuple[GlobalMap, Teller]:
+    teller, world = Teller(), GlobalMap()
+    for i in range(count):
+        world.absorb(teller.keyframe(pose_at(0.1 * i)))
+    return world, teller
+
+
+def test_its_bookkeeping_is_sound_and_says_what_the_backends_says() -> None:
+    world, _ = told()
+    world.points[min(world.points)].parallax_deg = 2.0
+    copy = local_copy(world)
+    check(copy)
+    assert list(copy.keyframes) == sorted(world.keyframes)
+    for number, keyframe in copy.keyframes.items():
+        source = world.keyframes[number]
+        seen = {int(keyframe.points[i]): i for i in keyframe.observed().tolist()}
+        assert seen == source.observed
+        np.testing.assert_array_equal(keyframe.world_from_camera, source.world_from_camera)
+        assert set(keyframe.neighbours) == {k for k, n in world.covisible(number)[:20] if n >= 15}
+    table = copy.points
+    assert table.ids.tolist() == sorted(world.points)
+    for row, number in enumerate(table.ids.tolist()):
+        np.testing.assert_array_equal(table.position[row], world.points[number].position)
+        assert table.reference[row] == min(world.points[number].keyframes)
+    assert table.log_depth_sigma[0] < SEEDED_SIGMA == table.log_depth_sigma[1]
+
+
+def test_nothing_of_it_is_news_and_new_points_get_new_numbers() -> None:
+    world, _ = told(3)
+    copy = local_copy(world)
+    assert copy.changes.new_points == []
+    keyframe = copy.newest()
+    free = np.array([0])
+    keyframe.points[free] = -1
+    ids = copy.add_points(keyframe, free, np.zeros((1, 3)), np.ones(1), 1.0)
+    assert ids[0] == max(world.points) + 1
+    assert ids[0] not in world.points
+
+
+def test_points_look_as_the_newest_keyframe_saw_them() -> None:
+    world, _ = told()
+    copy = local_copy(world)
+    newest = copy.newest()
+    rows = copy.points.rows(newest.points[newest.observed()])
+    descriptors = newest.features.descriptors[newest.observed()]
+    np.testing.assert_array_equal(copy.points.descriptor[rows], descriptors)
+
+
+def test_a_camera_is_found_in_it() -> None:
+    world, teller = told()
+    copy = local_copy(world)
+    cloud: Cloud = teller.cloud
+    true = pose_at(0.25, 0.05)
+    features, _ = cloud.view(true, 0.5)
+    found = locate(copy, CAMERA, features, copy.newest(), 0)
+    assert found is not None
+    np.testing.assert_allclose(found[:3, 3], true[:3, 3], atol=0.03)
+
+
+def test_a_map_without_points_is_copied_as_it_is() -> None:
+    world, _ = told(1)
+    world.points.clear()
+    world.keyframes[0].observed.clear()
+    copy = local_copy(world)
+    assert len(copy.points) == 0
+    assert list(copy.keyframes) == [0]
+
+
+def test_keyframes_that_nothing_joins_to_the_first_are_a_part_of_their_own() -> None:
+    world, _ = told(4)
+    assert parts_of(world) == {}
+    other = Teller(seed=5, first=10)
+    for i in range(3):
+        message = other.keyframe(pose_at(0.1 * i))
+        shift = 10_000
+        world.absorb(
+            replace(
+                message,
+                points=np.where(message.points >= 0, message.points + shift, -1),
+                new_points=message.new_points + shift,
+            )
+        )
+    assert parts_of(world) == {10: 10, 11: 10, 12: 10}
+    world.fuse(min(p for p in world.points if p >= shift), 0)  # a loop joins them
+    assert parts_of(world) == {}

@@ -1,0 +1,134 @@
+"""A tracker that goes on in the backend's map, against the true path of a short film."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.backend import map_file
+from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.stored_map import KnownScale
+from prism_edge.config import BackendConfig
+from prism_edge.messages import MapLoaded, WholeMap
+from tests.tracking.footage import footage
+from tests.workers.list_bus import ListBus
+from tests.workers.tracker_bench import World, depth_of, frame, positions, run, true_position
+
+LONG_NS = 5_000_000_000
+EPOCH, LOG_SCALE = 1000, 0.0
+DRIFT = 0.05  # metres: what a map of forty frames without a backend is off by; a wrong place is off by more
+BUILT, AFTER = range(40), range(45, 75)
+
+
+@pytest.fixture(scope="module")
+def whole() -> WholeMap:
+    """The backend's map of the film's first half."""
+    bus = ListBus("frame")
+    World(bus)
+    run(bus, [frame(i) for i in BUILT])
+    mapper = Mapper(BackendConfig())
+    for keyframe in bus.of("keyframe"):
+        mapper.absorb(keyframe)
+    info, arrays = mapper.stored()
+    data = map_file.pack({**info, **KnownScale(LOG_SCALE, 0.05).info}, arrays)
+    return WholeMap(EPOCH, 7, LOG_SCALE, 0.05, np.frombuffer(data, np.uint8))
+
+
+class Asked:
+    """A bus on which the backend answers with a map, or not."""
+
+    def __init__(self, answer: WholeMap | None, life: int) -> None:
+        self.bus = ListBus("frame")
+        self.bus.life, self.bus.first_id = life, life * 1_000_000
+        self.asked: list[str] = []
+        World(self.bus)
+
+        def ask(topic: str, timeout_s: float = 1.0) -> WholeMap | None:
+            self.asked.append(topic)
+            return answer
+
+        self.bus.ask = ask  # type: ignore[method-assign]
+
+
+def errors(bus: ListBus) -> list[float]:
+    return [float(np.linalg.norm(p - true_position(i))) for i, p in positions(bus).items()]
+
+
+def test_after_a_restart_poses_go_on_in_the_same_map(whole: WholeMap) -> None:
+    life = Asked(whole, life=1)
+    run(life.bus, [frame(i) for i in AFTER])
+    assert life.asked == ["whole_map"]
+    found = positions(life.bus)
+    assert min(found) <= AFTER[0] + 5  # within a few frames of the first
+    assert len(found) >= len(AFTER) - 5
+    # In the coordinates of the first life, whose origin is the film's first frame.
+    assert np.median(errors(life.bus)) < DRIFT
+    keyframes = life.bus.of("keyframe")
+    assert keyframes
+    assert all(k.epoch == EPOCH and k.id >= 1_000_000 for k in keyframes)
+
+
+def test_the_same_map_loaded_in_the_first_life(whole: WholeMap) -> None:
+    run_of = Asked(whole, life=0)
+    run_of.bus.give("map_loaded", MapLoaded(EPOCH, LOG_SCALE, 0.05))
+    run(run_of.bus, [frame(i) for i in AFTER])
+    assert len(positions(run_of.bus)) >= len(AFTER) - 5
+    assert np.median(errors(run_of.bus)) < DRIFT
+    newest_before = max(k.id for k in run_of.bus.of("keyframe"))
+    assert newest_before < 1_000_000
+    assert len({k.id for k in run_of.bus.of("keyframe")}) == len(run_of.bus.of("keyframe"))
+
+
+def test_without_an_answer_a_new_map_begins() -> None:
+    life = Asked(None, life=2)
+    run(life.bus, [frame(i) for i in AFTER])
+    assert positions(life.bus)
+    assert {k.epoch for k in life.bus.of("keyframe")} == {2_000_000}
+
+
+def test_the_first_life_asks_nobody(whole: WholeMap) -> None:
+    life = Asked(whole, life=0)
+    run(life.bus, [frame(0)])
+    assert life.asked == []
+
+
+@pytest.mark.parametrize("data", [b"", b"noise" * 100])
+def test_a_map_that_is_none_is_not_gone_on_in(data: bytes) -> None:
+    broken = WholeMap(EPOCH, 1, 0.0, 0.1, np.frombuffer(data, np.uint8))
+    life = Asked(broken, life=1)
+    run(life.bus, [frame(i) for i in AFTER])
+    assert {k.epoch for k in life.bus.of("keyframe")} == {1_000_000}
+    assert positions(life.bus)
+
+
+def test_a_map_of_another_epoch_than_was_announced_is_left(whole: WholeMap) -> None:
+    life = Asked(whole, life=0)
+    life.bus.give("map_loaded", MapLoaded(EPOCH + 1, LOG_SCALE, 0.05))
+    run(life.bus, [frame(i) for i in AFTER])
+    assert {k.epoch for k in life.bus.of("keyframe")} == {0}
+
+
+def test_a_camera_that_is_elsewhere_maps_a_part_of_its_own(whole: WholeMap) -> None:
+    """`odom` goes on; there is no `pose` until the part is joined to the map."""
+    life = Asked(whole, life=1)
+    bus = life.bus
+    depths = World(bus)
+    grey = [255 - frame(i).image for i in range(75)]  # nothing of it looks like the map
+    film = footage()
+    depths.depth = lambda image: depth_of(image, depth=film.depths[image.index])
+    step = 100_000_000
+    run(bus, [frame(i, image=grey[i], stamp_ns=i * step) for i in range(75)])
+    assert {k.epoch for k in bus.of("keyframe")} <= {EPOCH}
+    assert not bus.of("pose")
+    assert bus.of("odom")
+
+
+def test_a_loaded_map_is_kept_however_long_the_camera_is_elsewhere(whole: WholeMap) -> None:
+    life = Asked(whole, life=0)
+    life.bus.give("map_loaded", MapLoaded(EPOCH, LOG_SCALE, 0.05))
+    grey = np.full((240, 320), 128, np.uint8)
+    frames = [frame(i, image=grey, stamp_ns=i * LONG_NS) for i in range(5)]
+    frames += [frame(i, stamp_ns=10 * LONG_NS + i * 33_000_000) for i in range(45, 60)]
+    run(life.bus, frames)
+    assert life.bus.of("pose")
+    assert {k.epoch for k in life.bus.of("keyframe")} <= {EPOCH}
