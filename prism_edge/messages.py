@@ -117,6 +117,7 @@ class Keyframe:
     world_from_anchor: F64 = field(
         default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
     )
+    trust: F32 = optional("float32", -1)  # weight in (0, 1] of each keypoint's point, 0 for none
     travelled: float = 0.0  # path length since start, map units
     scale_factor: float = 1.2  # between pyramid levels: a keypoint is as much less precise a level up
 

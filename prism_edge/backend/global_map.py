@@ -186,6 +186,16 @@ class GlobalMap:
             if len(seen.keyframes) < 2:
                 self._forget_point(point)
 
+    def gate_weight(self, point: int) -> float:
+        """Mean of the gate's weights of a point's observations that it knows anything of; 1 without any."""
+        total, count = 0.0, 0
+        for k in self.points[point].keyframes:
+            keyframe = self.keyframes[k]
+            weight = math.nan if keyframe.weights is None else keyframe.weights[keyframe.observed[point]]
+            if not math.isnan(weight):
+                total, count = total + float(weight), count + 1
+        return total / count if count else 1.0
+
     def covisible(self, keyframe: int) -> list[tuple[int, int]]:
         """(keyframe, shared points) of every keyframe that shares points with one, most first."""
         votes: dict[int, int] = {}

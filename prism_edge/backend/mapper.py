@@ -140,6 +140,7 @@ class Mapper:
             points=np.array(alive, np.int64),
             positions=np.array([self.world.points[p].position for p in alive]).reshape(-1, 3),
             parallax_deg=np.array([solution.parallax_deg[p] for p in alive], np.float32),
+            weights=np.array([self.world.gate_weight(p) for p in alive], np.float32),
             dropped_keyframes=outliers[:, 0],
             dropped_points=outliers[:, 1],
         )

@@ -17,6 +17,8 @@ from prism_edge.scale.least_squares import Observation, plain_mean, weighted_lea
 from prism_edge.scale.samples import sample
 from prism_edge.scale.steady import SteadyScale
 
+LEAST_TRUST = 0.05  # of a sample's weight: points of which nothing good is known still say something
+
 
 class ScaleEstimator:
     """Scale of the newest map; a new epoch starts afresh, since its unit is another.
@@ -74,7 +76,7 @@ class ScaleEstimator:
             gated = self._gate.assess(keyframe, depth, camera, scale.log_scale)
             if gated is not None:
                 weights, uncertainty = gated.weights.astype(np.float32), gated.uncertainty.astype(np.float32)
-            observation = self._observe(keyframe, depth, camera, weights)
+            observation = self._observe(keyframe, depth, camera, weights * _relative_trust(keyframe))
             if observation is not None:
                 accepted = scale.update(observation)
             elif scale.is_open:
@@ -147,3 +149,11 @@ def _camera_of(keyframe: Keyframe) -> Camera | None:
         return Camera.from_array(keyframe.camera_model, keyframe.camera)
     except ConfigError:
         return None
+
+
+def _relative_trust(keyframe: Keyframe) -> F32:
+    """What the tracker thinks of each keypoint's point, the best as 1; all alike where it says nothing."""
+    trust = np.nan_to_num(keyframe.trust, nan=0.0, posinf=0.0, neginf=0.0)
+    if len(trust) != len(keyframe.pixels) or not (trust > 0).any():
+        return np.ones(len(keyframe.pixels), np.float32)
+    return np.asarray(np.maximum(trust / trust.max(), LEAST_TRUST), np.float32)

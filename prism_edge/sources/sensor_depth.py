@@ -40,12 +40,16 @@ class SensorDepth:
         if not any(self._files):
             raise SourceError(f"{folder} ({listing.layout}) holds no depth images")
 
+    def file(self, index: int) -> Path | None:
+        """The depth image of colour image ``index``; None where there is none within 20 ms."""
+        return self._files[index] if 0 <= index < len(self._files) else None
+
     def read(self, index: int) -> F32 | None:
         """Depth (h, w) in metres along z, 0 for none, of colour image ``index``.
 
         None where that image has no depth within 20 ms, or where its file can't be read.
         """
-        path = self._files[index] if 0 <= index < len(self._files) else None
+        path = self.file(index)
         raw = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
         if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
             return None

@@ -6,6 +6,7 @@ import numpy as np
 
 from prism_edge.messages import Keyframe
 from prism_edge.tracking.local_map import Changes, LocalKeyframe
+from prism_edge.tracking.point_trust import trust
 from prism_edge.tracking.tracker import Tracker
 
 
@@ -19,7 +20,10 @@ def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float
     all_depths = np.zeros(len(keyframe.points), np.float32)
     all_depths[keypoints] = depths
     parallax = np.zeros(len(keyframe.points), np.float32)
-    parallax[keypoints] = table.parallax_deg[table.rows(keyframe.points[keypoints])]
+    rows = table.rows(keyframe.points[keypoints])
+    parallax[keypoints] = table.parallax_deg[rows]
+    trusted = np.zeros(len(keyframe.points), np.float32)
+    trusted[keypoints] = trust(table, rows, keyframe.stamp_ns, tracker.proven_after_s)
     new = np.concatenate([*changes.new_points, np.zeros(0, np.int64)])
     new = np.unique(new[table.known(new)])
     into = dict(changes.fused)
@@ -43,6 +47,7 @@ def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float
         points=keyframe.points,
         depths=all_depths,
         parallax_deg=parallax,
+        trust=trusted,
         new_points=new,
         new_positions=table.position[table.rows(new)],
         late_points=late[:, 0],

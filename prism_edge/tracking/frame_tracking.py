@@ -13,6 +13,7 @@ from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
 from prism_edge.tracking.point_table import Ids, Index, PointTable
+from prism_edge.tracking.point_trust import trust
 from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
 
 # Hamming distances of 256: the same corner seen again stays well below, another one is near 128.
@@ -69,7 +70,8 @@ def reference_origins(world: LocalMap, rows: Index) -> Array:
 class FrameTracker:
     """Places frames in a local map."""
 
-    def __init__(self, scale_factors: Array, max_local_points: int) -> None:
+    def __init__(self, scale_factors: Array, max_local_points: int, proven_after_s: float = 0.0) -> None:
+        self._proven_after_s = proven_after_s
         self._factors = scale_factors
         self._log_factor = float(np.log(scale_factors[1])) if len(scale_factors) > 1 else 1.0
         self._most = max_local_points
@@ -248,7 +250,7 @@ class FrameTracker:
             features.pixels[keypoints],
             self._factors[features.octaves[keypoints]],
             self._depth_error(world, rows),
-            table.weight[rows],
+            trust(table, rows, world.newest().stamp_ns, self._proven_after_s),
             rounds=rounds,
             iterations=STEPS,
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
@@ -94,6 +95,7 @@ class LocalMap:
             parallax_deg=parallax_deg,
             reference=keyframe.id,
             reference_keypoint=keypoints,
+            born_ns=keyframe.stamp_ns,
             observations=1,
         )
         keyframe.points[keypoints] = ids
@@ -118,6 +120,12 @@ class LocalMap:
             observed = keyframe.observed()
             gone = ~self.points.alive[self.points.rows(keyframe.points[observed])]
             keyframe.points[observed[gone]] = NO_POINT
+
+    def weigh(self, point_ids: Ids, weights: NDArray[np.float32]) -> None:
+        """What the backend's gate thinks of points; no weights: as before."""
+        if len(weights) == len(point_ids):
+            known = self.points.known(point_ids)
+            self.points.weight[self.points.rows(point_ids[known])] = np.clip(weights[known], 0.0, 1.0)
 
     def drop_observations(self, keyframe_ids: Ids, point_ids: Ids) -> None:
         """The backend found these observations wrong; points left with fewer than two are culled."""

@@ -31,7 +31,9 @@ def flaw(update: MapUpdate) -> str:
     for one, other in together:
         if len(getattr(update, one)) != len(getattr(update, other)):
             return f"its {one} and {other} are not equally many"
-    for name in ("poses", "positions", "parallax_deg"):
+    if len(update.weights) not in (0, len(update.points)):
+        return "its points and weights are not equally many"
+    for name in ("poses", "positions", "parallax_deg", "weights"):
         if not np.isfinite(getattr(update, name)).all():
             return f"its {name} are not all finite"
     return ""

@@ -24,6 +24,7 @@ _COLUMNS: dict[str, tuple[type, int]] = {
     "parallax_deg": (np.float64, 0),  # widest angle it was triangulated at; 0: only seeded from depth
     "reference": (np.int64, 0),  # keyframe that created it
     "reference_keypoint": (np.int64, 0),
+    "born_ns": (np.int64, 0),  # stamp of that keyframe
     "observations": (np.int64, 0),  # keyframes that see it
     "visible": (np.int64, 0),  # frames that should have seen it
     "found": (np.int64, 0),  # frames that did
@@ -45,6 +46,7 @@ class PointTable:
     parallax_deg: Array
     reference: Ids
     reference_keypoint: NDArray[np.int64]
+    born_ns: NDArray[np.int64]
     observations: NDArray[np.int64]
     visible: NDArray[np.int64]
     found: NDArray[np.int64]

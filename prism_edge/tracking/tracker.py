@@ -51,7 +51,8 @@ class Tracker:
         self._extractor = OrbExtractor(config)
         self._factors = self._extractor.scale_factors
         self.scale_factor = config.scale_factor
-        self._frames = FrameTracker(self._factors, config.max_local_points)
+        self.proven_after_s = config.proven_after_s
+        self._frames = FrameTracker(self._factors, config.max_local_points, config.proven_after_s)
         self.world = LocalMap()
         self.places = Relocaliser(seed)
         self.parts = Parts()
@@ -353,6 +354,7 @@ class Tracker:
             self.world, update.based_on, update.keyframes, update.poses,
             update.points, update.positions, update.parallax_deg, self._factors,
         )
+        self.world.weigh(update.points, update.weights)
         self.world.drop_observations(update.dropped_keyframes, update.dropped_points)
         became = join(self.world, update)
         if update.loop_query >= 0 and self.parts.merge(update.loop_query, update.loop_candidate):

@@ -6,6 +6,7 @@ import gc
 import logging
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -15,7 +16,7 @@ from prism_edge.bus import ros
 from prism_edge.bus.commands import Reply, on_or_off
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.session import Bus
-from prism_edge.config import Config
+from prism_edge.config import Config, TrackingConfig
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
@@ -70,7 +71,7 @@ class TrackerWorker:
         self._inboxes = {name: bus.queue(name) for name in ("depth", "log_scale", "map_update")}
         self._maps = MapAdoption(config, bus)
         self._ends = bus.queue("end")
-        self._tracker = Tracker(config.tracking, config.seed, bus.first_id)
+        self._tracker = Tracker(_tracking(config), config.seed, bus.first_id)
         self._odometry = MetricOdometry()
         self._publisher = PosePublisher(bus, config.frames)
         self._scale_sigma = UNKNOWN_SCALE_SIGMA
@@ -366,6 +367,12 @@ class TrackerWorker:
         row = ("tracking", level.get(odometry, ros.LEVEL_OK), f"{odometry} {state}", values)
         self._bus.publish("status", ros.diagnostics(stamp_ns, [row]))
         self._bus.pulse.values.update({name: str(value) for name, value in values.items()})
+
+
+def _tracking(config: Config) -> TrackingConfig:
+    """The tracker's settings, without what is ablated."""
+    ablated = "consistency" in config.ablate
+    return replace(config.tracking, proven_after_s=0.0) if ablated else config.tracking
 
 
 def main(config: Config, bus: Bus) -> None:

@@ -11,7 +11,7 @@ from prism_edge.backend.mapper import Mapper
 from prism_edge.bus import codec
 from prism_edge.config import BackendConfig, TrackingConfig
 from prism_edge.geometry.poses import inverse, se3_exp
-from prism_edge.messages import Keyframe, MapUpdate
+from prism_edge.messages import Gate, Keyframe, MapUpdate
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import Tracker
@@ -301,3 +301,20 @@ def test_frames_of_culled_keyframes_have_a_place_in_the_finished_map(bounded):
     for i, (reference, reference_from_camera) in bounded.carriers.items():
         placed = poses[reference] @ reference_from_camera
         assert np.linalg.norm((placed - truth[film_frame(i)])[:3, 3]) < 0.06
+
+
+def test_an_update_carries_each_points_mean_weight():
+    """Of the keyframes whose gate knows anything of it; 1 where none does."""
+    mapper, teller = Mapper(CONFIG, use_depth=False), Teller()
+    for i in range(3):
+        message = teller.keyframe(pose_at(0.2 * i))
+        mapper.absorb(message)
+        known = np.full(len(message.pixels), 0.1 if i else np.nan, np.float32)
+        mapper.add_gate(Gate(i, message.index, 0, np.full(len(known), 0.5 * i, np.float32), known))
+    update = mapper.optimise(2, 0.0)
+    expected = []
+    for p in update.points.tolist():
+        told = [0.5 * k for k in mapper.world.points[p].keyframes if k]
+        expected.append(np.mean(told) if told else 1.0)
+    np.testing.assert_allclose(update.weights, expected, rtol=1e-6)
+    assert 0.7 < np.mean(expected) < 1.0

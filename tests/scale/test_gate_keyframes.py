@@ -115,3 +115,25 @@ def test_damaged_depth_gives_finite_weights(damage):
         assert np.isfinite(gate.weights).all()
         assert ((gate.weights >= 0) & (gate.weights <= 1)).all()
         assert math.isfinite(scale.log_scale)
+
+
+def test_samples_weigh_by_the_trust_in_their_points():
+    """Points that have only just come are those on something that moves: their map depth is wrong."""
+    keyframe = keyframe_of_wall(1, 0.4)
+    new = np.arange(200) < 130
+    depths = np.where(new, keyframe.depths * np.float32(1.6), keyframe.depths)
+    found = {}
+    for name, trust in (("alike", np.ones(200)), ("earned", np.where(new, 0.05, 0.9)), ("none", np.zeros(0))):
+        told = replace(keyframe, depths=depths, trust=trust.astype(np.float32))
+        found[name] = ScaleEstimator(ScaleConfig()).process(told, depth_of(told))[0].observation
+    assert abs(found["alike"]) > 0.2
+    assert abs(found["earned"]) < 0.06
+    assert found["none"] == found["alike"]
+
+
+@pytest.mark.parametrize("trust", [np.full(200, np.nan), np.zeros(200), np.ones(3), np.full(200, -1.0)])
+def test_trust_that_makes_no_sense_is_as_good_as_none(trust):
+    keyframe = replace(keyframe_of_wall(1, 0.4), trust=trust.astype(np.float32))
+    scale, _ = ScaleEstimator(ScaleConfig()).process(keyframe, depth_of(keyframe))
+    assert scale.points == 200
+    assert scale.observation == pytest.approx(0.0, abs=1e-3)

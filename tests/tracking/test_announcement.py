@@ -22,7 +22,7 @@ from tests.tracking.cloud import Cloud, check, observations, pose_at
 
 def teller(world: LocalMap) -> SimpleNamespace:
     """What the message needs of a tracker."""
-    told = SimpleNamespace(world=world, epoch=3, told=[], scale_factor=1.2)
+    told = SimpleNamespace(world=world, epoch=3, told=[], scale_factor=1.2, proven_after_s=0.0)
     told.announced = lambda keyframe: told.told.append(keyframe.id)
     return told
 
@@ -47,6 +47,8 @@ def test_a_message_carries_the_keyframe_and_survives_the_codec():
     assert not message.depths[newest.points < 0].any()
     rows = world.points.rows(newest.points[keypoints])
     assert message.parallax_deg[keypoints] == pytest.approx(world.points.parallax_deg[rows])
+    assert message.trust[keypoints] == pytest.approx(np.ones(len(keypoints)))
+    assert not message.trust[newest.points < 0].any()
     assert message.pixels == pytest.approx(newest.features.pixels, abs=1e-3)
     assert np.array_equal(message.descriptors.view(np.uint64), newest.features.descriptors)
     assert (message.anchor, message.world_from_anchor.tolist()) == (0, np.eye(4).tolist())

@@ -1,0 +1,86 @@
+"""The tables that the ablation tool makes of what was run, and what it runs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from prism_edge.config import ABLATIONS
+from tools import ablate
+
+
+def write(out: Path, sequence: ablate.Sequence, part: str, seed: int, se3: float | None) -> None:
+    folder = ablate.place(out, sequence, part, seed)
+    folder.mkdir(parents=True)
+    live = {"ate_se3_m": se3, "ate_sim3_m": None if se3 is None else se3 / 2}
+    (folder / "metrics.json").write_text(json.dumps({"live": live}))
+
+
+def test_a_table_has_medians_means_and_differences(tmp_path: Path):
+    sequences = ablate.TABLES["static"][1]
+    for n, sequence in enumerate(sequences):
+        for seed, metres in enumerate((0.02, 0.5, 0.01)):
+            write(tmp_path, sequence, "", seed, metres + 0.01 * n)
+            write(tmp_path, sequence, "dsug", seed, 2 * metres)
+    rows = ablate.table("static", tmp_path, [0, 1, 2]).splitlines()
+    full = next(row for row in rows if row.startswith("| full"))
+    assert full == "| full system | 2.0 / 1.0 | 3.0 / 1.5 | 4.0 / 2.0 | 3.0 |"
+    without = next(row for row in rows if "without dsug" in row)
+    assert without == "| without dsug | 4.0 / 2.0 | 4.0 / 2.0 | 4.0 / 2.0 | 4.0 (+1.0) |"
+    assert next(row for row in rows if "without wls" in row).endswith("| - / - | - / - | - / - | - |")
+
+
+def test_a_run_that_found_no_figure_leaves_a_dash(tmp_path: Path):
+    for sequence in ablate.TABLES["dynamic"][1]:
+        write(tmp_path, sequence, "", 0, None)
+    assert "| full system | - / - | - / - | - / - | - / - | - |" in ablate.table("dynamic", tmp_path, [0])
+
+
+def test_only_parts_that_can_be_switched_off_are_listed():
+    for name in ablate.TABLES:
+        for part in ablate.parts_of(name):
+            assert not part or set(part.split("+")) <= set(ABLATIONS)
+    assert {"plucker", "dsug", "kalman", "wls"} <= set(ablate.parts_of("static"))
+
+
+def test_what_is_there_is_not_run_again_and_most_is_most(tmp_path: Path, monkeypatch, capsys):
+    ran = []
+    monkeypatch.setattr(ablate, "prism_edge", lambda words: ran.append(words) or 0)
+    shared = tmp_path / "shared"
+    (shared / "models").mkdir(parents=True)
+    (shared / ablate.NETWORK).write_text("")
+    first = ablate.TABLES["static"][1][0]
+    write(tmp_path / "out", first, "", 0, 0.02)
+    words = ["--shared", str(shared), "--out", str(tmp_path / "out"), "--table", "static", "--seeds", "0"]
+    assert ablate.main([*words, "--most", "2"]) == 1
+    assert len(ran) == 2
+    assert ran[0][:2] == ["eval", str(shared / first.folder)]
+    assert "--lockstep" in ran[0]
+    assert ran[0][ran[0].index("--ablate") + 1] == "plucker"
+    assert "full system | 2.0 / 1.0" in capsys.readouterr().out
+
+
+def test_both_parts_of_a_pair_are_switched_off(tmp_path: Path, monkeypatch):
+    ran = []
+    monkeypatch.setattr(ablate, "prism_edge", lambda words: ran.append(words) or 0)
+    sequence = ablate.TABLES["static"][1][1]
+    ablate.play(tmp_path, tmp_path / "out", sequence, "dsug+consistency", 1)
+    assert [ran[0][i + 1] for i, word in enumerate(ran[0]) if word == "--ablate"] == ["dsug", "consistency"]
+
+
+@pytest.mark.parametrize(("most", "code"), [("1", 2), ("0", 1)])
+def test_without_the_recordings_there_are_only_tables(tmp_path: Path, capsys, most, code):
+    words = ["--shared", str(tmp_path), "--out", str(tmp_path / "out"), "--most", most]
+    assert ablate.main(words) == code
+    if code == 2:
+        assert "is not there" in capsys.readouterr().err
+
+
+def test_a_run_that_fails_ends_it_in_one_line(tmp_path: Path, monkeypatch, capsys):
+    monkeypatch.setattr(ablate, "prism_edge", lambda words: 7)
+    (tmp_path / "models").mkdir()
+    (tmp_path / ablate.NETWORK).write_text("")
+    assert ablate.main(["--shared", str(tmp_path), "--out", str(tmp_path / "out"), "--table", "static"]) == 8
+    assert capsys.readouterr().err.count("\n") == 1

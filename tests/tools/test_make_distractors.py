@@ -1,0 +1,200 @@
+"""Composited objects against closed forms, and a whole generated folder."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from prism_edge.config import SourceConfig
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.open import open_source
+from prism_edge.sources.sensor_depth import SensorDepth
+from prism_edge.sources.truth import read_truth
+from tests.synthetic.sequence import write_sequence
+from tools import make_distractors
+from tools.distractors.recording import filled, interpolated
+from tools.distractors.solids import BOX, ELLIPSOID, Distractor, draw, hits, surface, texture
+
+CAMERA = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
+FAR = np.full((120, 160), 4.0)
+UP = np.array([0.0, -1.0, 0.0])
+
+
+def thing(shape: str, half: tuple[float, float, float], path: list[tuple[float, float, float]]) -> Distractor:
+    return Distractor(shape, np.array(half), 1, 0.0, 1.0, np.array(path), 0.0, UP)
+
+
+def test_a_sphere_is_hit_where_the_quadratic_says():
+    rng = np.random.default_rng(0)
+    origin = np.array([0.3, -0.2, -2.0])
+    rays = np.column_stack([rng.uniform(-0.6, 0.6, (200, 2)), np.ones(200)])
+    found = hits(ELLIPSOID, np.full(3, 0.7), origin, rays)
+    for ray, t in zip(rays, found, strict=True):
+        roots = np.roots([ray @ ray, 2 * ray @ origin, origin @ origin - 0.49])
+        assert t == (np.inf if np.iscomplex(roots).any() else pytest.approx(min(roots.real)))
+
+
+@pytest.mark.parametrize("shape", [BOX, ELLIPSOID])
+def test_hits_lie_on_the_surface_and_normals_look_back(shape):
+    half, origin = np.array([0.4, 0.7, 0.3]), np.array([0.1, 0.2, -3.0])
+    rng = np.random.default_rng(1)
+    rays = np.column_stack([rng.uniform(-0.3, 0.3, (400, 2)), np.ones(400)])
+    t = hits(shape, half, origin, rays)
+    seen = np.isfinite(t)
+    assert 0.1 < seen.mean() < 0.9
+    points = origin + t[seen, None] * rays[seen]
+    unit = np.abs(points / half)
+    level = unit.max(axis=1) if shape == BOX else np.linalg.norm(unit, axis=1)
+    np.testing.assert_allclose(level, 1.0, atol=1e-9)
+    normals, place = surface(shape, half, points)
+    assert np.all(np.einsum("ij,ij->i", normals, rays[seen]) < 0)
+    assert np.all((place >= 0) & (place < 1))
+
+
+def test_from_inside_nothing_is_hit():
+    rays = np.array([[0.0, 0.0, 1.0]])
+    for shape in (BOX, ELLIPSOID):
+        assert hits(shape, np.ones(3), np.zeros(3), rays)[0] == np.inf
+
+
+def test_it_covers_what_it_should_and_nearer_surfaces_hide_it():
+    box = thing(BOX, (0.4, 0.3, 0.1), [(0.0, 0.0, 2.1), (0.0, 0.0, 2.1)])
+    shown, colours = draw(CAMERA, np.eye(4), 0.5, [box], FAR, {1: texture(1, 0.5)})
+    covered = np.isfinite(shown)
+    # The object's own axes are turned about the vertical: its width is between its two sides' extents.
+    assert 4 * 130**2 * 0.1 * 0.3 / 2.2**2 / FAR.size < covered.mean() < 0.3
+    assert covered[60, 80]
+    assert shown[60, 80] < 2.1
+    assert colours[covered].max() > 0
+    near = FAR.copy()
+    near[:, :80] = 1.0
+    hidden, _ = draw(CAMERA, np.eye(4), 0.5, [box], near, None)
+    assert not np.isfinite(hidden[:, :80]).any()
+    assert np.array_equal(hidden[:, 80:], shown[:, 80:])
+
+
+def test_of_two_the_nearer_is_seen():
+    front, back = (thing(ELLIPSOID, (0.3, 0.3, 0.3), [(0, 0, z), (0, 0, z)]) for z in (1.5, 2.5))
+    for order in ([front, back], [back, front]):
+        shown, _ = draw(CAMERA, np.eye(4), 0.0, order, FAR, None)
+        assert shown[60, 80] == pytest.approx(1.2, abs=0.01)
+
+
+def test_it_moves_along_its_path_and_is_gone_before_and_after():
+    ball = thing(ELLIPSOID, (0.2, 0.2, 0.2), [(-0.5, 0.0, 2.0), (0.5, 0.0, 2.0)])
+    middles = []
+    for seconds in (0.0, 0.5, 1.0):
+        shown, _ = draw(CAMERA, np.eye(4), seconds, [ball], FAR, None)
+        middles.append(np.flatnonzero(np.isfinite(shown).any(axis=0)).mean())
+    np.testing.assert_allclose(middles, [79.5 - 32.5, 79.5, 79.5 + 32.5], atol=1.0)
+    for seconds in (-0.1, 1.1):
+        assert not np.isfinite(draw(CAMERA, np.eye(4), seconds, [ball], FAR, None)[0]).any()
+
+
+def test_the_rows_and_columns_looked_at_leave_nothing_out():
+    """Against every pixel being looked at, for objects near, far and partly outside."""
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        at = tuple(rng.uniform((-1.5, -1.0, 0.2), (1.5, 1.0, 3.0)))
+        solid = thing(str(rng.choice([BOX, ELLIPSOID])), tuple(rng.uniform(0.1, 0.6, 3)), [at, at])
+        shown, _ = draw(CAMERA, np.eye(4), 0.5, [solid], FAR, None)
+        x, y = np.meshgrid((np.arange(160) - CAMERA.cx) / CAMERA.fx, (np.arange(120) - CAMERA.cy) / CAMERA.fy)
+        rays = np.stack([x.ravel(), y.ravel(), np.ones(x.size)], axis=1)
+        rotation = solid.world_from_object(0.5)[:3, :3]
+        z = hits(solid.shape, solid.half_extents, -rotation.T @ np.array(at), rays @ rotation)
+        assert np.array_equal(np.isfinite(shown).ravel(), (z < 4.0) & (z > 0.05))
+
+
+def test_pixels_without_depth_take_the_nearest_ones():
+    depth = np.array([[0.0, 0.0, 2.0], [1.0, 0.0, 0.0]])
+    made = filled(depth)
+    assert (made[0, 1], made[0, 2], made[1, 0], made[1, 1]) == (2.0, 2.0, 1.0, 1.0)
+    assert np.isinf(filled(np.zeros((2, 2)))).all()
+
+
+def test_poses_between_known_ones_lie_on_the_way():
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, 0, 3] = 2.0
+    made = interpolated(np.array([0.0, 1.0]), poses, np.array([-1.0, 0.25, 3.0]))
+    np.testing.assert_allclose(made[:, 0, 3], [0.0, 0.5, 2.0])
+
+
+@pytest.fixture(scope="module")
+def sequence(tmp_path_factory) -> Path:
+    """Two seconds of a generated room; its 20th image is an exact copy of the 19th."""
+    folder = write_sequence(tmp_path_factory.mktemp("static"), 60, 160, 120)
+    files = sorted((folder / "rgb").iterdir())
+    files[20].write_bytes(files[19].read_bytes())
+    return folder
+
+
+def test_a_folder_of_the_same_layout_comes_out_twice_alike(sequence: Path, tmp_path: Path, capsys):
+    for name in ("one", "two"):
+        words = [str(sequence), str(tmp_path / name), "--seed", "3", "--coverage", "0.2"]
+        assert make_distractors.main(words) == 0
+    assert "cover" in capsys.readouterr().out
+    one, two = (
+        {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+        for folder in (tmp_path / "one", tmp_path / "two")
+    )
+    assert one == two
+    with open_source(SourceConfig(uri=str(tmp_path / "one"))) as made, open_source(
+        SourceConfig(uri=str(sequence))
+    ) as static:
+        assert made.camera == static.camera
+        assert made.frame_count == static.frame_count == 60
+        images = [(made.read().pixels, static.read().pixels) for _ in range(60)]
+    assert np.array_equal(images[19][0], images[20][0]), "a copy stays a copy"
+    assert np.array_equal(read_truth(str(tmp_path / "one"))[1], read_truth(str(sequence))[1])
+    shares = json.loads((tmp_path / "one" / "distractors.json").read_text())["covered"]
+    assert 0.08 < np.mean(shares) < 0.3
+    assert max(shares) < 0.5
+    before, after = SensorDepth(sequence), SensorDepth(tmp_path / "one")
+    for i in (0, 30, 59):
+        mask = cv2.imread(str(tmp_path / "one" / "masks" / f"{i:06d}.png"), 0) > 0
+        assert mask.mean() == pytest.approx(shares[i], abs=1e-3)
+        changed = np.abs(images[i][0].astype(int) - images[i][1].astype(int)).max(axis=2) > 0
+        rim = cv2.dilate(mask.astype(np.uint8), np.ones((3, 3))) > 0
+        assert not changed[~rim].any(), "the rest of the image is as it was"
+        old, new = before.read(i), after.read(i)
+        assert np.array_equal(old[~mask], new[~mask])
+        assert np.all(new[mask] < old[mask])
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        (["--coverage", "0.9"], "coverage"),
+        (["--contrast", "-1"], "contrast"),
+        (["--poses", "missing.tum"], "missing.tum"),
+    ],
+)
+def test_bad_arguments_end_in_one_line(sequence: Path, tmp_path: Path, capsys, more, says):
+    assert make_distractors.main([str(sequence), str(tmp_path / "out"), *more]) == 2
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+
+
+def test_a_folder_without_depth_and_one_that_is_taken_are_refused(sequence: Path, tmp_path: Path, capsys):
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    for name in ("rgb", "rgb.txt", "groundtruth.txt", "camera.yaml"):
+        (plain / name).symlink_to(sequence / name)
+    assert make_distractors.main([str(plain), str(tmp_path / "out")]) == 2
+    assert "no depth" in capsys.readouterr().err
+    assert make_distractors.main([str(sequence), str(plain)]) == 2
+    assert "not empty" in capsys.readouterr().err
+
+
+def test_replaced_extents_are_the_only_change_of_size():
+    """Planning scales an object and nothing else of it."""
+    ball = thing(ELLIPSOID, (0.2, 0.2, 0.2), [(0.0, 0.0, 2.0), (0.0, 0.0, 2.0)])
+    bigger = replace(ball, half_extents=ball.half_extents * 1.5)
+    small, large = (draw(CAMERA, np.eye(4), 0.5, [b], FAR, None)[0] for b in (ball, bigger))
+    assert np.isfinite(large).mean() == pytest.approx(1.5**2 * np.isfinite(small).mean(), rel=0.15)

@@ -1,0 +1,189 @@
+#!/usr/bin/env python3
+"""The paper's two ablation tables on recorded sequences: every part switched off in turn, in lockstep.
+
+    python tools/ablate.py [--shared FOLDER] [--out DIR] [--seeds 0 1 2] [--most N] [--table static|dynamic]
+
+FOLDER (default: `shared` beside the checkout) holds data/ and models/. Each run's files go to
+DIR/<sequence>/<part>-<seed> (default: build/ablation), and a run whose metrics.json is there is not
+repeated: stop it when you like, and go on later; --most ends it after so many runs. The dynamic recordings
+are made by tools/make_distractors.py, once. Printed is, in Markdown, what there is so far: live ATE after
+SE(3) and Sim(3) alignment, median over the seeds, and the mean over the sequences; docs/ABLATION.md keeps a
+copy. Exit code 1: runs are missing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import mean, median
+
+ROOT = Path(__file__).resolve().parents[1]
+if str(ROOT) not in sys.path:  # run from a checkout
+    sys.path.insert(0, str(ROOT))
+
+from prism_edge.cli.main import main as prism_edge  # noqa: E402
+from prism_edge.config import ABLATIONS  # noqa: E402
+from tools import make_distractors  # noqa: E402
+
+NETWORK = "models/fastdepth_nyu_224.onnx"
+FULL = ""  # nothing switched off
+STATIC_PARTS = (FULL, "plucker", "dsug", "kalman", "wls", "consistency", "depth_factor", "loop", "init")
+DYNAMIC_PARTS = (FULL, "dsug", "consistency", "dsug+consistency")
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A recording below the shared folder; ``distractors`` is the seed of what is composited into it."""
+
+    name: str
+    folder: str
+    truth: str = ""
+    distractors: int | None = None
+
+
+KITCHEN = ("data/7scenes_redkitchen/seq-01", "data/7scenes_redkitchen/sfm_reference.tum")
+HOSPITAL = "data/tartanair_hospital"
+TABLES = {
+    "static": (
+        STATIC_PARTS,
+        (
+            Sequence("redkitchen", *KITCHEN),
+            Sequence("new_tsukuba", "data/new_tsukuba"),
+            Sequence("tartanair_hospital", HOSPITAL),
+        ),
+    ),
+    "dynamic": (
+        DYNAMIC_PARTS,
+        (
+            Sequence("redkitchen_moving_0", *KITCHEN, 0),
+            Sequence("redkitchen_moving_1", *KITCHEN, 1),
+            Sequence("tartanair_moving_0", HOSPITAL, "", 0),
+            Sequence("tartanair_moving_1", HOSPITAL, "", 1),
+        ),
+    ),
+}
+
+
+def parts_of(table: str) -> list[str]:
+    """The configurations of a table that this version can run."""
+    return [part for part in TABLES[table][0] if set(part.split("+")) <= {FULL, *ABLATIONS}]
+
+
+def label(part: str) -> str:
+    """A row's heading."""
+    return "full system" if part == FULL else "without " + " and ".join(part.split("+"))
+
+
+def place(out: Path, sequence: Sequence, part: str, seed: int) -> Path:
+    """Where a run's files are."""
+    return out / sequence.name / f"{part or 'full'}-{seed}"
+
+
+def recording(shared: Path, out: Path, sequence: Sequence) -> Path:
+    """The folder to play, made first where it is a dynamic one. Raises RuntimeError where that fails."""
+    static = shared / sequence.folder
+    if sequence.distractors is None:
+        return static
+    made = out / "recordings" / sequence.name
+    if not (made / "distractors.json").is_file():
+        words = [str(static), str(made), "--seed", str(sequence.distractors)]
+        words += ["--poses", str(shared / sequence.truth)] if sequence.truth else []
+        with redirect_stdout(sys.stderr):
+            if make_distractors.main(words):
+                raise RuntimeError(f"{sequence.name} can't be made")
+    return made
+
+
+def play(shared: Path, out: Path, sequence: Sequence, part: str, seed: int) -> None:
+    """One evaluation in lockstep. Raises RuntimeError where it fails."""
+    words = ["eval", str(recording(shared, out, sequence)), "--model", str(shared / NETWORK), "--lockstep"]
+    words += ["--seed", str(seed), "--out", str(place(out, sequence, part, seed))]
+    words += ["--truth", str(shared / sequence.truth)] if sequence.truth else []
+    for name in part.split("+") if part else ():
+        words += ["--ablate", name]
+    with redirect_stdout(sys.stderr):
+        code = prism_edge(words)
+    if code:
+        raise RuntimeError(f"{sequence.name}, {label(part)}, seed {seed}: eval ended with code {code}")
+
+
+def figure(out: Path, sequence: Sequence, part: str, seeds: list[int], key: str) -> float | None:
+    """Median over the seeds of one live figure in centimetres; None unless all seeds have it."""
+    found = []
+    for seed in seeds:
+        file = place(out, sequence, part, seed) / "metrics.json"
+        value = json.loads(file.read_text())["live"][key] if file.is_file() else None
+        if value is None:
+            return None
+        found.append(100.0 * float(value))
+    return median(found)
+
+
+def table(name: str, out: Path, seeds: list[int]) -> str:
+    """A table in Markdown, with a dash where runs are missing."""
+    sequences = TABLES[name][1]
+    heads = " | ".join(s.name for s in sequences)
+    rule = "|---" * (len(sequences) + 2) + "|"
+    lines = [f"| {name}: live SE(3) / Sim(3), cm | {heads} | mean SE(3) |", rule]
+    whole: float | None = None
+    for part in parts_of(name):
+        pairs = [
+            [figure(out, s, part, seeds, key) for key in ("ate_se3_m", "ate_sim3_m")] for s in sequences
+        ]
+        cells = [" / ".join("-" if v is None else f"{v:.1f}" for v in pair) for pair in pairs]
+        known = [pair[0] for pair in pairs if pair[0] is not None]
+        average = mean(known) if len(known) == len(sequences) else None
+        text = "-" if average is None else f"{average:.1f}"
+        if part == FULL:
+            whole = average
+        elif average is not None and whole is not None:
+            text += f" ({average - whole:+.1f})"
+        lines.append(f"| {label(part)} | {' | '.join(cells)} | {text} |")
+    return "\n".join(lines)
+
+
+def missing(name: str, out: Path, seeds: list[int]) -> list[tuple[Sequence, str, int]]:
+    """Runs whose metrics are not there yet, a seed at a time so that a table fills evenly."""
+    return [
+        (sequence, part, seed)
+        for seed in seeds
+        for sequence in TABLES[name][1]
+        for part in parts_of(name)
+        if not (place(out, sequence, part, seed) / "metrics.json").is_file()
+    ]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--shared", metavar="FOLDER", type=Path, default=ROOT.parent / "shared")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "build" / "ablation")
+    parser.add_argument("--seeds", metavar="N", type=int, nargs="+", default=[0, 1, 2])
+    parser.add_argument("--most", metavar="N", type=int, default=10**6, help="runs at most this time")
+    parser.add_argument("--table", choices=list(TABLES), action="append")
+    args = parser.parse_args(arguments)
+    shared, out = args.shared.resolve(), args.out.resolve()
+    if args.most and not (shared / NETWORK).is_file():
+        print(f"ablate: error: {shared / NETWORK} is not there; see --shared", file=sys.stderr)
+        return 2
+    names = args.table or list(TABLES)
+    wanted = [run for name in names for run in missing(name, out, args.seeds)]
+    for sequence, part, seed in wanted[: args.most]:
+        try:
+            play(shared, out, sequence, part, seed)
+        except RuntimeError as error:
+            print(f"ablate: error: {error}", file=sys.stderr)
+            return 8
+    for name in names:
+        print(table(name, out, args.seeds), end="\n\n", flush=True)
+    return 1 if len(wanted) > args.most else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
