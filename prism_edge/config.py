@@ -173,7 +173,7 @@ class BackendConfig:
     )
     huber_depth_m: float = limits(0.1, 0.001, 10.0, "Huber threshold of a depth residual (m)")
     loops: bool = field(default=True, metadata={"help": "recognise places seen before, and close loops"})
-    loop_inliers: int = limits(30, 10, 1000, "points that must agree on a loop")
+    loop_inliers: int = limits(25, 10, 1000, "points that must agree on a loop")
     ray_sigma_m: float = limits(0.01, 1e-4, 1.0, "noise of a point's distance from a ray (m)")
     huber_ray_m: float = limits(0.05, 0.001, 10.0, "Huber threshold of that distance (m)")
     max_carried: int = limits(10_000, 0, 1_000_000, "poses kept of culled keyframes, the last culled")

@@ -101,6 +101,8 @@ SEQUENCES = (
             Bar("live ATE SE(3)", at("live", "ate_se3_m", factor=100), 6.0, "cm"),
             Bar("scales of the halves differ by", halves_differ_percent, 5.0, "%"),
             Bar("live ATE Sim(3), own truth", at("own_truth", "ate_sim3_m", factor=100), 6.5, "cm"),
+            Bar("loops accepted", at("loops", "accepted"), 3, at_least=True),
+            Bar("loops that are right", at("loops", "precision", factor=100), 100.0, "%", at_least=True),
             Bar("CPU, tracker", at("cpu_ms_per_frame", "tracker"), 10.0, "ms a frame"),
             Bar("CPU, all processes", at("cpu_ms_per_frame", "total"), 30.0, "ms a frame"),
             Bar("latency p50", at("latency_ms", "p50"), 15.0, "ms"),

@@ -19,7 +19,7 @@ from prism_edge.tracking.place_index import PlaceIndex
 
 log = logging.getLogger("prism_edge.backend")
 
-CANDIDATES = 3  # verified for each keyframe at most
+CANDIDATES = 5  # verified for each keyframe at most
 AGREEING = 2  # neighbours of the query that must see the place; or the keyframes after it
 PATIENCE = 3  # keyframes within which another must confirm a loop whose query has too few neighbours
 SAME_ANGLE, SAME_SHIFT = np.radians(3.0), 0.15  # how far two loops of one return may differ; median depths

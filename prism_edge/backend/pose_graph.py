@@ -19,6 +19,7 @@ from prism_edge.geometry.poses import Array, from_rt, inverse, normalised
 
 MANY_SHARED = 50  # every such pair is joined; of the others each keyframe with its best few
 BEST_FEW = 3
+FEW_SHARED = 10  # fewer may be chance matches: they join nothing
 TURN, SHIFT, STRETCH = 0.01, 0.02, 0.01  # sigmas of a joint: rad, median depths, log scale
 LOOP_SHARE = 0.3  # of those sigmas, for a loop
 ITERATIONS = 20
@@ -141,7 +142,7 @@ def _joints(world: GlobalMap, earlier: list[tuple[int, int]]) -> dict[tuple[int,
         ranked = world.covisible(k)
         before = [(o, n) for o, n in ranked if o < k]
         for rank, (other, shared) in enumerate(before):
-            if shared >= MANY_SHARED or (rank < BEST_FEW and shared > 0):
+            if shared >= MANY_SHARED or (rank < BEST_FEW and shared >= FEW_SHARED):
                 joints[other, k] = float(shared)
     for a, b in earlier:
         if a in world.keyframes and b in world.keyframes:

@@ -336,6 +336,7 @@ class Tracker:
                 self._waiting, self._lost, self.wants_probe = None, False, False
                 self._seen_at = keyframe.stamp_ns
             self._last = TrackedFrame.of_keyframe(keyframe, len(ids))
+            self._refresh(self._last)
             self._last_stamp = keyframe.stamp_ns
         self._since_refresh = REFRESH_FRAMES
         self._reference_depth = self.world.median_depth(self.parts.newest(self.world))

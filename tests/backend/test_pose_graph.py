@@ -7,7 +7,7 @@ import pytest
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.backend.loops import Loop
-from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, apply, connected, spread
+from prism_edge.backend.pose_graph import FEW_SHARED, LOOP_SHARE, Similarity, apply, connected, parts, spread
 from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
 from tests.tracking.cloud import CAMERA, pose_at
 
@@ -90,6 +90,16 @@ def test_what_hangs_on_neither_end_stays():
     assert connected(world, [(3, 101)], 0, 102)
     moved = spread(world, loop(world, 5, 0, pose_at(1.6, 0.1)), [])
     assert set(moved) == set(range(6))
+
+
+def test_a_chance_match_joins_nothing():
+    """A few points that both parts see by mistake make them no one map."""
+    world = chain([pose_at(0.3 * i) for i in range(6)])
+    chain([pose_at(50.0 + 0.3 * i) for i in range(3)], first=100, world=world)
+    for keypoint, p in enumerate(sorted(world.keyframes[5].observed)[:FEW_SHARED - 1]):
+        world.observe(100, p, keypoint)
+    assert not connected(world, [], 0, 101)
+    assert [min(part) for part in parts(world, [])] == [0, 100]
 
 
 def test_a_part_of_its_own_is_moved_as_one():

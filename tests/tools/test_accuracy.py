@@ -24,6 +24,7 @@ GOOD: dict[str, Any] = {
     "cpu_ms_per_frame": {"tracker": 9.0, "total": 18.0},
     "latency_ms": {"p50": 11.0, "p95": 16.0, "p99": 19.0},
     "peak_pss_mb": {"total": 380.0},
+    "loops": {"accepted": 5, "precision": 1.0},
     "timings_void": False,
 }
 KITCHEN, TSUKUBA, _, HOSPITAL = accuracy.SEQUENCES
@@ -55,6 +56,9 @@ def test_good_figures_meet_every_bar(sequence: accuracy.Sequence) -> None:
         {"first_pose_s": 0.51},
         {"first_pose_s": None},
         {"ready_s": 2.1},
+        {"loops": {"accepted": 2}},
+        {"loops": {"precision": 0.8}},
+        {"loops": {"precision": None}},
         {"live": {"ate_sim3_m": 0.031}},
         {"live": {"ate_se3_m": 0.061}},
         {"live": {"scale_ratio_halves": [1.06, 1.0]}},

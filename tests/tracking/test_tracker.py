@@ -382,6 +382,12 @@ def test_a_camera_lost_in_the_unknown_maps_on_its_own(astray):
     true = inverse(room[first - 42][2]) @ room[101 - 42][2]
     assert np.linalg.norm(moved[:3, 3] - true[:3, 3]) < 0.1 * np.linalg.norm(true[:3, 3]) + 0.02
     assert run.tracker.epoch == 0, "never a reset"
+    world, home = run.tracker.world, run.tracker.parts.of(0)
+    apart = [k for k in world.keyframes if run.tracker.parts.of(k) != home]
+    known = np.concatenate([k.points for k in world.keyframes.values() if k.id not in apart])
+    assert len(apart) >= 3
+    for k in apart:
+        assert not np.isin(world.keyframes[k].points[world.keyframes[k].observed()], known).any()
     jump = run.results[first].world_from_camera[:3, 3] - run.results[29].world_from_camera[:3, 3]
     assert np.linalg.norm(jump) < 0.1, "odom goes on from where it was"
     check(run.tracker.world)

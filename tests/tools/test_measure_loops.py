@@ -1,0 +1,64 @@
+"""The table of what loops are worth."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+TOOL = Path(__file__).resolve().parents[2] / "tools" / "measure_loops.py"
+
+
+@pytest.fixture(scope="module")
+def tool() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("measure_loops", TOOL)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["measure_loops"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def metrics(error: float | None, accepted: int = 0, precision: float | None = None) -> dict:
+    return {"final": {"ate_sim3_m": error}, "loops": {"accepted": accepted, "precision": precision}}
+
+
+def test_each_sequence_runs_twice_and_gives_a_line(tool, tmp_path, monkeypatch, capsys):
+    ran = []
+
+    def evaluate(words: list[str]) -> int:
+        ran.append(words)
+        out = Path(words[words.index("--out") + 1])
+        out.mkdir(parents=True)
+        found = metrics(0.9) if "--ablate" in words else metrics(0.05, 5, 1.0)
+        (out / "metrics.json").write_text(json.dumps(found))
+        return 0
+
+    monkeypatch.setattr(tool, "prism_edge", evaluate)
+    words = ["measure_loops", "sim:loop", "some/folder", "--model", "m.onnx", "--out", str(tmp_path)]
+    monkeypatch.setattr(sys, "argv", words)
+    tool.main()
+    assert [("--ablate" in words, words[1]) for words in ran] == [
+        (False, "sim:loop"),
+        (True, "sim:loop"),
+        (False, "some/folder"),
+        (True, "some/folder"),
+    ]
+    assert all("--lockstep" in words for words in ran)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2] == "| sim:loop | 5 | 100 % | 90.00 cm | 5.00 cm | 94 % |"
+    assert len(lines) == 4
+
+
+def test_what_could_not_be_computed_is_a_dash(tool):
+    assert tool.row("x", metrics(None), metrics(0.1)) == "| x | 0 | - | 10.00 cm | - | - |"
+
+
+def test_a_run_that_fails_ends_it_with_its_code(tool, tmp_path, monkeypatch):
+    monkeypatch.setattr(tool, "prism_edge", lambda words: 4)
+    with pytest.raises(SystemExit) as ended:
+        tool.run("nothing", "m.onnx", tmp_path, True)
+    assert ended.value.code == 4
