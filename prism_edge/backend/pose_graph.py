@@ -91,7 +91,7 @@ def spread(
     except RuntimeError:
         return None
     found = {k: _pose_and_scale(result.atSimilarity3(X(k))) for k in sorted(part)}
-    unit = float(np.exp(np.median([np.log(scale) for _, scale in found.values()]))) if joined else 1.0
+    unit = float(np.exp(np.median([np.log(scale) for _, scale in found.values()])))
     anchor = world.keyframes[held].world_from_camera[:3, 3]
     out: dict[int, Similarity] = {}
     for k, (pose, scale) in found.items():

@@ -129,3 +129,19 @@ def test_two_keyframes_with_identical_poses():
 def test_nonsense_is_refused():
     world = chain([pose_at(0.3 * i) for i in range(4)])
     assert spread(world, loop(world, 3, 0, np.full((4, 4), np.nan)), []) is None
+
+
+def test_the_unit_of_the_larger_part_is_kept():
+    """The published scale was learnt on it last: the few old keyframes take it on, the first one in place."""
+    world = chain([pose_at(1.0 + 0.3 * i) for i in range(3)])
+    poses = [pose_at(50.0 + 0.2 * i) for i in range(6)]
+    chain(poses, first=100, world=world)
+    old = [world.keyframes[k].world_from_camera.copy() for k in range(3)]
+    moved = spread(world, loop(world, 102, 1, pose_at(1.3), 2.0), [], joined=False)
+    assert moved[0].world_from_camera == pytest.approx(old[0], abs=1e-3)
+    for k in range(3):
+        assert moved[k].scale == pytest.approx(0.5, abs=1e-3)
+        shift = moved[k].world_from_camera[:3, 3] - old[0][:3, 3]
+        assert shift == pytest.approx(0.5 * (old[k] - old[0])[:3, 3], abs=1e-3)
+    for i in range(6):
+        assert moved[100 + i].scale == pytest.approx(1.0, abs=1e-3)
