@@ -54,7 +54,7 @@ property() { inside systemctl show --property "$1" --value prism-edge; }
 status_has() { [[ $(property StatusText) == *"$1"* ]]; }
 restarts_are() { [[ $(property NRestarts) == "$1" && $(property ActiveState) == active ]]; }
 state_is() { [[ $(property ActiveState) == "$1" ]]; }
-said() { inside journalctl --unit prism-edge --no-pager --output cat | grep -qF "$1"; }
+said() { grep -qF "$1" <(inside journalctl --unit prism-edge --no-pager --output cat); }
 of_main() { grep -qE "$1" <(inside cat "/proc/$(property MainPID)/status"); }
 no_worker() { ! inside pgrep -f prism_edge.workers; }
 current() { inside readlink /opt/prism-edge/current; }
@@ -80,6 +80,12 @@ is "no capabilities" of_main '^CapBnd:\s+0+$'
 is "system calls are filtered" of_main '^Seccomp:\s+2$'
 is "no new privileges" of_main '^NoNewPrivs:\s+1$'
 
+logged() { [[ -n $(inside journalctl --unit prism-edge --output cat PRISM_PROCESS="$1") ]]; }
+is "log lines have their fields in the journal" logged depth
+is "a command is answered" inside prism-edge ctl info
+is "a map is saved" inside prism-edge ctl save_map trial
+is "... in the state directory" inside test -s /var/lib/prism-edge/maps/trial.prismmap
+
 printf 'source: {uri: "sim:room", loop: true}\ndepth: {model: /srv/models/net.onnx, threads: 2}\nrobot: other\n' |
     inside tee /etc/prism-edge/config.yaml > /dev/null
 is "reload" inside systemctl reload prism-edge
@@ -102,6 +108,8 @@ is "upgrade of the running service" install_it
 is "... to another release" test "$before" != "$(current)"
 is "... with the configuration kept" inside grep -q sim:room /etc/prism-edge/config.yaml
 is "... and poses again" await 30 status_has "ok building"
+is "... and the map from before, which is loaded" inside prism-edge ctl load_map trial
+is "... and the camera found in it" await 30 status_has "ok building"
 before=$(current)
 inside sed -i 's/^TimeoutStartSec=.*/TimeoutStartSec=1ms/' /opt/src/systemd/prism-edge.service
 broken() { ! install_it; }
@@ -117,5 +125,6 @@ is "... and a line that says what is wrong" said "config.yaml:"
 
 is "removal" inside /opt/src/deploy/uninstall.sh
 is "... keeps the configuration" inside test -e /etc/prism-edge/config.yaml
+is "... and the maps" inside test -s /var/lib/private/prism-edge/maps/trial.prismmap
 is "... and nothing else" inside sh -c '! test -e /opt/prism-edge -o -e /etc/systemd/system/prism-edge.service'
 exit "$failed"
