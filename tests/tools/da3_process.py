@@ -103,6 +103,16 @@ def names() -> None:
     print(json.dumps([checkpoints.variant_of(Path("/nowhere") / folder / "x.pth", "") for folder in folders]))
 
 
+def large(out: str, image: str) -> None:
+    """Exports in every precision as if 20 MB were more than a file can hold."""
+    convert._LARGEST_MESSAGE = 20_000_000
+    size = ["--height", "42", "--width", "56", "--images", image, image, image]
+    code = tool.main(
+        [out, "--random-weights", "2", "--model", "da3-small", "--precision", "fp32", "fp16", "int8", *size]
+    )
+    print(json.dumps(code))
+
+
 def refusals(folder: str) -> None:
     """Prints what each wrong call says, and whether a file was left."""
     files = Path(folder)
@@ -133,5 +143,6 @@ def refusals(folder: str) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    actions = {function.__name__: function for function in (checkpoint, reference, geometry, names, refusals)}
+    known = (checkpoint, reference, geometry, names, large, refusals)
+    actions = {action.__name__: action for action in known}
     actions[sys.argv[1]](*sys.argv[2:])

@@ -160,6 +160,15 @@ def test_a_published_folders_name_says_which_checkpoint_it_is(exported):
     assert found == ["da3-small", "da3metric-large", "da3mono-large", "da3nested-giant-large"]
 
 
+def test_what_is_too_large_for_one_file_becomes_two_in_every_precision(image, tmp_path):
+    said = run(PROCESS, "large", tmp_path / "large.onnx", image).splitlines()
+    assert said[-1] == "0"
+    for name in ("large.onnx", "large_fp16.onnx", "large_int8.onnx"):
+        assert (tmp_path / name).stat().st_size < 3e6
+        assert (tmp_path / f"{name}.data").stat().st_size > 20e6
+        assert OnnxNetwork(tmp_path / name).card.descriptor_output == "descriptor"
+
+
 def test_what_cannot_be_exported_is_refused_in_one_line_and_leaves_no_file(exported):
     folder, _ = exported
     says = {

@@ -68,14 +68,20 @@ def fold(source: Path, out: Path) -> None:
 def in_precision(source: Path, precision: str) -> onnx.ModelProto:
     """The network of the fp32 file ``source`` in one of PRECISIONS."""
     if precision == FP16:
-        return _half(onnx.load(str(source)))
+        # Types of all tensors, by way of a file: in memory it is limited to what one message can hold.
+        typed = source.with_name("typed.onnx")
+        onnx.shape_inference.infer_shapes_path(str(source), str(typed))
+        return _half(onnx.load(str(typed)))
     if precision == INT8:
         return _quantised(source, source.with_name("quantised.onnx"))
     return onnx.load(str(source))
 
 
 def _half(model: onnx.ModelProto) -> onnx.ModelProto:
-    """In half precision, but for the operators that need more; inputs and outputs stay fp32."""
+    """In half precision, but for the operators that need more; inputs and outputs stay fp32.
+
+    ``model`` carries the types of its tensors.
+    """
     from onnxruntime.transformers.float16 import convert_float_to_float16
 
     for number, node in enumerate(model.graph.node):  # folding left some without a name of their own
@@ -88,7 +94,7 @@ def _half(model: onnx.ModelProto) -> onnx.ModelProto:
             keep_io_types=True,
             op_block_list=list(_KEPT_FP32),
             node_block_list=kept_nodes,
-            disable_shape_infer=_weights_in(model) > _LARGEST_MESSAGE,
+            disable_shape_infer=True,
         )
     return _without_repeated_casts(converted)
 
