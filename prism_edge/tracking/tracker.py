@@ -127,14 +127,10 @@ class Tracker:
         self._initialised = True
         self._fresh = (index, frame)
         reference = self.parts.newest(self.world)
+        pose, odometry = frame.world_from_camera, OK if frame.matched >= DEGRADED_MATCHES else DEGRADED
+        offset = inverse(reference.world_from_camera) @ pose
         return FrameResult(
-            OK if frame.matched >= DEGRADED_MATCHES else DEGRADED,
-            frame.world_from_camera,
-            frame.covariance,
-            reference.id,
-            inverse(reference.world_from_camera) @ frame.world_from_camera,
-            frame.matched,
-            self.parts.at_home,
+            odometry, pose, frame.covariance, reference.id, offset, frame.matched, self.parts.at_home
         )
 
     def _look_on(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> None:
