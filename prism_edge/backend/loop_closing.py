@@ -58,6 +58,7 @@ class LoopCloser:
         self.index = PlaceIndex()
         self.accepted: list[Accepted] = []
         self._unconfirmed: list[Loop] = []
+        self._part: set[int] | None = None  # what hangs together with the query
         self._adjustment: GlobalAdjustment | None = None
         self._wanted = False  # something was closed that no global adjustment has seen
         self._last_begun = -REST
@@ -72,6 +73,7 @@ class LoopCloser:
     def look(self, query: int) -> Accepted | None:
         """Look for a return to an earlier place; what is accepted is in the map when this returns."""
         self._count += 1
+        self._part = None
         for loop in self._verified(query):
             if self._confirmed(loop) and self._close(loop):
                 return self.accepted[-1]
@@ -121,7 +123,9 @@ class LoopCloser:
         return near and rotation_angle(off[:3, :3]) < SAME_ANGLE
 
     def _connected(self, loop: Loop) -> bool:
-        return pose_graph.connected(self._world, self._pairs(), loop.query, loop.candidate)
+        if self._part is None:  # once for all candidates of a query: it goes through the whole map
+            self._part = pose_graph.part_of(self._world, self._pairs(), loop.query)
+        return loop.candidate in self._part
 
     def _pairs(self) -> list[tuple[int, int]]:
         return [(a.candidate, a.query) for a in self.accepted]

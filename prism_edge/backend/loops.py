@@ -22,14 +22,15 @@ from prism_edge.tracking.pose_refinement import refine_pose
 
 Index = NDArray[np.intp]
 
-MATCH_DISTANCE, MATCH_RATIO = 60, 0.9
+MATCH_DISTANCE, MATCH_RATIO, FARTHEST = 60, 0.8, 256
 MIN_MATCHES, MIN_EPIPOLAR, MIN_PNP = 20, 15, 10
 EPIPOLAR_PX, PNP_PX = 2.0, 5.0
-EPIPOLAR_TRIES = 500
+EPIPOLAR_TRIES = 300
 SURROUNDINGS = 8  # keyframes beside the candidate whose points are looked for
 GUIDED_DISTANCE, GUIDED_RATIO = 64, 0.9
 GUIDED_RADII = (14.0, 7.0)  # pixels at the finest level
 DRIFT_RADIUS = 28.0
+MIN_EXPECTED = 30  # of the candidate's points in the query's image: else the map's pose is not worth a try
 NEIGHBOURS, NEIGHBOUR_INLIERS = 4, 15  # keyframes beside the query that must see the place too
 NEIGHBOUR_ANGLE, NEIGHBOUR_SHIFT = np.radians(3.0), 0.1  # how far they may disagree; of the median depth
 MIN_FRESH = 10  # points that the query did not know: else nothing would be closed
@@ -56,29 +57,27 @@ def match_corners(a: Features, b: Features) -> tuple[Index, Index]:
     """Mutual nearest descriptors, near enough and clearly nearer than the next; indices into each."""
     if min(len(a), len(b)) < 2:
         return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    one, other = _bytes(a.descriptors), _bytes(b.descriptors)
-    matcher = cv2.BFMatcher(cv2.NORM_HAMMING)
-    there = {m.queryIdx: m.trainIdx for m in matcher.match(other, one)}
-    pairs = [
-        (best.queryIdx, best.trainIdx)
-        for best, second in matcher.knnMatch(one, other, k=2)
-        if best.distance <= MATCH_DISTANCE
-        and best.distance < MATCH_RATIO * second.distance
-        and there.get(best.trainIdx) == best.queryIdx
-    ]
-    found = np.array(pairs, np.intp).reshape(-1, 2)
-    return found[:, 0], found[:, 1]
+    distance = np.zeros((len(a), len(b)), np.uint16)
+    for word in range(4):
+        distance += np.bitwise_count(a.descriptors[:, None, word] ^ b.descriptors[None, :, word])
+    rows = np.arange(len(a))
+    best, back = distance.argmin(axis=1), distance.argmin(axis=0)
+    nearest = distance[rows, best]
+    distance[rows, best] = FARTHEST
+    good = (nearest <= MATCH_DISTANCE) & (nearest < MATCH_RATIO * distance.min(axis=1)) & (back[best] == rows)
+    return rows[good], best[good]
 
 
 def verify(world: GlobalMap, query: int, candidate: int, least: int, seed: int = 0) -> Loop | None:
     """The loop between two keyframes, at least ``least`` points agreeing; None where there is none."""
     here, there = world.keyframes[query], world.keyframes[candidate]
-    surroundings = Surroundings(world, candidate, without=query)
-    found = None
-    pose = _first_pose(world, here, there, seed)
+    pose, expected = _first_pose(world, here, there, seed), _expected(world, here, there)
+    if pose is None and expected < MIN_EXPECTED:
+        return None
+    surroundings, found = Surroundings(world, candidate, without=query), None
     if pose is not None:
         found = surroundings.look(here, pose, GUIDED_RADII)
-    if found is None or len(found.keypoints) < least:
+    if (found is None or len(found.keypoints) < least) and expected >= MIN_EXPECTED:
         # Seen from far aside few corners match blindly; where drift is small, the map's own pose leads there.
         found = surroundings.look(here, here.world_from_camera, (DRIFT_RADIUS, *GUIDED_RADII))
     if found is None or len(found.keypoints) < least:
@@ -112,6 +111,19 @@ def median_depth(world: GlobalMap, keyframe: GlobalKeyframe) -> float:
     places = np.array([world.points[p].position for p in keyframe.observed])
     depth = float(np.median(transform(inverse(keyframe.world_from_camera), places)[:, 2]))
     return depth if depth > 0 else 1.0
+
+
+def _expected(world: GlobalMap, here: GlobalKeyframe, there: GlobalKeyframe) -> int:
+    """How many points of one keyframe the map expects in the image of another."""
+    if not there.observed:
+        return 0
+    local = transform(
+        inverse(here.world_from_camera), np.array([world.points[p].position for p in there.observed])
+    )
+    local = local[local[:, 2] > 1e-3]
+    camera = here.camera.ideal()
+    pixels = camera.project(local)
+    return int(np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1).sum())
 
 
 @dataclass(frozen=True)
@@ -280,9 +292,3 @@ def _agreeing_neighbours(
         if rotation_angle(off[:3, :3]) < NEIGHBOUR_ANGLE and np.linalg.norm(off[:3, 3]) < reach:
             agreeing += 1
     return agreeing
-
-
-def _bytes(words: NDArray[np.uint64]) -> NDArray[np.uint8]:
-    return np.ascontiguousarray(words).view(np.uint8).reshape(-1, 32)
-
-

@@ -130,9 +130,9 @@ def parts(world: GlobalMap, earlier: list[tuple[int, int]]) -> list[set[int]]:
     return found
 
 
-def connected(world: GlobalMap, earlier: list[tuple[int, int]], a: int, b: int) -> bool:
-    """Whether shared points, or loops so far, lead from one keyframe to another."""
-    return b in _reachable(_joints(world, earlier), {a})
+def part_of(world: GlobalMap, earlier: list[tuple[int, int]], keyframe: int) -> set[int]:
+    """Keyframes to which shared points, or loops so far, lead from one."""
+    return _reachable(_joints(world, earlier), {keyframe})
 
 
 def _joints(world: GlobalMap, earlier: list[tuple[int, int]]) -> dict[tuple[int, int], float]:

@@ -119,6 +119,9 @@ class BackendWorker:
         for depth in self._depths.drain():
             if depth.keyframe >= 0:  # else a probe's, which is for the tracker
                 self._early[depth.keyframe] = depth
+                if depth.epoch == self._mapper.epoch and self._close_loops:
+                    # It may be too late for its window, but not for later keyframes to be compared with.
+                    self._mapper.loops.add_place(depth.keyframe, depth.descriptor)
         for gate in self._gates.drain():
             self._gated[gate.keyframe] = gate
             self._mapper.add_gate(gate)

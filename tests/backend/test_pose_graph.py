@@ -7,7 +7,7 @@ import pytest
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.backend.loops import Loop
-from prism_edge.backend.pose_graph import FEW_SHARED, LOOP_SHARE, Similarity, apply, connected, parts, spread
+from prism_edge.backend.pose_graph import FEW_SHARED, LOOP_SHARE, Similarity, apply, part_of, parts, spread
 from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
 from tests.tracking.cloud import CAMERA, pose_at
 
@@ -85,9 +85,8 @@ def test_points_and_depths_go_with_their_keyframe():
 def test_what_hangs_on_neither_end_stays():
     world = chain([pose_at(0.3 * i) for i in range(6)])
     chain([pose_at(50.0 + 0.3 * i) for i in range(3)], first=100, world=world)
-    assert connected(world, [], 0, 5)
-    assert not connected(world, [], 0, 101)
-    assert connected(world, [(3, 101)], 0, 102)
+    assert part_of(world, [], 0) == set(range(6))
+    assert part_of(world, [(3, 101)], 0) == set(range(6)) | {100, 101, 102}
     moved = spread(world, loop(world, 5, 0, pose_at(1.6, 0.1)), [])
     assert set(moved) == set(range(6))
 
@@ -98,7 +97,7 @@ def test_a_chance_match_joins_nothing():
     chain([pose_at(50.0 + 0.3 * i) for i in range(3)], first=100, world=world)
     for keypoint, p in enumerate(sorted(world.keyframes[5].observed)[:FEW_SHARED - 1]):
         world.observe(100, p, keypoint)
-    assert not connected(world, [], 0, 101)
+    assert part_of(world, [], 0) == set(range(6))
     assert [min(part) for part in parts(world, [])] == [0, 100]
 
 
