@@ -28,8 +28,8 @@ $(STAMP): requirements.lock pyproject.toml setup.py tools/find_python.sh
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
 	touch $(STAMP)
 
-demo: $(STAMP) ## see metric poses arrive: a generated sequence through the whole daemon
-	$(BIN)/python tools/demo.py
+demo: $(STAMP) ## see metric poses arrive: a simulated walk through the whole daemon
+	$(BIN)/prism-edge demo --out build/demo $(DEMO_ARGS)
 
 test: lint ## everything that must hold: ruff, mypy, tests (without the slow ones)
 	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)

@@ -107,7 +107,8 @@ class DepthConfig:
     model: str = field(
         default="",
         metadata={
-            "help": "ONNX file, registry name, or nested:RELATIVE,METRIC; empty: no depth",
+            "help": "ONNX file, registry name, nested:RELATIVE,METRIC or none; empty: the one that "
+            "comes with prism_edge for simulated worlds, else none",
             "reload": ("depth", "scale"),  # another network, other metres
         },
     )

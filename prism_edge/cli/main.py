@@ -13,6 +13,7 @@ from prism_edge.errors import PrismError
 # Name: module, one line of help. Only the module that is asked for is imported, so that help comes at once.
 COMMANDS = {
     "run": ("prism_edge.cli.run", "run the daemon on a recording"),
+    "demo": ("prism_edge.cli.demo", "see metric poses arrive: a simulated walk through the whole daemon"),
     "watch": ("prism_edge.cli.watch", "show the poses of a running daemon, or record them"),
     "ctl": ("prism_edge.cli.ctl", "tell a running daemon to do something: pause, reset, save a map, ..."),
     "eval": ("prism_edge.cli.eval", "run a recorded sequence and score the poses against its truth"),

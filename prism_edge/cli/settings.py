@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 from prism_edge.config import Config
@@ -14,6 +15,9 @@ SOURCE_HELP = (
     "a camera (v4l2:/dev/video0, oak:, rtsp://HOST/PATH, http://HOST/PATH), "
     "or a simulated world such as sim:room"
 )
+
+BUNDLED = "prism_nano"  # the network that comes with prism_edge (docs/PRISM_NANO.md)
+NO_NETWORK = "none"
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +46,10 @@ def add_input(parser: argparse.ArgumentParser) -> None:
 def add_playing(parser: argparse.ArgumentParser) -> None:
     """--model, --camera, --lockstep and --seed."""
     parser.add_argument(
-        "--model", metavar="MODEL", help="depth network: ONNX file, known name, or nested:RELATIVE,METRIC"
+        "--model",
+        metavar="MODEL",
+        help="depth network: ONNX file, known name, nested:RELATIVE,METRIC, or "
+        f"{NO_NETWORK} (default: {BUNDLED} for simulated worlds, else {NO_NETWORK})",
     )
     parser.add_argument(
         "--camera", metavar="FILE", help="camera file (YAML or ROS camera_info); auto: as the network sees it"
@@ -74,4 +81,17 @@ def config_from(args: argparse.Namespace) -> Config:
         overrides["mode"] = "lockstep"
     if getattr(args, "loop", False):
         overrides["source.loop"] = True
-    return load(args.config, overrides)
+    return with_network(load(args.config, overrides))
+
+
+def with_network(config: Config) -> Config:
+    """The configuration with the bundled network where a simulated world is played and none is named.
+
+    A real camera gets none by default: the bundled one has only ever seen simulated rooms.
+    """
+    model = config.depth.model
+    if not model:
+        from prism_edge.sources.sim import is_simulated
+
+        model = BUNDLED if is_simulated(config.source.uri) else ""
+    return replace(config, depth=replace(config.depth, model="" if model == NO_NETWORK else model))

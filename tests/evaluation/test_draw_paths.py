@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tools.draw_paths import ESTIMATE, TRUTH, draw_paths, grid_step
+from prism_edge.evaluation.draw_paths import ESTIMATE, TRUTH, draw_paths, grid_step
 
 
 def drawn(picture: np.ndarray, colour: tuple[int, int, int]) -> np.ndarray:

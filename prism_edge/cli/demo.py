@@ -1,0 +1,149 @@
+"""`prism-edge demo`: the whole daemon at work on a simulated walk; its poses as they come, and the errors."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+import time
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from prism_edge.cli.settings import add_common, add_playing, config_from
+from prism_edge.errors import SourceError
+
+if TYPE_CHECKING:
+    from prism_edge.config import Config
+
+SOURCE = "sim:room?seed=3&frames=1350"
+OUT = Path("prism-edge-demo")
+LINE_S = 1.0  # between lines where the output is no terminal
+_FEWEST = 3  # poses that a picture needs
+
+
+def add_parser(subparsers: Any) -> None:
+    """Add the subcommand."""
+    parser: argparse.ArgumentParser = subparsers.add_parser(
+        "demo",
+        help="see metric poses arrive: a simulated walk through the whole daemon",
+        description="Play a simulated walk through the daemon in real time, with the depth network that "
+        "comes with prism_edge, show its poses as an ordinary Zenoh subscriber gets them, and compare them "
+        "with the truth. Needs no camera, no recording and no connection. The folder DIR receives what "
+        "`eval` writes (docs/EVALUATION.md), and path.png, a picture of both paths.",
+    )
+    parser.add_argument(
+        "source", metavar="SIM", nargs="?", default=SOURCE, help=f"simulated world (default: {SOURCE})"
+    )
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=OUT, help=f"where results go (default: {OUT})"
+    )
+    add_playing(parser)
+    add_common(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play, show, sum up; returns the exit code. Raises PrismError."""
+    from prism_edge.sources.sim import is_simulated
+
+    config = config_from(args)
+    if not is_simulated(config.source.uri):
+        raise SourceError(f"{config.source.uri}: the demo plays simulated worlds; use `prism-edge eval`")
+    report = play(config, args.out)
+    sum_up(report, args.out, draw(config.source.uri, args.out, report))
+    return 0
+
+
+def play(config: Config, out: Path) -> dict[str, Any]:
+    """The walk through the real daemon, its poses on the screen; returns the metrics."""
+    from prism_edge.config import BusConfig
+    from prism_edge.evaluation.daemon import free_endpoint
+    from prism_edge.evaluation.run import evaluate, extent
+
+    _, frames = extent(config.source)
+    if config.bus.endpoint == BusConfig().endpoint:
+        config = replace(config, bus=replace(config.bus, endpoint=free_endpoint()))
+    print(f"playing {config.source.uri} ({frames} frames) with the depth network {config.depth.model}")
+    print(f"subscribing to prism/{config.robot}/pose at {config.bus.endpoint}", flush=True)
+    over = threading.Event()
+    screen = threading.Thread(target=show, args=(config, over), name="screen", daemon=True)
+    screen.start()
+    try:
+        return evaluate(config, out, quiet=True)
+    finally:
+        over.set()
+        screen.join(timeout=5.0)
+
+
+def show(config: Config, over: threading.Event) -> None:
+    """Poses as they arrive at a subscriber: a table, or a line a second where there is no terminal."""
+    from prism_edge.bus.session import Bus
+    from prism_edge.cli.watch import Listener, Table
+
+    with ExitStack() as stack:
+        bus = stack.enter_context(Bus.open(replace(config, mode="realtime"), "watch"))
+        heard = Listener(bus, config)
+        table = stack.enter_context(Table()) if sys.stdout.isatty() else None
+        line_s = 0.0
+        while not over.is_set():
+            for _ in heard.poses(None):
+                now = time.monotonic()
+                if table is not None:
+                    table.pose(heard.view)
+                elif now - line_s >= LINE_S:
+                    line_s = now
+                    print(heard.view.line(time.monotonic_ns()), flush=True)
+
+
+def draw(uri: str, out: Path, report: dict[str, Any]) -> Path | None:
+    """Writes the picture of both paths from above; None where too few poses came to compare."""
+    import cv2
+
+    from prism_edge.evaluation.draw_paths import ESTIMATE, TRUTH, draw_paths
+    from prism_edge.evaluation.trajectory import Trajectory, associate, read_tum
+    from prism_edge.geometry.alignment import align
+    from prism_edge.sources.truth import read_truth
+
+    own = read_truth(uri)
+    if own is None or report["live"]["ate_se3_m"] is None:
+        return None
+    estimate, truth = associate(read_tum(out / "live.tum"), Trajectory(*own))
+    if len(estimate) < _FEWEST:
+        return None
+    # The truth is brought to the estimate, turned and moved only: what differs in size shows.
+    moved = align(truth.positions, estimate.positions, with_scale=False).apply(truth.positions)
+    paths = [("truth", TRUTH, moved[:, :2]), ("as published", ESTIMATE, estimate.positions[:, :2])]
+    error_cm = 100.0 * report["live"]["ate_se3_m"]
+    picture = draw_paths(paths, f"the camera's path from above: {error_cm:.1f} cm (RMS) from the truth")
+    file = out / "path.png"
+    cv2.imwrite(str(file), picture)
+    return file
+
+
+def sum_up(report: dict[str, Any], out: Path, picture: Path | None) -> None:
+    """The figures that matter, and where the rest is."""
+    live, latency, cpu = report["live"], report["latency_ms"], report["cpu_ms_per_frame"]
+
+    def number(value: float | None, form: str) -> str:
+        return "-" if value is None else form.format(value)
+
+    ratio = live["scale_ratio"]
+    rows = [
+        ("poses", f"{report['tracked']} of {report['frames']} frames, {report['dropped_frames']} dropped"),
+        ("coverage", number(report["coverage"], "{:.3f}")),
+        ("rate", number(report["fps"], "{:.1f} Hz")),
+        ("latency p50, p99", f"{number(latency['p50'], '{:.1f}')}, {number(latency['p99'], '{:.1f}')} ms"),
+        ("CPU, all processes", number(cpu["total"], "{:.1f} ms a frame")),
+        ("position error (ATE)", number(live["ate_se3_m"], "{:.4f} m") + ", metres as published: SE(3)"),
+        ("", number(live["ate_sim3_m"], "{:.4f} m") + ", after correcting the scale: Sim(3)"),
+        ("scale error", "-" if ratio is None else f"{100 * abs(1 / ratio - 1):.1f} %"),
+        ("ready after", number(report["ready_s"], "{:.2f} s")),
+        ("poses and figures", str(out)),
+        ("picture", str(picture) if picture else "-"),
+    ]
+    if report["timings_void"]:
+        rows.insert(5, ("", "other programs kept this machine busy: rate and latency say little"))
+    print()
+    for name, value in rows:
+        print(f"{name:<22}{value}")

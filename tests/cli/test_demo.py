@@ -1,0 +1,75 @@
+"""The demo: what it refuses, what it sums up, and that it runs from end to end."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from prism_edge.cli.demo import sum_up
+from prism_edge.cli.main import main
+
+REPORT = {
+    "tracked": 99,
+    "frames": 100,
+    "dropped_frames": 1,
+    "coverage": 0.99,
+    "fps": 29.97,
+    "live": {"ate_se3_m": 0.0512, "ate_sim3_m": 0.0204, "scale_ratio": 1.0 / 0.96},
+    "latency_ms": {"p50": 11.04, "p99": None},
+    "cpu_ms_per_frame": {"total": 40.0},
+    "ready_s": 1.25,
+    "timings_void": False,
+}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["/somewhere/else"], "the demo plays simulated worlds"),
+        (["sim:moon"], "no simulated world is called 'moon'"),
+        (["sim:room?seed=x"], "seed must be a whole number"),
+    ],
+)
+def test_what_it_can_not_play_is_said_in_one_line(arguments, words, tmp_path, capsys) -> None:
+    assert main(["demo", *arguments, "--out", str(tmp_path / "out")]) == 4
+    said = capsys.readouterr()
+    assert words in said.err
+    assert said.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_network_is_said_in_one_line(tmp_path, capsys) -> None:
+    assert main(["demo", "--model", "no_such_network", "--out", str(tmp_path / "out")]) == 5
+    assert "no_such_network" in capsys.readouterr().err
+
+
+def test_the_summary_gives_errors_scale_rate_and_latency(tmp_path, capsys) -> None:
+    sum_up(REPORT, tmp_path, tmp_path / "path.png")
+    said = capsys.readouterr().out
+    for words in ("99 of 100 frames, 1 dropped", "0.990", "30.0 Hz", "11.0, - ms", "0.0512 m", "0.0204 m"):
+        assert words in said
+    assert "4.0 %" in said  # published metres are 4 % too short
+    assert "say little" not in said
+    sum_up({**REPORT, "timings_void": True}, tmp_path, None)
+    assert "say little" in capsys.readouterr().out
+
+
+def test_a_short_walk_from_end_to_end(tmp_path: Path) -> None:
+    walk = "sim:room?seed=3&frames=90&width=320&height=240"
+    command = [sys.executable, "-m", "prism_edge.cli", "demo", walk, "--lockstep", "--out", "here"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "here" / "metrics.json").read_text())
+    assert report["config"]["depth"]["model"] == "prism_nano"
+    assert report["coverage"] > 0.95
+    assert f"{report['tracked']} of 90 frames" in done.stdout
+    assert " x +" in done.stdout or " x -" in done.stdout  # poses as they came
+    truth, live = (tmp_path / "here" / name for name in ("path.png", "live.tum"))
+    assert len(np.loadtxt(live)) == report["tracked"]
+    assert cv2.imread(str(truth)).std() > 5  # something is drawn

@@ -1,0 +1,140 @@
+"""prism-nano: inverted residuals down to a 32nd of the picture, a light decoder back to half of it.
+
+Three answers from one pass: depth (focal-normalised: metres = depth * f / CANONICAL_FOCAL), the confidence
+of each depth, and a descriptor of the place. Widths are MobileNet-like; everything is convolution, batch
+normalisation and ReLU, which any runtime does fast.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F  # noqa: N812
+
+WIDTH, HEIGHT = 224, 160  # of the input
+CANONICAL_FOCAL = 180.0  # pixels of the input: about what 640x480 with 525 pixels of focal length shrinks to
+DESCRIPTOR = 128
+MEAN, STD = (0.45, 0.45, 0.45), (0.25, 0.25, 0.25)
+_LEAST_ERROR, _LARGEST_ERROR = 0.005, 1.0  # bounds of the predicted mean error of log depth
+
+
+def convolution(inside: int, outside: int, size: int = 1, stride: int = 1, groups: int = 1) -> nn.Sequential:
+    """Convolution, batch normalisation, ReLU."""
+    return nn.Sequential(
+        nn.Conv2d(inside, outside, size, stride, size // 2, groups=groups, bias=False),
+        nn.BatchNorm2d(outside),
+        nn.ReLU(inplace=True),
+    )
+
+
+class Inverted(nn.Module):
+    """Inverted residual: widen, filter each channel, narrow without a nonlinearity; added to its input."""
+
+    def __init__(self, inside: int, outside: int, stride: int, widen: int, size: int = 3) -> None:
+        super().__init__()
+        middle = inside * widen
+        self.body = nn.Sequential(
+            convolution(inside, middle),
+            convolution(middle, middle, size, stride, middle),
+            nn.Conv2d(middle, outside, 1, bias=False),
+            nn.BatchNorm2d(outside),
+        )
+        self.is_residual = stride == 1 and inside == outside
+
+    def forward(self, x: Tensor) -> Tensor:
+        y: Tensor = self.body(x)
+        return x + y if self.is_residual else y
+
+
+class Merge(nn.Module):
+    """Doubles a coarse map and adds a fine one, each brought to one width; filters what comes out."""
+
+    def __init__(self, coarse: int, fine: int, width: int) -> None:
+        super().__init__()
+        self.coarse = nn.Sequential(nn.Conv2d(coarse, width, 1, bias=False), nn.BatchNorm2d(width))
+        self.fine = nn.Sequential(nn.Conv2d(fine, width, 1, bias=False), nn.BatchNorm2d(width))
+        self.filter = nn.Sequential(convolution(width, width, 3, 1, width), convolution(width, width))
+
+    def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
+        up = F.interpolate(self.coarse(coarse), scale_factor=2.0, mode="bilinear", align_corners=False)
+        y: Tensor = self.filter(F.relu(up + self.fine(fine)))
+        return y
+
+
+class Context(nn.Module):
+    """Adds to every pixel what the whole picture says: a room's size shows nowhere in particular."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.body = nn.Sequential(nn.Linear(width, width), nn.ReLU(inplace=True), nn.Linear(width, width))
+
+    def forward(self, x: Tensor) -> Tensor:
+        whole: Tensor = self.body(x.mean(dim=(2, 3)))
+        return x + whole[:, :, None, None]
+
+
+class Place(nn.Module):
+    """Descriptor (n, DESCRIPTOR) of unit length from a map of features: generalised mean, then linear."""
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.widen = convolution(width, 2 * width)
+        self.turn = nn.Linear(2 * width, DESCRIPTOR)
+
+    def forward(self, x: Tensor) -> Tensor:
+        # Power 3: strong answers count, wherever they are.
+        pooled = (self.widen(x).clamp(min=1e-3) ** 3).mean(dim=(2, 3)) ** (1.0 / 3.0)
+        y: Tensor = self.turn(pooled)
+        return y / (y.square().sum(dim=1, keepdim=True) + 1e-12).sqrt()
+
+
+class Nano(nn.Module):
+    """Input (n, 3, h, w), h and w multiples of 32; see :meth:`forward`."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.stem = convolution(3, 16, 3, 2)
+        self.quarter = nn.Sequential(convolution(16, 24, 3, 2), Inverted(24, 24, 1, 3))
+        self.eighth = nn.Sequential(Inverted(24, 40, 2, 4), Inverted(40, 40, 1, 4), Inverted(40, 40, 1, 4))
+        self.sixteenth = nn.Sequential(
+            Inverted(40, 80, 2, 4, 5), *(Inverted(80, 80, 1, 4) for _ in range(3)), Inverted(80, 96, 1, 4, 5)
+        )
+        self.coarsest = nn.Sequential(
+            Inverted(96, 160, 2, 4), *(Inverted(160, 160, 1, 4) for _ in range(2)), Context(160)
+        )
+        self.merge16 = Merge(160, 96, 80)
+        self.merge8 = Merge(80, 40, 48)
+        self.merge4 = Merge(48, 24, 24)
+        self.head = nn.Sequential(convolution(24, 24, 3), nn.Conv2d(24, 8, 1))
+        with torch.no_grad():  # begin at 2.5 m and 20 %
+            self.head[-1].bias.copy_(torch.tensor([0.9] * 4 + [-1.6] * 4))
+        self.place = Place(160)
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Log depth (n, 1, h/2, w/2), log of its expected error likewise, descriptor (n, DESCRIPTOR).
+
+        The error is the mean absolute one of log depth, that is about the relative error of depth.
+        """
+        quarter = self.quarter(self.stem(image))
+        eighth = self.eighth(quarter)
+        sixteenth = self.sixteenth(eighth)
+        coarsest = self.coarsest(sixteenth)
+        fine = self.merge4(self.merge8(self.merge16(coarsest, sixteenth), eighth), quarter)
+        both = F.pixel_shuffle(self.head(fine), 2)
+        error = both[:, 1:].clamp(_LOG_LEAST, _LOG_LARGEST)
+        return both[:, :1], error, self.place(coarsest)
+
+
+class Exported(nn.Module):
+    """What the file computes: depth, confidence = 1 / expected relative error, descriptor."""
+
+    def __init__(self, nano: Nano) -> None:
+        super().__init__()
+        self.nano = nano
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        depth, error, descriptor = self.nano(image)
+        return depth.exp(), (-error).exp(), descriptor
+
+
+_LOG_LEAST, _LOG_LARGEST = (float(torch.log(torch.tensor(e))) for e in (_LEAST_ERROR, _LARGEST_ERROR))

@@ -1,0 +1,168 @@
+"""Trains prism-nano on rendered views; a checkpoint of each stage is kept up to date as it goes.
+
+    python -m tools.train_nano.train DATA OUT [--held-out DATA] [--steps N,N] [--seed N] [--threads N]
+
+Two stages, small pictures first: most of what a room looks like is learned there at a third of the price.
+Each has its own one-cycle learning rate. The weights that are kept are an exponential mean over the steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import sys
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+
+import cv2
+import torch
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from tools.train_nano.judge import judge
+from tools.train_nano.losses import total
+from tools.train_nano.network import HEIGHT, WIDTH, Nano
+from tools.train_nano.pictures import Batch, Views
+
+SIZES = ((128, 96), (WIDTH, HEIGHT))  # of a stage's pictures
+RATES = (3e-3, 1.5e-3)  # largest learning rate of a stage
+KEEP = 0.998  # of the running mean, a step
+REPORT, CHECK = 50, 500  # steps between lines, and between checkpoints
+AHEAD = 3  # batches made in advance
+
+
+class Mean:
+    """The exponential mean of a network's weights and of its batch statistics."""
+
+    def __init__(self, network: Nano) -> None:
+        self.network = copy.deepcopy(network).eval()
+        self.count = 0
+
+    @torch.no_grad()
+    def take(self, network: Nano) -> None:
+        """Adds one step; the first steps weigh more, so that the beginning is soon forgotten."""
+        self.count += 1
+        keep = min(KEEP, (1 + self.count) / (10 + self.count))
+        for own, new in zip(self.network.state_dict().values(), network.state_dict().values(), strict=True):
+            if own.dtype.is_floating_point:
+                own.lerp_(new, 1 - keep)
+            else:
+                own.copy_(new)
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("data", type=Path, help="folder that tools.train_nano.render wrote")
+    parser.add_argument("out", type=Path, help="folder for checkpoints")
+    parser.add_argument("--held-out", type=Path, help="such a folder of other worlds, looked at on the way")
+    parser.add_argument("--steps", default="5000,2500", help="of the two stages (default 5000,2500)")
+    parser.add_argument(
+        "--worlds", default="0,0", help="each stage learns from the first so many worlds of DATA; 0: all"
+    )
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--resume", type=Path, metavar="FILE", help="checkpoint of a finished first stage")
+    arguments = parser.parse_args()
+    torch.manual_seed(arguments.seed)
+    torch.set_num_threads(arguments.threads)
+    cv2.setNumThreads(1)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    steps = [int(word) for word in arguments.steps.split(",")]
+    network, first = Nano().to(memory_format=torch.channels_last), 0
+    mean = Mean(network)
+    if arguments.resume:
+        earlier, first = torch.load(arguments.resume, weights_only=True), 1
+        network.load_state_dict(earlier["network"])
+        mean.network.load_state_dict(earlier["mean"])
+        mean.count = earlier["count"]
+    others = Views(arguments.held_out) if arguments.held_out else None
+    worlds = [int(word) for word in arguments.worlds.split(",")]
+    for stage in range(first, len(steps)):
+        views = Views(arguments.data, worlds[stage])
+        run_stage(stage, steps[stage], network, mean, views, others, arguments.seed, arguments.out)
+
+
+def run_stage(
+    stage: int,
+    steps: int,
+    network: Nano,
+    mean: Mean,
+    views: Views,
+    others: Views | None,
+    seed: int,
+    out: Path,
+) -> None:
+    """One stage of training; ``mean`` is what counts afterwards."""
+    width, height = SIZES[stage]
+    decayed = [p for p in network.parameters() if p.ndim > 1]
+    plain = [p for p in network.parameters() if p.ndim <= 1]
+    groups = [{"params": decayed, "weight_decay": 0.02}, {"params": plain, "weight_decay": 0.0}]
+    optimiser = torch.optim.AdamW(groups, lr=RATES[stage])
+    schedule = torch.optim.lr_scheduler.OneCycleLR(
+        optimiser, RATES[stage], total_steps=steps, pct_start=0.1, div_factor=10, final_div_factor=100
+    )
+    console = Console()
+    bar = Progress(
+        TextColumn(f"stage {stage + 1}, {width}x{height}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[loss]}"),
+        console=console,
+    )
+    with bar, ThreadPoolExecutor(1) as pool:
+        task = bar.add_task("", total=steps, loss="")
+        coming: list[Future[Batch]] = [
+            pool.submit(views.batch, width, height, seed, stage, step) for step in range(min(AHEAD, steps))
+        ]
+        running: dict[str, float] = {}
+        for step in range(steps):
+            batch = coming.pop(0).result()
+            if step + AHEAD < steps:
+                coming.append(pool.submit(views.batch, width, height, seed, stage, step + AHEAD))
+            image, truth, overlap = (torch.from_numpy(part) for part in batch)
+            network.train()
+            answer = network(image.contiguous(memory_format=torch.channels_last))
+            loss, parts = total(*answer, truth, overlap)
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
+            optimiser.step()
+            schedule.step()
+            mean.take(network)
+            for name, value in parts.items():
+                running[name] = running.get(name, value) * 0.98 + value * 0.02
+            text = " ".join(f"{name} {value:.3f}" for name, value in running.items())
+            bar.update(task, advance=1, loss=text)
+            if (step + 1) % REPORT == 0:
+                console.print(f"stage {stage + 1} step {step + 1}: {text}", soft_wrap=True)
+            if (step + 1) % CHECK == 0 or step + 1 == steps:
+                save(network, mean, out / f"stage{stage + 1}.pt")
+                if others is not None:
+                    words = judge(mean.network, others, width, height).words()
+                    console.print(f"  held out: {words}", soft_wrap=True)
+
+
+def save(network: Nano, mean: Mean, path: Path) -> None:
+    """Writes a checkpoint; what was there stays until the new one is whole."""
+    temporary = path.with_suffix(".part")
+    state = {"network": network.state_dict(), "mean": mean.network.state_dict(), "count": mean.count}
+    torch.save(state, temporary)
+    temporary.replace(path)
+
+
+if __name__ == "__main__":
+    main()
