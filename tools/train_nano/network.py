@@ -79,12 +79,14 @@ class Place(nn.Module):
     def __init__(self, width: int) -> None:
         super().__init__()
         self.widen = convolution(width, 2 * width)
-        self.turn = nn.Linear(2 * width, DESCRIPTOR)
+        # Without its mean over pictures: what all have in common tells no place from another.
+        self.centre = nn.BatchNorm1d(2 * width, affine=False)
+        self.turn = nn.Linear(2 * width, DESCRIPTOR, bias=False)
 
     def forward(self, x: Tensor) -> Tensor:
         # Power 3: strong answers count, wherever they are.
         pooled = (self.widen(x).clamp(min=1e-3) ** 3).mean(dim=(2, 3)) ** (1.0 / 3.0)
-        y: Tensor = self.turn(pooled)
+        y: Tensor = self.turn(self.centre(pooled))
         return y / (y.square().sum(dim=1, keepdim=True) + 1e-12).sqrt()
 
 
