@@ -7,8 +7,8 @@ from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
 SEEN_TOGETHER, SEEN_APART = 0.35, 0.05  # overlap of views of one place, and of different ones
-TEMPERATURE = 0.08
-EDGES, SCALE, OWN_ERROR, PLACES = 0.5, 0.5, 0.2, 0.2  # weights, log depth's being 1
+TEMPERATURE = 0.15
+EDGES, SCALE, OWN_ERROR, PLACES = 0.5, 0.5, 0.2, 0.3  # weights, log depth's being 1
 
 
 def depth_losses(log_depth: Tensor, log_error: Tensor, truth: Tensor) -> dict[str, Tensor]:

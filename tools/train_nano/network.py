@@ -7,14 +7,17 @@ normalisation and ReLU, which any runtime does fast.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-WIDTH, HEIGHT = 224, 160  # of the input
-CANONICAL_FOCAL = 180.0  # pixels of the input: about what 640x480 with 525 pixels of focal length shrinks to
+WIDTH, HEIGHT = 160, 128  # of the input
+CANONICAL_FOCAL = 135.0  # pixels of the input: what 640x480 with 525 pixels of focal length shrinks to
 DESCRIPTOR = 128
 MEAN, STD = (0.45, 0.45, 0.45), (0.25, 0.25, 0.25)
+_PLACES_PULL = 0.05
 _LEAST_ERROR, _LARGEST_ERROR = 0.005, 1.0  # bounds of the predicted mean error of log depth
 
 
@@ -30,12 +33,12 @@ def convolution(inside: int, outside: int, size: int = 1, stride: int = 1, group
 class Inverted(nn.Module):
     """Inverted residual: widen, filter each channel, narrow without a nonlinearity; added to its input."""
 
-    def __init__(self, inside: int, outside: int, stride: int, widen: int, size: int = 3) -> None:
+    def __init__(self, inside: int, outside: int, stride: int, widen: int) -> None:
         super().__init__()
         middle = inside * widen
         self.body = nn.Sequential(
             convolution(inside, middle),
-            convolution(middle, middle, size, stride, middle),
+            convolution(middle, middle, 3, stride, middle),
             nn.Conv2d(middle, outside, 1, bias=False),
             nn.BatchNorm2d(outside),
         )
@@ -56,7 +59,7 @@ class Merge(nn.Module):
         self.filter = nn.Sequential(convolution(width, width, 3, 1, width), convolution(width, width))
 
     def forward(self, coarse: Tensor, fine: Tensor) -> Tensor:
-        up = F.interpolate(self.coarse(coarse), scale_factor=2.0, mode="bilinear", align_corners=False)
+        up = F.interpolate(self.coarse(coarse), size=fine.shape[2:], mode="bilinear", align_corners=False)
         y: Tensor = self.filter(F.relu(up + self.fine(fine)))
         return y
 
@@ -74,35 +77,39 @@ class Context(nn.Module):
 
 
 class Place(nn.Module):
-    """Descriptor (n, DESCRIPTOR) of unit length from a map of features: generalised mean, then linear."""
+    """Descriptor (n, DESCRIPTOR) of unit length from maps of features: generalised means, then linear."""
 
-    def __init__(self, width: int) -> None:
+    def __init__(self, *widths: int) -> None:
         super().__init__()
-        self.widen = convolution(width, 2 * width)
+        self.widen = nn.ModuleList(convolution(width, 2 * width) for width in widths)
         # Without its mean over pictures: what all have in common tells no place from another.
-        self.centre = nn.BatchNorm1d(2 * width, affine=False)
-        self.turn = nn.Linear(2 * width, DESCRIPTOR, bias=False)
+        self.centre = nn.BatchNorm1d(2 * sum(widths), affine=False)
+        self.turn = nn.Linear(2 * sum(widths), DESCRIPTOR, bias=False)
 
-    def forward(self, x: Tensor) -> Tensor:
-        # Power 3: strong answers count, wherever they are.
-        pooled = (self.widen(x).clamp(min=1e-3) ** 3).mean(dim=(2, 3)) ** (1.0 / 3.0)
-        y: Tensor = self.turn(self.centre(pooled))
+    def forward(self, maps: Sequence[Tensor]) -> Tensor:
+        pooled = []
+        for widen, x in zip(self.widen, maps, strict=True):
+            if self.training:  # depth comes first: places pull at what both share with little force
+                x = x.detach() + _PLACES_PULL * (x - x.detach())
+            # Power 3: strong answers count, wherever they are.
+            pooled.append((widen(x).clamp(min=1e-3) ** 3).mean(dim=(2, 3)) ** (1.0 / 3.0))
+        y: Tensor = self.turn(self.centre(torch.cat(pooled, dim=1)))
         return y / (y.square().sum(dim=1, keepdim=True) + 1e-12).sqrt()
 
 
 class Nano(nn.Module):
-    """Input (n, 3, h, w), h and w multiples of 32; see :meth:`forward`."""
+    """Input (n, 3, h, w), h and w multiples of 16; see :meth:`forward`."""
 
     def __init__(self) -> None:
         super().__init__()
         self.stem = convolution(3, 16, 3, 2)
         self.quarter = nn.Sequential(convolution(16, 24, 3, 2), Inverted(24, 24, 1, 3))
-        self.eighth = nn.Sequential(Inverted(24, 40, 2, 4), Inverted(40, 40, 1, 4), Inverted(40, 40, 1, 4))
+        self.eighth = nn.Sequential(Inverted(24, 40, 2, 4), Inverted(40, 40, 1, 4))
         self.sixteenth = nn.Sequential(
-            Inverted(40, 80, 2, 4, 5), *(Inverted(80, 80, 1, 4) for _ in range(3)), Inverted(80, 96, 1, 4, 5)
+            Inverted(40, 80, 2, 4), *(Inverted(80, 80, 1, 4) for _ in range(2)), Inverted(80, 96, 1, 4)
         )
         self.coarsest = nn.Sequential(
-            Inverted(96, 160, 2, 4), *(Inverted(160, 160, 1, 4) for _ in range(2)), Context(160)
+            Inverted(96, 160, 2, 4), Inverted(160, 160, 1, 4), Inverted(160, 160, 1, 4), Context(160)
         )
         self.merge16 = Merge(160, 96, 80)
         self.merge8 = Merge(80, 40, 48)
@@ -110,7 +117,7 @@ class Nano(nn.Module):
         self.head = nn.Sequential(convolution(24, 24, 3), nn.Conv2d(24, 8, 1))
         with torch.no_grad():  # begin at 2.5 m and 20 %
             self.head[-1].bias.copy_(torch.tensor([0.9] * 4 + [-1.6] * 4))
-        self.place = Place(160)
+        self.place = Place(40, 96, 160)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Log depth (n, 1, h/2, w/2), log of its expected error likewise, descriptor (n, DESCRIPTOR).
@@ -124,7 +131,7 @@ class Nano(nn.Module):
         fine = self.merge4(self.merge8(self.merge16(coarsest, sixteenth), eighth), quarter)
         both = F.pixel_shuffle(self.head(fine), 2)
         error = both[:, 1:].clamp(_LOG_LEAST, _LOG_LARGEST)
-        return both[:, :1], error, self.place(coarsest)
+        return both[:, :1], error, self.place((eighth, sixteenth, coarsest))
 
 
 class Exported(nn.Module):

@@ -18,8 +18,9 @@ U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]
 
 WORLDS, PAIRS = 4, 4  # of a batch; each pair is two views of one place
+_ASPECT = 4 / 3  # of most cameras; a picture is stretched to the network's own
 FARTHEST = 20.0  # m; beyond it a room has nothing (the renderer writes infinity where it draws nothing)
-_GRAIN = np.random.default_rng(0).standard_normal((HEIGHT + 64, WIDTH + 64, 3), dtype=np.float32)
+_GRAIN = np.random.default_rng(0).standard_normal((256, 256, 3), dtype=np.float32)
 
 
 class Batch(NamedTuple):
@@ -31,16 +32,13 @@ class Batch(NamedTuple):
 
 
 class Views:
-    """What ``render`` wrote, read as needed; only its first ``worlds`` worlds, or all (0)."""
+    """What ``render`` wrote, read as needed."""
 
-    def __init__(self, folder: Path, worlds: int = 0) -> None:
+    def __init__(self, folder: Path) -> None:
         self.images: U8 = np.load(folder / "images.npy", mmap_mode="r")
         self.depths = np.load(folder / "depth.npy", mmap_mode="r")
         with np.load(folder / "views.npz") as file:
-            end = len(file["world"])
-            if worlds and worlds < file["world"][-1] - file["world"][0] + 1:
-                end = int(np.searchsorted(file["world"], file["world"][0] + worlds))
-            self.world, self.focal, self.overlap = (file[key][:end] for key in ("world", "focal", "overlap"))
+            self.world, self.focal, self.overlap = file["world"], file["focal"], file["overlap"]
         self.pose_count = len(self.world)
         self._first = {int(w): int(np.argmax(self.world == w)) for w in np.unique(self.world)}
 
@@ -88,7 +86,7 @@ class Views:
         self, row: int, flip: bool, width: int, height: int, rng: np.random.Generator
     ) -> tuple[F32, F32]:
         whole_h, whole_w = self.images.shape[1:3]
-        aspect = WIDTH / HEIGHT * float(np.exp(np.clip(rng.normal(0.0, 0.12), -0.3, 0.3)))
+        aspect = _ASPECT * float(np.exp(np.clip(rng.normal(0.0, 0.12), -0.3, 0.3)))
         w = whole_w * float(rng.uniform(0.55, 1.0))
         h = w / aspect
         w, h = w * min(1.0, whole_h / h), min(h, float(whole_h))
@@ -140,6 +138,7 @@ def normalised(picture: U8) -> F32:
 def spoilt(picture: U8, rng: np.random.Generator) -> U8:
     """Another light, lens, sensor and codec."""
     height, width = picture.shape[:2]
+    fine = width / 224  # blur is in pixels of a picture of that width
     # Colours, contrast and level in one matrix: grey + colourful * (c - grey), times gains, about the mean.
     colourful = 0.0 if rng.random() < 0.12 else float(rng.uniform(0.3, 1.2))
     mix = colourful * np.eye(3) + (1 - colourful) * np.tile([0.299, 0.587, 0.114], (3, 1))
@@ -154,14 +153,15 @@ def spoilt(picture: U8, rng: np.random.Generator) -> U8:
         light = cv2.cvtColor(np.exp(cv2.resize(field, (width, height))), cv2.COLOR_GRAY2BGR)
         out = cv2.multiply(out, light, dtype=cv2.CV_8U)
     if rng.random() < 0.4:
-        out = cv2.GaussianBlur(out, (0, 0), float(rng.uniform(0.3, 1.3)))
+        out = cv2.GaussianBlur(out, (0, 0), 0.3 + fine * float(rng.uniform(0.0, 1.0)))
     elif rng.random() < 0.3:
-        out = cv2.filter2D(out, -1, streak(int(rng.integers(3, 8)), float(rng.uniform(0, np.pi))))
+        length = 2 + round(fine * rng.integers(1, 6))
+        out = cv2.filter2D(out, -1, streak(length, float(rng.uniform(0, np.pi))))
     elif rng.random() < 0.3:
         sharper = float(rng.uniform(0.3, 1.5))
         out = cv2.addWeighted(out, 1 + sharper, cv2.GaussianBlur(out, (0, 0), 1.0), -sharper, 0.0)
     y, x = rng.integers(0, _GRAIN.shape[0] - height), rng.integers(0, _GRAIN.shape[1] - width)
-    grain = _GRAIN[y : y + height, x : x + width] * np.float32(rng.uniform(0.0, 8.0))
+    grain = _GRAIN[y : y + height, x : x + width] * np.float32(fine * rng.uniform(0.0, 8.0))
     out = cv2.add(out, grain, dtype=cv2.CV_8U)
     if rng.random() < 0.25:
         quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(25, 90))]

@@ -1,6 +1,6 @@
 """Renders the pictures that prism-nano learns from: simulated worlds, strewn views, exact depth and poses.
 
-    python -m tools.train_nano.render FOLDER [--rooms N] [--loops N] [--first SEED]
+    python -m tools.train_nano.render FOLDER [--rooms N] [--loops N] [--worlds N] [--first SEED]
 
 Worlds are those of ``sim:`` with seeds from 1 000 000 upwards, so no seed that a person types is among
 them; most get new colours, surface by surface. Each world has views in pairs that look at one place, from
@@ -56,19 +56,21 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--rooms", type=int, default=240, help="worlds of one room (default 240)")
     parser.add_argument("--loops", type=int, default=40, help="worlds of eight rooms (default 40)")
+    parser.add_argument("--worlds", type=int, default=0, help="stop after so many worlds (default: all)")
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="seed of the first world")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
-    render(arguments.folder, arguments.rooms, arguments.loops, arguments.first)
+    render(arguments.folder, arguments.rooms, arguments.loops, arguments.worlds, arguments.first)
 
 
-def render(folder: Path, rooms: int, loops: int, first: int) -> None:
+def render(folder: Path, rooms: int, loops: int, worlds: int, first: int) -> None:
     """Writes the three files; the same arguments give the same bytes."""
     folder.mkdir(parents=True, exist_ok=True)
     # Spread evenly, so that any stretch of the files is a fair sample of both kinds.
     kinds = np.zeros(rooms + loops, dtype=bool)
     if loops:
         kinds[np.linspace(0, rooms + loops - 1, loops).astype(int)] = True
+    kinds = kinds[: worlds or None]
     counts = np.where(kinds, LOOP_VIEWS, ROOM_VIEWS)
     total = int(counts.sum())
     images = np.lib.format.open_memmap(folder / "images.npy", "w+", np.uint8, (total, HEIGHT, WIDTH, 3))

@@ -3,13 +3,15 @@
     python -m tools.train_nano.train DATA OUT [--held-out DATA] [--steps N,N] [--seed N] [--threads N]
 
 Two stages, small pictures first: most of what a room looks like is learned there at a third of the price.
-Each has its own one-cycle learning rate. The weights that are kept are an exponential mean over the steps.
+The second goes on where the first ends, down to a learning rate of nothing. The weights that are kept are
+an exponential mean over the steps.
 """
 
 from __future__ import annotations
 
 import argparse
 import copy
+import math
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -33,8 +35,9 @@ from tools.train_nano.losses import total
 from tools.train_nano.network import HEIGHT, WIDTH, Nano
 from tools.train_nano.pictures import Batch, Views
 
-SIZES = ((128, 96), (WIDTH, HEIGHT))  # of a stage's pictures
-RATES = (3e-3, 1.5e-3)  # largest learning rate of a stage
+SIZES = ((96, 80), (WIDTH, HEIGHT))  # of a stage's pictures
+RATES = ((3e-3, 1.2e-3), (1.2e-3, 1e-5))  # learning rate at a stage's beginning and end
+WARM_UP = 200  # steps of the first stage
 KEEP = 0.998  # of the running mean, a step
 REPORT, CHECK = 50, 500  # steps between lines, and between checkpoints
 AHEAD = 3  # batches made in advance
@@ -68,9 +71,6 @@ def main() -> None:
     parser.add_argument("out", type=Path, help="folder for checkpoints")
     parser.add_argument("--held-out", type=Path, help="such a folder of other worlds, looked at on the way")
     parser.add_argument("--steps", default="5000,2500", help="of the two stages (default 5000,2500)")
-    parser.add_argument(
-        "--worlds", default="0,0", help="each stage learns from the first so many worlds of DATA; 0: all"
-    )
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--resume", type=Path, metavar="FILE", help="checkpoint of a finished first stage")
@@ -88,9 +88,8 @@ def main() -> None:
         mean.network.load_state_dict(earlier["mean"])
         mean.count = earlier["count"]
     others = Views(arguments.held_out) if arguments.held_out else None
-    worlds = [int(word) for word in arguments.worlds.split(",")]
+    views = Views(arguments.data)
     for stage in range(first, len(steps)):
-        views = Views(arguments.data, worlds[stage])
         run_stage(stage, steps[stage], network, mean, views, others, arguments.seed, arguments.out)
 
 
@@ -109,10 +108,7 @@ def run_stage(
     decayed = [p for p in network.parameters() if p.ndim > 1]
     plain = [p for p in network.parameters() if p.ndim <= 1]
     groups = [{"params": decayed, "weight_decay": 0.02}, {"params": plain, "weight_decay": 0.0}]
-    optimiser = torch.optim.AdamW(groups, lr=RATES[stage])
-    schedule = torch.optim.lr_scheduler.OneCycleLR(
-        optimiser, RATES[stage], total_steps=steps, pct_start=0.1, div_factor=10, final_div_factor=100
-    )
+    optimiser = torch.optim.AdamW(groups)
     console = Console()
     bar = Progress(
         TextColumn(f"stage {stage + 1}, {width}x{height}"),
@@ -137,11 +133,12 @@ def run_stage(
             network.train()
             answer = network(image.contiguous(memory_format=torch.channels_last))
             loss, parts = total(*answer, truth, overlap)
+            for group in optimiser.param_groups:
+                group["lr"] = rate(stage, step, steps)
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
-            torch.nn.utils.clip_grad_norm_(network.parameters(), 2.0)
+            torch.nn.utils.clip_grad_norm_(network.parameters(), 5.0)
             optimiser.step()
-            schedule.step()
             mean.take(network)
             for name, value in parts.items():
                 running[name] = running.get(name, value) * 0.98 + value * 0.02
@@ -154,6 +151,13 @@ def run_stage(
                 if others is not None:
                     words = judge(mean.network, others, width, height).words()
                     console.print(f"  held out: {words}", soft_wrap=True)
+
+
+def rate(stage: int, step: int, steps: int) -> float:
+    """Learning rate: up in a straight line at the very beginning, then down along cosines."""
+    first, last = RATES[stage]
+    cosine = last + (first - last) * 0.5 * (1.0 + math.cos(math.pi * step / steps))
+    return cosine * (min(1.0, (step + 1) / WARM_UP) if stage == 0 else 1.0)
 
 
 def save(network: Nano, mean: Mean, path: Path) -> None:
