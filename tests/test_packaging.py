@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import importlib
+import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -68,3 +71,34 @@ def test_python_that_is_named_is_taken() -> None:
         text=True,
     )
     assert found.stdout == f"{sys.executable}\n"
+
+
+def test_the_installed_package_plays_the_demo_from_an_empty_folder(tmp_path: Path) -> None:
+    """Built without its tests, tools and checkout, it brings a network and a world, and needs no cache."""
+    source, built, empty = tmp_path / "source", tmp_path / "built", tmp_path / "empty"
+    skip = shutil.ignore_patterns("__pycache__")
+    for name in ("prism_edge", "models"):
+        shutil.copytree(CHECKOUT / name, source / name, ignore=skip)
+    for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(CHECKOUT / name, source / name)
+    build = [sys.executable, "setup.py", "-q", "build", "--build-base", str(tmp_path / "work")]
+    subprocess.run([*build, "--build-lib", str(built)], cwd=source, check=True, timeout=120)
+    shutil.rmtree(source)
+    empty.mkdir()
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(built),
+        "HOME": str(empty),
+        "XDG_CACHE_HOME": str(empty / "cache"),
+        "PRISM_EDGE_MODELS": "",
+    }
+    where = [sys.executable, "-c", "import prism_edge.depth as d; print(d.locate('prism_nano'))"]
+    found = subprocess.run(where, cwd=empty, env=environment, capture_output=True, text=True, check=True)
+    assert Path(found.stdout.strip()).is_relative_to(built)
+    walk = "sim:room?seed=3&frames=45&width=320&height=240"
+    demo = [sys.executable, "-m", "prism_edge.cli", "demo", walk, "--lockstep"]
+    played = subprocess.run(demo, cwd=empty, env=environment, capture_output=True, text=True, timeout=120)
+    assert played.returncode == 0, played.stderr
+    report = json.loads((empty / "prism-edge-demo" / "metrics.json").read_text())
+    assert report["tracked"] > 30
+    assert (empty / "prism-edge-demo" / "path.png").is_file()

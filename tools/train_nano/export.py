@@ -22,8 +22,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard
 from tools.train_nano.judge import Verdict, judge
-from tools.train_nano.network import CANONICAL_FOCAL, HEIGHT, MEAN, STD, WIDTH, Exported, Nano
+from tools.train_nano.network import Exported, Nano
 from tools.train_nano.pictures import Views
+from tools.train_nano.ruler import CANONICAL_FOCAL, HEIGHT, MEAN, STD, WIDTH
 
 TOLERANCE = 1e-3  # largest relative difference from PyTorch
 LEAST_BIAS = 0.05  # simulated rooms are more alike than real ones: never claim less

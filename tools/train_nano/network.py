@@ -1,6 +1,6 @@
 """prism-nano: inverted residuals down to a 32nd of the picture, a light decoder back to half of it.
 
-Three answers from one pass: depth (focal-normalised: metres = depth * f / CANONICAL_FOCAL), the confidence
+Three answers from one pass: depth (focal-normalised: metres = depth * f / ruler.CANONICAL_FOCAL), confidence
 of each depth, and a descriptor of the place. Widths are MobileNet-like; everything is convolution, batch
 normalisation and ReLU, which any runtime does fast.
 """
@@ -13,10 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-WIDTH, HEIGHT = 160, 128  # of the input
-CANONICAL_FOCAL = 135.0  # pixels of the input: what 640x480 with 525 pixels of focal length shrinks to
 DESCRIPTOR = 128
-MEAN, STD = (0.45, 0.45, 0.45), (0.25, 0.25, 0.25)
 _PLACES_PULL = 0.05
 _LEAST_ERROR, _LARGEST_ERROR = 0.005, 1.0  # bounds of the predicted mean error of log depth
 
@@ -77,22 +74,22 @@ class Context(nn.Module):
 
 
 class Place(nn.Module):
-    """Descriptor (n, DESCRIPTOR) of unit length from maps of features: generalised means, then linear."""
+    """Descriptor (n, DESCRIPTOR) of unit length from maps of features: means of quarters, then linear."""
 
     def __init__(self, *widths: int) -> None:
         super().__init__()
         self.widen = nn.ModuleList(convolution(width, 2 * width) for width in widths)
         # Without its mean over pictures: what all have in common tells no place from another.
-        self.centre = nn.BatchNorm1d(2 * sum(widths), affine=False)
-        self.turn = nn.Linear(2 * sum(widths), DESCRIPTOR, bias=False)
+        self.centre = nn.BatchNorm1d(8 * sum(widths), affine=False)
+        self.turn = nn.Linear(8 * sum(widths), DESCRIPTOR, bias=False)
 
     def forward(self, maps: Sequence[Tensor]) -> Tensor:
         pooled = []
         for widen, x in zip(self.widen, maps, strict=True):
             if self.training:  # depth comes first: places pull at what both share with little force
                 x = x.detach() + _PLACES_PULL * (x - x.detach())
-            # Power 3: strong answers count, wherever they are.
-            pooled.append((widen(x).clamp(min=1e-3) ** 3).mean(dim=(2, 3)) ** (1.0 / 3.0))
+            # Where in a picture something is tells as much of a place as what it is.
+            pooled.append(F.adaptive_avg_pool2d(widen(x), 2).flatten(1))
         y: Tensor = self.turn(self.centre(torch.cat(pooled, dim=1)))
         return y / (y.square().sum(dim=1, keepdim=True) + 1e-12).sqrt()
 
@@ -117,7 +114,7 @@ class Nano(nn.Module):
         self.head = nn.Sequential(convolution(24, 24, 3), nn.Conv2d(24, 8, 1))
         with torch.no_grad():  # begin at 2.5 m and 20 %
             self.head[-1].bias.copy_(torch.tensor([0.9] * 4 + [-1.6] * 4))
-        self.place = Place(40, 96, 160)
+        self.place = Place(40, 96)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Log depth (n, 1, h/2, w/2), log of its expected error likewise, descriptor (n, DESCRIPTOR).
@@ -131,7 +128,7 @@ class Nano(nn.Module):
         fine = self.merge4(self.merge8(self.merge16(coarsest, sixteenth), eighth), quarter)
         both = F.pixel_shuffle(self.head(fine), 2)
         error = both[:, 1:].clamp(_LOG_LEAST, _LOG_LARGEST)
-        return both[:, :1], error, self.place((eighth, sixteenth, coarsest))
+        return both[:, :1], error, self.place((eighth, sixteenth))
 
 
 class Exported(nn.Module):

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tools.train_nano.network import CANONICAL_FOCAL, HEIGHT, MEAN, STD, WIDTH
+from tools.train_nano.ruler import CANONICAL_FOCAL, HEIGHT, MEAN, STD, WIDTH
 
 U8 = NDArray[np.uint8]
 F32 = NDArray[np.float32]

@@ -32,8 +32,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tools.train_nano.judge import judge
 from tools.train_nano.losses import total
-from tools.train_nano.network import HEIGHT, WIDTH, Nano
+from tools.train_nano.network import Nano
 from tools.train_nano.pictures import Batch, Views
+from tools.train_nano.ruler import HEIGHT, WIDTH
 
 SIZES = ((96, 80), (WIDTH, HEIGHT))  # of a stage's pictures
 RATES = ((3e-3, 1.2e-3), (1.2e-3, 1e-5))  # learning rate at a stage's beginning and end

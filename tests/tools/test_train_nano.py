@@ -1,0 +1,98 @@
+"""What the bundled network learns from: poses, overlap and metres of its pictures, without training it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.poses import from_rt
+from prism_edge.sources.sim.floorplan import make_plan
+from tools.train_nano import pictures
+from tools.train_nano.pictures import Views, spoilt
+from tools.train_nano.render import HEIGHT, HELD_OUT_SEED, WIDTH, overlaps, pair, render
+from tools.train_nano.ruler import CANONICAL_FOCAL
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One rendered world of one room."""
+    out = tmp_path_factory.mktemp("rendered")
+    render(out, rooms=1, loops=0, worlds=0, first=HELD_OUT_SEED + 77)
+    return out
+
+
+def test_worlds_come_out_the_same_again(folder: Path, tmp_path: Path) -> None:
+    render(tmp_path, rooms=3, loops=0, worlds=1, first=HELD_OUT_SEED + 77)
+    for name in ("images.npy", "depth.npy"):
+        assert np.array_equal(np.load(folder / name), np.load(tmp_path / name))
+
+
+def test_views_of_a_pair_show_one_place_from_free_ground() -> None:
+    plan, rng = make_plan(False, 5), np.random.default_rng(0)
+    for _ in range(20):
+        first, second = pair(plan, rng)
+        for pose in (first, second):
+            assert np.all(pose[:2, 3] >= plan.zone[0] - 0.21)
+            assert np.all(pose[:2, 3] <= plan.zone[1] + 0.21)
+        assert np.linalg.norm(first[:3, 3] - second[:3, 3]) < 1.5
+
+
+def wall(metres: float) -> np.ndarray:
+    return np.full((HEIGHT // 2, WIDTH // 2), metres, np.float16)
+
+
+def test_overlap_of_a_wall_seen_from_two_places_is_the_share_in_common() -> None:
+    """A wall 2 m ahead, focal length 160: the picture spans 4 m, so a step of 1 m aside leaves 3 / 4."""
+    aside = from_rt(np.eye(3), np.array([1.0, 0.0, 0.0]))
+    shared = overlaps(np.stack([wall(2.0), wall(2.0)]), np.stack([np.eye(4), aside]), np.full(2, 160.0))
+    assert np.diag(shared) == pytest.approx([1.0, 1.0])
+    assert shared[0, 1] == pytest.approx(0.75, abs=0.07)
+    assert shared[1, 0] == pytest.approx(0.75, abs=0.07)
+
+
+def test_what_is_hidden_is_not_seen_in_common() -> None:
+    shared = overlaps(np.stack([wall(2.0), wall(1.0)]), np.stack([np.eye(4)] * 2), np.full(2, 160.0))
+    assert shared[0, 1] == shared[1, 0] == 0.0
+
+
+@pytest.mark.parametrize("part", [(0.0, 0.0, 320.0, 240.0), (60.0, 30.0, 200.0, 180.0), (10.0, 90.0, 240.0, 80.0)])
+@pytest.mark.parametrize("size", [(96, 80), (160, 128)])
+def test_metres_follow_from_output_and_focal_length_of_any_part_at_any_size(folder: Path, part, size) -> None:
+    """The contract's rule, metres = output * f / f0, f0 in proportion to the size, against stored depth."""
+    views, row = Views(folder), 4
+    x, y, w, h = part
+    _, output = views._cut(row, part, *size)
+    f = views.focal[row] * np.sqrt(size[0] / w * size[1] / h)
+    f0 = CANONICAL_FOCAL * np.sqrt(size[0] * size[1] / (160 * 128))
+    metres = output * f / f0
+    stored = np.asarray(views.depths[row], np.float32)
+    rows, columns = (np.arange(n) + 0.5 for n in output.shape)
+    at_y = np.rint((y + rows * h / output.shape[0]) / 2 - 0.5).astype(int)
+    at_x = np.rint((x + columns * w / output.shape[1]) / 2 - 0.5).astype(int)
+    expected = stored[np.clip(at_y, 0, 119)[:, None], np.clip(at_x, 0, 159)[None]]
+    agree = np.abs(metres / expected - 1) < 0.03
+    assert agree.mean() > 0.97  # all but where rounding goes to the other side of an edge
+
+
+def test_batches_hold_whole_pairs_and_are_the_same_again(folder: Path, monkeypatch) -> None:
+    monkeypatch.setattr(pictures, "WORLDS", 1)
+    views = Views(folder)
+    first, again, other = (views.batch(96, 80, 7, step) for step in (0, 0, 1))
+    assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
+    assert not np.array_equal(first.image, other.image)
+    assert first.image.shape == (8, 3, 80, 96)
+    assert first.depth.shape == (8, 40, 48)
+    assert np.array_equal(first.overlap, first.overlap.T)
+    assert np.median(first.overlap[np.arange(0, 8, 2), np.arange(1, 8, 2)]) > 0.4
+
+
+def test_spoiling_keeps_a_picture_a_picture() -> None:
+    rng = np.random.default_rng(1)
+    clean = np.repeat(np.linspace(0, 255, 96, dtype=np.uint8)[None, :, None], 80, axis=0).repeat(3, axis=2)
+    for _ in range(60):
+        out = spoilt(clean, rng)
+        assert out.shape == clean.shape
+        assert out.dtype == np.uint8
+        assert np.corrcoef(out.astype(float).mean(axis=(0, 2)), clean[0, :, 0].astype(float))[0, 1] > 0.4
