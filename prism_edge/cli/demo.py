@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import threading
 import time
@@ -50,7 +51,12 @@ def run(args: argparse.Namespace) -> int:
     config = config_from(args)
     if not is_simulated(config.source.uri):
         raise SourceError(f"{config.source.uri}: the demo plays simulated worlds; use `prism-edge eval`")
-    report = play(config, args.out)
+    # SystemExit passes through the blocks that end the daemon.
+    before = signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    try:
+        report = play(config, args.out)
+    finally:
+        signal.signal(signal.SIGTERM, before)
     sum_up(report, args.out, draw(config.source.uri, args.out, report))
     return 0
 

@@ -57,15 +57,18 @@ def test_what_is_hidden_is_not_seen_in_common() -> None:
     assert shared[0, 1] == shared[1, 0] == 0.0
 
 
-@pytest.mark.parametrize("part", [(0.0, 0.0, 320.0, 240.0), (60.0, 30.0, 200.0, 180.0), (10.0, 90.0, 240.0, 80.0)])
-@pytest.mark.parametrize("size", [(96, 80), (160, 128)])
+PARTS = [(0.0, 0.0, 320.0, 240.0), (60.0, 30.0, 200.0, 180.0), (10.0, 90.0, 240.0, 80.0)]
+
+
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("size", [(96, 80), (128, 96)])
 def test_metres_follow_from_output_and_focal_length_of_any_part_at_any_size(folder: Path, part, size) -> None:
     """The contract's rule, metres = output * f / f0, f0 in proportion to the size, against stored depth."""
     views, row = Views(folder), 4
     x, y, w, h = part
     _, output = views._cut(row, part, *size)
     f = views.focal[row] * np.sqrt(size[0] / w * size[1] / h)
-    f0 = CANONICAL_FOCAL * np.sqrt(size[0] * size[1] / (160 * 128))
+    f0 = CANONICAL_FOCAL * np.sqrt(size[0] * size[1] / (128 * 96))
     metres = output * f / f0
     stored = np.asarray(views.depths[row], np.float32)
     rows, columns = (np.arange(n) + 0.5 for n in output.shape)

@@ -76,7 +76,7 @@ def card(verdict: Verdict, revision: str) -> ModelCard:
 
 
 def write(network: Nano, views: Views, described: ModelCard, file: Path) -> None:
-    """Exports and compares; raises SystemExit, and leaves no file, where the answers differ."""
+    """Exports and compares. Raises SystemExit, and leaves no file, where the answers differ."""
     part = file.with_suffix(".part")
     example = torch.zeros(1, 3, HEIGHT, WIDTH)
     exported = Exported(network.to(memory_format=torch.contiguous_format)).eval()
@@ -84,6 +84,12 @@ def write(network: Nano, views: Views, described: ModelCard, file: Path) -> None
         exported, (example,), str(part), input_names=["image"], output_names=list(OUTPUTS), dynamo=False
     )
     model = onnx.load(str(part))
+    used = {name for node in model.graph.node for name in node.input}
+    kept = [weights for weights in model.graph.initializer if weights.name in used]
+    del model.graph.initializer[:]
+    model.graph.initializer.extend(kept)
+    for node in model.graph.node:
+        node.ClearField("doc_string")
     for key, value in described.to_metadata().items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, value

@@ -1,10 +1,11 @@
 """Trains prism-nano on rendered views; a checkpoint of each stage is kept up to date as it goes.
 
-    python -m tools.train_nano.train DATA OUT [--held-out DATA] [--steps N,N] [--seed N] [--threads N]
+    python -m tools.train_nano.train DATA OUT [--held-out DATA] [--steps N,N,N] [--seed N] [--threads N]
 
-Two stages, small pictures first: most of what a room looks like is learned there at a third of the price.
-The second goes on where the first ends, down to a learning rate of nothing. The weights that are kept are
-an exponential mean over the steps.
+Three stages. Small pictures come first: most of what a room looks like is learned there at half the price.
+Then pictures of the network's own size, and at last the learning rate goes down to nothing. As it is
+constant in the second stage, that can be stopped at any checkpoint as if it had been asked for no more
+steps. The weights that are kept are an exponential mean over the steps.
 """
 
 from __future__ import annotations
@@ -36,11 +37,11 @@ from tools.train_nano.network import Nano
 from tools.train_nano.pictures import Batch, Views
 from tools.train_nano.ruler import HEIGHT, WIDTH
 
-SIZES = ((96, 80), (WIDTH, HEIGHT))  # of a stage's pictures
-RATES = ((3e-3, 1.2e-3), (1.2e-3, 1e-5))  # learning rate at a stage's beginning and end
+SIZES = ((96, 80), (WIDTH, HEIGHT), (WIDTH, HEIGHT))  # of a stage's pictures
+RATES = ((3e-3, 1.2e-3), (1.2e-3, 1.2e-3), (1.2e-3, 1e-5))  # learning rate at a stage's beginning and end
 WARM_UP = 200  # steps of the first stage
 KEEP = 0.998  # of the running mean, a step
-REPORT, CHECK = 50, 500  # steps between lines, and between checkpoints
+REPORT, CHECK = 50, 250  # steps between lines, and between checkpoints
 AHEAD = 3  # batches made in advance
 
 
@@ -71,10 +72,10 @@ def main() -> None:
     parser.add_argument("data", type=Path, help="folder that tools.train_nano.render wrote")
     parser.add_argument("out", type=Path, help="folder for checkpoints")
     parser.add_argument("--held-out", type=Path, help="such a folder of other worlds, looked at on the way")
-    parser.add_argument("--steps", default="5000,2500", help="of the two stages (default 5000,2500)")
+    parser.add_argument("--steps", default="2500,2500,1000", help="of the stages (default 2500,2500,1000)")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--resume", type=Path, metavar="FILE", help="checkpoint of a finished first stage")
+    parser.add_argument("--resume", type=Path, metavar="FILE", help="checkpoint of a finished stage")
     arguments = parser.parse_args()
     torch.manual_seed(arguments.seed)
     torch.set_num_threads(arguments.threads)
@@ -84,7 +85,8 @@ def main() -> None:
     network, first = Nano().to(memory_format=torch.channels_last), 0
     mean = Mean(network)
     if arguments.resume:
-        earlier, first = torch.load(arguments.resume, weights_only=True), 1
+        earlier = torch.load(arguments.resume, weights_only=True)
+        first = earlier["stage"] + 1
         network.load_state_dict(earlier["network"])
         mean.network.load_state_dict(earlier["mean"])
         mean.count = earlier["count"]
@@ -148,7 +150,7 @@ def run_stage(
             if (step + 1) % REPORT == 0:
                 console.print(f"stage {stage + 1} step {step + 1}: {text}", soft_wrap=True)
             if (step + 1) % CHECK == 0 or step + 1 == steps:
-                save(network, mean, out / f"stage{stage + 1}.pt")
+                save(network, mean, stage, out / f"stage{stage + 1}.pt")
                 if others is not None:
                     words = judge(mean.network, others, width, height).words()
                     console.print(f"  held out: {words}", soft_wrap=True)
@@ -161,11 +163,11 @@ def rate(stage: int, step: int, steps: int) -> float:
     return cosine * (min(1.0, (step + 1) / WARM_UP) if stage == 0 else 1.0)
 
 
-def save(network: Nano, mean: Mean, path: Path) -> None:
+def save(network: Nano, mean: Mean, stage: int, path: Path) -> None:
     """Writes a checkpoint; what was there stays until the new one is whole."""
     temporary = path.with_suffix(".part")
-    state = {"network": network.state_dict(), "mean": mean.network.state_dict(), "count": mean.count}
-    torch.save(state, temporary)
+    weights = {"network": network.state_dict(), "mean": mean.network.state_dict()}
+    torch.save({**weights, "count": mean.count, "stage": stage}, temporary)
     temporary.replace(path)
 
 
