@@ -73,6 +73,7 @@ def main() -> None:
     parser.add_argument("out", type=Path, help="folder for checkpoints")
     parser.add_argument("--held-out", type=Path, help="such a folder of other worlds, looked at on the way")
     parser.add_argument("--steps", default="2500,2500,1000", help="of the stages (default 2500,2500,1000)")
+    parser.add_argument("--stop", type=int, default=0, help="end the last stage after so many of its steps")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--resume", type=Path, metavar="FILE", help="checkpoint of a finished stage")
@@ -93,12 +94,14 @@ def main() -> None:
     others = Views(arguments.held_out) if arguments.held_out else None
     views = Views(arguments.data)
     for stage in range(first, len(steps)):
-        run_stage(stage, steps[stage], network, mean, views, others, arguments.seed, arguments.out)
+        stop = arguments.stop if stage + 1 == len(steps) and arguments.stop else steps[stage]
+        run_stage(stage, steps[stage], stop, network, mean, views, others, arguments.seed, arguments.out)
 
 
 def run_stage(
     stage: int,
     steps: int,
+    stop: int,
     network: Nano,
     mean: Mean,
     views: Views,
@@ -106,7 +109,7 @@ def run_stage(
     seed: int,
     out: Path,
 ) -> None:
-    """One stage of training; ``mean`` is what counts afterwards."""
+    """One stage of ``steps`` steps, or its first ``stop``; ``mean`` is what counts afterwards."""
     width, height = SIZES[stage]
     decayed = [p for p in network.parameters() if p.ndim > 1]
     plain = [p for p in network.parameters() if p.ndim <= 1]
@@ -128,7 +131,7 @@ def run_stage(
             pool.submit(views.batch, width, height, seed, stage, step) for step in range(min(AHEAD, steps))
         ]
         running: dict[str, float] = {}
-        for step in range(steps):
+        for step in range(stop):
             batch = coming.pop(0).result()
             if step + AHEAD < steps:
                 coming.append(pool.submit(views.batch, width, height, seed, stage, step + AHEAD))
@@ -149,7 +152,7 @@ def run_stage(
             bar.update(task, advance=1, loss=text)
             if (step + 1) % REPORT == 0:
                 console.print(f"stage {stage + 1} step {step + 1}: {text}", soft_wrap=True)
-            if (step + 1) % CHECK == 0 or step + 1 == steps:
+            if (step + 1) % CHECK == 0 or step + 1 == stop:
                 save(network, mean, stage, out / f"stage{stage + 1}.pt")
                 if others is not None:
                     words = judge(mean.network, others, width, height).words()
