@@ -1,0 +1,146 @@
+"""The benchmark's tables, over an evaluation that only pretends."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from tools import benchmark
+from tools.published_figures import published
+
+
+def layout(folder: Path, kind: str) -> Path:
+    """As little of a dataset as is needed for it to be recognised."""
+    folder.mkdir(parents=True)
+    if kind == "tum":
+        (folder / "rgb").mkdir()
+        (folder / "rgb" / "1.0.png").write_bytes(b"")
+        (folder / "rgb.txt").write_text("1.0 rgb/1.0.png\n")
+    elif kind == "scenes":
+        (folder / "frame-000000.color.png").write_bytes(b"")
+    elif kind == "kitti":
+        (folder / "image_2").mkdir()
+        (folder / "image_2" / "000000.png").write_bytes(b"")
+        (folder / "calib.txt").write_text("P2: 1 0 0 0 0 1 0 0 0 0 1 0\n")
+        (folder / "times.txt").write_text("0.0\n")
+    return folder
+
+
+@pytest.fixture
+def ran(monkeypatch) -> list[list[str]]:
+    """What `eval` is given; it finds errors of (seed + 1) cm, and no image in a folder called `broken`."""
+    given: list[list[str]] = []
+
+    def evaluate(words: list[str]) -> int:
+        given.append(words)
+        option = {w: words[i + 1] for i, w in enumerate(words[:-1]) if w.startswith("--")}
+        if "broken" in words[1]:
+            print("prism-edge: error: there is no | image", file=sys.stderr)
+            return 4
+        metres = 0.01 * (int(option["--seed"]) + 1)
+        errors = {"ate_sim3_m": metres, "ate_se3_m": 2 * metres, "t_rel_percent": 1.5}
+        report = {
+            "coverage": 0.5,
+            "live": errors,
+            "final": {**errors, "ate_se3_m": None},
+            "violations": [],
+            "config": {
+                "source": {"uri": words[1], "camera": ""},
+                "depth": {"model": option["--model"]},
+                "mode": "lockstep" if "--lockstep" in words else "realtime",
+                "seed": int(option["--seed"]),
+            },
+        }
+        Path(option["--out"]).mkdir(parents=True, exist_ok=True)
+        (Path(option["--out"]) / "metrics.json").write_text(json.dumps(report))
+        return 0
+
+    monkeypatch.setattr(benchmark, "prism_edge", evaluate)
+    return given
+
+
+def row(output: str, name: str) -> list[str]:
+    found = [line for line in output.splitlines() if line.startswith("|") and name in line]
+    assert len(found) == 1
+    return [cell.strip() for cell in found[0].strip("|").split("|")]
+
+
+def test_ours_and_the_papers_figures_are_side_by_side_and_labelled(tmp_path: Path, ran, capsys):
+    folders = [
+        layout(tmp_path / "tum" / "rgbd_dataset_freiburg1_xyz", "tum"),
+        layout(tmp_path / "bonn" / "rgbd_bonn_balloon2", "tum"),
+        layout(tmp_path / "7scenes_redkitchen" / "seq-01", "scenes"),
+        layout(tmp_path / "sequences" / "03", "kitti"),
+        layout(tmp_path / "mine" / "desk", "tum"),
+    ]
+    words = [*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--runs", "3"]
+    assert benchmark.main(words) == 0
+    out, err = capsys.readouterr()
+    assert len(ran) == 15
+    # Medians of three runs: 2 cm; the paper's in the columns that say so.
+    ours = ["0.500", "2.0 / 4.0", "2.0 / -", "1.50"]
+    first = "tum/rgbd_dataset_freiburg1_xyz (fr1/xyz)"
+    assert row(out, "freiburg1_xyz") == [first, *ours, "2.86 / 3.04", "-"]
+    assert row(out, "balloon2")[-2:] == ["14 / 17.7", "-"]
+    assert row(out, "seq-01")[-2:] == ["3.6 / 12.1", "-"]
+    metres = ["sequences/03 (seq 03)", "0.500", "0.0 / 0.0", "0.0 / -", "1.50", "- / 4.3", "2.29"]
+    assert row(out, "sequences/03") == metres
+    assert row(out, "desk")[-2:] == ["-", "-"]
+    assert "### BONN Dynamic" in out
+    assert out.count("*paper*: ATE") == 4
+    assert "not measured here" in out
+    assert "[5/5]" in err
+
+
+def test_a_folder_that_fails_has_the_reason_in_its_line_and_the_others_go_on(tmp_path: Path, ran, capsys):
+    folders = [tmp_path / "broken", layout(tmp_path / "desk", "tum")]
+    words = [*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--lockstep"]
+    assert benchmark.main(words) == 1
+    out = capsys.readouterr().out
+    assert row(out, "broken")[1] == "failed: there is no / image"
+    assert row(out, "desk")[1] == "0.500"
+    assert all("--lockstep" in words for words in ran)
+
+
+def test_a_finished_run_with_the_same_settings_is_not_repeated(tmp_path: Path, ran, capsys):
+    folder = layout(tmp_path / "desk", "tum")
+    words = [str(folder), "--out", str(tmp_path / "out"), "--model"]
+    assert benchmark.main([*words, "net.onnx"]) == 0
+    assert benchmark.main([*words, "net.onnx"]) == 0
+    assert len(ran) == 1
+    assert benchmark.main([*words, "other.onnx"]) == 0
+    assert len(ran) == 2
+    assert benchmark.main([*words, "other.onnx", "--lockstep"]) == 0
+    assert len(ran) == 3
+    (metrics,) = (tmp_path / "out").glob("*realtime*/metrics.json")
+    metrics.write_text('{"config": ')  # cut off in the middle
+    assert benchmark.main([*words, "other.onnx"]) == 0
+    assert len(ran) == 4
+
+
+def test_folders_that_would_share_a_place_are_refused(tmp_path: Path, ran, capsys):
+    folders = [tmp_path / n / "a" / "b" / "c" for n in "xy"]
+    with pytest.raises(SystemExit):
+        benchmark.main([*map(str, folders), "--model", "net.onnx"])
+    assert "end alike" in capsys.readouterr().err
+    assert not ran
+
+
+@pytest.mark.parametrize(
+    ("dataset", "folder", "expected"),
+    [
+        ("BONN Dynamic", "rgbd_bonn_balloon", 9.8),
+        ("BONN Dynamic", "rgbd_bonn_balloon_tracking2", None),
+        ("TUM RGB-D", "rgbd_dataset_freiburg3_walking_xyz", 23.2),
+        ("TUM RGB-D", "rgbd_dataset_freiburg3_walking_xyz_validation", None),
+        ("7-Scenes", "office/seq-03", 11.7),
+        ("7-Scenes", "chess", 7.1),
+        ("KITTI odometry", "office/seq-03", None),
+    ],
+)
+def test_a_figure_of_the_paper_goes_with_its_sequence_alone(dataset, folder, expected):
+    found = published(dataset, Path("/data") / folder)
+    assert (found.sim3_cm if found else None) == expected

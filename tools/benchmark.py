@@ -1,0 +1,220 @@
+#!/usr/bin/env python3
+"""Runs dataset folders through `prism-edge eval`; result tables in Markdown beside the paper's figures.
+
+    python tools/benchmark.py FOLDER... --model MODEL [--lockstep] [--runs N] [--camera FILE] [--out DIR]
+
+FOLDER is any TUM RGB-D, BONN, 7-Scenes or KITTI odometry sequence. Each is played N times (default 1; medians
+count), in real time or lockstep; run n has seed n - 1. Files go to DIR/<folder>-<mode>-<n> (default:
+build/benchmark), and a run that is finished there with the same settings is not repeated: stop it when you
+like, and go on later. A folder that fails has the reason in its line, and the others go on. Tables go to
+stdout, all else to stderr. Exit code 1: a folder has failed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import sys
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+if str(ROOT) not in sys.path:  # run from a checkout
+    sys.path.insert(0, str(ROOT))
+
+from prism_edge.cli.main import main as prism_edge  # noqa: E402
+from prism_edge.errors import PrismError  # noqa: E402
+from prism_edge.sources.open import find_listing  # noqa: E402
+from tools.accuracy import at  # noqa: E402
+from tools.published_figures import NOTES, dataset_of, published  # noqa: E402
+
+Metrics = dict[str, Any]
+OTHER = "Other folders"
+
+
+@dataclass
+class Row:
+    """One folder: what it holds, and what came of it."""
+
+    folder: Path
+    dataset: str
+    runs: list[Metrics] = field(default_factory=list)
+    failure: str = ""
+
+
+class _Overheard(io.StringIO):
+    """Passes everything on to stderr, and keeps it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._out = sys.stderr
+
+    def write(self, text: str) -> int:
+        self._out.write(text)
+        return super().write(text)
+
+    def flush(self) -> None:
+        self._out.flush()
+
+    def isatty(self) -> bool:
+        return self._out.isatty()
+
+    def last_line(self) -> str:
+        """The last line that says something."""
+        lines = [line.strip() for line in self.getvalue().splitlines() if line.strip()]
+        return lines[-1].removeprefix("prism-edge: error: ") if lines else ""
+
+
+def row_of(folder: Path) -> Row:
+    """What a folder holds, as far as that can be seen without playing it."""
+    try:
+        return Row(folder, dataset_of(find_listing(folder).layout, folder))
+    except (PrismError, OSError):
+        return Row(folder, OTHER)  # `eval` says why when it is played
+
+
+def place(out: Path, folder: Path, mode: str, run: int) -> Path:
+    """Where a run's files are."""
+    name = "_".join(part for part in folder.parts[-3:] if part != folder.anchor)
+    return out / f"{name}-{mode}-{run}"
+
+
+def finished(where: Path, folder: Path, args: argparse.Namespace, seed: int) -> Metrics | None:
+    """The metrics of a run that is there and was made with these settings; None: it is to be played."""
+    try:
+        metrics: Metrics = json.loads((where / "metrics.json").read_text())
+        made = metrics["config"]
+        same = (
+            made["source"]["uri"] == str(folder)
+            and made["source"]["camera"] == (args.camera or "")
+            and made["depth"]["model"] == args.model
+            and made["mode"] == args.mode
+            and made["seed"] == seed
+        )
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return metrics if same and not metrics.get("violations") else None
+
+
+def play(row: Row, args: argparse.Namespace, run: int) -> int:
+    """One run into its row, or why there is none; returns `eval`'s exit code."""
+    where, seed = place(args.out, row.folder, args.mode, run), run - 1
+    metrics = finished(where, row.folder, args, seed)
+    if metrics is None:
+        words = ["eval", str(row.folder), "--model", args.model, "--out", str(where), "--seed", str(seed)]
+        words += ["--camera", args.camera] if args.camera else []
+        words += ["--lockstep"] if args.mode == "lockstep" else []
+        heard = _Overheard()
+        with redirect_stderr(heard), redirect_stdout(heard):
+            code = prism_edge(words)
+        if code:
+            row.failure = heard.last_line() or f"eval ended with code {code}"
+            return code
+        metrics = json.loads((where / "metrics.json").read_text())
+    row.runs.append(metrics)
+    return 0
+
+
+def _figure(row: Row, figure: Callable[[Metrics], float | None], digits: str = ".1f") -> str:
+    """Median over a row's runs; a dash unless all of them have the figure."""
+    known = [value for value in map(figure, row.runs) if value is not None]
+    return format(median(known), digits) if known and len(known) == len(row.runs) else "-"
+
+
+def _both(row: Row, which: str, factor: float) -> str:
+    return " / ".join(_figure(row, at(which, key, factor=factor)) for key in ("ate_sim3_m", "ate_se3_m"))
+
+
+def _number(value: float | None, factor: float = 1.0) -> str:
+    return "-" if value is None else f"{factor * value:g}"
+
+
+def line(row: Row) -> str:
+    """A folder's line in its dataset's table."""
+    paper = published(row.dataset, row.folder)
+    name = str(Path(*row.folder.parts[-2:]))
+    name += f" ({paper.sequence})" if paper else ""
+    outdoors = row.dataset.startswith("KITTI")
+    factor, paper_factor = (1.0, 0.01) if outdoors else (100.0, 1.0)
+    printed = (paper.sim3_cm, paper.se3_cm) if paper else ()
+    ate = " / ".join(_number(value, paper_factor) for value in printed) or "-"
+    cells = [name]
+    if row.failure:
+        cells += [f"failed: {row.failure.replace('|', '/')}", "", "", ""]
+    else:
+        cells += [
+            _figure(row, at("coverage"), ".3f"),
+            _both(row, "live", factor),
+            _both(row, "final", factor),
+            _figure(row, at("live", "t_rel_percent"), ".2f"),
+        ]
+    cells += [ate, _number(paper.t_rel_percent) if paper else "-"]
+    return f"| {' | '.join(cells)} |"
+
+
+def tables(rows: list[Row], args: argparse.Namespace) -> str:
+    """A table for each dataset, in the order in which they were given."""
+    mode = "lockstep" if args.mode == "lockstep" else "real time"
+    parts = [
+        f"`prism_edge` with {Path(args.model).name}, {mode}, {args.runs} run(s) each (medians). ATE RMSE: "
+        "Sim(3) / SE(3). The columns marked *paper* are what the PRISM-SLAM paper prints for its own system "
+        "with DA3 on a GPU; they were not measured here, and it doesn't say whether they are live or final."
+    ]
+    for dataset in dict.fromkeys(row.dataset for row in rows):
+        unit = "m" if dataset.startswith("KITTI") else "cm"
+        parts.append(
+            f"### {dataset}\n\n"
+            f"| sequence | coverage | live, {unit} | final, {unit} | live t_rel, % "
+            f"| *paper*: ATE, {unit} | *paper*: t_rel, % |\n|---|---|---|---|---|---|---|\n"
+            + "\n".join(line(row) for row in rows if row.dataset == dataset)
+            + (f"\n\n{NOTES[dataset]}" if dataset in NOTES else "")
+        )
+    return "\n\n".join(parts)
+
+
+def _settings(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folders", metavar="FOLDER", nargs="+", type=Path)
+    parser.add_argument("--model", metavar="MODEL", required=True, help="as for `prism-edge eval`")
+    parser.add_argument("--lockstep", dest="mode", action="store_const", const="lockstep", default="realtime")
+    parser.add_argument("--runs", metavar="N", type=int, choices=range(1, 100), default=1)
+    parser.add_argument("--camera", metavar="FILE", help="camera file of all the folders, or auto")
+    parser.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "build" / "benchmark")
+    args = parser.parse_args(arguments)
+    args.out = args.out.resolve()
+    args.folders = list(dict.fromkeys(folder.expanduser().resolve() for folder in args.folders))
+    places = [place(args.out, folder, args.mode, 1) for folder in args.folders]
+    if len(set(places)) < len(places):
+        parser.error("two folders have names that end alike: run them with different --out")
+    return args
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run, tabulate; returns the exit code."""
+    args = _settings(arguments)
+    rows = [row_of(folder) for folder in args.folders]
+    begun: list[Row] = []
+    for number, row in enumerate(rows, start=1):
+        begun.append(row)
+        code = 0
+        for run in range(1, args.runs + 1):
+            print(f"[{number}/{len(rows)}] {row.folder}, run {run} of {args.runs}", file=sys.stderr)
+            code = play(row, args, run)
+            if code:
+                break
+        if code == 130:  # Ctrl-C
+            row.failure = "interrupted"
+            break
+    print(tables(begun, args), flush=True)
+    return 1 if any(row.failure for row in begun) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
