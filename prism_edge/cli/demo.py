@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
         report = play(config, args.out)
     finally:
         signal.signal(signal.SIGTERM, before)
-    sum_up(report, args.out, draw(config.source.uri, args.out, report))
+    sum_up(report, args.out, draw(config.source.uri, args.out, report), extent_m(config.source.uri))
     return 0
 
 
@@ -127,21 +127,32 @@ def draw(uri: str, out: Path, report: dict[str, Any]) -> Path | None:
     return file
 
 
-def sum_up(report: dict[str, Any], out: Path, picture: Path | None) -> None:
+def extent_m(uri: str) -> float:
+    """The longest side (m) of the box round the true path."""
+    import numpy as np
+
+    from prism_edge.sources.truth import read_truth
+
+    own = read_truth(uri)
+    return 0.0 if own is None else float(np.ptp(own[1][:, :3, 3], axis=0).max())
+
+
+def sum_up(report: dict[str, Any], out: Path, picture: Path | None, extent: float) -> None:
     """The figures that matter, and where the rest is."""
     live, latency, cpu = report["live"], report["latency_ms"], report["cpu_ms_per_frame"]
 
     def number(value: float | None, form: str) -> str:
         return "-" if value is None else form.format(value)
 
-    ratio = live["scale_ratio"]
+    ratio, error = live["scale_ratio"], live["ate_se3_m"]
+    share = f" ({100 * error / extent:.1f} % of the path's {extent:.2f} m)" if error and extent else ""
     rows = [
         ("poses", f"{report['tracked']} of {report['frames']} frames, {report['dropped_frames']} dropped"),
         ("coverage", number(report["coverage"], "{:.3f}")),
         ("rate", number(report["fps"], "{:.1f} Hz")),
         ("latency p50, p99", f"{number(latency['p50'], '{:.1f}')}, {number(latency['p99'], '{:.1f}')} ms"),
         ("CPU, all processes", number(cpu["total"], "{:.1f} ms a frame")),
-        ("position error (ATE)", number(live["ate_se3_m"], "{:.4f} m") + ", metres as published: SE(3)"),
+        ("position error (ATE)", number(error, "{:.4f} m") + f", metres as published: SE(3){share}"),
         ("", number(live["ate_sim3_m"], "{:.4f} m") + ", after correcting the scale: Sim(3)"),
         ("scale error", "-" if ratio is None else f"{100 * abs(1 / ratio - 1):.1f} %"),
         ("ready after", number(report["ready_s"], "{:.2f} s")),
