@@ -12,6 +12,8 @@ import sys
 import tomllib
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from prism_edge import __version__
@@ -99,6 +101,11 @@ def test_the_installed_package_plays_the_demo_from_an_empty_folder(tmp_path: Pat
     demo = [sys.executable, "-m", "prism_edge.cli", "demo", walk, "--lockstep"]
     played = subprocess.run(demo, cwd=empty, env=environment, capture_output=True, text=True, timeout=120)
     assert played.returncode == 0, played.stderr
-    report = json.loads((empty / "prism-edge-demo" / "metrics.json").read_text())
-    assert report["tracked"] > 30
-    assert (empty / "prism-edge-demo" / "path.png").is_file()
+    out = empty / "prism-edge-demo"
+    report = json.loads((out / "metrics.json").read_text())
+    assert report["config"]["depth"]["model"] == "prism_nano"
+    assert report["coverage"] > 0.85
+    assert len(np.loadtxt(out / "live.tum")) == report["tracked"]
+    assert f"{report['tracked']} of 45 frames" in played.stdout
+    assert any(line.startswith("t ") and " m  sigma " in line for line in played.stdout.splitlines())
+    assert cv2.imread(str(out / "path.png")).std() > 5  # something is drawn
