@@ -91,6 +91,11 @@ def test_batches_hold_whole_pairs_and_are_the_same_again(folder: Path, monkeypat
     assert np.median(first.overlap[np.arange(0, 8, 2), np.arange(1, 8, 2)]) > 0.4
 
 
+def test_a_folder_without_views_is_said_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit, match="no rendered views"):
+        Views(tmp_path)
+
+
 def test_spoiling_keeps_a_picture_a_picture() -> None:
     rng = np.random.default_rng(1)
     clean = np.repeat(np.linspace(0, 255, 96, dtype=np.uint8)[None, :, None], 80, axis=0).repeat(3, axis=2)

@@ -35,6 +35,9 @@ class Views:
     """What ``render`` wrote, read as needed."""
 
     def __init__(self, folder: Path) -> None:
+        """Raises SystemExit, in one line, for a folder that holds no rendered views."""
+        if not (folder / "views.npz").is_file():
+            raise SystemExit(f"{folder}: no rendered views there; tools.train_nano.render makes them")
         self.images: U8 = np.load(folder / "images.npy", mmap_mode="r")
         self.depths = np.load(folder / "depth.npy", mmap_mode="r")
         with np.load(folder / "views.npz") as file:

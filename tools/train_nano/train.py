@@ -34,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tools.train_nano.judge import judge
 from tools.train_nano.losses import total
 from tools.train_nano.network import Nano
-from tools.train_nano.pictures import Batch, Views
+from tools.train_nano.pictures import WORLDS, Batch, Views
 from tools.train_nano.ruler import HEIGHT, WIDTH
 
 SIZES = ((96, 80), (WIDTH, HEIGHT), (WIDTH, HEIGHT))  # of a stage's pictures
@@ -93,6 +93,8 @@ def main() -> None:
         mean.count = earlier["count"]
     others = Views(arguments.held_out) if arguments.held_out else None
     views = Views(arguments.data)
+    if len(set(views.world.tolist())) < WORLDS:
+        parser.error(f"{arguments.data}: training takes {WORLDS} worlds or more")
     for stage in range(first, len(steps)):
         stop = arguments.stop if stage + 1 == len(steps) and arguments.stop else steps[stage]
         run_stage(stage, steps[stage], stop, network, mean, views, others, arguments.seed, arguments.out)
