@@ -81,6 +81,10 @@ class Tracked:
     reference_from_camera: F64 = array("float64", 4, 4)  # map units
     dropped: int = 0  # frames so far that the tracker never got
     probe: bool = False  # lost: this frame's picture goes to the depth worker, to be recognised
+    # What poses that are near one another have in common, of their published covariances: standard deviations
+    scale_sigma: float = 0.0  # ... of the log scale, times the distance from the map's origin,
+    drift_m: float = 0.0  # ... and of the drift since there: metres,
+    drift_rad: float = 0.0  # ... radians
 
 
 @dataclass(frozen=True)

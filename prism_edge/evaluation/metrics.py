@@ -10,7 +10,9 @@ from typing import Any
 
 import prism_edge
 from prism_edge.config import Config
+from prism_edge.evaluation.consistency import NO_NEES, Nees, relative_nees, scale_errors
 from prism_edge.evaluation.loops import judge_loops
+from prism_edge.evaluation.recorder import base_from_camera
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import VOID_ABOVE, Usage
 from prism_edge.evaluation.scores import UNKNOWN, score
@@ -42,11 +44,13 @@ def metrics(
         name: (score(estimate, truth, split_ns) if truth is not None else UNKNOWN).as_dict()
         for name, estimate in (("live", live), ("final", final))
     }
+    nees = NO_NEES if truth is None else relative_nees(recording, truth, base_from_camera(config.frames))
     processed = len({frame.index for frame in recording.frames})
     report = {
         **recording.flow(first_stamp_ns),
         "ready_s": ready_s,
         **scores,
+        **_consistency(nees, scores["final"]["scale_ratio"], recording),
         "final_settled": snapshot is not None and snapshot.settled,
         "final_missing": final_missing,
         "truth": truth_name if truth is not None else None,
@@ -65,6 +69,19 @@ def metrics(
         "config": dataclasses.asdict(config),
     }
     return {key: _finite(value) for key, value in report.items()}
+
+
+def _consistency(nees: Nees, scale_ratio: Any, recording: Recording) -> dict[str, Any]:
+    scale = recording.last_scale() or {}
+    error, to_bias = scale_errors(scale_ratio, scale.get("sigma_log"), scale.get("filter_sigma_log"))
+    return {
+        "nees_1s": nees.all,
+        "nees_1s_translation": nees.translation,
+        "nees_1s_rotation": nees.rotation,
+        "nees_1s_pairs": nees.pairs,
+        "scale_log_error_sigmas": error,
+        "scale_sigma_to_bias": to_bias,
+    }
 
 
 def versions() -> dict[str, str]:

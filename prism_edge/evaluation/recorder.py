@@ -149,7 +149,8 @@ class Recorder:
 
     def _pose(self, message: Any, arrival_ns: int) -> None:
         stamp_ns, pose = camera_pose(message, self._mount)
-        self._recording.poses.append(Published(stamp_ns, arrival_ns, pose))
+        covariance = np.asarray(message.pose.covariance, np.float64).reshape(6, 6)
+        self._recording.poses.append(Published(stamp_ns, arrival_ns, pose, covariance))
 
     def _tracked(self, message: Tracked, arrival_ns: int) -> None:
         self._recording.frames.append(message)

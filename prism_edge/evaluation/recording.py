@@ -20,6 +20,7 @@ class Published:
     stamp_ns: int
     arrival_ns: int  # host's monotonic clock
     map_from_camera: Array  # (4, 4) metres
+    covariance: Array | None = None  # (6, 6) of base_link in the map's axes: metres, then rad
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class Recording:
             found.append(f"{len(strange)} poses that are not finite were published, the first for {at:.3f} s")
         return found
 
-    def last_scale(self) -> dict[str, object] | None:
+    def last_scale(self) -> dict[str, Any] | None:
         """What the daemon said last about its scale; None where it never did."""
         if self.scale is None:
             return None

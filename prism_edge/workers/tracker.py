@@ -190,6 +190,7 @@ class TrackerWorker:
                 np.eye(4) if reference_from_camera is None else reference_from_camera,
                 self._dropped,
                 probe,
+                self._scale_sigma,
             ),
         )
         if self._lockstep:

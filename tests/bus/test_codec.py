@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -73,13 +73,15 @@ def test_a_value_that_its_field_does_not_allow_is_refused_by_name(message, field
 
 GOOD = pack(tracked(3))
 (HEADER_SIZE,) = struct.unpack_from("<I", GOOD, 8)
+FLOATS = GOOD[16 : 16 + 8 * sum(f.type == "float" for f in fields(m.Tracked))]
 
 
 def with_header(text: str) -> bytes:
     """GOOD with another header."""
     header = text.encode()
-    arrays = GOOD[16 + HEADER_SIZE + -HEADER_SIZE % 8 :]
-    return GOOD[:8] + struct.pack("<II", len(header), 0) + header + b"\0" * (-len(header) % 8) + arrays
+    arrays = GOOD[16 + len(FLOATS) + HEADER_SIZE + -HEADER_SIZE % 8 :]
+    prefix = GOOD[:8] + struct.pack("<II", len(header), 0) + FLOATS
+    return prefix + header + b"\0" * (-len(header) % 8) + arrays
 
 
 VALUES = '[3,99,7,"ok",true,-1,0,0,false]'
@@ -104,7 +106,7 @@ def test_the_headers_that_follow_differ_from_a_good_one_in_one_thing_each():
         (GOOD[:4] + b"\2\0" + GOOD[6:], "version 2"),
         (GOOD[:6] + b"\1\0" + GOOD[8:], "float fields"),
         (GOOD[:8] + b"\xff\xff\xff\xff" + GOOD[12:], "header of 4294967295"),
-        (pack(frame()), "'Frame'"),
+        (pack(frame()), "0 float fields instead of 3"),
         (with_header(f'["Frame",{VALUES},{SHAPES}]'), "'Frame'"),
         (with_header(f'["Tracked",{VALUES.replace("99", "NaN")},{SHAPES}]'), "NaN in the header"),
         (with_header(f'["Tracked",{VALUES.replace("99", "1e3")},{SHAPES}]'), "stamp_ns is 1000.0"),

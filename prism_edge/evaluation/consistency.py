@@ -1,0 +1,126 @@
+"""Whether published covariances are as large as the errors that they speak of; pure (docs/EVALUATION.md).
+
+An error whose covariance is right has, on average, a normalised square (NEES) of 1 a degree of freedom.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from prism_edge.evaluation.recording import Published, Recording
+from prism_edge.evaluation.trajectory import NS, Trajectory, associate, nearest_rows
+from prism_edge.geometry.poses import Array, inverse, se3_log, skew
+
+_FLOOR = 1e-12  # m^2, rad^2: below what is published, so that an exact direction doesn't divide by 0
+
+
+@dataclass(frozen=True)
+class Nees:
+    """Average NEES a degree of freedom of relative poses; None where there is no pair."""
+
+    pairs: int
+    all: float | None
+    translation: float | None
+    rotation: float | None
+
+
+NO_NEES = Nees(0, None, None, None)
+
+
+def relative_nees(
+    recording: Recording, truth: Trajectory, base_from_camera: Array, delta_s: float = 1.0
+) -> Nees:
+    """NEES of the motion between published poses ``delta_s`` apart (to half a frame interval).
+
+    Of what a published covariance consists of, two poses share the error of scale, which moves a
+    pose by its distance from the start, and the drift since the map's beginning, a random walk; `tracked`
+    has both for each frame. So the motion between i and j has: what is left of i and of j without those two,
+    independent of one another; the drift that was added between them; and the scale's share of the motion
+    itself. ``truth`` is world_from_camera.
+    """
+    shared = {f.stamp_ns: (f.scale_sigma, f.drift_m, f.drift_rad) for f in recording.frames}
+    poses = sorted(recording.published.values(), key=lambda pose: pose.stamp_ns)
+    poses = [p for p in poses if p.stamp_ns in shared and _finite(p)]
+    if len(poses) < 2 or not len(truth):
+        return NO_NEES
+    estimate = Trajectory.of((p.stamp_ns, p.map_from_camera) for p in poses)
+    covariances = {p.stamp_ns: p.covariance for p in poses}
+    estimate, truth = associate(estimate, truth)
+    stamps, delta = estimate.stamps, round(delta_s * NS)
+    if len(stamps) < 2:
+        return NO_NEES
+    slack = max(int(np.median(np.diff(stamps))) // 2, 1)
+    ends = nearest_rows(stamps, stamps + delta)
+    starts = np.flatnonzero(np.abs(stamps[ends] - stamps - delta) <= slack)
+    camera_from_base = inverse(base_from_camera)
+    sigmas, drift_m, drift_rad = np.array([shared[int(s)] for s in stamps]).T
+    sums = np.zeros(3)
+    for i, j in zip(starts, ends[starts], strict=True):
+        own = []
+        for k in (i, j):
+            covariance = covariances[int(stamps[k])]
+            assert covariance is not None
+            start = estimate.poses[k][:3, 3] - base_from_camera[:3, 3]
+            base = estimate.poses[k] @ camera_from_base
+            own.append(_own(covariance, base, start, sigmas[k], drift_m[k], drift_rad[k]))
+        moved = base_from_camera @ inverse(estimate.poses[i]) @ estimate.poses[j] @ camera_from_base
+        true = base_from_camera @ inverse(truth.poses[i]) @ truth.poses[j] @ camera_from_base
+        carry = adjoint(inverse(moved))
+        covariance = own[1] + carry @ own[0] @ carry.T
+        covariance[:3, :3] += np.eye(3) * (abs(drift_m[j] ** 2 - drift_m[i] ** 2) + _FLOOR)
+        covariance[3:, 3:] += np.eye(3) * (abs(drift_rad[j] ** 2 - drift_rad[i] ** 2) + _FLOOR)
+        # Only the camera's path is scaled: where it sits on the robot is known in metres.
+        path = estimate.poses[j][:3, 3] - estimate.poses[i][:3, 3]
+        along = (estimate.poses[j] @ camera_from_base)[:3, :3].T @ path
+        covariance[:3, :3] += sigmas[j] ** 2 * np.outer(along, along)
+        error = se3_log(inverse(true) @ moved)
+        for n, part in enumerate((slice(0, 6), slice(0, 3), slice(3, 6))):
+            e = error[part]
+            sums[n] += float(e @ np.linalg.solve(covariance[part, part], e)) / len(e)
+    if not len(starts):
+        return NO_NEES
+    return Nees(len(starts), *(sums / len(starts)).tolist())
+
+
+def scale_errors(
+    scale_ratio: float | None, sigma: float | None, filter_sigma: float | None
+) -> tuple[float | None, float | None]:
+    """(|log scale_ratio| / sigma, sigma / the network's bias sigma) of the last `scale`; None: unknown.
+
+    ``scale_ratio`` is true / estimated; ``sigma`` has the network's bias in it, ``filter_sigma`` has not.
+    """
+    if sigma is None or not sigma > 0.0:
+        return None, None
+    known = scale_ratio is not None and scale_ratio > 0.0
+    error = abs(math.log(scale_ratio)) / sigma if known and scale_ratio is not None else None
+    bias2 = sigma**2 - filter_sigma**2 if filter_sigma is not None else 0.0
+    return error, sigma / math.sqrt(bias2) if bias2 > 0.0 else None
+
+
+def adjoint(pose: Array) -> Array:
+    """(6, 6): a twist (translation first) on the right of inverse(pose), told on its left."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = pose[:3, :3]
+    out[:3, 3:] = skew(pose[:3, 3]) @ pose[:3, :3]
+    return out
+
+
+def _own(
+    covariance: Array, base: Array, start: Array, sigma: float, drift_m: float, drift_rad: float
+) -> Array:
+    """A published covariance without scale and drift, in the base's own axes."""
+    left = covariance.copy()
+    left[:3, :3] -= sigma**2 * np.outer(start, start) + drift_m**2 * np.eye(3)
+    left[3:, 3:] -= drift_rad**2 * np.eye(3)
+    turn = np.kron(np.eye(2), base[:3, :3].T)
+    own: Array = turn @ left @ turn.T
+    return own
+
+
+def _finite(pose: Published) -> bool:
+    covariance = pose.covariance
+    known = covariance is not None and bool(np.isfinite(covariance).all())
+    return known and bool(np.isfinite(pose.map_from_camera).all())

@@ -1,0 +1,114 @@
+"""Errors drawn from the covariances that are published with them have a NEES of 1, and others have not."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from prism_edge.config import FramesConfig
+from prism_edge.evaluation.consistency import relative_nees, scale_errors
+from prism_edge.evaluation.recorder import base_from_camera
+from prism_edge.evaluation.recording import Published, Recording
+from prism_edge.evaluation.trajectory import NS, Trajectory
+from prism_edge.geometry.poses import from_rt, inverse, scaled, se3_exp
+from prism_edge.messages import OK, Tracked
+
+MOUNT = base_from_camera(
+    FramesConfig(base_from_camera_xyz=(0.3, -0.1, 0.5), base_from_camera_xyzw=(-0.4, 0.5, -0.55, 0.53))
+)
+RATE, FRAMES = 5, 60
+OWN = np.diag([4.0, 1.0, 2.0, 1.0, 3.0, 2.0]) * 1e-6
+OWN[0, 4] = OWN[4, 0] = 1.5e-6
+
+
+def world_from_camera(time_s: float) -> np.ndarray:
+    """A walk of 0.8 m/s past bends, far from where it began."""
+    turn = Rotation.from_euler("yxz", [0.3 * time_s, 0.1 * np.sin(time_s), 0.05]).as_matrix()
+    return from_rt(turn, np.array([0.8 * time_s, 0.2 * np.sin(time_s), 0.3 * time_s]))
+
+
+def drawn(
+    rng: np.random.Generator, own: float = 1.0, scale: float = 0.0
+) -> tuple[Recording, Trajectory]:
+    """A run whose errors are ``own`` times OWN, and a scale error."""
+    begin = world_from_camera(0.0)
+    metres = float(np.exp(rng.normal(0.0, scale)))
+    recording, rows = Recording(), []
+    for i in range(FRAMES):
+        stamp, true = i * NS // RATE, world_from_camera(i / RATE)
+        rows.append((stamp, true))
+        map_from_base = MOUNT @ scaled(inverse(begin) @ true, metres) @ inverse(MOUNT)
+        noise = rng.multivariate_normal(np.zeros(6), own * OWN)
+        estimate = map_from_base @ se3_exp(noise)
+        turn = np.kron(np.eye(2), estimate[:3, :3])
+        covariance = turn @ OWN @ turn.T
+        start = (estimate @ MOUNT)[:3, 3] - MOUNT[:3, 3]
+        covariance[:3, :3] += scale**2 * np.outer(start, start)
+        recording.poses.append(Published(stamp, stamp, estimate @ MOUNT, covariance))
+        recording.frames.append(Tracked(i, stamp, stamp, OK, True, -1, 0, np.eye(4), 0, False, scale))
+    return recording, Trajectory.of(rows)
+
+
+def averages(runs: int = 40, **errors: float) -> np.ndarray:
+    rng = np.random.default_rng(5)
+    found = [relative_nees(*drawn(rng, **errors), MOUNT) for _ in range(runs)]
+    assert all(nees.pairs == FRAMES - RATE for nees in found)
+    return np.mean([[nees.all, nees.translation, nees.rotation] for nees in found], axis=0)
+
+
+@pytest.mark.parametrize("scale", [0.0, 0.05])
+def test_errors_as_large_as_published_have_a_nees_of_one(scale):
+    assert averages(scale=scale) == pytest.approx([1.0, 1.0, 1.0], abs=0.15)
+
+
+def test_errors_four_times_as_large_in_variance_have_four():
+    assert averages(own=4.0) == pytest.approx([4.0, 4.0, 4.0], rel=0.15)
+
+
+def test_drift_counts_only_as_far_as_it_was_added_in_the_second_between():
+    """Nothing drifts here, but five frames' worth of it is published: as large as OWN at its own."""
+    stated = np.sqrt(2.0 * OWN[2, 2] / RATE)
+    rng = np.random.default_rng(0)
+    runs = []
+    for _ in range(20):
+        recording, truth = drawn(rng)
+        for i, (pose, frame) in enumerate(zip(recording.poses, recording.frames, strict=True)):
+            covariance = pose.covariance + np.diag([stated**2 * i] * 3 + [0.0] * 3)
+            recording.poses[i] = Published(pose.stamp_ns, 0, pose.map_from_camera, covariance)
+            fields = {**vars(frame), "drift_m": stated * np.sqrt(i)}
+            recording.frames[i] = Tracked(**fields)
+        runs.append(relative_nees(recording, truth, MOUNT))
+    assert np.mean([nees.rotation for nees in runs]) == pytest.approx(1.0, abs=0.15)
+    assert 0.4 < np.mean([nees.translation for nees in runs]) < 0.65
+
+
+def test_a_published_scale_that_is_too_sure_shows():
+    rng = np.random.default_rng(1)
+    recording, truth = drawn(rng)
+    poses = []
+    for pose in recording.poses:
+        poses.append(Published(pose.stamp_ns, 0, scaled(pose.map_from_camera, 1.2), pose.covariance))
+    nees = relative_nees(Recording(poses, recording.frames), truth, MOUNT)
+    assert nees.translation > 100.0  # 17 cm a second, of millimetres
+
+
+def test_without_pairs_there_is_none():
+    recording, truth = drawn(np.random.default_rng(0))
+    nobody = Trajectory.of([])
+    assert relative_nees(recording, nobody, MOUNT).all is None
+    assert relative_nees(Recording(), truth, MOUNT).all is None
+    assert relative_nees(recording, truth, MOUNT, delta_s=100.0).pairs == 0
+    bare = [Published(p.stamp_ns, 0, p.map_from_camera) for p in recording.poses]
+    assert relative_nees(Recording(bare, recording.frames), truth, MOUNT).all is None
+    broken = [Published(p.stamp_ns, 0, p.map_from_camera, np.full((6, 6), np.nan)) for p in recording.poses]
+    assert relative_nees(Recording(broken, recording.frames), truth, MOUNT).all is None
+
+
+def test_scale_errors_in_sigmas():
+    error, to_bias = scale_errors(float(np.exp(-0.25)), 0.125, 0.075)
+    assert error == pytest.approx(2.0)
+    assert to_bias == pytest.approx(1.25)
+    assert scale_errors(None, 0.1, 0.05)[0] is None
+    assert scale_errors(1.1, None, None) == (None, None)
+    assert scale_errors(1.1, 0.1, 0.1)[1] is None
