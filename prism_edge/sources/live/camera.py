@@ -26,7 +26,7 @@ class Timing:
 
     absent_s: float = 10.0  # a camera that isn't there when opening
     first_pause_s: float = 0.25  # before connecting again; doubles with each attempt
-    longest_pause_s: float = 5.0
+    longest_pause_s: float = 1.0  # poses are missed no longer than that once the camera is back
     hang_s: float = 60.0  # a driver that doesn't come back for this long hangs for good
     read_s: float = 0.5
 

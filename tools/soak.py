@@ -1,0 +1,162 @@
+"""The long run: a looping recording at 30 Hz, and whether memory, latency and the map stay where they are.
+
+    python tools/soak.py [--minutes 60] [--out build/soak]
+
+Writes report.json and report.md; the exit code is 1 where a bar is not met. Memory counts after the first
+ten minutes, or the first third of a shorter run, which then says little: a map that still grows takes memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from prism_edge.evaluation.resources import cpu_s, machine_cpu
+from tools.faults_service import Service, Watcher, draw_room, long_recording, service_config
+
+SETTLED_S = 600.0  # from when on memory counts
+SAMPLE_S = 10.0
+GROWTH_MB = 3.0
+FLAT = 1.2  # p99 latency of the last third by that of the first, at most
+SLACK_MS = 2.0  # a difference that small is none
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run, report; returns the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--minutes", type=float, default=60.0)
+    parser.add_argument("--max-keyframes", type=int, default=600, help="the map's bound (default 600)")
+    parser.add_argument("--out", type=Path, default=Path("build/soak"), help="folder of the report")
+    args = parser.parse_args(arguments)
+    args.out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="prism-edge-soak-") as folder:
+        report = soak(Path(folder), 60.0 * args.minutes, args.max_keyframes, args.out)
+    (args.out / "report.json").write_text(json.dumps(report, indent=1) + "\n")
+    text = markdown(report)
+    (args.out / "report.md").write_text(text)
+    print(text)
+    return 0 if all(bar["met"] for bar in report["bars"].values()) else 1
+
+
+def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[str, Any]:
+    """The run and its figures."""
+    room = draw_room(folder)
+    recording = long_recording(room, folder / "long", frames=8925)
+    config = service_config(str(recording), room, folder / "state", loop=True)
+    config = _bounded(config, max_keyframes)
+    with contextlib.ExitStack() as stack:
+        service = stack.enter_context(Service(folder, config))
+        stack.callback(lambda: (out / "daemon.log").write_bytes(service.log.read_bytes()))
+        watcher = Watcher(config)
+        stack.callback(watcher.close)
+        deadline = time.monotonic() + 120.0
+        while not watcher.well:
+            if time.monotonic() > deadline:
+                raise SystemExit(f"soak: error: no poses in two minutes; see {out / 'daemon.log'}")
+            time.sleep(0.1)
+        begun, first = time.monotonic(), len(watcher.poses)
+        busy = machine_cpu(), _cpu(service)
+        samples: list[dict[str, Any]] = []
+        while (at := time.monotonic() - begun) < seconds:
+            samples.append({"at_s": round(at, 1), "pss_mb": service.memory_mb(),
+                            "descriptors": service.descriptors(), "keyframes": watcher.keyframes()})
+            time.sleep(max(0.0, min(SAMPLE_S, begun + seconds - time.monotonic())))
+        poses = len(watcher.poses) - first
+        foreign = _foreign(busy, (machine_cpu(), _cpu(service)))
+        restarts = {name: row["restarts"] for name, row in watcher.health.items() if "restarts" in row}
+        latencies = [(when - begun, ms) for when, ms in list(watcher.latencies) if when >= begun]
+        gap = watcher.longest_gap(begun, time.monotonic() - 0.05)
+        code = service.stop()
+    settled = min(SETTLED_S, seconds / 3.0)
+    late = [(s["at_s"], sum(s["pss_mb"].values())) for s in samples if s["at_s"] >= settled]
+    # Medians of ten samples or fewer at both ends: one moment says little, as caches breathe.
+    n = max(1, min(10, len(late) // 3))
+    growth = float(np.median([mb for _, mb in late[-n:]]) - np.median([mb for _, mb in late[:n]]))
+    thirds = [
+        float(np.percentile([ms for at, ms in latencies if k <= 3.0 * at / seconds < k + 1] or [np.nan], 99))
+        for k in range(3)
+    ]
+    keyframes = max(sample["keyframes"] for sample in samples)
+    met = {
+        f"PSS grows <= {GROWTH_MB:g} MB after {settled / 60:.1f} min": (
+            f"{growth:+.1f} MB, of {late[0][1]:.0f} MB", growth <= GROWTH_MB
+        ),
+        "p99 latency stays flat": (
+            "by thirds of the run " + ", ".join(f"{ms:.1f}" for ms in thirds) + " ms",
+            thirds[2] <= max(FLAT * thirds[0], thirds[0] + SLACK_MS),
+        ),
+        f"map within {max_keyframes} keyframes": (f"at most {keyframes}", 0 < keyframes <= max_keyframes),
+        "no process started again": (json.dumps(restarts), set(restarts.values()) == {"0"}),
+        "no NaN published": (str(watcher.not_numbers), not watcher.not_numbers),
+        "ends with 0": (str(code), code == 0),
+    }
+    return {
+        "seconds": seconds,
+        "poses": poses,
+        "rate_hz": poses / seconds,
+        "longest_gap_s": gap,
+        "foreign_cpu": foreign,
+        "growth_mb": growth,
+        "growth_mb_by_process": {
+            name: round(samples[-1]["pss_mb"].get(name, 0.0) - mb, 2)
+            for name, mb in next(s for s in samples if s["at_s"] >= settled)["pss_mb"].items()
+        },
+        "p99_ms_by_third": thirds,
+        "samples": samples,
+        "bars": {name: {"found": found, "met": bool(ok)} for name, (found, ok) in met.items()},
+    }
+
+
+def markdown(report: dict[str, Any]) -> str:
+    """The report for people."""
+    foreign = report["foreign_cpu"]
+    lines = [
+        f"{report['seconds'] / 60:.1f} minutes, {report['poses']} poses ({report['rate_hz']:.2f} Hz), "
+        f"longest gap {1e3 * report['longest_gap_s']:.0f} ms.",
+        "Other programs took " + ("?" if foreign is None else f"{100 * foreign:.0f} %") + " of the machine.",
+        "",
+        "| bar | found | met |",
+        "|---|---|---|",
+    ]
+    for name, bar in report["bars"].items():
+        lines.append(f"| {name} | {bar['found']} | {'yes' if bar['met'] else '**no**'} |")
+    by_process = ", ".join(f"{name} {mb:+.1f}" for name, mb in report["growth_mb_by_process"].items())
+    lines += ["", f"Growth by process (MB): {by_process}."]
+    return "\n".join(lines) + "\n"
+
+
+def _bounded(config: Any, max_keyframes: int) -> Any:
+    return replace(config, tracking=replace(config.tracking, max_keyframes=max_keyframes))
+
+
+def _cpu(service: Service) -> float:
+    used = [cpu_s(process.pid) for process in service.processes().values()]
+    return sum(seconds[0] for seconds in used if seconds is not None)
+
+
+def _foreign(
+    before: tuple[tuple[float, float] | None, float], after: tuple[tuple[float, float] | None, float]
+) -> float | None:
+    """Share of the machine that was not the service's (the listener's own is among it)."""
+    (machine_0, own_0), (machine_1, own_1) = before, after
+    if machine_0 is None or machine_1 is None:
+        return None
+    busy, capacity = machine_1[0] - machine_0[0], machine_1[1] - machine_0[1]
+    return max(0.0, busy - (own_1 - own_0)) / capacity if capacity > 0 else None
+
+
+if __name__ == "__main__":
+    sys.exit(main())
