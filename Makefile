@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .ONESHELL:
-.PHONY: help setup demo test lint accuracy audit exporter lock docs clean
+.PHONY: help setup demo test lint accuracy faults soak audit exporter lock docs clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -41,6 +41,14 @@ lint: $(STAMP) ## ruff and mypy
 accuracy: $(STAMP) ## recorded sequences beside the checkout: the slow tests, and every figure against its bar
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
 	$(BIN)/python tools/accuracy.py $(ACCURACY_ARGS)
+
+faults: $(STAMP) ## random faults on the running service, malformed inputs, and more than one machine (docs/FAULTS.md)
+	$(BIN)/python tools/faults.py $(FAULTS_ARGS)
+	$(BIN)/python tools/fuzz.py
+	$(BIN)/python tools/fleet_trial.py
+
+soak: $(STAMP) ## an hour at 30 Hz: memory, latency and the map stay where they are
+	$(BIN)/python tools/soak.py $(SOAK_ARGS)
 
 audit: $(STAMP) ## known vulnerabilities of the locked dependencies; needs a network
 	tools/audit.sh $(BIN)

@@ -117,7 +117,7 @@ def _stop(name: str) -> Fault:
 
 
 def _starve(name: str) -> Fault:
-    """No more address space than it has at this moment; what is started in its place is free."""
+    """Half the address space that it has: no new mapping is granted. What is started in its place is free."""
 
     @contextmanager
     def fault(bench: Bench) -> Iterator[None]:
@@ -126,7 +126,7 @@ def _starve(name: str) -> Fault:
         if process is not None:
             with contextlib.suppress(psutil.Error, ProcessLookupError, PermissionError):
                 before = resource.prlimit(process.pid, resource.RLIMIT_AS)
-                resource.prlimit(process.pid, resource.RLIMIT_AS, (process.memory_info().vms, before[1]))
+                resource.prlimit(process.pid, resource.RLIMIT_AS, (process.memory_info().vms // 2, before[1]))
         yield
         if process is not None and before is not None:
             with contextlib.suppress(ProcessLookupError, PermissionError):

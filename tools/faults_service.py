@@ -201,16 +201,16 @@ class Watcher:
         self.epoch = 0
         self.health: dict[str, dict[str, str]] = {}
         self._over = threading.Event()
-        self._bus = Bus.open(replace(config, mode="realtime"), "trial")
+        self.bus = Bus.open(replace(config, mode="realtime"), "trial")
         names = ("pose", "tracked", "health", "keyframe")
-        self._inboxes = {name: self._bus.queue(name, 4096) for name in names}
+        self._inboxes = {name: self.bus.queue(name, 4096) for name in names}
         self._threads = [threading.Thread(target=self._listen, args=(n,), daemon=True) for n in self._inboxes]
         for thread in self._threads:
             thread.start()
 
     def keyframes(self) -> int:
         """In the backend's map, -1 where it does not answer."""
-        snapshot = self._bus.ask("map_snapshot", 2.0)
+        snapshot = self.bus.ask("map_snapshot", 2.0)
         return -1 if snapshot is None else len(snapshot.keyframes)
 
     @property
@@ -232,7 +232,7 @@ class Watcher:
         self._over.set()
         for thread in self._threads:
             thread.join(2.0)
-        self._bus.close()
+        self.bus.close()
 
     def _listen(self, name: str) -> None:
         inbox = self._inboxes[name]
@@ -259,24 +259,38 @@ class Watcher:
                 }
 
 
+def client_session(endpoint: str) -> Any:
+    """A plain Zenoh client, which connects again whenever it must."""
+    settings = {
+        "mode": "client",
+        "connect/endpoints": [endpoint],
+        "connect/timeout_ms": -1,
+        "connect/retry": {"period_init_ms": 100, "period_max_ms": 100, "period_increase_factor": 1},
+        "scouting/multicast/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }
+    config = zenoh.Config()
+    for name, value in settings.items():
+        config.insert_json5(name, json.dumps(value))
+    return zenoh.open(config)
+
+
+def start_router(listen: str, *connect: str) -> subprocess.Popen[bytes]:
+    """A router in a process of its own; returns once it listens."""
+    line = [sys.executable, str(ROOT / "tools" / "faults_router.py"), listen, *connect]
+    popen = subprocess.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
+    assert popen.stdout is not None
+    popen.stdout.readline()
+    return popen
+
+
 class Router:
     """A router process that can be restarted, and a client behind it that hears poses."""
 
     def __init__(self, endpoint: str, watcher: Watcher) -> None:
         self._listen, self._connect = free_endpoint(), endpoint
-        self._popen = self._start()
-        config = zenoh.Config()
-        settings = {
-            "mode": "client",
-            "connect/endpoints": [self._listen],
-            "connect/timeout_ms": -1,
-            "connect/retry": {"period_init_ms": 100, "period_max_ms": 100, "period_increase_factor": 1},
-            "scouting/multicast/enabled": False,
-            "transport/shared_memory/enabled": False,
-        }
-        for name, value in settings.items():
-            config.insert_json5(name, json.dumps(value))
-        self._session = zenoh.open(config)
+        self._popen = start_router(self._listen, endpoint)
+        self._session = client_session(self._listen)
         self._subscriber = self._session.declare_subscriber(
             "prism/robot/pose", lambda _: watcher.far_poses.append(time.monotonic())
         )
@@ -285,20 +299,13 @@ class Router:
         """SIGKILL, and another in its place."""
         self._popen.kill()
         self._popen.wait()
-        self._popen = self._start()
+        self._popen = start_router(self._listen, self._connect)
 
     def close(self) -> None:
         """End both."""
         self._session.close()
         self._popen.kill()
         self._popen.wait()
-
-    def _start(self) -> subprocess.Popen[bytes]:
-        line = [sys.executable, str(ROOT / "tools" / "faults_router.py"), self._listen, self._connect]
-        popen = subprocess.Popen(line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE)
-        assert popen.stdout is not None
-        popen.stdout.readline()
-        return popen
 
 
 def build_clock(folder: Path) -> Path | None:

@@ -20,6 +20,8 @@ log = logging.getLogger("prism_edge.scale")
 _WAIT_S = 0.05
 # Lockstep: a depth that takes longer isn't coming (its worker died with the image), and all wait for us.
 _PATIENCE_S = 30.0
+# Real time: with no depth for this long (its host is cut off) keyframes say how the uncertainty grows.
+_SILENT_S = 3.0
 
 
 class ScaleWorker:
@@ -38,6 +40,7 @@ class ScaleWorker:
         self._waiting = Rendezvous()
         self._served: deque[int] = deque(maxlen=256)  # keyframes; a later frame's may come with an earlier's
         self._estimator = ScaleEstimator(config.scale, config.ablate, config.gate)
+        self._paired_s = time.monotonic()  # when a keyframe last met its depth
         self._shows_images, self._camera_frame = config.gate.images, config.frames.camera
 
     def run(self) -> None:
@@ -78,16 +81,33 @@ class ScaleWorker:
                 self._waiting.add_depth(come)
         for loaded in self._loaded.drain():
             self._estimator.take_over(loaded.epoch, loaded.log_scale, loaded.scale_sigma)
-        for keyframe in self._keyframes.drain():
+        keyframes = self._keyframes.drain()
+        for keyframe in keyframes:
             self._waiting.add_keyframe(keyframe)
-        for keyframe, depth in self._waiting.complete():
+        pairs = self._waiting.complete()
+        for keyframe, depth in pairs:
+            self._paired_s = time.monotonic()
             self._handle(keyframe, depth)
+        silent = not pairs and time.monotonic() - self._paired_s > _SILENT_S
+        if keyframes and silent and self._ticks is None and self._estimator.metric:
+            self._grow(keyframes[-1])
 
     def _do_without_depth(self, keyframe_id: int) -> None:
         log.warning("keyframe %d has no depth after %.0f s: going on without", keyframe_id, self._patience_s)
         keyframe = self._waiting.take_keyframe(keyframe_id)
         if keyframe is not None:
             self._handle(keyframe, None)
+
+    def _grow(self, keyframe: Keyframe) -> None:
+        """No depth comes: the estimate stays, less and less sure; the keyframe goes on waiting for it."""
+        answer = self._estimator.process(keyframe, None)
+        if answer is not None:
+            self._publish(answer[0])
+
+    def _publish(self, scale: Scale) -> None:
+        self._bus.pulse.values.update(log_scale=f"{scale.log_scale:.4f}", sigma=f"{scale.sigma:.4f}")
+        self._bus.publish("log_scale", scale)
+        self._bus.publish("scale", self._public(scale))
 
     def _handle(self, keyframe: Keyframe, depth: Depth | None) -> None:
         self._served.append(keyframe.id)
@@ -99,8 +119,6 @@ class ScaleWorker:
             observations=str(self._estimator.accepted),
             rejected=str(self._estimator.rejected),
             unpaired=str(self._waiting.dropped),
-            log_scale=f"{scale.log_scale:.4f}",
-            sigma=f"{scale.sigma:.4f}",
         )
         if scale.points and not scale.accepted:
             log.info(
@@ -109,9 +127,8 @@ class ScaleWorker:
                 scale.observation,
                 scale.log_scale,
             )
-        self._bus.publish("log_scale", scale)
+        self._publish(scale)
         self._bus.publish("gate", gate)
-        self._bus.publish("scale", self._public(scale))
         if self._shows_images:
             self._show(scale.stamp_ns)
 

@@ -175,6 +175,38 @@ def test_an_unusable_depth_is_answered_without_an_observation(bus, start):
     assert not bus.of("scale")[0].metric
 
 
+def test_the_uncertainty_grows_while_no_depth_comes_and_late_depth_still_counts(bus, start, monkeypatch):
+    keyframes = [keyframe_of_wall(k, 20.0 * k) for k in range(4)]
+    bus.give("depth", depth_of(keyframes[0]))
+    bus.give("keyframe", keyframes[0])
+    monkeypatch.setattr("prism_edge.workers.scale._SILENT_S", -1.0)
+    start()
+    bus.wait_for("scale", 1)
+    for count, keyframe in enumerate(keyframes[1:], 2):
+        bus.give("keyframe", keyframe)
+        bus.wait_for("scale", count)
+    public = bus.of("scale")[-3:]
+    sigmas = [message.filter_sigma_log for message in public]
+    assert sigmas == sorted(sigmas)
+    assert sigmas[0] < sigmas[-1]
+    assert all(message.metric and not message.accepted and message.points == 0 for message in public)
+    assert len(bus.of("gate")) == 1, "nothing is known of these keyframes' pixels"
+    bus.give("depth", depth_of(keyframes[3]))
+    bus.wait_for("scale", 5)
+    assert bus.of("scale")[-1].points > 0
+
+
+def test_without_any_depth_there_is_no_scale_to_speak_of(bus, start, monkeypatch):
+    monkeypatch.setattr("prism_edge.workers.scale._SILENT_S", -1.0)
+    bus.give("keyframe", *[keyframe_of_wall(k, 0.4 * k) for k in range(2)])
+    last = keyframe_of_wall(5, 2.0)
+    bus.give("keyframe", last)
+    bus.give("depth", depth_of(last))
+    start()
+    bus.wait_for("scale", 1)
+    assert [message.keyframe for message in bus.of("scale")] == [5]
+
+
 def test_an_outlier_is_counted_and_said(bus, start, caplog):
     caplog.set_level("INFO", "prism_edge.scale")
     keyframes = [keyframe_of_wall(k, 0.4 * k) for k in range(8)]
