@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import logging
 import random
 import shutil
 import subprocess
@@ -28,7 +29,7 @@ from tests.sources.live.servers import mjpeg_server
 from tools.faults_service import ROOT, Service, Watcher, draw_room, service_config
 from tools.fuzz_files import mutate
 
-LIVE_SHARE = 0.3  # of the inputs go into the running daemon
+LIVE_SHARE = 0.12  # of the inputs go into the running daemon
 CLI_EACH = 4  # files of each kind that the command line is given, as a user would
 QUERY_S = 2.0
 
@@ -44,6 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("build/fuzz"), help="folder of the report")
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
+    logging.getLogger("prism_edge.bus").setLevel(logging.ERROR)  # our own subscriber hears the malformed too
     with tempfile.TemporaryDirectory(prefix="prism-edge-fuzz-") as name:
         folder = Path(name)
         live = round(LIVE_SHARE * args.count)
