@@ -101,6 +101,19 @@ class TrackingConfig:
 
 
 @dataclass(frozen=True)
+class CovarianceConfig:
+    """What published poses say of their errors (fitted on the simulator: docs/COVARIANCE.md)."""
+
+    refinement: float = limits(0.5, 0.01, 100.0, "factor on the covariance that a frame's own points give")
+    drift_per_sqrt_m: float = limits(
+        0.03, 0.0, 1.0, "drift of position, metres per square root of a metre travelled"
+    )
+    drift_per_sqrt_rad: float = limits(
+        0.007, 0.0, 1.0, "drift of orientation, radians per square root of a radian turned"
+    )
+
+
+@dataclass(frozen=True)
 class DepthConfig:
     """The ONNX worker."""
 
@@ -257,6 +270,7 @@ class Config:
     network: NetworkConfig = field(default_factory=NetworkConfig)
     frames: FramesConfig = field(default_factory=FramesConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
+    covariance: CovarianceConfig = field(default_factory=CovarianceConfig)
     depth: DepthConfig = section(DepthConfig, "depth")
     scale: ScaleConfig = section(ScaleConfig, "scale")
     gate: GateConfig = section(GateConfig, "scale")

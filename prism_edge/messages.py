@@ -81,10 +81,12 @@ class Tracked:
     reference_from_camera: F64 = array("float64", 4, 4)  # map units
     dropped: int = 0  # frames so far that the tracker never got
     probe: bool = False  # lost: this frame's picture goes to the depth worker, to be recognised
-    # What poses that are near one another have in common, of their published covariances: standard deviations
-    scale_sigma: float = 0.0  # ... of the log scale, times the distance from the map's origin,
-    drift_m: float = 0.0  # ... and of the drift since there: metres,
-    drift_rad: float = 0.0  # ... radians
+    # What a published covariance has in common with that of a pose nearby: standard deviations
+    scale_sigma: float = 0.0  # ... of the log scale, times the way from the start,
+    drift_m: float = 0.0  # ... of the map's drift since its beginning, in metres
+    drift_rad: float = 0.0  # ... and radians;
+    walk_m: float = 0.0  # the same of `odom`, which nothing undoes: what it grows by between two frames
+    walk_rad: float = 0.0  # ... is the drift of the motion between them
 
 
 @dataclass(frozen=True)

@@ -38,10 +38,12 @@ def relative_nees(
     Of what a published covariance consists of, two poses share the error of scale, which moves a
     pose by its distance from the start, and the drift since the map's beginning, a random walk; `tracked`
     has both for each frame. So the motion between i and j has: what is left of i and of j without those two,
-    independent of one another; the drift that was added between them; and the scale's share of the motion
-    itself. ``truth`` is world_from_camera.
+    independent of one another; what the walk of `odom` grew by between them; and the scale's share of the
+    motion itself. ``truth`` is world_from_camera.
     """
-    shared = {f.stamp_ns: (f.scale_sigma, f.drift_m, f.drift_rad) for f in recording.frames}
+    shared = {
+        f.stamp_ns: (f.scale_sigma, f.drift_m, f.drift_rad, f.walk_m, f.walk_rad) for f in recording.frames
+    }
     poses = sorted(recording.published.values(), key=lambda pose: pose.stamp_ns)
     poses = [p for p in poses if p.stamp_ns in shared and _finite(p)]
     if len(poses) < 2 or not len(truth):
@@ -56,7 +58,7 @@ def relative_nees(
     ends = nearest_rows(stamps, stamps + delta)
     starts = np.flatnonzero(np.abs(stamps[ends] - stamps - delta) <= slack)
     camera_from_base = inverse(base_from_camera)
-    sigmas, drift_m, drift_rad = np.array([shared[int(s)] for s in stamps]).T
+    sigmas, drift_m, drift_rad, walk_m, walk_rad = np.array([shared[int(s)] for s in stamps]).T
     sums = np.zeros(3)
     for i, j in zip(starts, ends[starts], strict=True):
         own = []
@@ -70,8 +72,8 @@ def relative_nees(
         true = base_from_camera @ inverse(truth.poses[i]) @ truth.poses[j] @ camera_from_base
         carry = adjoint(inverse(moved))
         covariance = own[1] + carry @ own[0] @ carry.T
-        covariance[:3, :3] += np.eye(3) * (abs(drift_m[j] ** 2 - drift_m[i] ** 2) + _FLOOR)
-        covariance[3:, 3:] += np.eye(3) * (abs(drift_rad[j] ** 2 - drift_rad[i] ** 2) + _FLOOR)
+        covariance[:3, :3] += np.eye(3) * (abs(walk_m[j] ** 2 - walk_m[i] ** 2) + _FLOOR)
+        covariance[3:, 3:] += np.eye(3) * (abs(walk_rad[j] ** 2 - walk_rad[i] ** 2) + _FLOOR)
         # Only the camera's path is scaled: where it sits on the robot is known in metres.
         path = estimate.poses[j][:3, 3] - estimate.poses[i][:3, 3]
         along = (estimate.poses[j] @ camera_from_base)[:3, :3].T @ path

@@ -8,14 +8,16 @@ from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import FramesConfig
 from prism_edge.geometry.poses import Array, from_rt, inverse, rotation_from_quaternion, scaled, skew
+from prism_edge.tracking.drift import NO_DRIFT, Walk
 from prism_edge.tracking.tracker import FrameResult
 
 
 class PosePublisher:
     """Publishes `odom`, `pose` and `tf` of a tracked frame."""
 
-    def __init__(self, bus: Bus, frames: FramesConfig) -> None:
-        self._bus, self._frames = bus, frames
+    def __init__(self, bus: Bus, frames: FramesConfig, refinement: float = 1.0) -> None:
+        """``refinement`` multiplies the covariance that a frame's own points give."""
+        self._bus, self._frames, self._refinement = bus, frames, refinement
         rotation = rotation_from_quaternion(np.array(frames.base_from_camera_xyzw))
         self._mount = from_rt(rotation, np.array(frames.base_from_camera_xyz))
         self._camera_from_base = inverse(self._mount)
@@ -28,9 +30,12 @@ class PosePublisher:
         twist: Array,
         log_scale: float,
         scale_sigma: float,
+        drift: Walk = NO_DRIFT,
+        walk: Walk = NO_DRIFT,
     ) -> None:
         """Send the three messages of one frame; ``result`` must have a pose (map units).
 
+        ``drift`` is what the map may have drifted there since its beginning, ``walk`` what `odom` has.
         Where its place in the map is not known there is no `pose`, and `tf` ends at `odom`.
         """
         assert result.world_from_camera is not None
@@ -42,8 +47,8 @@ class PosePublisher:
         local = self._covariance(result.covariance, metres, map_from_base)
         # Scale multiplies the camera's path since the start; where it sits on the robot is known in metres.
         start = self._mount[:3, :3]
-        in_map = with_scale_error(local, start @ map_from_camera[:3, 3], scale_sigma)
-        in_odom = with_scale_error(local, start @ odom_from_camera[:3, 3], scale_sigma)
+        in_map = with_scale_error(local, start @ map_from_camera[:3, 3], scale_sigma) + drift.covariance()
+        in_odom = with_scale_error(local, start @ odom_from_camera[:3, 3], scale_sigma) + walk.covariance()
         names = self._frames
         velocity = self._twist(twist)
         # Of a step between frames at 30 Hz, along the base's own axes as the twist is.
@@ -77,7 +82,7 @@ class PosePublisher:
         carry[:3, :3], carry[3:, 3:] = rotation, rotation
         carry[:3, 3:] = lever @ rotation  # a turn of the camera swings the base about it
         carry = carry @ unit
-        covariance = carry @ camera_covariance @ carry.T
+        covariance = carry @ (self._refinement * camera_covariance) @ carry.T
         return 0.5 * (covariance + covariance.T)
 
     def _twist(self, twist: Array) -> Array:

@@ -41,6 +41,7 @@ from prism_edge.messages import (
 from prism_edge.processes import processes_for
 from prism_edge.sources.pack import grey
 from prism_edge.tracking.announcement import keyframe_message
+from prism_edge.tracking.drift import Drift
 from prism_edge.tracking.local_map import LocalKeyframe
 from prism_edge.tracking.map_correction import flaw
 from prism_edge.tracking.odometry import MetricOdometry
@@ -73,7 +74,8 @@ class TrackerWorker:
         self._ends = bus.queue("end")
         self._tracker = Tracker(_tracking(config), config.seed, bus.first_id)
         self._odometry = MetricOdometry()
-        self._publisher = PosePublisher(bus, config.frames)
+        self._publisher = PosePublisher(bus, config.frames, config.covariance.refinement)
+        self._drift = Drift(config.covariance)
         self._scale_sigma = UNKNOWN_SCALE_SIGMA
         self._travelled = 0.0
         self._update_sequence = -1
@@ -191,6 +193,8 @@ class TrackerWorker:
                 self._dropped,
                 probe,
                 self._scale_sigma,
+                *self._drift.here.sigmas(),
+                *self._drift.total.sigmas(),
             ),
         )
         if self._lockstep:
@@ -205,6 +209,7 @@ class TrackerWorker:
             self._odometry.advance(before, result.world_from_camera, tracker.log_scale, frame.stamp_ns)
             if before is not None:
                 self._travelled += float(np.linalg.norm(result.world_from_camera[:3, 3] - before[:3, 3]))
+            self._drift.advance(before, result, tracker.log_scale)
         self._publisher.publish(
             frame.stamp_ns,
             result,
@@ -212,6 +217,8 @@ class TrackerWorker:
             self._odometry.twist,
             tracker.log_scale,
             self._scale_sigma,
+            self._drift.here,
+            self._drift.total,
         )
 
     def _probe(self, frame: Frame) -> bool:
@@ -242,6 +249,7 @@ class TrackerWorker:
         )
 
     def _announce(self, keyframe: LocalKeyframe, frame: Frame) -> None:
+        self._drift.add_keyframe(self._tracker.world, keyframe, self._tracker.log_scale)
         message = keyframe_message(self._tracker, keyframe, self._travelled)
         self._bus.publish("keyframe", message)
         self._show_picture(frame, keyframe.id)
@@ -311,6 +319,8 @@ class TrackerWorker:
         self._update_sequence = message.sequence
         if len(message.keyframes):
             self._tracker.apply_update(message)
+        if message.loop_query >= 0:
+            self._drift.close(self._tracker.world, message, self._tracker.log_scale)
         if message.loop_closed:
             self._say(LOOP_CLOSED)
 

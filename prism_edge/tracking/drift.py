@@ -1,0 +1,103 @@
+"""How far the map may have drifted: a random walk with the way and the turning, undone where it is known.
+
+Between two places that share points the map's error grows like a random walk: its variance by
+``drift_per_sqrt_m``^2 for each metre and, of rotation, ``drift_per_sqrt_rad``^2 for each radian turned. The
+whole walk is what `odom` has. In the map a keyframe that sees known points drifted little more than its
+neighbours: its drift is that of the shortest way through keyframes that share points, from the first one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from prism_edge.config import CovarianceConfig
+from prism_edge.geometry.poses import Array, inverse, rotation_angle
+from prism_edge.messages import MapUpdate
+from prism_edge.tracking.frame_result import FrameResult
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+
+FORGET_ABOVE = 2  # times as many keyframes remembered as there are
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Variances: m^2 and rad^2, the same along and about each axis."""
+
+    metres2: float = 0.0
+    radians2: float = 0.0
+
+    def __add__(self, other: Walk) -> Walk:
+        return Walk(self.metres2 + other.metres2, self.radians2 + other.radians2)
+
+    def sigmas(self) -> tuple[float, float]:
+        """Standard deviations, m and rad."""
+        return math.sqrt(self.metres2), math.sqrt(self.radians2)
+
+    def covariance(self) -> Array:
+        """(6, 6), translation first; alike in all axes, so the same in every frame."""
+        return np.diag([self.metres2] * 3 + [self.radians2] * 3)
+
+
+NO_DRIFT = Walk()
+
+
+class Drift:
+    """Follows one camera: ``total`` is the whole walk, ``here`` what of it the last frame has in the map."""
+
+    def __init__(self, config: CovarianceConfig) -> None:
+        self._per_m, self._per_rad = config.drift_per_sqrt_m**2, config.drift_per_sqrt_rad**2
+        self.total = self.here = NO_DRIFT
+        self._keyframes: dict[int, Walk] = {}
+
+    def advance(self, before: Array | None, result: FrameResult, log_scale: float) -> None:
+        """A frame has been tracked; ``before`` is where the present map has the one before it."""
+        if result.world_from_camera is not None and before is not None:
+            self.total += self._of(inverse(before) @ result.world_from_camera, log_scale)
+        keyframe = self._keyframes.get(result.reference, self.total)
+        self.here = keyframe + self._of(result.reference_from_camera, log_scale)
+
+    def add_keyframe(self, world: LocalMap, keyframe: LocalKeyframe, log_scale: float) -> None:
+        """A keyframe has been made, and its neighbours are known; a map's first has no drift."""
+        if len(world.keyframes) == 1:
+            self._keyframes = {keyframe.id: NO_DRIFT}
+            return
+        near = [world.keyframes[k] for k in keyframe.neighbours if k in world.keyframes]
+        ways = [self._until(k, log_scale) + self._between(k, keyframe, log_scale) for k in near]
+        self._keyframes[keyframe.id] = _least(ways or [self.total])
+        if len(self._keyframes) > FORGET_ABOVE * len(world.keyframes) + 10:
+            self._keyframes = {k: walk for k, walk in self._keyframes.items() if k in world.keyframes}
+
+    def close(self, world: LocalMap, update: MapUpdate, log_scale: float) -> None:
+        """A loop has joined two keyframes: what is around them is as sure as the surer of the two."""
+        query, candidate = world.keyframes.get(update.loop_query), world.keyframes.get(update.loop_candidate)
+        if query is None or candidate is None:
+            return
+        edges = [(query, candidate), (candidate, query)]
+        while edges:  # each step makes a keyframe surer, so it ends
+            surer, other = edges.pop()
+            known = self._until(other, log_scale)
+            found = self._until(surer, log_scale) + self._between(surer, other, log_scale)
+            if found.metres2 < known.metres2 * (1.0 - 1e-6):
+                self._keyframes[other.id] = _least([found, known])
+                near = [world.keyframes[k] for k in other.neighbours if k in world.keyframes]
+                edges += [(other, k) for k in near]
+
+    def _of(self, motion: Array, log_scale: float) -> Walk:
+        """What is added between two places that differ by ``motion`` (4, 4), map units."""
+        way = math.exp(log_scale) * float(np.linalg.norm(motion[:3, 3]))
+        return Walk(self._per_m * way, self._per_rad * rotation_angle(motion[:3, :3]))
+
+    def _until(self, keyframe: LocalKeyframe, log_scale: float) -> Walk:
+        """Of a keyframe; of one that an earlier life made, as the crow flies from the map's beginning."""
+        known = self._keyframes.get(keyframe.id)
+        return self._of(keyframe.world_from_camera, log_scale) if known is None else known
+
+    def _between(self, first: LocalKeyframe, second: LocalKeyframe, log_scale: float) -> Walk:
+        return self._of(inverse(first.world_from_camera) @ second.world_from_camera, log_scale)
+
+
+def _least(walks: list[Walk]) -> Walk:
+    return Walk(min(w.metres2 for w in walks), min(w.radians2 for w in walks))

@@ -1,0 +1,121 @@
+"""The walk in closed form, and what undoes it."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from prism_edge.config import CovarianceConfig
+from prism_edge.geometry.poses import from_rt, so3_exp
+from prism_edge.messages import OK
+from prism_edge.tracking.drift import NO_DRIFT, Drift, Walk
+from prism_edge.tracking.frame_result import FrameResult
+from tests.tracking.cloud import pose_at
+
+CONFIG = CovarianceConfig(drift_per_sqrt_m=0.02, drift_per_sqrt_rad=0.01)
+
+
+def result(pose: np.ndarray, reference: int = -1, offset: np.ndarray | None = None) -> FrameResult:
+    return FrameResult(OK, pose, np.zeros((6, 6)), reference, np.eye(4) if offset is None else offset, 100)
+
+
+class World:
+    """Keyframes along a way, each knowing the one before; as much of a local map as is asked for."""
+
+    def __init__(self, drift: Drift, log_scale: float = 0.0) -> None:
+        self.keyframes: dict[int, SimpleNamespace] = {}
+        self.drift, self.log_scale = drift, log_scale
+        self.last: np.ndarray | None = None
+
+    def walk_to(self, number: int, pose: np.ndarray, neighbours: list[int]) -> None:
+        """The camera goes there in a straight line and makes a keyframe."""
+        self.drift.advance(self.last, result(pose), self.log_scale)
+        self.last = pose
+        self.keyframes[number] = SimpleNamespace(id=number, world_from_camera=pose, neighbours=neighbours)
+        for k in neighbours:
+            self.keyframes[k].neighbours = [number, *self.keyframes[k].neighbours]
+        self.drift.add_keyframe(self, self.keyframes[number], self.log_scale)
+
+    def drift_at(self, number: int) -> Walk:
+        pose = self.keyframes[number].world_from_camera
+        self.drift.advance(None, result(pose, number), self.log_scale)
+        return self.drift.here
+
+
+def test_variance_grows_with_the_metres_and_the_radians():
+    drift = Drift(CONFIG)
+    world = World(drift, log_scale=np.log(2.0))
+    world.walk_to(0, np.eye(4), [])
+    world.walk_to(1, pose_at(0, 0, 3.0), [0])
+    world.walk_to(2, from_rt(so3_exp(np.array([0, 0.5, 0])), np.array([0, 0, 3.0])), [1])
+    expected = Walk(0.02**2 * 6.0, 0.01**2 * 0.5)
+    for walk in (drift.total, world.drift_at(2)):
+        assert walk.sigmas() == pytest.approx(expected.sigmas())
+    assert world.drift_at(0) == NO_DRIFT
+    assert np.diag(expected.covariance()) == pytest.approx([24e-4] * 3 + [0.5e-4] * 3)
+
+
+def test_a_frame_has_its_keyframe_s_drift_and_the_way_from_there():
+    drift = Drift(CONFIG)
+    world = World(drift)
+    world.walk_to(0, np.eye(4), [])
+    world.walk_to(1, pose_at(4.0), [0])
+    drift.advance(None, result(pose_at(5.0), 1, pose_at(1.0)), 0.0)
+    assert drift.here.metres2 == pytest.approx(0.02**2 * 5.0)
+
+
+def test_coming_back_to_what_is_known_undoes_the_drift_of_the_map_and_not_of_odom():
+    drift = Drift(CONFIG)
+    world = World(drift)
+    for n, x in enumerate((0.0, 2.0, 4.0, 2.0)):
+        world.walk_to(n, pose_at(x), [n - 1] if n else [])
+    world.walk_to(4, pose_at(0.5), [3, 0])
+    assert world.drift_at(3).metres2 == pytest.approx(0.02**2 * 6.0)
+    assert world.drift_at(4).metres2 == pytest.approx(0.02**2 * 0.5)
+    assert drift.total.metres2 == pytest.approx(0.02**2 * 7.5)
+
+
+def test_a_loop_makes_both_ends_and_what_is_around_them_surer():
+    drift = Drift(CONFIG)
+    world = World(drift)
+    corners = [(0, 0), (4, 0), (8, 0), (8, 4), (4, 4), (0, 4), (0, 1)]
+    for n, (x, z) in enumerate(corners):
+        world.walk_to(n, pose_at(x, 0, z), [n - 1] if n else [])
+    assert world.drift_at(6).metres2 == pytest.approx(0.02**2 * 23.0)
+    drift.close(world, SimpleNamespace(loop_query=6, loop_candidate=0), 0.0)
+    ways = [world.drift_at(n).metres2 / 0.02**2 for n in range(7)]
+    assert ways == pytest.approx([0, 4, 8, 12, 8, 4, 1])
+    drift.close(world, SimpleNamespace(loop_query=99, loop_candidate=0), 0.0)  # long gone: nothing happens
+    assert world.drift_at(6).metres2 == pytest.approx(0.02**2)
+
+
+def test_a_new_map_begins_without_drift_and_odom_goes_on():
+    drift = Drift(CONFIG)
+    world = World(drift)
+    world.walk_to(0, np.eye(4), [])
+    world.walk_to(1, pose_at(4.0), [0])
+    world.keyframes.clear()
+    world.walk_to(7, pose_at(5.0), [])
+    assert world.drift_at(7) == NO_DRIFT
+    assert drift.total.metres2 == pytest.approx(0.02**2 * 5.0)
+
+
+def test_keyframes_of_an_earlier_life_drifted_as_the_crow_flies():
+    drift = Drift(CONFIG)
+    world = World(drift)
+    world.keyframes[3] = SimpleNamespace(id=3, world_from_camera=pose_at(9.0), neighbours=[])
+    world.walk_to(4, pose_at(10.0), [3])
+    assert world.drift_at(4).metres2 == pytest.approx(0.02**2 * 10.0)
+
+
+def test_culled_keyframes_are_forgotten():
+    drift = Drift(CONFIG)
+    world = World(drift)
+    for n in range(100):
+        world.walk_to(n, pose_at(0.1 * n), [n - 1] if n else [])
+        for old in [k for k in world.keyframes if k < n - 5]:
+            del world.keyframes[old]
+    assert len(drift._keyframes) < 40
+    assert world.drift_at(99).metres2 == pytest.approx(0.02**2 * 9.9)
