@@ -15,6 +15,7 @@ from prism_edge.geometry.poses import Array
 Index = NDArray[np.intp]
 HIGHEST_THRESHOLD = 25  # of FAST
 CELL = 16  # pixels; about the radius of a search, so that one touches few cells
+FEW_MATCHES, MANY_MATCHES, GROWTH = 200, 250, 1.2
 
 
 @dataclass(frozen=True)
@@ -61,6 +62,7 @@ class OrbExtractor:
     spread_cell = 32  # pixels
 
     def __init__(self, config: TrackingConfig) -> None:
+        self._least, self._most = config.features, max(config.features, config.max_features)
         self._wanted = config.features
         self.scale_factors: Array = config.scale_factor ** np.arange(config.levels, dtype=np.float64)
         self._lowest = self._threshold = config.fast_threshold
@@ -87,11 +89,24 @@ class OrbExtractor:
             keypoints, descriptors = [keypoints[i] for i in chosen], descriptors[chosen]
         raw = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float64).reshape(-1, 2)
         octaves = np.array([k.octave for k in keypoints], dtype=np.intp)
+        raw = _in_full_image(raw, octaves, self.scale_factors, grey.shape)
         packed = np.ascontiguousarray(descriptors).view(np.uint64)
         ideal = camera.undistort_pixels(raw)
         # A fisheye's rim has no pinhole pixel.
         inside = np.all(np.abs(ideal - raw) < 2.0 * max(grey.shape), axis=1)
         return Features.build(ideal[inside], octaves[inside], packed[inside], grey.shape[1], grey.shape[0])
+
+    def want(self, matched: int) -> None:
+        """Follow the matches: a scene that changes fast between frames needs more corners to hold on to."""
+        if matched < FEW_MATCHES:
+            wanted = min(int(GROWTH * self._wanted), self._most)
+        elif matched > MANY_MATCHES:
+            wanted = max(int(self._wanted / GROWTH), self._least)
+        else:
+            return
+        if wanted != self._wanted:
+            self._wanted = wanted
+            self._orb.setMaxFeatures(int(wanted * self.surplus))
 
     def _adapt(self, found: int) -> None:
         """Follow the texture: FAST's time goes into corners that are thrown away afterwards."""
@@ -109,3 +124,15 @@ class OrbExtractor:
         rank = np.arange(len(order)) - first_of_cell
         # Every cell's best, then every cell's second best, and so on until there are enough.
         return order[np.lexsort((-strength[order], rank))][: self._wanted]
+
+
+def _in_full_image(pixels: Array, octaves: Index, factors: Array, shape: tuple[int, ...]) -> Array:
+    """Where keypoints (n, 2) of a pyramid really are in the image.
+
+    OpenCV multiplies a level's pixel by the level's factor. But levels have whole numbers of pixels, and
+    two pixels' centres coincide at (x + 1/2) / factor: up to a pixel lies between, and another at each level.
+    """
+    size = np.array([shape[1], shape[0]], np.float64)
+    level_size = np.rint(size / factors[:, None])
+    factor = factors[octaves][:, None]
+    return (pixels / factor + 0.5) * (size / level_size)[octaves] - 0.5

@@ -105,6 +105,7 @@ class Tracker:
     def _continue(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
         frame = self._track(stamp_ns, camera, features)
         silent_s = 0.0 if self._seen_at is None else (stamp_ns - self._seen_at) * 1e-9
+        self._extractor.want(0 if frame is None else frame.matched)
         if frame is None:
             if not self._initialised:
                 if silent_s > (DEPTH_PATIENCE_S if self._last is None else INITIAL_PATIENCE_S):
