@@ -26,8 +26,8 @@ def keep_unit(world: GlobalMap, held: int, poses: dict[int, Array], points: dict
     if not good.any():
         return 1.0
     factor = float(np.exp(np.median(np.log(before[good] / after[good]))))
-    for position in points.values():
-        position[:] = centre + factor * (position - centre)
+    for p, position in points.items():
+        points[p] = centre + factor * (position - centre)
     for pose in poses.values():
         pose[:3, 3] = centre + factor * (pose[:3, 3] - centre)
     return factor

@@ -63,11 +63,11 @@ class OrbExtractor:
 
     def __init__(self, config: TrackingConfig) -> None:
         self._least, self._most = config.features, max(config.features, config.max_features)
-        self._wanted = config.features
+        self._wanted = self._most  # a first map can't have too many
         self.scale_factors: Array = config.scale_factor ** np.arange(config.levels, dtype=np.float64)
         self._lowest = self._threshold = config.fast_threshold
         self._orb = cv2.ORB.create(
-            nfeatures=int(config.features * self.surplus),
+            nfeatures=int(self._wanted * self.surplus),
             scaleFactor=config.scale_factor,
             nlevels=config.levels,
             edgeThreshold=19,

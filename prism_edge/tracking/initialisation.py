@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, inverse
 from prism_edge.tracking.triangulation import rays, triangulate
+from prism_edge.tracking.two_view_pose import refine_two_view_pose
 
 MIN_MATCHES = 60
 MIN_POINTS = 50  # triangulated at MIN_PARALLAX
@@ -18,6 +19,7 @@ MIN_PARALLAX = np.radians(1.0)
 EPIPOLAR_PX = 1.0
 REPROJECTION_PX = 2.0
 MIN_INLIER_SHARE = 0.6
+CLEARLY = 1.5  # times the cost
 
 
 @dataclass(frozen=True)
@@ -32,9 +34,12 @@ class TwoViews:
 
 
 def reconstruct(
-    camera: Camera, first: Array, second: Array, first_depths: Array, seed: int
+    camera: Camera, first: Array, second: Array, first_depths: Array, tracked: Array, seed: int
 ) -> TwoViews | None:
-    """Relative pose from an essential matrix (RANSAC), its length from the first view's depths.
+    """Relative pose from matches alone, its length from the first view's depths.
+
+    Refined both from ``tracked`` (first_from_second as the depths have it) and from an essential matrix
+    (RANSAC), which must fit clearly better: at little parallax rotation and translation look alike.
 
     ``first``, ``second`` (n, 2) are matched ideal pixels, ``first_depths`` (n,) along z, above 0. The unit
     is the median ratio of given to triangulated depth, so single wrong depths do no harm. None where
@@ -54,11 +59,16 @@ def reconstruct(
         )
     except cv2.error:
         return None  # degenerate matches: all on one spot, say
-    first_from_second = inverse(from_rt(np.asarray(rotation, np.float64), np.ravel(translation)))
+    inlier = mask.ravel().astype(bool)
+    found = inverse(from_rt(np.asarray(rotation, np.float64), np.ravel(translation)))
+    first_from_second, cost = refine_two_view_pose(camera, first[inlier], second[inlier], found)
+    near, near_cost = refine_two_view_pose(camera, first[inlier], second[inlier], tracked)
+    if near_cost < CLEARLY * cost:
+        first_from_second = _facing(camera, first[inlier], second[inlier], near)
     points, depth_first, depth_second, parallax = triangulate(
         np.eye(4), first_from_second, rays(camera, first), rays(camera, second)
     )
-    good = mask.ravel().astype(bool) & np.isfinite(depth_first) & (depth_first > 0) & (depth_second > 0)
+    good = inlier & np.isfinite(depth_first) & (depth_first > 0) & (depth_second > 0)
     good &= _reprojects(camera, np.eye(4), points, first)
     good &= _reprojects(camera, first_from_second, points, second)
     wide = good & (parallax > MIN_PARALLAX)
@@ -69,6 +79,18 @@ def reconstruct(
     spread = 1.48 * float(np.median(np.abs(ratios - np.median(ratios))))
     first_from_second[:3, 3] *= unit
     return TwoViews(first_from_second, points * unit, parallax, good, spread)
+
+
+def _facing(camera: Camera, first: Array, second: Array, first_from_second: Array) -> Array:
+    """The pose, or the one with its translation turned round: the one that sees its points in front."""
+    turned = first_from_second.copy()
+    turned[:3, 3] *= -1.0
+    ray_a, ray_b = rays(camera, first), rays(camera, second)
+    in_front = []
+    for pose in (first_from_second, turned):
+        _, depth_a, depth_b, _ = triangulate(np.eye(4), pose, ray_a, ray_b)
+        in_front.append(int(np.sum((depth_a > 0) & (depth_b > 0))))
+    return first_from_second if in_front[0] >= in_front[1] else turned
 
 
 def _reprojects(camera: Camera, view: Array, points: Array, pixels: Array) -> NDArray[np.bool_]:

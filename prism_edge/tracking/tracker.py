@@ -36,7 +36,6 @@ NEIGHBOURS, SHARING, TRIANGULATING = 10, 10, 4  # covisible keyframes, best firs
 DEGRADED_MATCHES = 50
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
 CAN_WAIT_MATCHES = 100
-CREDIBLE_SPREAD = 0.35  # of log network depth about triangulated depth
 MOST_BETWEEN_NS = 200_000_000  # what one frame adds to how long a lost camera has looked about
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
 
@@ -259,10 +258,10 @@ class Tracker:
         return keyframe
 
     def _begin_structure(self, first: LocalKeyframe, frame: TrackedFrame) -> bool:
-        """Check what the network gave the first map against two views; False: wait for more parallax.
+        """Rest the first map on two views, in the network's unit; False: wait for more parallax.
 
-        Where its depths scatter too far about the triangulated ones (outdoors, say), the two views'
-        structure takes their place. A camera that is about to lose the first view can't wait.
+        A network that is at a loss (an indoor one outdoors, say) would bend it, and no network is as good as
+        two rays. A camera that is about to lose the first view can't wait.
         """
         table = self.world.points
         keypoints = np.flatnonzero(frame.points >= 0)
@@ -273,13 +272,12 @@ class Tracker:
             first.features.pixels[table.reference_keypoint[rows]],
             frame.features.pixels[keypoints],
             depths,
+            inverse(first.world_from_camera) @ frame.world_from_camera,
             self._seed,
         )
         if views is None:
             return frame.matched < CAN_WAIT_MATCHES
-        if views.depth_spread < CREDIBLE_SPREAD:
-            return True
-        log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
+        log.info("the first map rests on two views; network depth scatters by %.2f", views.depth_spread)
         frame.world_from_camera = first.world_from_camera @ views.first_from_second
         good = views.good
         table.position[rows[good]] = transform(first.world_from_camera, views.points[good])

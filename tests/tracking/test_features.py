@@ -136,3 +136,44 @@ def test_the_index_finds_what_brute_force_finds(seed, count, width, height):
     assert set(zip(query.tolist(), keypoint.tolist(), strict=True)) == expected
     assert len(query) == len(expected)
     assert np.all(np.diff(query) >= 0)
+
+
+def test_a_corner_lies_at_one_place_at_every_level():
+    """OpenCV's own coordinates move down and right with the level, by up to two pixels at the sixth."""
+    centres = np.array([(x, y) for y in range(60, 440, 60) for x in range(60, 600, 60)], float)
+    rows, columns = np.mgrid[0:480, 0:640]
+    image = np.full((480, 640), 60.0)
+    for x, y in centres:
+        image += 190.0 * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * 6.0**2))
+    features = OrbExtractor(TrackingConfig(features=3000, max_features=3000)).extract(
+        np.clip(image, 0, 255).astype(np.uint8), CAMERA
+    )
+    offset = features.pixels[:, None] - centres
+    nearest = offset[np.arange(len(features)), np.linalg.norm(offset, axis=2).argmin(axis=1)]
+    for octave in range(3, 6):
+        mine = nearest[features.octaves == octave]
+        assert len(mine) > 20
+        # Corners found round a symmetric blob scatter evenly about it.
+        assert np.all(np.abs(mine.mean(axis=0)) < 0.5)
+
+
+def test_few_matches_bring_more_features_and_many_bring_fewer():
+    config = TrackingConfig(features=300, max_features=600)
+    extractor = OrbExtractor(config)
+    image = blocks()
+
+    def found() -> int:
+        for _ in range(5):  # the detector's threshold follows
+            features = extractor.extract(image, CAMERA)
+        return len(features)
+
+    assert 500 < found() <= 600
+    for _ in range(10):
+        extractor.want(400)
+    assert 250 < found() <= 300
+    for _ in range(10):
+        extractor.want(225)  # neither few nor many
+    assert found() <= 300
+    for _ in range(10):
+        extractor.want(50)
+    assert 500 < found() <= 600
