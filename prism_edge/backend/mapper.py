@@ -11,6 +11,7 @@ from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loop_closing import Accepted, LoopCloser, MapChanges
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.stored_map import LARGEST_ID, KnownScale, from_arrays, to_arrays
+from prism_edge.backend.unit import keep_unit
 from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
@@ -115,6 +116,8 @@ class Mapper:
         )
         if solution is None:
             return None
+        if len(window.held) == 1:
+            keep_unit(self.world, window.held[0], solution.poses, solution.points)
         return self._take_over(newest, solution, started)
 
     def _take_over(self, newest: int, solution: Solution, started: float) -> MapUpdate:

@@ -20,6 +20,8 @@ def keep_unit(world: GlobalMap, held: int, poses: dict[int, Array], points: dict
     """
     centre = world.keyframes[held].world_from_camera[:3, 3].copy()
     ids = [p for p in points if len(world.points[p].keyframes) >= WELL_SEEN] or list(points)
+    if not ids:
+        return 1.0
     before = np.linalg.norm([world.points[p].position - centre for p in ids], axis=1)
     after = np.linalg.norm([points[p] - centre for p in ids], axis=1)
     good = (before > 1e-9) & (after > 1e-9)

@@ -11,7 +11,6 @@ from gtsam.symbol_shorthand import L, X
 
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.unit import keep_unit
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
@@ -188,8 +187,6 @@ def solve(
     points = {p: np.asarray(result.atPoint3(L(p))) for p in window.points}
     if not all(np.all(np.isfinite(v)) for v in (*poses.values(), *points.values())):
         return None
-    if len(window.held) == 1:
-        keep_unit(world, window.held[0], poses, points)
     wrong = outliers(world, poses, points, observations, config)
     parallax = widest_parallax(world, points)
     return Solution(poses, points, parallax, wrong, iterations, before or 0.0, error)
