@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, inverse
 from prism_edge.tracking.triangulation import rays, triangulate
-from prism_edge.tracking.two_view_pose import refine_two_view_pose
+from prism_edge.tracking.two_view_pose import refine_two_view_pose, robust_cost, sampson_distances
 
 MIN_MATCHES = 60
 MIN_POINTS = 50  # triangulated at MIN_PARALLAX
@@ -31,6 +31,7 @@ class TwoViews:
     parallax: Array  # (n,) rad
     good: NDArray[np.bool_]  # (n,) before both cameras, and reprojecting into both
     depth_spread: float  # of log(given / triangulated) depth, one sigma (robust)
+    contradicts: bool  # the matches fit this pose clearly better than the one tracked at the given depths
 
 
 def reconstruct(
@@ -65,6 +66,9 @@ def reconstruct(
     near, near_cost = refine_two_view_pose(camera, first[inlier], second[inlier], tracked)
     if near_cost < CLEARLY * cost:
         first_from_second = _facing(camera, first[inlier], second[inlier], near)
+    at_best, at_tracked = (
+        robust_cost(sampson_distances(camera, first, second, pose)) for pose in (first_from_second, tracked)
+    )
     points, depth_first, depth_second, parallax = triangulate(
         np.eye(4), first_from_second, rays(camera, first), rays(camera, second)
     )
@@ -78,7 +82,9 @@ def reconstruct(
     unit = float(np.exp(np.median(ratios)))
     spread = 1.48 * float(np.median(np.abs(ratios - np.median(ratios))))
     first_from_second[:3, 3] *= unit
-    return TwoViews(first_from_second, points * unit, parallax, good, spread)
+    return TwoViews(
+        first_from_second, points * unit, parallax, good, spread, contradicts=at_tracked > CLEARLY * at_best
+    )
 
 
 def _facing(camera: Camera, first: Array, second: Array, first_from_second: Array) -> Array:

@@ -258,10 +258,10 @@ class Tracker:
         return keyframe
 
     def _begin_structure(self, first: LocalKeyframe, frame: TrackedFrame) -> bool:
-        """Rest the first map on two views, in the network's unit; False: wait for more parallax.
+        """Check what the network gave the first map against two views; False: wait for more parallax.
 
-        A network that is at a loss (an indoor one outdoors, say) would bend it, and no network is as good as
-        two rays. A camera that is about to lose the first view can't wait.
+        Where its depths contradict the matches (outdoors, say), the two views' structure takes their place.
+        A camera that is about to lose the first view can't wait.
         """
         table = self.world.points
         keypoints = np.flatnonzero(frame.points >= 0)
@@ -277,7 +277,9 @@ class Tracker:
         )
         if views is None:
             return frame.matched < CAN_WAIT_MATCHES
-        log.info("the first map rests on two views; network depth scatters by %.2f", views.depth_spread)
+        if not views.contradicts:
+            return True
+        log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
         frame.world_from_camera = first.world_from_camera @ views.first_from_second
         good = views.good
         table.position[rows[good]] = transform(first.world_from_camera, views.points[good])

@@ -40,7 +40,7 @@ def refine_two_view_pose(
         return first_from_second, np.inf
     pose = _with_length(first_from_second, 1.0)
     distances = sampson_distances(camera, first, second, pose)
-    cost, damping = _huber(distances), DAMPING
+    cost, damping = robust_cost(distances), DAMPING
     for _ in range(ITERATIONS):
         jacobian = np.empty((len(first), 6))
         for i, direction in enumerate(np.eye(6)):
@@ -50,9 +50,10 @@ def refine_two_view_pose(
         hessian = jacobian.T @ (weights[:, None] * jacobian)
         # The length of the translation has no curvature: damping alone holds it.
         damped = hessian + damping * (np.diag(np.diag(hessian)) + 1e-6 * np.trace(hessian) * np.eye(6))
-        tried = _with_length(pose @ se3_exp(-np.linalg.solve(damped, jacobian.T @ (weights * distances))), 1.0)
+        step = np.linalg.solve(damped, jacobian.T @ (weights * distances))
+        tried = _with_length(pose @ se3_exp(-step), 1.0)
         tried_distances = sampson_distances(camera, first, second, tried)
-        tried_cost = _huber(tried_distances)
+        tried_cost = robust_cost(tried_distances)
         if not tried_cost < cost:
             damping *= 10.0
             if damping > 1e6:
@@ -65,7 +66,8 @@ def refine_two_view_pose(
     return _with_length(pose, length), cost
 
 
-def _huber(distances: Array) -> float:
+def robust_cost(distances: Array) -> float:
+    """Mean of Huber's function of distances in pixels (px^2)."""
     size = np.abs(distances)
     return float(np.mean(np.where(size < HUBER_PX, 0.5 * size**2, HUBER_PX * (size - 0.5 * HUBER_PX))))
 

@@ -37,6 +37,7 @@ def test_pose_and_points_come_out_in_the_unit_of_the_given_depths():
     error = np.linalg.norm(found.points - 2.5 * points, axis=1) / (2.5 * points[:, 2])
     assert np.median(error[wide]) < 0.05
     assert found.depth_spread < 0.05
+    assert not found.contradicts
 
 
 def test_the_spread_tells_how_far_the_given_depths_can_be_believed():
@@ -84,8 +85,10 @@ def test_one_seed_gives_one_answer():
 def test_a_pose_tracked_at_wrong_depths_does_not_mislead():
     first, second, points = views(SECOND)
     wrong = se3_exp(np.array([0.1, -0.2, 0.5, 0.0, 0.03, -0.04]))
-    found = reconstruct(CAMERA, first, second, points[:, 2], wrong, seed=0)
+    flat = np.full(len(points), 3.0)  # a network at a loss
+    found = reconstruct(CAMERA, first, second, flat, wrong, seed=0)
     assert found is not None
+    assert found.contradicts
     assert rotation_angle(found.first_from_second[:3, :3].T @ SECOND[:3, :3]) < np.radians(0.5)
 
 
