@@ -16,6 +16,7 @@ Index = NDArray[np.intp]
 HIGHEST_THRESHOLD = 25  # of FAST
 CELL = 16  # pixels; about the radius of a search, so that one touches few cells
 FEW_MATCHES, MANY_MATCHES, GROWTH = 200, 250, 1.2
+VGA, MOST_AREA = (640, 480), 3.0  # what the configured numbers are for; the most that area counts
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,8 @@ class OrbExtractor:
     spread_cell = 32  # pixels
 
     def __init__(self, config: TrackingConfig) -> None:
+        self._config = config
+        self._size = VGA
         self._least, self._most = config.features, max(config.features, config.max_features)
         self._wanted = self._most  # a first map can't have too many
         self.scale_factors: Array = config.scale_factor ** np.arange(config.levels, dtype=np.float64)
@@ -78,6 +81,8 @@ class OrbExtractor:
 
     def extract(self, grey: NDArray[np.uint8], camera: Camera) -> Features:
         """Features of a grey image (height, width); an image without corners gives none."""
+        if (grey.shape[1], grey.shape[0]) != self._size:
+            self._fit((grey.shape[1], grey.shape[0]))
         keypoints, descriptors = self._orb.detectAndCompute(grey, None)
         if descriptors is None or not len(keypoints):
             keypoints, descriptors = (), np.zeros((0, 32), np.uint8)
@@ -95,6 +100,15 @@ class OrbExtractor:
         # A fisheye's rim has no pinhole pixel.
         inside = np.all(np.abs(ideal - raw) < 2.0 * max(grey.shape), axis=1)
         return Features.build(ideal[inside], octaves[inside], packed[inside], grey.shape[1], grey.shape[0])
+
+    def _fit(self, size: tuple[int, int]) -> None:
+        """A larger image needs as many more features as it shows more."""
+        share = min(max(size[0] * size[1] / (VGA[0] * VGA[1]), 0.5), MOST_AREA)
+        self._size = size
+        self._least = int(share * self._config.features)
+        self._most = int(share * max(self._config.features, self._config.max_features))
+        self._wanted = self._most
+        self._orb.setMaxFeatures(int(self._wanted * self.surplus))
 
     def want(self, matched: int) -> None:
         """Follow the matches: a scene that changes fast between frames needs more corners to hold on to."""
