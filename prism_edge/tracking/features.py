@@ -102,8 +102,8 @@ class OrbExtractor:
         return Features.build(ideal[inside], octaves[inside], packed[inside], grey.shape[1], grey.shape[0])
 
     def _fit(self, size: tuple[int, int]) -> None:
-        """A larger image needs as many more features as it shows more."""
-        share = min(max(size[0] * size[1] / (VGA[0] * VGA[1]), 0.5), MOST_AREA)
+        """A larger image needs as many more features as it shows more; a smaller one not fewer."""
+        share = min(max(size[0] * size[1] / (VGA[0] * VGA[1]), 1.0), MOST_AREA)
         self._size = size
         self._least = int(share * self._config.features)
         self._most = int(share * max(self._config.features, self._config.max_features))
