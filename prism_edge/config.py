@@ -36,6 +36,7 @@ ABLATIONS = {
     "wls": "the weighted least squares: an observation is a plain mean",
     "depth_factor": "metric depth in the window's bundle adjustment",
     "loop": "place recognition and loop closure",
+    "init": "the first two views' structure: the second keyframe waits for nothing",
     "dsug": "the uncertainty gate: depth weighs alike at every pixel",
     "consistency": "the trust that points earn: all weigh alike, however long they have stood",
     "plucker": "the ray-distance factor: points that rest on depth keep their reprojections",
@@ -98,6 +99,9 @@ class TrackingConfig:
     keyframe_max_s: float = limits(1.5, 0.0, 60.0, "a moving camera makes a keyframe at least this often")
     max_local_points: int = limits(5000, 100, 50_000, "map points projected into a frame at most")
     proven_after_s: float = limits(1.5, 0.0, 60.0, "age at which a point weighs fully; 0: all weigh alike")
+    two_views: bool = field(
+        default=True, metadata={"help": "a map's second keyframe waits for parallax, and checks the depth"}
+    )
     max_keyframes: int = limits(600, 10, 100_000, "keyframes the local map keeps at most")
 
 

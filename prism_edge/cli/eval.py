@@ -12,11 +12,6 @@ from prism_edge.cli.settings import SOURCE_HELP, add_common, add_playing, config
 from prism_edge.config import ABLATIONS
 from prism_edge.errors import ConfigError
 
-# Parts of the method that can't be left out of this version, as they are not in it.
-_ABSENT = {
-    "init": "there is no synchronous initialisation over several keyframes",
-}
-
 
 def add_parser(subparsers: Any) -> None:
     """Add the subcommand."""
@@ -69,8 +64,6 @@ def check_ablations(names: list[str]) -> None:
     for name in names:
         if name in ABLATIONS:
             continue
-        if name in _ABSENT:
-            raise ConfigError(f"--ablate {name}: {_ABSENT[name]} to switch off in this version")
         raise ConfigError(f"--ablate {name}: no such part; use one of {', '.join(ABLATIONS)}")
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
+from prism_edge.tracking.baseline import unobserved_translation
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
@@ -114,12 +115,13 @@ class FrameTracker:
         world.points.found[rows[estimate.inliers]] += 1
         points[keypoints[~estimate.inliers]] = -1
         matched = int(estimate.inliers.sum())
+        unknown = unobserved_translation(world, estimate.world_from_camera, rows[estimate.inliers])
         return TrackedFrame(
             camera,
             features,
             estimate.world_from_camera,
             points,
-            estimate.covariance,
+            estimate.covariance + unknown,
             matched,
             estimate.residual_px,
         )

@@ -55,6 +55,7 @@ class LocalMap:
         self.points = PointTable()
         self.keyframes: dict[int, LocalKeyframe] = {}
         self.changes = Changes()
+        self.has_baseline = False  # whether a frame has seen enough points from two sides (baseline.py)
 
     def newest(self) -> LocalKeyframe:
         """The latest keyframe; the map must have one."""

@@ -227,7 +227,8 @@ class Tracker:
         decision = decide(self._config, frame, reference, since_s, matches, depth)
         if not decision.wanted:
             return None
-        if self.parts.size(self.world) == 1 and not self._begin_structure(reference, frame):
+        alone = self._config.two_views and self.parts.size(self.world) == 1
+        if alone and not self._begin_structure(reference, frame):
             return None
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points

@@ -382,8 +382,9 @@ class TrackerWorker:
 
 def _tracking(config: Config) -> TrackingConfig:
     """The tracker's settings, without what is ablated."""
-    ablated = "consistency" in config.ablate
-    return replace(config.tracking, proven_after_s=0.0) if ablated else config.tracking
+    trusting = 0.0 if "consistency" in config.ablate else config.tracking.proven_after_s
+    two_views = config.tracking.two_views and "init" not in config.ablate
+    return replace(config.tracking, proven_after_s=trusting, two_views=two_views)
 
 
 def main(config: Config, bus: Bus) -> None:

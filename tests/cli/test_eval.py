@@ -34,16 +34,6 @@ def test_out_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--out" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("part", ["init"])
-def test_parts_that_are_not_there_are_refused_in_plain_words(
-    part: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code = main(["eval", str(tmp_path), "--out", str(tmp_path / "out"), "--ablate", part])
-    assert code == ConfigError.exit_code
-    assert "in this version" in one_line(capsys)
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize(
     ("arguments", "words", "code"),
     [

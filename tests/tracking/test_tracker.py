@@ -128,7 +128,8 @@ def test_covariances_are_proper_and_small_where_much_is_seen(whole):
         assert covariance == pytest.approx(covariance.T, rel=1e-6, abs=1e-15)
         values = np.linalg.eigvalsh(covariance)
         assert values[0] > 0
-        assert np.sqrt(values[-1]) < 0.08
+        if i > whole.keyframes[1]:  # before, nothing but depth says how far it moved: test_baseline.py
+            assert np.sqrt(values[-1]) < 0.08
 
 
 def test_the_same_film_gives_the_same_poses(whole):

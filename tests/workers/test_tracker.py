@@ -14,6 +14,7 @@ from prism_edge.messages import (
     Frame,
     probe_of,
 )
+from prism_edge.workers.tracker import _tracking
 from tests.tracking.footage import footage, other_room
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import (
@@ -361,3 +362,10 @@ def test_where_its_place_in_the_map_is_unknown_odom_goes_out_and_pose_does_not(b
     odom = {index[ros.stamp_ns(m)]: ros.pose_matrix(m.pose.pose)[:3, 3] for m in bus.of("odom")}
     steps = [np.linalg.norm(odom[i + 1] - odom[i]) for i in sorted(odom) if i + 1 in odom]
     assert max(steps) < 0.1
+
+
+@pytest.mark.parametrize("part", ["consistency", "init"])
+def test_an_ablated_part_is_off_and_no_other(part):
+    tracking = _tracking(replace(CONFIG, ablate=(part,)))
+    assert (tracking.proven_after_s > 0.0) == (part != "consistency")
+    assert tracking.two_views == (part != "init")

@@ -1,0 +1,89 @@
+"""A camera that only turns: its orientation is measured, and its translation says that it isn't."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.config import TrackingConfig
+from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, so3_exp
+from prism_edge.messages import OK
+from prism_edge.tracking.tracker import FrameResult, Tracker
+from tests.synthetic.render import Renderer
+from tests.synthetic.scene import furnished_room, hand_held_path
+from tests.synthetic.sequence import synthetic_camera
+from tests.tracking.footage import IDENTITY, RATE_HZ
+
+TURNING, MOVING = 30, 25
+CONFIG = TrackingConfig(features=500)
+
+
+def path() -> list[np.ndarray]:
+    """A degree a frame to the right on the spot, then sideways by 2 cm a frame."""
+    begin = hand_held_path(1, RATE_HZ)[0]
+    turns = [begin @ from_rt(so3_exp(np.array([0, np.radians(i), 0])), np.zeros(3)) for i in range(TURNING)]
+    return turns + [turns[-1] @ from_rt(np.eye(3), np.array([0.02 * i, 0, 0])) for i in range(1, MOVING + 1)]
+
+
+@pytest.fixture(scope="module")
+def film() -> list[tuple[np.ndarray, np.ndarray]]:
+    """Images and exact depths along the path."""
+    renderer = Renderer(furnished_room(0), synthetic_camera(320, 240))
+    drawn = [renderer.draw(pose) for pose in path()]
+    return [(np.clip(np.round(luma), 0, 255).astype(np.uint8), depth) for luma, depth in drawn]
+
+
+def play(
+    film: list[tuple[np.ndarray, np.ndarray]], config: TrackingConfig
+) -> tuple[list[FrameResult], list[int]]:
+    """Results of all frames, and which became keyframes; each keyframe's depth comes at once."""
+    tracker, results, keyframes = Tracker(config), [], []
+    for i, (image, depth) in enumerate(film):
+        stamp_ns = round(i * 1e9 / RATE_HZ)
+        results.append(tracker.process(i, stamp_ns, image, synthetic_camera(320, 240)))
+        keyframe = tracker.maybe_keyframe()
+        if keyframe is not None:
+            keyframes.append(i)
+            tracker.add_depth(keyframe.id, depth, IDENTITY, 0.1)
+    return results, keyframes
+
+
+def sigma(result: FrameResult) -> tuple[float, float]:
+    """The least certain direction of position (m), and of orientation (rad)."""
+    values = [np.linalg.eigvalsh(result.covariance[part, part])[-1] for part in (slice(0, 3), slice(3, 6))]
+    return float(np.sqrt(values[0])), float(np.sqrt(values[1]))
+
+
+def test_while_it_turns_orientation_goes_out_and_translation_counts_as_unobserved(film):
+    results, keyframes = play(film, CONFIG)
+    turning, depth = results[1:TURNING], float(np.median(film[0][1]))
+    assert all(r.odometry == OK and r.world_from_camera is not None for r in turning)
+    true = path()
+    for i, result in enumerate(turning, start=1):
+        error = inverse(inverse(true[0]) @ true[i]) @ result.world_from_camera
+        assert rotation_angle(error[:3, :3]) < np.radians(0.5)
+        assert sigma(result)[1] < np.radians(1.0)
+        assert sigma(result)[0] > 0.4 * depth
+    # The second keyframe waited while the first view was in sight; then the map went on without parallax.
+    assert any(0 < i < TURNING for i in keyframes)
+    # The first baseline ends it, for good.
+    observed = [sigma(r)[0] < 0.1 for r in results[TURNING:]]
+    assert observed[-1]
+    first = observed.index(True)
+    assert all(observed[first:])
+    assert first > 0
+
+
+def test_a_camera_that_moves_at_once_has_its_baseline_with_the_second_keyframe(film):
+    results, keyframes = play(film[TURNING:], CONFIG)
+    observed = [sigma(r)[0] < 0.1 for r in results]
+    assert not any(observed[1 : keyframes[1] + 1])
+    assert all(observed[keyframes[1] + 2 :])
+
+
+def test_without_two_views_the_second_keyframe_waits_for_nothing(film):
+    config = replace(CONFIG, keyframe_max_s=0.2)
+    waiting, at_once = (play(film[:TURNING], replace(config, two_views=both))[1] for both in (True, False))
+    assert at_once[1] < waiting[1]
