@@ -100,10 +100,17 @@ class Mapper:
         keyframe.depths = own * factor
 
     def add_gate(self, message: Gate) -> None:
-        """Attach the gate's weights to a keyframe's keypoints (those of a message that fits it)."""
+        """Attach the gate's weights to a keyframe's keypoints (those of a message that fits it).
+
+        Relative to their median, at most 1: where a network is unsure of the whole view, that says nothing
+        against any one of its points.
+        """
         keyframe = self.world.keyframes.get(message.keyframe) if message.epoch == self.epoch else None
         if keyframe is not None and len(message.weights) == len(message.uncertainty) == len(keyframe.pixels):
             weights = np.clip(message.weights.astype(np.float64), 0.0, 1.0)
+            known = weights[~np.isnan(message.uncertainty)]
+            if len(known) > 0:
+                weights = np.minimum(weights / max(float(np.median(known)), 1e-3), 1.0)
             keyframe.weights = np.where(np.isnan(message.uncertainty), np.nan, weights)
 
     def optimise(self, newest: int, log_scale: float) -> MapUpdate | None:
