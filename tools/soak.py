@@ -71,8 +71,10 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
         busy = machine_cpu(), _cpu(service)
         samples: list[dict[str, Any]] = []
         while (at := time.monotonic() - begun) < seconds:
-            samples.append({"at_s": round(at, 1), "pss_mb": service.memory_mb(),
-                            "descriptors": service.descriptors(), "keyframes": watcher.keyframes()})
+            memory, descriptors = service.memory_mb(), service.descriptors()
+            samples.append(
+                {"at_s": at, "pss_mb": memory, "descriptors": descriptors, "keyframes": _held(watcher)}
+            )
             time.sleep(max(0.0, min(SAMPLE_S, begun + seconds - time.monotonic())))
         poses = len(watcher.poses) - first
         foreign = _foreign(busy, (machine_cpu(), _cpu(service)))
@@ -140,6 +142,15 @@ def markdown(report: dict[str, Any]) -> str:
 
 def _bounded(config: Any, max_keyframes: int) -> Any:
     return replace(config, tracking=replace(config.tracking, max_keyframes=max_keyframes))
+
+
+def _held(watcher: Watcher) -> int:
+    """Keyframes that the tracker's and the backend's map hold, whichever has more; -1 where none says so.
+
+    The backend's snapshot would count the carried poses of culled ones too.
+    """
+    said = [watcher.health.get(name, {}).get("keyframes", "-1") for name in ("tracker", "backend")]
+    return max(map(int, said))
 
 
 def _cpu(service: Service) -> float:
