@@ -82,13 +82,32 @@ def test_metres_follow_from_output_and_focal_length_of_any_part_at_any_size(fold
 def test_batches_hold_whole_pairs_and_are_the_same_again(folder: Path, monkeypatch) -> None:
     monkeypatch.setattr(pictures, "WORLDS", 1)
     views = Views(folder)
-    first, again, other = (views.batch(96, 80, 7, step) for step in (0, 0, 1))
+    first, again, other = (views.batch(96, 80, 0.55, 7, step) for step in (0, 0, 1))
     assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
     assert not np.array_equal(first.image, other.image)
     assert first.image.shape == (8, 3, 80, 96)
     assert first.depth.shape == (8, 40, 48)
     assert np.array_equal(first.overlap, first.overlap.T)
     assert np.median(first.overlap[np.arange(0, 8, 2), np.arange(1, 8, 2)]) > 0.4
+
+
+def test_no_crop_is_narrower_than_asked_for(folder: Path, monkeypatch) -> None:
+    monkeypatch.setattr(pictures, "WORLDS", 1)
+    views, widths = Views(folder), []
+    cut = views._cut
+
+    def watched(row, part, *size):
+        widths.append(part[2])
+        return cut(row, part, *size)
+
+    monkeypatch.setattr(views, "_cut", watched)
+    for step in range(6):
+        views.batch(96, 80, 0.9, 7, step)
+    assert min(widths) >= 0.74 * 320  # the tallest aspect, once the picture's own height is used up
+    widths.clear()
+    for step in range(6):
+        views.batch(96, 80, 0.4, 7, step)
+    assert min(widths) < 0.6 * 320
 
 
 def test_a_folder_without_views_is_said_in_one_line(tmp_path: Path) -> None:

@@ -45,12 +45,12 @@ class Views:
         self.pose_count = len(self.world)
         self._first = {int(w): int(np.argmax(self.world == w)) for w in np.unique(self.world)}
 
-    def batch(self, width: int, height: int, *seed: int) -> Batch:
-        """The training batch of a seed, ``width`` x ``height`` pixels."""
+    def batch(self, width: int, height: int, narrowest: float, *seed: int) -> Batch:
+        """The training batch of a seed, ``width`` x ``height`` pixels; crops are ``narrowest`` to 1 wide."""
         rng = np.random.default_rng(seed)
         rows, mirrored = self._choose(rng)
         chosen = zip(rows, mirrored, strict=True)
-        parts = [self._example(row, flip, width, height, rng) for row, flip in chosen]
+        parts = [self._example(row, flip, width, height, narrowest, rng) for row, flip in chosen]
         image, depth = (np.stack(part) for part in zip(*parts, strict=True))
         return Batch(image, depth, self.shared(rows))
 
@@ -86,11 +86,11 @@ class Views:
         return np.array(rows), np.array(flips)
 
     def _example(
-        self, row: int, flip: bool, width: int, height: int, rng: np.random.Generator
+        self, row: int, flip: bool, width: int, height: int, narrowest: float, rng: np.random.Generator
     ) -> tuple[F32, F32]:
         whole_h, whole_w = self.images.shape[1:3]
         aspect = _ASPECT * float(np.exp(np.clip(rng.normal(0.0, 0.12), -0.3, 0.3)))
-        w = whole_w * float(rng.uniform(0.55, 1.0))
+        w = whole_w * float(rng.uniform(narrowest, 1.0))
         h = w / aspect
         w, h = w * min(1.0, whole_h / h), min(h, float(whole_h))
         # Near the middle: real lenses have their axis there.

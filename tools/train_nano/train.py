@@ -1,11 +1,13 @@
 """Trains prism-nano on rendered views; a checkpoint of each stage is kept up to date as it goes.
 
-    python -m tools.train_nano.train DATA OUT [--held-out DATA] [--steps N,N,N] [--seed N] [--threads N]
+    python -m tools.train_nano.train DATA OUT [--held-out DATA] [--steps N,N,...] [--seed N] [--threads N]
 
-Three stages. Small pictures come first: most of what a room looks like is learned there at half the price.
-Then pictures of the network's own size, and at last the learning rate goes down to nothing. As it is
-constant in the second stage, that can be stopped at any checkpoint as if it had been asked for no more
-steps. The weights that are kept are an exponential mean over the steps.
+Five stages, or the first few of them. Small pictures come first: most of what a room looks like is learned
+there at half the price. Then pictures of the network's own size at a constant learning rate, and then the
+rate goes down to nothing. The fourth and fifth are the second and third once more, with wider crops, which
+are nearer to the whole pictures that the network is for. Where the rate is constant, a stage can be stopped
+at any checkpoint as if it had been asked for no more steps. The weights that are kept are an exponential
+mean over the steps.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import copy
 import math
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -37,9 +40,12 @@ from tools.train_nano.network import Nano
 from tools.train_nano.pictures import WORLDS, Batch, Views
 from tools.train_nano.ruler import HEIGHT, WIDTH
 
-SIZES = ((96, 80), (WIDTH, HEIGHT), (WIDTH, HEIGHT))  # of a stage's pictures
-RATES = ((3e-3, 1.2e-3), (1.2e-3, 1.2e-3), (1.2e-3, 1e-5))  # learning rate at a stage's beginning and end
-WARM_UP = 200  # steps of the first stage
+FULL = (WIDTH, HEIGHT)
+SIZES = ((96, 80), FULL, FULL, FULL, FULL)  # of a stage's pictures
+# Learning rate at a stage's beginning and end.
+RATES = ((3e-3, 1.2e-3), (1.2e-3, 1.2e-3), (1.2e-3, 1e-5), (1.2e-3, 1.2e-3), (1.2e-3, 1e-5))
+NARROWEST = (0.55, 0.55, 0.55, 0.7, 0.7)  # a stage's narrowest crop, as a share of the view's width
+WARM_UP = {0: 200, 3: 50}  # steps of a stage: where the rate jumps up
 KEEP = 0.998  # of the running mean, a step
 REPORT, CHECK = 50, 250  # steps between lines, and between checkpoints
 AHEAD = 3  # batches made in advance
@@ -72,7 +78,7 @@ def main() -> None:
     parser.add_argument("data", type=Path, help="folder that tools.train_nano.render wrote")
     parser.add_argument("out", type=Path, help="folder for checkpoints")
     parser.add_argument("--held-out", type=Path, help="such a folder of other worlds, looked at on the way")
-    parser.add_argument("--steps", default="2500,2500,1000", help="of the stages (default 2500,2500,1000)")
+    parser.add_argument("--steps", default="2500,2500,1000", help="of the stages (default %(default)s)")
     parser.add_argument("--stop", type=int, default=0, help="end the last stage after so many of its steps")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1)
@@ -83,6 +89,8 @@ def main() -> None:
     cv2.setNumThreads(1)
     arguments.out.mkdir(parents=True, exist_ok=True)
     steps = [int(word) for word in arguments.steps.split(",")]
+    if len(steps) > len(SIZES):
+        parser.error(f"--steps {arguments.steps}: there are {len(SIZES)} stages")
     network, first = Nano().to(memory_format=torch.channels_last), 0
     mean = Mean(network)
     if arguments.resume:
@@ -113,6 +121,7 @@ def run_stage(
 ) -> None:
     """One stage of ``steps`` steps, or its first ``stop``; ``mean`` is what counts afterwards."""
     width, height = SIZES[stage]
+    batch = partial(views.batch, width, height, NARROWEST[stage])
     decayed = [p for p in network.parameters() if p.ndim > 1]
     plain = [p for p in network.parameters() if p.ndim <= 1]
     groups = [{"params": decayed, "weight_decay": 0.02}, {"params": plain, "weight_decay": 0.0}]
@@ -130,14 +139,14 @@ def run_stage(
     with bar, ThreadPoolExecutor(1) as pool:
         task = bar.add_task("", total=steps, loss="")
         coming: list[Future[Batch]] = [
-            pool.submit(views.batch, width, height, seed, stage, step) for step in range(min(AHEAD, steps))
+            pool.submit(batch, seed, stage, step) for step in range(min(AHEAD, steps))
         ]
         running: dict[str, float] = {}
         for step in range(stop):
-            batch = coming.pop(0).result()
+            example = coming.pop(0).result()
             if step + AHEAD < steps:
-                coming.append(pool.submit(views.batch, width, height, seed, stage, step + AHEAD))
-            image, truth, overlap = (torch.from_numpy(part) for part in batch)
+                coming.append(pool.submit(batch, seed, stage, step + AHEAD))
+            image, truth, overlap = (torch.from_numpy(part) for part in example)
             network.train()
             answer = network(image.contiguous(memory_format=torch.channels_last))
             loss, parts = total(*answer, truth, overlap)
@@ -165,7 +174,7 @@ def rate(stage: int, step: int, steps: int) -> float:
     """Learning rate: up in a straight line at the very beginning, then down along cosines."""
     first, last = RATES[stage]
     cosine = last + (first - last) * 0.5 * (1.0 + math.cos(math.pi * step / steps))
-    return cosine * (min(1.0, (step + 1) / WARM_UP) if stage == 0 else 1.0)
+    return cosine * min(1.0, (step + 1) / WARM_UP.get(stage, 1))
 
 
 def save(network: Nano, mean: Mean, stage: int, path: Path) -> None:
