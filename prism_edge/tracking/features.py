@@ -15,7 +15,7 @@ from prism_edge.geometry.poses import Array
 Index = NDArray[np.intp]
 HIGHEST_THRESHOLD = 25  # of FAST
 CELL = 16  # pixels; about the radius of a search, so that one touches few cells
-FEW_MATCHES, MANY_MATCHES, GROWTH = 200, 250, 1.2
+FEW_MATCHES, MANY_MATCHES, GROWTH = 170, 200, 1.2
 VGA, MOST_AREA = (640, 480), 3.0  # what the configured numbers are for; the most that area counts
 
 
