@@ -78,10 +78,13 @@ def scale_of(keyframe: Keyframe, log_scale: float = 0.1, **changes: object) -> S
 
 
 def gate_of(keyframe: Keyframe, weight: float = 1.0) -> Gate:
+    """Open, but for the second keypoint's ``weight``."""
     count = len(keyframe.pixels)
+    weights = np.ones(count, np.float32)
+    weights[1] = weight
     known = np.full(count, 0.3, np.float32)
     known[0] = np.nan
-    return Gate(keyframe.id, keyframe.index, keyframe.epoch, np.full(count, weight, np.float32), known)
+    return Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, known)
 
 
 def tick(index: int, keyframe: int = -1) -> Tracked:

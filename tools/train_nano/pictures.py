@@ -38,9 +38,9 @@ class Views:
         """Raises SystemExit, in one line, for a folder that holds no rendered views."""
         if not (folder / "views.npz").is_file():
             raise SystemExit(f"{folder}: no rendered views there; tools.train_nano.render makes them")
-        self.images: U8 = np.load(folder / "images.npy", mmap_mode="r")
-        self.depths = np.load(folder / "depth.npy", mmap_mode="r")
-        with np.load(folder / "views.npz") as file:
+        self.images: U8 = np.load(folder / "images.npy", mmap_mode="r", allow_pickle=False)
+        self.depths = np.load(folder / "depth.npy", mmap_mode="r", allow_pickle=False)
+        with np.load(folder / "views.npz", allow_pickle=False) as file:
             self.world, self.focal, self.overlap = file["world"], file["focal"], file["overlap"]
         self.pose_count = len(self.world)
         self._first = {int(w): int(np.argmax(self.world == w)) for w in np.unique(self.world)}

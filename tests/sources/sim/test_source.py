@@ -20,6 +20,7 @@ from prism_edge.sources.sim.effects import EXPOSURE_S
 from prism_edge.sources.truth import read_truth
 from prism_edge.topics import TOPICS
 from prism_edge.workers.source import SourceWorker
+from tests.workers.fake_desk import FakeDesk
 
 TINY = "width=96&height=72"
 
@@ -127,6 +128,7 @@ class Listener:
         self.life = 0
         self.stopped = threading.Event()
         self.said: list[tuple[str, Any]] = []
+        self.commands = FakeDesk().open
         nothing = lambda *_: None  # noqa: E731
         self.pulse = SimpleNamespace(
             values={}, ready=nothing, working=nothing, idle=nothing, ended=self.stopped.set
