@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from prism_edge.supervisor.notify import Notifier
-from tests.supervisor.manager import Manager
+from tests.supervisor.fake_systemd import Manager
 
 
 @pytest.fixture(params=["path", "abstract"])

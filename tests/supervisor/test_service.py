@@ -15,7 +15,7 @@ import pytest
 from prism_edge.config import BusConfig, Config, DepthConfig, SupervisorConfig
 from prism_edge.config_file import dump
 from prism_edge.supervisor.reload import put
-from tests.supervisor.manager import Manager
+from tests.supervisor.fake_systemd import Manager
 
 DAEMON = Path(__file__).with_name("fake_daemon.py")
 CHECKOUT = Path(__file__).resolve().parents[2]
