@@ -63,6 +63,8 @@ def reconstruct(
     inlier = mask.ravel().astype(bool)
     found = inverse(from_rt(np.asarray(rotation, np.float64), np.ravel(translation)))
     first_from_second, cost = refine_two_view_pose(camera, first[inlier], second[inlier], found)
+    if not np.isfinite(cost):
+        return None
     near, near_cost = refine_two_view_pose(camera, first[inlier], second[inlier], tracked)
     if near_cost < CLEARLY * cost:
         first_from_second = _facing(camera, first[inlier], second[inlier], near)

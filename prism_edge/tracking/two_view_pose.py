@@ -10,6 +10,7 @@ from prism_edge.tracking.triangulation import rays
 
 HUBER_PX = 1.0
 ITERATIONS, STEP, DAMPING = 15, 1e-6, 1e-3
+UNDETERMINED, NO_STEP = 1e-10, 1e-10
 
 
 def sampson_distances(camera: Camera, first: Array, second: Array, first_from_second: Array) -> Array:
@@ -32,6 +33,7 @@ def refine_two_view_pose(
 ) -> tuple[Array, float]:
     """Refine a relative pose (4, 4); also the cost, the mean of Huber's function of the distances (px^2).
 
+    Infinite cost, and the pose as given, where the matches don't determine one (all on a spot, say).
     The translation keeps its length, of which matches say nothing. Levenberg-Marquardt with numerical
     derivatives: six evaluations over some hundred matches cost less than the bookkeeping of analytic ones.
     """
@@ -48,9 +50,14 @@ def refine_two_view_pose(
             jacobian[:, i] = (sampson_distances(camera, first, second, moved) - distances) / STEP
         weights = np.minimum(1.0, HUBER_PX / np.maximum(np.abs(distances), 1e-12))
         hessian = jacobian.T @ (weights[:, None] * jacobian)
-        # The length of the translation has no curvature: damping alone holds it.
-        damped = hessian + damping * (np.diag(np.diag(hessian)) + 1e-6 * np.trace(hessian) * np.eye(6))
-        step = np.linalg.solve(damped, jacobian.T @ (weights * distances))
+        # The length of the translation has no curvature: a step along it would be arbitrarily long.
+        lengthwise = np.concatenate([pose[:3, :3].T @ pose[:3, 3], np.zeros(3)])
+        held = hessian + np.trace(hessian) * np.outer(lengthwise, lengthwise)
+        if np.linalg.eigvalsh(held)[0] <= UNDETERMINED * np.trace(hessian):
+            return first_from_second, np.inf
+        step = np.linalg.solve(held + damping * np.diag(np.diag(hessian)), jacobian.T @ (weights * distances))
+        if np.linalg.norm(step) < NO_STEP:
+            break
         tried = _with_length(pose @ se3_exp(-step), 1.0)
         tried_distances = sampson_distances(camera, first, second, tried)
         tried_cost = robust_cost(tried_distances)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from prism_edge.geometry.cameras import Camera
@@ -30,6 +30,7 @@ def angle_between(a, b):
     st.tuples(*[st.floats(-0.3, 0.3)] * 3).filter(lambda t: np.linalg.norm(t) > 0.1),
     st.tuples(*[st.floats(-0.1, 0.1)] * 3),
 )
+@example((0.00390625, 0.0, -0.109375), (0.0, 0.0, 0.0))  # straight ahead, the start 17 degrees off
 def test_exact_matches_give_back_the_motion_and_keep_the_length(translation, rotation):
     truth = se3_exp(np.array([*translation, *rotation]))
     a, b = matches(truth)
@@ -62,4 +63,12 @@ def test_no_translation_to_begin_with_is_left_alone():
     a, b = matches(np.eye(4))
     found, cost = refine_two_view_pose(CAMERA, a, b, np.eye(4))
     assert np.array_equal(found, np.eye(4))
+    assert cost == np.inf
+
+
+def test_matches_of_a_single_point_tell_nothing_and_break_nothing():
+    same = np.tile([[320.0, 240.0]], (30, 1))
+    start = se3_exp(np.array([0.1, 0, 0, 0, 0, 0]))
+    found, cost = refine_two_view_pose(CAMERA, same, same + 1.0, start)
+    assert np.array_equal(found, start)
     assert cost == np.inf
