@@ -7,92 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prism_edge.config import Config, DepthConfig
-from prism_edge.geometry.poses import inverse, transform
-from prism_edge.messages import Acknowledged, Depth, EndOfStream, Gate, Keyframe, Scale, Tracked
+from prism_edge.config import Config
+from prism_edge.geometry.poses import inverse
+from prism_edge.messages import EndOfStream
 from prism_edge.workers import backend as worker
-from tests.backend.ring import Ring, position_error
-from tests.backend.world import Teller
-from tests.tracking.cloud import pose_at
+from tests.workers.backend_bench import (
+    CONFIG,
+    NO_DEPTH,
+    depth_of,
+    gate_of,
+    keyframes,
+    scale_of,
+    snapshot,
+)
 from tests.workers.list_bus import ListBus
 
-CONFIG = Config(depth=DepthConfig(model="exact"))
-LOCKSTEP = replace(CONFIG, mode="lockstep")
-NO_DEPTH = Config()
+pytestmark = pytest.mark.usefixtures("impatient")
+
 NAN = float("nan")
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch):
-    """What never comes is not waited for long."""
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.02)
-    monkeypatch.setattr(worker, "_PATIENCE_S", 0.1)
-    monkeypatch.setattr(worker, "_LOOK_S", 0.005)
-
-
-def keyframes(count: int, epoch: int = 0, first: int = 0) -> tuple[Teller, list[Keyframe]]:
-    teller = Teller(epoch=epoch, noise_px=0.3, first=first)
-    return teller, [teller.keyframe(pose_at(0.2 * i, 0.0, 0.0, 0.0, -0.03 * i)) for i in range(count)]
-
-
-def depth_of(keyframe: Keyframe, teller: Teller, **changes: object) -> Depth:
-    """A depth map in which each keypoint finds its own depth (each in a patch of its own, roughly)."""
-    depth = np.full((120, 160), 3.0, np.float32)
-    pose = teller.poses[keyframe.id - teller.first]
-    local = transform(inverse(pose), teller.cloud.positions[keyframe.points])
-    for (x, y), z in zip(np.rint(keyframe.pixels / 4).astype(int), local[:, 2], strict=True):
-        depth[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] = z
-    made = Depth(
-        keyframe=keyframe.id,
-        index=keyframe.index,
-        stamp_ns=keyframe.stamp_ns,
-        epoch=keyframe.epoch,
-        model="exact",
-        bias_sigma=0.0,
-        inference_ms=1.0,
-        valid=True,
-        reason="",
-        image_to_depth=np.array([0.25, 0.0, 0.25, 0.0]),
-        depth=depth,
-        confidence=np.zeros((0, 0), np.float32),
-        descriptor=np.zeros(0, np.float32),
-    )
-    return replace(made, **changes)
-
-
-def scale_of(keyframe: Keyframe, log_scale: float = 0.1, **changes: object) -> Scale:
-    made = Scale(
-        keyframe=keyframe.id,
-        index=keyframe.index,
-        stamp_ns=keyframe.stamp_ns,
-        epoch=keyframe.epoch,
-        log_scale=log_scale,
-        sigma=0.1,
-        filter_sigma=0.1,
-        observation=log_scale,
-        observation_sigma=0.1,
-        points=50,
-        accepted=True,
-    )
-    return replace(made, **changes)
-
-
-def gate_of(keyframe: Keyframe, weight: float = 1.0) -> Gate:
-    """Open, but for the second keypoint's ``weight``."""
-    count = len(keyframe.pixels)
-    weights = np.ones(count, np.float32)
-    weights[1] = weight
-    known = np.full(count, 0.3, np.float32)
-    known[0] = np.nan
-    return Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, known)
-
-
-def tick(index: int, keyframe: int = -1) -> Tracked:
-    return Tracked(index, index * 33_000_000, 0, "ok", True, keyframe, 0, np.eye(4))
-
-
-def snapshot(bus: ListBus):
-    return bus.answers["map_snapshot"]()
 
 
 def run_realtime(bus: ListBus, config: Config = CONFIG) -> None:
@@ -239,103 +171,6 @@ def test_a_process_that_was_started_anew_numbers_on():
     assert bus.of("map_update")[0].sequence == 1_000_001
 
 
-def lockstep(bus: ListBus, told: list[Keyframe], teller: Teller, with_scale: bool = True) -> None:
-    """Four frames a keyframe, everything sent before the worker looks."""
-    for keyframe in told:
-        bus.give("keyframe", keyframe)
-        bus.give("depth", depth_of(keyframe, teller))
-        if with_scale:
-            bus.give("log_scale", scale_of(keyframe))
-    bus.give("tracked", *(tick(i, i // 4 if i % 4 == 0 else -1) for i in range(4 * len(told))))
-
-
-def test_lockstep_acknowledges_every_frame_once_its_update_is_out():
-    bus, (teller, told) = ListBus("tracked"), keyframes(4)
-    lockstep(bus, told, teller)
-    worker.main(LOCKSTEP, bus)
-    assert bus.of("acknowledged") == [Acknowledged("backend", i) for i in range(16)]
-    order = [(t, m.based_on if t == "map_update" else m.index) for t, m in bus.sent]
-    for k in range(4):
-        assert order.index(("map_update", k)) == order.index(("acknowledged", 4 * k)) - 1
-
-
-def test_lockstep_answers_each_keyframe_even_with_nothing():
-    """The tracker waits for one update a keyframe, in the order of the keyframes."""
-    bus, (teller, told) = ListBus("tracked"), keyframes(4)
-    lockstep(bus, told, teller)
-    worker.main(LOCKSTEP, bus)
-    updates = bus.of("map_update")
-    assert [u.based_on for u in updates] == [0, 1, 2, 3]
-    assert [u.sequence for u in updates] == [1, 2, 3, 4]
-    assert len(updates[0].keyframes) == 0
-    assert all(len(u.keyframes) for u in updates[1:])
-
-
-def test_lockstep_waits_for_keyframe_depth_and_scale():
-    """They come late, one at a time; the acknowledgement comes after the last of them."""
-    teller, told = keyframes(2)
-    bus = ListBus("tracked", patience=200)
-    bus.give("tracked", tick(0, 0), tick(1, 1))
-    late = {
-        2: ("keyframe", told[0]),
-        4: ("depth", depth_of(told[0], teller)),
-        6: ("log_scale", scale_of(told[0])),
-    }
-    made = worker.BackendWorker(LOCKSTEP, bus)
-    looks = 0
-    receive = made._receive
-
-    def count(timeout_s):
-        nonlocal looks
-        looks += 1
-        if looks in late:
-            assert not bus.of("acknowledged")
-            bus.give(*late[looks])
-        if looks == 7:
-            bus.give("keyframe", told[1])
-            bus.give("depth", depth_of(told[1], teller))
-            bus.give("log_scale", scale_of(told[1]))
-        receive(timeout_s)
-
-    made._receive = count
-    made.run()
-    assert looks >= 6
-    assert [a.index for a in bus.of("acknowledged")] == [0, 1]
-    assert made._mapper.world.keyframes[0].depths is not None
-
-
-def test_lockstep_goes_on_without_what_never_comes(caplog):
-    teller, told = keyframes(3)
-    bus = ListBus("tracked", patience=100)
-    lockstep(bus, told, teller, with_scale=False)
-    worker.main(LOCKSTEP, bus)
-    assert [a.index for a in bus.of("acknowledged")] == list(range(12))
-    assert [u.based_on for u in bus.of("map_update")] == [0, 1, 2]
-    assert "keyframe 0 is incomplete" in caplog.text
-
-
-def test_lockstep_needs_no_depth_where_there_is_no_network():
-    _, told = keyframes(3)
-    bus = ListBus("tracked")
-    bus.give("keyframe", *told)
-    bus.give("tracked", *(tick(i, i) for i in range(3)))
-    worker.main(replace(NO_DEPTH, mode="lockstep"), bus)
-    assert [u.based_on for u in bus.of("map_update")] == [0, 1, 2]
-    assert len(bus.of("acknowledged")) == 3
-
-
-def test_lockstep_twice_is_the_same_to_the_last_bit():
-    runs = []
-    for _ in range(2):
-        bus, (teller, told) = ListBus("tracked"), keyframes(5)
-        lockstep(bus, told, teller)
-        worker.main(LOCKSTEP, bus)
-        runs.append(bus.of("map_update"))
-    for first, second in zip(*runs, strict=True):
-        assert np.array_equal(first.poses, second.poses)
-        assert np.array_equal(first.positions, second.positions)
-
-
 def test_what_is_kept_for_later_does_not_grow():
     """Weeks of keyframes: depths that came early and scales are forgotten once their turn is over."""
     teller, told = keyframes(12)
@@ -351,76 +186,6 @@ def test_what_is_kept_for_later_does_not_grow():
     assert len(made._scaled) <= 1
     assert len(made._gated) <= 1
     assert not made._waiting
-
-
-def ring_depth(keyframe: Keyframe, ring: Ring) -> Depth:
-    """No depth worth the name, but what the network thinks the place looks like."""
-    return Depth(
-        keyframe=keyframe.id,
-        index=keyframe.index,
-        stamp_ns=keyframe.stamp_ns,
-        epoch=keyframe.epoch,
-        model="exact",
-        bias_sigma=0.0,
-        inference_ms=1.0,
-        valid=False,
-        reason="for its descriptor alone",
-        image_to_depth=np.zeros(4),
-        depth=np.zeros((0, 0), np.float32),
-        confidence=np.zeros((0, 0), np.float32),
-        descriptor=ring.looks_like(keyframe.id),
-    )
-
-
-def round_the_ring(bus: ListBus, config: Config, count: int = 43) -> Ring:
-    ring = Ring(lap=36, drift=np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002]), count=1800)
-    for i in range(count):
-        keyframe = ring.keyframe()
-        bus.give("keyframe", keyframe)
-        bus.give("depth", ring_depth(keyframe, ring))
-        bus.give("gate", gate_of(keyframe))
-        bus.give("log_scale", scale_of(keyframe, 0.0))
-        bus.give("tracked", tick(i, keyframe.id))
-    bus.give("end", EndOfStream(count, count, 0, 0, count - 1))
-    worker.main(config, bus)
-    return ring
-
-
-def test_a_loop_is_announced_with_its_keyframe_s_update_and_stands_in_the_snapshot():
-    bus = ListBus("tracked", patience=40)
-    ring = round_the_ring(bus, LOCKSTEP)
-    updates = bus.of("map_update")
-    assert [u.based_on for u in updates if u.based_on < 43][:43] == list(range(43)), "one for each keyframe"
-    closed = [u for u in updates if u.loop_closed]
-    assert closed
-    assert len(closed[0].fused_from) == len(closed[0].fused_into) > 20
-    assert closed[0].keyframes.tolist() == list(range(closed[0].based_on + 1)), "everything moves"
-    whole = snapshot(bus)
-    assert whole.settled
-    assert (whole.loop_queries - whole.loop_candidates > 300).all()
-    assert whole.loop_queries[0] == 10 * closed[0].based_on
-    assert (whole.loop_inliers >= 25).all()
-    plain = ListBus("tracked", patience=40)
-    round_the_ring(plain, replace(LOCKSTEP, ablate=("loop",)))
-    assert not any(u.loop_closed for u in plain.of("map_update"))
-    assert len(snapshot(plain).loop_queries) == 0
-    with_loops, without = (
-        position_error(dict(zip(s.keyframes.tolist(), s.poses, strict=True)), ring.true)
-        for s in (whole, snapshot(plain))
-    )
-    assert with_loops < 0.5 * without
-
-
-def test_the_end_waits_for_the_global_adjustment_of_the_last_loop():
-    """In real time all of it comes at once here: one window, one loop, and then the adjustment's steps."""
-    bus = ListBus("keyframe", patience=40)
-    round_the_ring(bus, CONFIG)
-    closed, adjusted = bus.of("map_update")
-    assert closed.loop_closed
-    assert not adjusted.loop_closed
-    assert len(adjusted.keyframes) == 43
-    assert bus.states.count("global adjustment") >= 2, "step by step"
-    assert snapshot(bus).settled
 
 
 @pytest.mark.parametrize("late", [False, True])

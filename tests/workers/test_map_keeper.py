@@ -16,8 +16,8 @@ from prism_edge.errors import MapError
 from prism_edge.workers import backend as worker
 from prism_edge.workers import state_directory
 from prism_edge.workers.state_directory import map_names, map_path
+from tests.workers.backend_bench import CONFIG, depth_of, gate_of, keyframes, scale_of, snapshot
 from tests.workers.list_bus import ListBus
-from tests.workers.test_backend import CONFIG, depth_of, gate_of, keyframes, scale_of, snapshot
 
 
 def run(folder: Path, told: list, teller, life: int = 0, config=CONFIG, ask: tuple[str, ...] = ()) -> ListBus:

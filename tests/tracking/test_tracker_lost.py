@@ -1,0 +1,83 @@
+"""A tracker that no longer sees its map: when it says so, and that it is found again, in the right place."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from prism_edge.messages import DEGRADED, LOST, OK
+from tests.synthetic.scene import block_texture
+from tests.tracking.cloud import pose_at
+from tests.tracking.film_run import BLACK, CONFIG, Run
+from tests.tracking.footage import RATE_HZ, footage
+
+
+def test_a_camera_that_sees_nothing_is_lost_and_found_again():
+    run = Run()
+    run.play(range(30))
+    before = run.results[29].world_from_camera
+    words = [run.feed(0, BLACK, at=i).odometry for i in range(30, 45)]
+    soon = round(CONFIG.lost_after_s * RATE_HZ)
+    assert words[: soon - 1] == [DEGRADED] * (soon - 1)
+    assert words[soon:] == [LOST] * (15 - soon)
+    assert all(run.results[i].world_from_camera is None for i in range(30, 45))
+    keyframes = len(run.keyframes)
+    # Held still meanwhile, the camera is found at once; not as a jump, and in the same map.
+    assert run.feed(30, at=45).odometry == LOST, "one frame is not believed"
+    found = run.feed(31, at=46)
+    assert found.odometry in (OK, DEGRADED)
+    assert np.linalg.norm((found.world_from_camera - before)[:3, 3]) < 0.05
+    assert run.tracker.epoch == 0
+    for i in range(47, 60):
+        assert run.feed(i - 15, at=i).odometry == OK
+    error = np.linalg.norm((run.results[59].world_from_camera - footage().poses[44])[:3, 3])
+    assert error < 0.04
+    assert len(run.keyframes) >= keyframes
+
+
+def test_it_is_found_where_it_was_carried_in_the_dark():
+    run = Run()
+    run.play(range(30))
+    for i in range(30, 45):
+        run.feed(0, BLACK, at=i)
+    # It comes back at frame 12, which is neither where it was lost nor where it was heading.
+    found = run.until_found([(12 + i, None) for i in range(4)], at=45)
+    off = found.world_from_camera - footage().poses[12 + run.found_at - 45]
+    assert np.linalg.norm(off[:3, 3]) < 0.03
+
+
+def rolled(index: int, angle: float) -> tuple[np.ndarray, np.ndarray]:
+    """A frame as a camera turned about its axis sees it, and where that camera is."""
+    film = footage()
+    c, s = np.cos(angle), np.sin(angle)
+    turn, centre = np.array([[c, -s], [s, c]]), np.array([film.camera.cx, film.camera.cy])
+    from_new = np.column_stack([turn, centre - turn @ centre])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    return cv2.warpAffine(film.images[index], from_new, (320, 240), flags=flags), film.poses[index] @ pose_at(
+        0, 0, 0, 0, 0, angle
+    )
+
+
+def test_it_is_found_where_no_search_near_the_last_place_reaches():
+    run = Run()
+    run.play(range(30))
+    for i in range(30, 45):
+        run.feed(0, BLACK, at=i)
+    turned = [rolled(20 + i, 2.5) for i in range(8)]
+    found = run.until_found([(20 + i, image) for i, (image, _) in enumerate(turned)], at=45)
+    assert np.linalg.norm((found.world_from_camera - turned[run.found_at - 45][1])[:3, 3]) < 0.04
+
+
+def test_another_room_is_not_taken_for_this_one():
+    run = Run()
+    run.play(range(30))
+    elsewhere = block_texture(np.random.default_rng(7), 320, 240)
+    for i in range(30, 45):
+        assert run.feed(0, elsewhere, at=i).world_from_camera is None
+
+
+def test_a_gap_in_the_frames_is_bridged():
+    run = Run()
+    run.play(range(20))
+    assert run.feed(30).odometry == OK
+    assert run.errors(range(30, 31))[0] < 0.03

@@ -1,0 +1,116 @@
+"""A tracker carried to another room: it maps there on its own, and is joined to the map it had."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.poses import inverse, se3_log, transform
+from prism_edge.tracking.tracker import Tracker
+from tests.tracking.cloud import check, map_update, pose_at
+from tests.tracking.film_run import BLACK, CONFIG, Run
+from tests.tracking.footage import IDENTITY, footage, other_room
+
+
+@pytest.fixture(scope="module")
+def astray() -> tuple[Run, list]:
+    """A camera that was carried to another room, and maps there."""
+    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.4))), other_room()
+    run.play(range(30))
+    for i in range(30, 42):
+        run.feed(0, BLACK, at=i)
+    for i, (image, depth, _) in enumerate(room):
+        run.feed(0, image, at=42 + i)
+        for k, frame in run.keyframes.items():
+            if frame == 42 + i:
+                run.tracker.add_depth(k, depth, IDENTITY, 0.1)
+    return run, room
+
+
+def test_a_camera_lost_in_the_unknown_maps_on_its_own(astray):
+    run, room = astray
+    first = next(i for i in range(42, 102) if run.results[i].world_from_camera is not None)
+    assert 42 + 10 <= first <= 42 + 20, "0.4 s of looking about in vain"
+    tracked = [i for i in range(first, 102) if run.results[i].world_from_camera is not None]
+    assert len(tracked) > 0.9 * (102 - first)
+    assert not any(run.results[i].in_map for i in tracked)
+    assert all(run.results[i].in_map for i in range(5, 30))
+    moved = inverse(run.results[first].world_from_camera) @ run.results[101].world_from_camera
+    true = inverse(room[first - 42][2]) @ room[101 - 42][2]
+    assert np.linalg.norm(moved[:3, 3] - true[:3, 3]) < 0.1 * np.linalg.norm(true[:3, 3]) + 0.02
+    assert run.tracker.epoch == 0, "never a reset"
+    world, home = run.tracker.world, run.tracker.parts.of(0)
+    apart = [k for k in world.keyframes if run.tracker.parts.of(k) != home]
+    known = np.concatenate([k.points for k in world.keyframes.values() if k.id not in apart])
+    assert len(apart) >= 3
+    for k in apart:
+        assert not np.isin(world.keyframes[k].points[world.keyframes[k].observed()], known).any()
+    jump = run.results[first].world_from_camera[:3, 3] - run.results[29].world_from_camera[:3, 3]
+    assert np.linalg.norm(jump) < 0.1, "odom goes on from where it was"
+    check(run.tracker.world)
+
+
+def test_back_in_the_old_map_it_is_found_there(astray):
+    run, _ = astray
+    for i in range(102, 114):
+        run.feed(0, BLACK, at=i)
+    found = run.until_found([(12 + i, None) for i in range(12)], at=114)
+    assert found.in_map
+    off = found.world_from_camera - footage().poses[12 + run.found_at - 114]
+    assert np.linalg.norm(off[:3, 3]) < 0.03
+    assert run.keyframes[found.reference] < 30, "carried by a keyframe of the same part"
+
+
+def test_a_loop_between_the_parts_brings_the_camera_home():
+    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3))), other_room(40)
+    run.play(range(20))
+    for i in range(20, 32):
+        run.feed(0, BLACK, at=i)
+    for i, (image, depth, _) in enumerate(room):
+        run.feed(0, image, at=32 + i)
+        for k, frame in run.keyframes.items():
+            if frame == 32 + i:
+                run.tracker.add_depth(k, depth, IDENTITY, 0.1)
+    last = run.results[71]
+    assert not last.in_map
+    world, motion = run.tracker.world, pose_at(3.0, 0.5, -1.0, 0.2, 0.7, -0.1)
+    mine = sorted(k for k in world.keyframes if run.tracker.parts.of(k) >= 0)
+    ids = np.unique(np.concatenate([world.keyframes[k].points for k in mine]))
+    ids = ids[ids >= 0]
+    run.tracker.apply_update(
+        replace(
+            map_update(
+                mine[-1],
+                keyframes=np.array(mine),
+                poses=np.array([motion @ world.keyframes[k].world_from_camera for k in mine]),
+                points=ids,
+                positions=transform(motion, world.points.position[world.points.rows(ids)]),
+                parallax_deg=np.zeros(len(ids), np.float32),
+            ),
+            loop_query=mine[-1],
+            loop_candidate=0,
+        )
+    )
+    after = run.feed(0, room[-1][0], at=72)
+    assert after.in_map
+    off = inverse(motion @ last.world_from_camera) @ after.world_from_camera
+    assert np.abs(se3_log(off)).max() < 0.02
+
+
+def test_without_depth_no_part_is_begun_in_vain():
+    """Its first keyframe waits for depth; found in the old map meanwhile, it is forgotten."""
+    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3))), other_room(30)
+    run.play(range(30))
+    for i in range(30, 42):
+        run.feed(0, BLACK, at=i)
+    for i, (image, _, _) in enumerate(room):
+        assert run.feed(0, image, at=42 + i).world_from_camera is None
+    waiting = max(run.tracker.world.keyframes)
+    assert run.keyframes[waiting] >= 42
+    found = run.until_found([(20 + i, None) for i in range(8)], at=72)
+    assert found.in_map
+    assert waiting not in run.tracker.world.keyframes
+    assert run.tracker.add_depth(waiting, footage().depths[0], IDENTITY, 0.1) == 0
+    check(run.tracker.world)

@@ -1,0 +1,83 @@
+"""What the tests of the backend worker share: the messages that it hears, of a cloud with its truth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from prism_edge.config import Config, DepthConfig
+from prism_edge.geometry.poses import inverse, transform
+from prism_edge.messages import Depth, Gate, Keyframe, MapSnapshot, Scale, Tracked
+from tests.backend.world import Teller
+from tests.tracking.cloud import pose_at
+from tests.workers.list_bus import ListBus
+
+CONFIG = Config(depth=DepthConfig(model="exact"))
+LOCKSTEP = replace(CONFIG, mode="lockstep")
+NO_DEPTH = Config()
+
+
+def keyframes(count: int, epoch: int = 0, first: int = 0) -> tuple[Teller, list[Keyframe]]:
+    teller = Teller(epoch=epoch, noise_px=0.3, first=first)
+    return teller, [teller.keyframe(pose_at(0.2 * i, 0.0, 0.0, 0.0, -0.03 * i)) for i in range(count)]
+
+
+def depth_of(keyframe: Keyframe, teller: Teller, **changes: object) -> Depth:
+    """A depth map in which each keypoint finds its own depth (each in a patch of its own, roughly)."""
+    depth = np.full((120, 160), 3.0, np.float32)
+    pose = teller.poses[keyframe.id - teller.first]
+    local = transform(inverse(pose), teller.cloud.positions[keyframe.points])
+    for (x, y), z in zip(np.rint(keyframe.pixels / 4).astype(int), local[:, 2], strict=True):
+        depth[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] = z
+    made = Depth(
+        keyframe=keyframe.id,
+        index=keyframe.index,
+        stamp_ns=keyframe.stamp_ns,
+        epoch=keyframe.epoch,
+        model="exact",
+        bias_sigma=0.0,
+        inference_ms=1.0,
+        valid=True,
+        reason="",
+        image_to_depth=np.array([0.25, 0.0, 0.25, 0.0]),
+        depth=depth,
+        confidence=np.zeros((0, 0), np.float32),
+        descriptor=np.zeros(0, np.float32),
+    )
+    return replace(made, **changes)
+
+
+def scale_of(keyframe: Keyframe, log_scale: float = 0.1, **changes: object) -> Scale:
+    made = Scale(
+        keyframe=keyframe.id,
+        index=keyframe.index,
+        stamp_ns=keyframe.stamp_ns,
+        epoch=keyframe.epoch,
+        log_scale=log_scale,
+        sigma=0.1,
+        filter_sigma=0.1,
+        observation=log_scale,
+        observation_sigma=0.1,
+        points=50,
+        accepted=True,
+    )
+    return replace(made, **changes)
+
+
+def gate_of(keyframe: Keyframe, weight: float = 1.0) -> Gate:
+    """Open, but for the second keypoint's ``weight``."""
+    count = len(keyframe.pixels)
+    weights = np.ones(count, np.float32)
+    weights[1] = weight
+    known = np.full(count, 0.3, np.float32)
+    known[0] = np.nan
+    return Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, known)
+
+
+def tick(index: int, keyframe: int = -1) -> Tracked:
+    return Tracked(index, index * 33_000_000, 0, "ok", True, keyframe, 0, np.eye(4))
+
+
+def snapshot(bus: ListBus) -> MapSnapshot:
+    return bus.answers["map_snapshot"]()

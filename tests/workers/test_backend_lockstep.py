@@ -1,0 +1,113 @@
+"""The backend worker in lockstep: every frame is acknowledged, once what it waits for has come."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.messages import Acknowledged, Keyframe
+from prism_edge.workers import backend as worker
+from tests.backend.world import Teller
+from tests.workers.backend_bench import LOCKSTEP, NO_DEPTH, depth_of, keyframes, scale_of, tick
+from tests.workers.list_bus import ListBus
+
+pytestmark = pytest.mark.usefixtures("impatient")
+
+
+def lockstep(bus: ListBus, told: list[Keyframe], teller: Teller, with_scale: bool = True) -> None:
+    """Four frames a keyframe, everything sent before the worker looks."""
+    for keyframe in told:
+        bus.give("keyframe", keyframe)
+        bus.give("depth", depth_of(keyframe, teller))
+        if with_scale:
+            bus.give("log_scale", scale_of(keyframe))
+    bus.give("tracked", *(tick(i, i // 4 if i % 4 == 0 else -1) for i in range(4 * len(told))))
+
+
+def test_lockstep_acknowledges_every_frame_once_its_update_is_out():
+    bus, (teller, told) = ListBus("tracked"), keyframes(4)
+    lockstep(bus, told, teller)
+    worker.main(LOCKSTEP, bus)
+    assert bus.of("acknowledged") == [Acknowledged("backend", i) for i in range(16)]
+    order = [(t, m.based_on if t == "map_update" else m.index) for t, m in bus.sent]
+    for k in range(4):
+        assert order.index(("map_update", k)) == order.index(("acknowledged", 4 * k)) - 1
+
+
+def test_lockstep_answers_each_keyframe_even_with_nothing():
+    """The tracker waits for one update a keyframe, in the order of the keyframes."""
+    bus, (teller, told) = ListBus("tracked"), keyframes(4)
+    lockstep(bus, told, teller)
+    worker.main(LOCKSTEP, bus)
+    updates = bus.of("map_update")
+    assert [u.based_on for u in updates] == [0, 1, 2, 3]
+    assert [u.sequence for u in updates] == [1, 2, 3, 4]
+    assert len(updates[0].keyframes) == 0
+    assert all(len(u.keyframes) for u in updates[1:])
+
+
+def test_lockstep_waits_for_keyframe_depth_and_scale():
+    """They come late, one at a time; the acknowledgement comes after the last of them."""
+    teller, told = keyframes(2)
+    bus = ListBus("tracked", patience=200)
+    bus.give("tracked", tick(0, 0), tick(1, 1))
+    late = {
+        2: ("keyframe", told[0]),
+        4: ("depth", depth_of(told[0], teller)),
+        6: ("log_scale", scale_of(told[0])),
+    }
+    made = worker.BackendWorker(LOCKSTEP, bus)
+    looks = 0
+    receive = made._receive
+
+    def count(timeout_s):
+        nonlocal looks
+        looks += 1
+        if looks in late:
+            assert not bus.of("acknowledged")
+            bus.give(*late[looks])
+        if looks == 7:
+            bus.give("keyframe", told[1])
+            bus.give("depth", depth_of(told[1], teller))
+            bus.give("log_scale", scale_of(told[1]))
+        receive(timeout_s)
+
+    made._receive = count
+    made.run()
+    assert looks >= 6
+    assert [a.index for a in bus.of("acknowledged")] == [0, 1]
+    assert made._mapper.world.keyframes[0].depths is not None
+
+
+def test_lockstep_goes_on_without_what_never_comes(caplog):
+    teller, told = keyframes(3)
+    bus = ListBus("tracked", patience=100)
+    lockstep(bus, told, teller, with_scale=False)
+    worker.main(LOCKSTEP, bus)
+    assert [a.index for a in bus.of("acknowledged")] == list(range(12))
+    assert [u.based_on for u in bus.of("map_update")] == [0, 1, 2]
+    assert "keyframe 0 is incomplete" in caplog.text
+
+
+def test_lockstep_needs_no_depth_where_there_is_no_network():
+    _, told = keyframes(3)
+    bus = ListBus("tracked")
+    bus.give("keyframe", *told)
+    bus.give("tracked", *(tick(i, i) for i in range(3)))
+    worker.main(replace(NO_DEPTH, mode="lockstep"), bus)
+    assert [u.based_on for u in bus.of("map_update")] == [0, 1, 2]
+    assert len(bus.of("acknowledged")) == 3
+
+
+def test_lockstep_twice_is_the_same_to_the_last_bit():
+    runs = []
+    for _ in range(2):
+        bus, (teller, told) = ListBus("tracked"), keyframes(5)
+        lockstep(bus, told, teller)
+        worker.main(LOCKSTEP, bus)
+        runs.append(bus.of("map_update"))
+    for first, second in zip(*runs, strict=True):
+        assert np.array_equal(first.poses, second.poses)
+        assert np.array_equal(first.positions, second.positions)

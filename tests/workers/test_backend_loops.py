@@ -1,0 +1,87 @@
+"""The backend worker on a walk round a ring: loops found, announced, and adjusted before the end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.config import Config
+from prism_edge.messages import Depth, EndOfStream, Keyframe
+from prism_edge.workers import backend as worker
+from tests.backend.ring import Ring, position_error
+from tests.workers.backend_bench import CONFIG, LOCKSTEP, gate_of, scale_of, snapshot, tick
+from tests.workers.list_bus import ListBus
+
+pytestmark = pytest.mark.usefixtures("impatient")
+
+
+def ring_depth(keyframe: Keyframe, ring: Ring) -> Depth:
+    """No depth worth the name, but what the network thinks the place looks like."""
+    return Depth(
+        keyframe=keyframe.id,
+        index=keyframe.index,
+        stamp_ns=keyframe.stamp_ns,
+        epoch=keyframe.epoch,
+        model="exact",
+        bias_sigma=0.0,
+        inference_ms=1.0,
+        valid=False,
+        reason="for its descriptor alone",
+        image_to_depth=np.zeros(4),
+        depth=np.zeros((0, 0), np.float32),
+        confidence=np.zeros((0, 0), np.float32),
+        descriptor=ring.looks_like(keyframe.id),
+    )
+
+
+def round_the_ring(bus: ListBus, config: Config, count: int = 43) -> Ring:
+    ring = Ring(lap=36, drift=np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002]), count=1800)
+    for i in range(count):
+        keyframe = ring.keyframe()
+        bus.give("keyframe", keyframe)
+        bus.give("depth", ring_depth(keyframe, ring))
+        bus.give("gate", gate_of(keyframe))
+        bus.give("log_scale", scale_of(keyframe, 0.0))
+        bus.give("tracked", tick(i, keyframe.id))
+    bus.give("end", EndOfStream(count, count, 0, 0, count - 1))
+    worker.main(config, bus)
+    return ring
+
+
+def test_a_loop_is_announced_with_its_keyframe_s_update_and_stands_in_the_snapshot():
+    bus = ListBus("tracked", patience=40)
+    ring = round_the_ring(bus, LOCKSTEP)
+    updates = bus.of("map_update")
+    assert [u.based_on for u in updates if u.based_on < 43][:43] == list(range(43)), "one for each keyframe"
+    closed = [u for u in updates if u.loop_closed]
+    assert closed
+    assert len(closed[0].fused_from) == len(closed[0].fused_into) > 20
+    assert closed[0].keyframes.tolist() == list(range(closed[0].based_on + 1)), "everything moves"
+    whole = snapshot(bus)
+    assert whole.settled
+    assert (whole.loop_queries - whole.loop_candidates > 300).all()
+    assert whole.loop_queries[0] == 10 * closed[0].based_on
+    assert (whole.loop_inliers >= 25).all()
+    plain = ListBus("tracked", patience=40)
+    round_the_ring(plain, replace(LOCKSTEP, ablate=("loop",)))
+    assert not any(u.loop_closed for u in plain.of("map_update"))
+    assert len(snapshot(plain).loop_queries) == 0
+    with_loops, without = (
+        position_error(dict(zip(s.keyframes.tolist(), s.poses, strict=True)), ring.true)
+        for s in (whole, snapshot(plain))
+    )
+    assert with_loops < 0.5 * without
+
+
+def test_the_end_waits_for_the_global_adjustment_of_the_last_loop():
+    """In real time all of it comes at once here: one window, one loop, and then the adjustment's steps."""
+    bus = ListBus("keyframe", patience=40)
+    round_the_ring(bus, CONFIG)
+    closed, adjusted = bus.of("map_update")
+    assert closed.loop_closed
+    assert not adjusted.loop_closed
+    assert len(adjusted.keyframes) == 43
+    assert bus.states.count("global adjustment") >= 2, "step by step"
+    assert snapshot(bus).settled
