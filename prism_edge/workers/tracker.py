@@ -12,7 +12,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from prism_edge.bus import ros
 from prism_edge.bus.commands import Reply, on_or_off
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.session import Bus
@@ -21,13 +20,8 @@ from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import (
-    BUILDING,
-    DEGRADED,
     INITIALISING,
-    LOCALISED,
     LOOP_CLOSED,
-    LOST,
-    RELOCALISING,
     Acknowledged,
     Depth,
     Frame,
@@ -48,15 +42,14 @@ from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import FrameResult, Tracker
 from prism_edge.workers.map_adoption import MapAdoption
 from prism_edge.workers.pose_publisher import PosePublisher
+from prism_edge.workers.tracker_status import TrackerStatus
 
 log = logging.getLogger("prism_edge.tracker")
 
 _LOOK_S = 0.01  # between frames, for what the others have sent
 _FRAME_S = 5.0
 _PATIENCE_S = 30.0  # lockstep: an answer that takes longer isn't coming
-_STATUS_NS = 500_000_000
 _PROBE_NS = 300_000_000  # between two looks of the network at what a lost camera sees
-_SAID_NS = 2_000_000_000
 SEED_DEPTH_SIGMA = 0.2  # relative error of one pixel of network depth
 UNKNOWN_SCALE_SIGMA = 1.0
 
@@ -75,7 +68,7 @@ class TrackerWorker:
         self._tracker = Tracker(_tracking(config), config.seed, bus.first_id)
         self._odometry = MetricOdometry()
         self._publisher = PosePublisher(bus, config.frames, config.covariance.refinement)
-        self._drift = Drift(config.covariance)
+        self._drift, self._status = Drift(config.covariance), TrackerStatus(bus)
         self._scale_sigma = UNKNOWN_SCALE_SIGMA
         self._travelled = 0.0
         self._update_sequence = -1
@@ -83,8 +76,6 @@ class TrackerWorker:
         self._early: dict[tuple[str, int], Any] = {}
         self._last_index, self._dropped = -1, 0
         self._probed_ns = -_PROBE_NS
-        self._shown: tuple[str, int, str] | None = None
-        self._happened, self._happened_until_ns = "", 0  # to the map, and until when status says so
         self._now_ns = 0  # stamp of the newest frame
         self._localise_only = False
         self._desk = bus.commands({"reset": self._reset, "localise_only": self._switch_localise_only})
@@ -253,6 +244,8 @@ class TrackerWorker:
         message = keyframe_message(self._tracker, keyframe, self._travelled)
         self._bus.publish("keyframe", message)
         self._show_picture(frame, keyframe.id)
+        if "depth" in self._peers:
+            self._status.metres.keyframe(keyframe.id, keyframe.stamp_ns)
         if self._lockstep:
             lags = self._config.lockstep
             for topic, producer, lag in (
@@ -299,6 +292,8 @@ class TrackerWorker:
     def _apply_depth(self, message: Depth) -> None:
         if message.epoch == self._tracker.epoch:
             self._tracker.recognise(message.keyframe, message.descriptor)
+        if message.keyframe >= 0:
+            self._status.metres.depth(message.keyframe, message.valid, message.reason)
         if message.keyframe >= 0 and message.valid and message.epoch == self._tracker.epoch:
             sigma = float(np.hypot(SEED_DEPTH_SIGMA, message.bias_sigma))
             self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
@@ -307,6 +302,7 @@ class TrackerWorker:
         if message.epoch == self._tracker.epoch and np.isfinite([message.log_scale, message.sigma]).all():
             self._tracker.log_scale = message.log_scale
             self._scale_sigma = message.sigma
+            self._status.metres.scale(message.observation, message.accepted)
 
     def _apply_update(self, message: MapUpdate) -> None:
         if message.epoch != self._tracker.epoch or message.sequence <= self._update_sequence:
@@ -322,7 +318,7 @@ class TrackerWorker:
         if message.loop_query >= 0:
             self._drift.close(self._tracker.world, message, self._tracker.log_scale)
         if message.loop_closed:
-            self._say(LOOP_CLOSED)
+            self._status.say(LOOP_CLOSED, self._now_ns)
 
     def _adopt(self, whole: WholeMap | None) -> None:
         """Go on in the backend's map, if there is one to go on in."""
@@ -347,37 +343,16 @@ class TrackerWorker:
         self._localise_only, self._tracker.may_map = wanted, not wanted
         return Reply(True, "the map stays as it is" if wanted else "the map is built on")
 
-    def _say(self, word: str) -> None:
-        """What has happened to the map: `status` says it for a while."""
-        self._happened, self._happened_until_ns = word, self._now_ns + _SAID_NS
-
-    # -- status -----------------------------------------------------------------------------------
-
     def _show(self, odometry: str, matched: int, stamp_ns: int) -> None:
-        """Publish `status` twice a second and whenever a word changes."""
-        state = LOCALISED if self._localise_only else BUILDING
-        if odometry == LOST or not self._tracker.parts.at_home:
-            state = RELOCALISING
-        elif self._happened and stamp_ns < self._happened_until_ns:
-            state = self._happened
-        due = stamp_ns // _STATUS_NS
-        if self._shown == (odometry, due, state):
-            return
-        self._shown = (odometry, due, state)
         world = self._tracker.world
-        level = {INITIALISING: ros.LEVEL_WARN, DEGRADED: ros.LEVEL_WARN, LOST: ros.LEVEL_ERROR}
         values = {
-            "odometry": odometry,
-            "map": state,
             "matched": matched,
             "keyframes": len(world.keyframes),
             "points": int(world.points.alive.sum()),
             "scale_sigma": f"{self._scale_sigma:.4f}",
             "dropped": self._dropped,
         }
-        row = ("tracking", level.get(odometry, ros.LEVEL_OK), f"{odometry} {state}", values)
-        self._bus.publish("status", ros.diagnostics(stamp_ns, [row]))
-        self._bus.pulse.values.update({name: str(value) for name, value in values.items()})
+        self._status.show(odometry, self._tracker.parts.at_home, self._localise_only, stamp_ns, values)
 
 
 def _tracking(config: Config) -> TrackingConfig:

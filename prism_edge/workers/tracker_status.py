@@ -1,0 +1,46 @@
+"""What the tracker makes of the world, in the two words of `status`."""
+
+from __future__ import annotations
+
+from prism_edge.bus import ros
+from prism_edge.bus.session import Bus
+from prism_edge.messages import BUILDING, DEGRADED, INITIALISING, LOCALISED, LOST, OK, RELOCALISING
+from prism_edge.tracking.depth_watch import DepthWatch
+
+_STATUS_NS = 500_000_000
+_SAID_NS = 2_000_000_000
+_LEVELS = {INITIALISING: ros.LEVEL_WARN, DEGRADED: ros.LEVEL_WARN, LOST: ros.LEVEL_ERROR}
+
+
+class TrackerStatus:
+    """Publishes `status` twice a second and whenever a word changes."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self.metres = DepthWatch()
+        self._shown: tuple[str, int, str] | None = None
+        self._happened, self._happened_until_ns = "", 0  # to the map, and until when we say so
+
+    def say(self, word: str, now_ns: int) -> None:
+        """What has happened to the map: said for a while."""
+        self._happened, self._happened_until_ns = word, now_ns + _SAID_NS
+
+    def show(
+        self, odometry: str, at_home: bool, localise_only: bool, stamp_ns: int, values: dict[str, object]
+    ) -> None:
+        """``at_home``: its place in the map is known. Without metres it is degraded, well as it may track."""
+        trouble = self.metres.trouble(stamp_ns)
+        odometry = DEGRADED if trouble and odometry == OK else odometry
+        state = LOCALISED if localise_only else BUILDING
+        if odometry == LOST or not at_home:
+            state = RELOCALISING
+        elif self._happened and stamp_ns < self._happened_until_ns:
+            state = self._happened
+        due = stamp_ns // _STATUS_NS
+        if self._shown == (odometry, due, state):
+            return
+        self._shown = (odometry, due, state)
+        shown = {"odometry": odometry, "map": state, **values, "depth": trouble or "ok"}
+        row = ("tracking", _LEVELS.get(odometry, ros.LEVEL_OK), f"{odometry} {state}", shown)
+        self._bus.publish("status", ros.diagnostics(stamp_ns, [row]))
+        self._bus.pulse.values.update({name: str(value) for name, value in shown.items()})

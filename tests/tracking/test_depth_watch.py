@@ -1,0 +1,57 @@
+"""What makes a camera that tracks well say that it is degraded."""
+
+from __future__ import annotations
+
+from prism_edge.tracking.depth_watch import REFUSED, SILENT_NS, DepthWatch
+
+NAN = float("nan")
+
+
+def test_depth_that_comes_is_no_trouble() -> None:
+    watch = DepthWatch()
+    for k in range(10):
+        watch.keyframe(k, k * SILENT_NS)
+        assert watch.trouble(k * SILENT_NS) == ""
+        watch.depth(k, True, "")
+        watch.scale(0.1, True)
+    assert watch.trouble(100 * SILENT_NS) == "", "a camera that makes no keyframe waits for none"
+
+
+def test_silence_is_told_once_it_is_long_and_forgotten_with_the_next_depth() -> None:
+    watch = DepthWatch()
+    watch.keyframe(3, 1_000_000_000)
+    watch.keyframe(4, 2_000_000_000)
+    assert watch.trouble(1_000_000_000 + SILENT_NS) == ""
+    assert watch.trouble(2_000_000_000 + SILENT_NS) == "no depth for 6 s"
+    watch.depth(4, True, "")  # the newest picture won: 3 has no answer to come
+    assert watch.trouble(9_000_000_000) == ""
+
+
+def test_a_later_keyframe_is_not_answered_by_an_earlier_depth() -> None:
+    watch = DepthWatch()
+    watch.keyframe(3, 0)
+    watch.keyframe(4, 0)
+    watch.depth(3, True, "")
+    assert watch.trouble(2 * SILENT_NS) == "no depth for 10 s"
+
+
+def test_unusable_depth_is_told_with_its_reason_until_a_usable_one_comes() -> None:
+    watch = DepthWatch()
+    watch.depth(0, False, "the depth map is constant (2 m)")
+    assert watch.trouble(0) == "no usable depth: the depth map is constant (2 m)"
+    watch.depth(1, True, "")
+    assert watch.trouble(0) == ""
+
+
+def test_one_outlier_is_none_several_are_trouble_for_as_long_again() -> None:
+    watch = DepthWatch()
+    for _ in range(REFUSED - 1):
+        watch.scale(2.3, False)
+    assert watch.trouble(0) == ""
+    watch.scale(NAN, False)  # a keyframe without an observation says nothing
+    assert watch.trouble(0) == ""
+    watch.scale(2.3, False)
+    for _ in range(REFUSED):
+        assert watch.trouble(0) == "depth contradicts the scale"
+        watch.scale(2.3, True)
+    assert watch.trouble(0) == ""
