@@ -17,8 +17,9 @@ from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import Gate, Keyframe, MapUpdate
+from prism_edge.tracking.depth_alignment import agreement
 from prism_edge.tracking.place_index import PlaceIndex
-from prism_edge.tracking.seeding import agreement, sample_depth
+from prism_edge.tracking.seeding import sample_depth
 
 MIN_ALIGNED = 20
 MIN_ALIGNED_PARALLAX_DEG = 1.0

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array, transform
+from prism_edge.tracking.depth_alignment import DepthAlignment
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.triangulation import rays
 
 MAX_EDGE_RATIO = 1.25  # of depths round a pixel: beyond it the pixel straddles an edge
-ALWAYS_CREDIBLE_SPREAD = 0.15  # a scene of one depth says nothing against a network
-LEAST_EXPLAINED = 0.8  # of the spread of log depth may be left in the ratio
 MIN_ALIGNED = 20  # triangulated points that make a keyframe's own ratio better than the filter's
 
 
@@ -36,34 +33,6 @@ def sample_depth(
     return good, around[4].astype(np.float64)
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """How a network's depths of one keyframe go with those of its triangulated points."""
-
-    units_per_metre: float  # median ratio
-    spread: float  # of the log ratio, one sigma (robust)
-    informative: bool  # whether the network tells near from far
-
-
-def agreement(map_depths: Array, network_depths: Array) -> Agreement:
-    """Compare depths (n,) above 0 of the same points.
-
-    A network that is at a loss (an indoor one outdoors, say) puts out much the same depth for all: the log
-    ratio then scatters as widely as the log depths themselves. Its points would lie at a wrong place with
-    confidence, and since triangulation favours near points, each keyframe's would be nearer than the last's.
-    """
-    log_depths = np.log(map_depths)
-    ratios = log_depths - np.log(network_depths)
-    spread = robust_sigma(ratios)
-    informative = spread < max(ALWAYS_CREDIBLE_SPREAD, LEAST_EXPLAINED * robust_sigma(log_depths))
-    return Agreement(float(np.exp(np.median(ratios))), spread, informative)
-
-
-def robust_sigma(values: Array) -> float:
-    """Standard deviation by the median absolute deviation."""
-    return 1.48 * float(np.median(np.abs(values - np.median(values))))
-
-
 def seed_from_depth(
     world: LocalMap,
     keyframe: LocalKeyframe,
@@ -75,9 +44,10 @@ def seed_from_depth(
 ) -> Ids:
     """Add points at the free keypoints of a keyframe from its network depth (metres).
 
-    Where the keyframe sees enough triangulated points, their own ratio to the network's depth places
-    the seeds in the map's unit, since a network's scale wavers from frame to frame.
+    Where the keyframe sees enough triangulated points, their own ratios to the network's depth place
+    the seeds in the map's unit (depth_alignment.py); elsewhere ``units_per_metre`` does.
     """
+    alignment = None
     keypoints, map_depth = world.depths_in(keyframe)
     rows = world.points.rows(keyframe.points[keypoints])
     firm = (world.points.parallax_deg[rows] >= 1.0) & (map_depth > 0)
@@ -85,18 +55,19 @@ def seed_from_depth(
         pixels = keyframe.camera.distort_pixels(keyframe.features.pixels[keypoints[firm]])
         good, network = sample_depth(depth, image_to_depth, pixels)
         if good.sum() >= MIN_ALIGNED:
-            agreed = agreement(map_depth[firm][good], network[good])
-            if not agreed.informative:
+            size = (keyframe.camera.width, keyframe.camera.height)
+            alignment = DepthAlignment.of(pixels[good], map_depth[firm][good], network[good], size)
+            if not alignment.overall.informative:
                 return np.zeros(0, np.int64)
-            units_per_metre, relative_sigma = agreed.units_per_metre, max(relative_sigma, agreed.spread)
     free = keyframe.free()
-    good, metres = sample_depth(
-        depth, image_to_depth, keyframe.camera.distort_pixels(keyframe.features.pixels[free])
-    )
+    raw = keyframe.camera.distort_pixels(keyframe.features.pixels[free])
+    good, metres = sample_depth(depth, image_to_depth, raw)
     chosen: Index = free[good][:most]
     metres = metres[good][:most]
     if len(chosen) == 0:
         return np.zeros(0, np.int64)
-    local = rays(keyframe.camera, keyframe.features.pixels[chosen]) * (metres * units_per_metre)[:, None]
-    sigma = np.full(len(chosen), relative_sigma)
+    units, sigma = np.full(len(chosen), units_per_metre), np.full(len(chosen), relative_sigma)
+    if alignment is not None:
+        units, sigma = alignment.at(raw[good][:most])
+    local = rays(keyframe.camera, keyframe.features.pixels[chosen]) * (metres * units)[:, None]
     return world.add_points(keyframe, chosen, transform(keyframe.world_from_camera, local), sigma, 0.0)

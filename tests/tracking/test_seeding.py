@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.seeding import agreement, sample_depth, seed_from_depth
+from prism_edge.tracking.seeding import sample_depth, seed_from_depth
 from tests.tracking.cloud import pose_at
 
 WIDE = (0.25, -0.375, 0.25, -0.375)  # a network at a quarter of the size, outer corners in line
@@ -141,27 +139,3 @@ def test_nothing_usable_seeds_nothing():
         world, keyframe = keyframe_of(CAMERAS[0], np.eye(4))
         assert len(seed_from_depth(world, keyframe, depth, np.array(WIDE), 1.0, 0.2, 100)) == 0
         assert len(world.points) == 0
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.floats(0.2, 5.0), st.floats(0.0, 0.15), st.integers(0, 2**32 - 1))
-def test_a_network_that_errs_by_a_factor_and_some_noise_is_informative(factor, noise, seed):
-    rng = np.random.default_rng(seed)
-    truth = rng.uniform(1.0, 6.0, 200)
-    agreed = agreement(truth, factor * truth * np.exp(rng.normal(0, noise, 200)))
-    assert agreed.informative
-    assert agreed.units_per_metre == pytest.approx(1.0 / factor, rel=0.06)
-    assert agreed.spread == pytest.approx(noise, rel=0.35, abs=1e-9)
-
-
-@pytest.mark.parametrize("network", ["constant", "inverted", "random"])
-def test_a_network_that_does_not_tell_near_from_far_is_not(network):
-    rng = np.random.default_rng(0)
-    truth = rng.uniform(2.0, 40.0, 300)
-    says = {"constant": np.full(300, 2.0), "inverted": 50.0 / truth, "random": rng.uniform(1, 3, 300)}
-    assert not agreement(truth, says[network]).informative
-
-
-def test_a_wall_of_one_depth_says_nothing_against_a_network():
-    truth = np.random.default_rng(0).uniform(2.9, 3.1, 100)
-    assert agreement(truth, np.full(100, 2.5)).informative
