@@ -30,6 +30,8 @@ def section(tree: type, *reload: str) -> Any:
     return field(default_factory=tree, metadata={"reload": reload})
 
 
+SENSOR = "sensor"  # depth.model: the recording's own depth images in a network's place
+
 # Parts that can be switched off to see what they are worth.
 ABLATIONS = {
     "kalman": "the scale filter: the last observation is the estimate",
@@ -125,8 +127,9 @@ class DepthConfig:
     model: str = field(
         default="",
         metadata={
-            "help": "ONNX file, registry name, nested:RELATIVE,METRIC or none; empty: the one that "
-            "comes with prism_edge for simulated worlds, else none",
+            "help": "ONNX file, registry name, nested:RELATIVE,METRIC, sensor (an RGB-D recording's own "
+            "depth: not monocular) or none; empty: the one that comes with prism_edge for simulated "
+            "worlds, else none",
             "reload": ("depth", "scale"),  # another network, other metres
         },
     )

@@ -170,6 +170,7 @@ class Depth:
     descriptor: F32 = array("float32", -1)  # of norm 1; empty where the network gives none
     dsug_tau: float = float("nan")  # uncertainty gate as fitted for this network, nan where it is not
     dsug_temperature: float = float("nan")
+    frame_sigma: float = float("nan")  # log-scale error that its pixels share; nan: scale.frame_sigma
 
 
 @dataclass(frozen=True)

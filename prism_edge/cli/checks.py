@@ -105,9 +105,9 @@ def check_model(config: Config) -> Iterator[Finding]:
         yield Finding(WARN, "model", "none given", "without --model there are no poses: depth begins the map")
         return
     try:
-        from prism_edge.depth import open_network
+        from prism_edge.workers.sensor_network import open_depth
 
-        network = open_network(config.depth.model, config.depth)
+        network = open_depth(config)
         yield Finding(OK, "model", f"{network.name} on {network.provider}")
     except PrismError as error:
         yield Finding(FAIL, "model", str(error), "see `prism-edge models list`")

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 from typing import Any
 
-from prism_edge.config import Config
+from prism_edge.config import SENSOR, Config
 from prism_edge.config_file import load
 from prism_edge.errors import ConfigError
 
@@ -48,8 +48,9 @@ def add_playing(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model",
         metavar="MODEL",
-        help="depth network: ONNX file, known name, nested:RELATIVE,METRIC, or "
-        f"{NO_NETWORK} (default: {BUNDLED} for simulated worlds, else {NO_NETWORK})",
+        help="depth network: ONNX file, known name, nested:RELATIVE,METRIC, "
+        f"{SENSOR} (an RGB-D recording's own depth: not monocular) or {NO_NETWORK} "
+        f"(default: {BUNDLED} for simulated worlds, else {NO_NETWORK})",
     )
     parser.add_argument(
         "--camera", metavar="FILE", help="camera file (YAML or ROS camera_info); auto: as the network sees it"

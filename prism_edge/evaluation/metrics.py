@@ -9,7 +9,7 @@ from importlib import metadata
 from typing import Any
 
 import prism_edge
-from prism_edge.config import Config
+from prism_edge.config import SENSOR, Config
 from prism_edge.evaluation.consistency import NO_NEES, Nees, relative_nees, scale_errors
 from prism_edge.evaluation.loops import judge_loops
 from prism_edge.evaluation.recorder import base_from_camera
@@ -49,6 +49,7 @@ def metrics(
     report = {
         **recording.flow(first_stamp_ns),
         "ready_s": ready_s,
+        "monocular": config.depth.model != SENSOR,
         **scores,
         **_consistency(nees, scores["final"]["scale_ratio"], recording),
         "final_settled": snapshot is not None and snapshot.settled,

@@ -40,6 +40,8 @@ def show(metrics: dict[str, Any], out: Path) -> None:
     ):
         run.add_row(label, value)
     console.print(run)
+    if not metrics["monocular"]:
+        console.print("depth came from the recording's own sensor: not a monocular run", soft_wrap=True)
     if metrics["truth"]:
         console.print(f"scored against {metrics['truth']}", highlight=False, soft_wrap=True)
     console.print(f"written to {out}", highlight=False, soft_wrap=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -66,6 +67,7 @@ class ScaleEstimator:
             self._begin(keyframe.epoch)
         weights = np.ones(len(keyframe.pixels), dtype=np.float32)
         uncertainty = np.full(len(keyframe.pixels), np.nan, dtype=np.float32)
+        self._heed(depth)
         scale = self._filter
         scale.predict(keyframe.stamp_ns * 1e-9, keyframe.travelled)
         if depth is not None and math.isfinite(depth.bias_sigma) and depth.bias_sigma >= 0.0:
@@ -108,6 +110,14 @@ class ScaleEstimator:
         self._filter = ScaleFilter(self._config, self._kalman)
         self._steady = self._new_steady()
         self._gate.forget()
+
+    def _heed(self, depth: Depth | None) -> None:
+        """A source of depth that knows how well its images agree in scale says so, before it is believed."""
+        said = math.nan if depth is None else depth.frame_sigma
+        if math.isfinite(said) and 0.0 <= said <= 2.0 and said != self._config.frame_sigma:
+            self._config = replace(self._config, frame_sigma=said)
+            if self._filter.is_open:
+                self._filter = ScaleFilter(self._config, self._kalman)
 
     def gate_images(self) -> tuple[Floats, Floats] | None:
         """u and w of every pixel of the newest keyframe's depth map (h, w); None where the gate was open."""

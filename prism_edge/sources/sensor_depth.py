@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from prism_edge.errors import SourceError
+from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import F32
 from prism_edge.sources.listing import Listing
 from prism_edge.sources.open import find_listing
@@ -17,6 +18,10 @@ from prism_edge.sources.tum import read_list
 _TUM_UNITS, _SEVEN_SCENES_UNITS = 5000.0, 1000.0
 _NO_RETURN = 65535  # 7-Scenes' other mark of an invalid pixel, beside 0
 _TUM_PAIRING_NS = 20_000_000
+# 7-Scenes' depth camera: intrinsics as published, of an image 640 wide; where the colour camera is in its
+# frame (m), found by laying depth edges over edges of redkitchen's images (docs/SOURCES.md).
+_DEPTH_CAMERA = (585.0, 585.0, 320.0, 240.0)
+_COLOUR_IN_DEPTH = np.array([0.025, 0.005, 0.0])
 
 
 class SensorDepth:
@@ -29,6 +34,7 @@ class SensorDepth:
     def __init__(self, folder: Path) -> None:
         listing = find_listing(folder)
         self._units = _TUM_UNITS
+        self._apart = listing.layout == "7-Scenes"
         if listing.layout == "TUM RGB-D" and (folder / "depth.txt").is_file():
             self._files = _nearest(listing, folder)
         elif listing.layout == "7-Scenes":
@@ -39,6 +45,15 @@ class SensorDepth:
             self._files = []
         if not any(self._files):
             raise SourceError(f"{folder} ({listing.layout}) holds no depth images")
+
+    def __len__(self) -> int:
+        """How many colour images there are."""
+        return len(self._files)
+
+    def in_colour(self, index: int, camera: Camera) -> F32 | None:
+        """As :meth:`read`, but of the pixels of ``camera``, the colour camera, whatever the image's size."""
+        depth = self.read(index)
+        return seen_by_colour(depth, camera) if depth is not None and self._apart else depth
 
     def file(self, index: int) -> Path | None:
         """The depth image of colour image ``index``; None where there is none within 20 ms."""
@@ -55,6 +70,28 @@ class SensorDepth:
             return None
         raw[raw == _NO_RETURN] = 0
         return raw.astype(np.float32) / np.float32(self._units)
+
+
+def seen_by_colour(depth: F32, camera: Camera) -> F32:
+    """Depth (h, w) of 7-Scenes' depth camera as its colour camera sees it, of the same shape; 0 for none.
+
+    Each pixel goes where its point is seen from there; the nearest of those that meet counts.
+    """
+    height, width = depth.shape
+    row, column = np.nonzero(depth)
+    z = depth[row, column].astype(np.float64)
+    fx, fy, cx, cy = _DEPTH_CAMERA
+    step = 640.0 / width
+    x = ((column + 0.5) * step - 0.5 - cx) / fx * z
+    y = ((row + 0.5) * step - 0.5 - cy) / fy * z
+    points = np.column_stack([x, y, z]) - _COLOUR_IN_DEPTH
+    pixels = (camera.project(points) + 0.5) * (width / camera.width, height / camera.height) - 0.5
+    at = np.rint(pixels).astype(np.int64)
+    inside = np.all((at >= 0) & (at < (width, height)), axis=1)
+    seen = np.full(depth.shape, np.inf, np.float32)
+    np.minimum.at(seen, (at[inside, 1], at[inside, 0]), points[inside, 2].astype(np.float32))
+    seen[np.isinf(seen)] = 0.0
+    return seen
 
 
 def _nearest(listing: Listing, folder: Path) -> list[Path | None]:

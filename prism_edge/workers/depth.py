@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections import deque
 from statistics import median
@@ -12,12 +13,13 @@ import numpy as np
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
-from prism_edge.depth import DepthNetwork, open_network
+from prism_edge.depth import DepthNetwork
 from prism_edge.depth.prediction import no_confidence, no_descriptor
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
 from prism_edge.processes import processes_for
 from prism_edge.sources.pack import rgb
+from prism_edge.workers.sensor_network import SensorNetwork, open_depth
 
 log = logging.getLogger("prism_edge.depth")
 
@@ -45,10 +47,10 @@ class DepthWorker:
         self._early: dict[int, KeyframeImage] = {}
         self._last = -1
         self._recent: deque[float] = deque(maxlen=100)
-        self._network: DepthNetwork | None = None
+        self._network: DepthNetwork | SensorNetwork | None = None
         if config.depth.model:
             bus.pulse.working("loading the network", _LOADING_S)
-            self._network = open_network(config.depth.model, config.depth)
+            self._network = open_depth(config)
             bus.pulse.values.update(model=self._network.name, provider=self._network.provider)
             self._show_counters()
             log.info("%s runs on %s", self._network.name, self._network.provider)
@@ -141,12 +143,16 @@ class DepthWorker:
             self._bus.pulse.values.update({name: str(n) for name, n in self._network.counters.items()})
 
 
-def answer(network: DepthNetwork | None, image: KeyframeImage) -> Depth:
+def answer(network: DepthNetwork | SensorNetwork | None, image: KeyframeImage) -> Depth:
     """The depth of one keyframe; an inference that fails is an answer too, marked invalid with the reason."""
     if network is None:
         return _without(image, "none", 0.0, "no depth network is configured")
     try:
-        prediction = network.infer(rgb(image), Camera.from_array(image.camera_model, image.camera))
+        camera = Camera.from_array(image.camera_model, image.camera)
+        if isinstance(network, SensorNetwork):
+            prediction = network.measure(image.index, camera)
+        else:
+            prediction = network.infer(rgb(image), camera)
     except Exception as error:  # native code and foreign graphs raise anything; tracking goes on
         line = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
         return _without(image, network.name, network.bias_sigma, f"inference failed: {line}")
@@ -166,6 +172,7 @@ def answer(network: DepthNetwork | None, image: KeyframeImage) -> Depth:
         descriptor=prediction.descriptor,
         dsug_tau=network.dsug[0],
         dsug_temperature=network.dsug[1],
+        frame_sigma=getattr(network, "frame_sigma", math.nan),
     )
 
 

@@ -159,3 +159,21 @@ def test_a_distorted_camera_is_looked_up_where_the_network_saw_it():
     keyframe = keyframe_of_wall(1, 0.4, metres_per_unit=0.7, camera=camera)
     scale, _ = ScaleEstimator(CONFIG).process(keyframe, depth_of(keyframe, camera=camera))
     assert scale.observation == pytest.approx(np.log(0.7), abs=1e-4)
+
+
+def test_a_source_that_knows_how_well_its_images_agree_is_believed_accordingly():
+    """The first depth fixes the unit as well as its pixels' common error allows."""
+    estimators = [ScaleEstimator(ScaleConfig()) for _ in range(2)]
+    first = keyframe_of_wall(0, 0.0, parallax_deg=0.0)
+    plain, sure = (
+        estimator.process(first, replace(depth_of(first), frame_sigma=sigma))[0]
+        for estimator, sigma in zip(estimators, (np.nan, 0.02), strict=True)
+    )
+    assert sure.filter_sigma < 0.5 * plain.filter_sigma
+    for k in range(1, 10):
+        later = keyframe_of_wall(k, 0.4 * k, metres_per_unit=1.03)
+        sure = estimators[1].process(later, replace(depth_of(later), frame_sigma=0.02))[0]
+    assert sure.filter_sigma < 0.05
+    for nonsense in (-1.0, np.inf, np.nan, 50.0):
+        scale = estimators[1].process(later, replace(depth_of(later), frame_sigma=nonsense))[0]
+        assert np.isfinite(scale.filter_sigma)

@@ -1,0 +1,68 @@
+"""`--model sensor`: a depth camera's images in a network's place: what the rest makes of true depth."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from pathlib import Path
+
+import numpy as np
+
+from prism_edge.config import SENSOR, Config, SourceConfig
+from prism_edge.depth import DepthNetwork, open_network
+from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor
+from prism_edge.errors import ModelError, SourceError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.sensor_depth import SensorDepth
+
+log = logging.getLogger("prism_edge.depth")
+
+
+class SensorNetwork:
+    """What the depth worker takes for a network, and isn't one: with it the system is not monocular.
+
+    Raises ModelError where the source carries no depth images.
+    """
+
+    name = "sensor (not monocular)"
+    provider = "none"
+    bias_sigma = 0.01  # of a depth camera's metres
+    frame_sigma = 0.02  # what the pixels of one of its images share
+    dsug = (math.nan, math.nan)  # the gate stays open: it was fitted for networks
+
+    def __init__(self, source: SourceConfig) -> None:
+        folder = Path(source.uri).expanduser()
+        needs = "--model sensor needs a recording with depth images (TUM RGB-D, BONN or 7-Scenes)"
+        if not folder.is_dir():
+            raise ModelError(f"{source.uri or 'no source'}: {needs}")
+        try:
+            self._sensor = SensorDepth(folder)
+        except SourceError as error:
+            raise ModelError(f"{error}; {needs}") from None
+        self.counters: dict[str, int] = {}
+        log.warning("depth comes from the recording's own depth camera: this run is not monocular")
+
+    def measure(self, index: int, camera: Camera) -> Prediction:
+        """The depth image of a colour image that ``camera`` took; a looped recording counts on."""
+        started = time.perf_counter()
+        depth = self._sensor.in_colour(index % len(self._sensor), camera)
+        if depth is None:
+            depth = np.zeros((3, 3), np.float32)
+        across, down = depth.shape[1] / camera.width, depth.shape[0] / camera.height
+        return checked(
+            Prediction(
+                depth,
+                np.array([across, 0.5 * across - 0.5, down, 0.5 * down - 0.5]),
+                no_confidence(),
+                no_descriptor(),
+                inference_ms=1e3 * (time.perf_counter() - started),
+            )
+        )
+
+
+def open_depth(config: Config) -> DepthNetwork | SensorNetwork:
+    """What ``depth.model`` names. Raises ModelError."""
+    if config.depth.model == SENSOR:
+        return SensorNetwork(config.source)
+    return open_network(config.depth.model, config.depth)
