@@ -5,10 +5,12 @@
 
 FOLDER (default: `shared` beside the checkout) holds data/ and models/. Each run's files go to
 DIR/<sequence>/<part>-<seed> (default: build/ablation), and a run whose metrics.json is there is not
-repeated: stop it when you like, and go on later; --most ends it after so many runs. The dynamic recordings
-are made by tools/make_distractors.py, once. Printed is, in Markdown, what there is so far: live ATE after
-SE(3) and Sim(3) alignment, median over the seeds, and the mean over the sequences; docs/ABLATION.md keeps a
-copy. Exit code 1: runs are missing.
+repeated: stop it when you like, and go on later; --most ends it after so many runs. All parts are run with
+the first seed, on real recordings and then on dynamic ones, before any with the second. A run that fails is
+named and passed over. The dynamic recordings are made by tools/make_distractors.py, once. Printed is, in
+Markdown, what there is so far: live ATE after SE(3) and Sim(3) alignment, median over the seeds that are
+there, and the mean over the sequences, with its difference to the full system's over the same seeds;
+docs/ABLATION.md keeps a copy. Exit code 1: runs are missing; 8: some failed.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,20 +110,42 @@ def play(shared: Path, out: Path, sequence: Sequence, part: str, seed: int) -> N
         words += ["--ablate", name]
     with redirect_stdout(sys.stderr):
         code = prism_edge(words)
+    if code == 130:  # Ctrl-C
+        raise SystemExit(code)
     if code:
         raise RuntimeError(f"{sequence.name}, {label(part)}, seed {seed}: eval ended with code {code}")
 
 
-def figure(out: Path, sequence: Sequence, part: str, seeds: list[int], key: str) -> float | None:
-    """Median over the seeds of one live figure in centimetres; None unless all seeds have it."""
-    found = []
+Figures = dict[int, float]  # by seed
+
+
+def figures(out: Path, sequence: Sequence, part: str, seeds: list[int], key: str) -> Figures:
+    """One live figure in centimetres of each seed that has it."""
+    found: Figures = {}
     for seed in seeds:
-        file = place(out, sequence, part, seed) / "metrics.json"
-        value = json.loads(file.read_text())["live"][key] if file.is_file() else None
-        if value is None:
-            return None
-        found.append(100.0 * float(value))
-    return median(found)
+        try:
+            value = json.loads((place(out, sequence, part, seed) / "metrics.json").read_text())["live"][key]
+        except (OSError, ValueError, KeyError, TypeError):
+            continue  # not run yet, or cut off
+        if value is not None:
+            found[seed] = 100.0 * float(value)
+    return found
+
+
+def _middle(found: Figures) -> str:
+    return f"{median(found.values()):.1f}" if found else "-"
+
+
+def _average(rows: list[Figures], beside: list[Figures]) -> tuple[float, float] | None:
+    """Means over the sequences of two rows' medians of the seeds that both have; None where one has none."""
+    pairs = [
+        (median(a[seed] for seed in common), median(b[seed] for seed in common))
+        for a, b in zip(rows, beside, strict=True)
+        if (common := a.keys() & b.keys())
+    ]
+    if len(pairs) < len(rows):
+        return None
+    return mean(a for a, _ in pairs), mean(b for _, b in pairs)
 
 
 def table(name: str, out: Path, seeds: list[int]) -> str:
@@ -129,32 +154,43 @@ def table(name: str, out: Path, seeds: list[int]) -> str:
     heads = " | ".join(s.name for s in sequences)
     rule = "|---" * (len(sequences) + 2) + "|"
     lines = [f"| {name}: live SE(3) / Sim(3), cm | {heads} | mean SE(3) |", rule]
-    whole: float | None = None
+    whole = [figures(out, s, FULL, seeds, "ate_se3_m") for s in sequences]
+    counts: set[int] = set()
     for part in parts_of(name):
-        pairs = [
-            [figure(out, s, part, seeds, key) for key in ("ate_se3_m", "ate_sim3_m")] for s in sequences
-        ]
-        cells = [" / ".join("-" if v is None else f"{v:.1f}" for v in pair) for pair in pairs]
-        known = [pair[0] for pair in pairs if pair[0] is not None]
-        average = mean(known) if len(known) == len(sequences) else None
-        text = "-" if average is None else f"{average:.1f}"
-        if part == FULL:
-            whole = average
-        elif average is not None and whole is not None:
-            text += f" ({average - whole:+.1f})"
+        se3, sim3 = (
+            [figures(out, s, part, seeds, key) for s in sequences] for key in ("ate_se3_m", "ate_sim3_m")
+        )
+        counts |= {len(found) for found in se3 if found}
+        cells = [f"{_middle(a)} / {_middle(b)}" for a, b in zip(se3, sim3, strict=True)]
+        both = _average(se3, whole)
+        text = "-" if both is None else f"{both[0]:.1f}"
+        if both is not None and part != FULL:
+            text += f" ({both[0] - both[1]:+.1f})"
         lines.append(f"| {label(part)} | {' | '.join(cells)} | {text} |")
+    if counts:
+        many = f"{min(counts)} to {max(counts)}" if len(counts) > 1 else f"{max(counts)}"
+        lines.append(f"\nMedians of {many} seed(s).")
     return "\n".join(lines)
 
 
-def missing(name: str, out: Path, seeds: list[int]) -> list[tuple[Sequence, str, int]]:
-    """Runs whose metrics are not there yet, a seed at a time so that a table fills evenly."""
+def missing(names: list[str], out: Path, seeds: list[int]) -> list[tuple[Sequence, str, int]]:
+    """Runs whose metrics are not there yet: what is cut short has all parts with the first seeds."""
     return [
         (sequence, part, seed)
         for seed in seeds
+        for name in names
         for sequence in TABLES[name][1]
         for part in parts_of(name)
-        if not (place(out, sequence, part, seed) / "metrics.json").is_file()
+        if not figures_are_there(place(out, sequence, part, seed))
     ]
+
+
+def figures_are_there(folder: Path) -> bool:
+    """Whether a run has ended there."""
+    try:
+        return "live" in json.loads((folder / "metrics.json").read_text())
+    except (OSError, ValueError):
+        return False
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -173,16 +209,22 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"ablate: error: {shared / NETWORK} is not there; see --shared", file=sys.stderr)
         return 2
     names = args.table or list(TABLES)
-    wanted = [run for name in names for run in missing(name, out, args.seeds)]
-    for sequence, part, seed in wanted[: args.most]:
+    wanted = missing(names, out, args.seeds)[: args.most]
+    failed = 0
+    for count, (sequence, part, seed) in enumerate(wanted, 1):
+        started = time.monotonic()
         try:
             play(shared, out, sequence, part, seed)
         except RuntimeError as error:
+            failed += 1
             print(f"ablate: error: {error}", file=sys.stderr)
-            return 8
+            continue
+        spent = f"{time.monotonic() - started:.0f} s"
+        said = f"[{count}/{len(wanted)}] {sequence.name}, {label(part)}, seed {seed}: {spent}"
+        print(said, file=sys.stderr, flush=True)
     for name in names:
         print(table(name, out, args.seeds), end="\n\n", flush=True)
-    return 1 if len(wanted) > args.most else 0
+    return 8 if failed else 1 if missing(names, out, args.seeds) else 0
 
 
 if __name__ == "__main__":

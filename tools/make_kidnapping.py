@@ -7,6 +7,7 @@ FOLDER is any folder of images that `prism-edge run` plays. OUT becomes a folder
 with) the second are black, and those from there on are turned about the optical axis by --roll degrees, as
 if the camera came back held askew. Where FOLDER has true poses they are written too, turned alike; positions
 stay as they are, so any other reference for positions still holds. camera.yaml describes the camera.
+--poses FILE.tum is a reference to be turned too: OUT/reference.tum, without the poses in the dark.
 """
 
 from __future__ import annotations
@@ -23,11 +24,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import PrismError
+from prism_edge.evaluation.trajectory import Trajectory, nearest_rows, read_tum, write_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, so3_exp
 from prism_edge.sources import open_source
 from prism_edge.sources.base import Image
+from prism_edge.sources.seven_scenes import RATE_HZ
+from prism_edge.sources.stamps import at_rate
 from prism_edge.sources.truth import read_truth
+
+TOGETHER_NS = 10_000_000  # a reference's pose and the image that it is of
 
 
 def roll_of(degrees: float) -> Array:
@@ -46,8 +52,15 @@ def turned(pixels: NDArray[np.uint8], camera: Camera, degrees: float) -> NDArray
     return np.asarray(cv2.warpPerspective(pixels, homography, size, flags=cv2.INTER_LINEAR), np.uint8)
 
 
-def write(folder: str, out: Path, dark: tuple[int, int], degrees: float, most: int) -> int:
-    """Writes the recording; returns how many images it has. Raises PrismError where FOLDER is unusable."""
+def write(
+    folder: str, out: Path, dark: tuple[int, int], degrees: float, most: int, poses: Path | None = None
+) -> int:
+    """Writes the recording; returns how many images it has.
+
+    Raises PrismError where FOLDER, or the reference ``poses``, is unusable.
+    """
+    reference = None if poses is None else read_tum(poses)
+    numbers: dict[int, int] = {}  # of images, by stamp
     source = open_source(SourceConfig(uri=folder))
     truth = read_truth(folder)
     with source:
@@ -66,13 +79,31 @@ def write(folder: str, out: Path, dark: tuple[int, int], degrees: float, most: i
             elif image.index >= dark[1]:
                 pixels = turned(pixels, source.camera, degrees)
                 pose = None if pose is None else pose @ roll_of(degrees)
+            numbers[image.stamp_ns] = image.index
             name = f"frame-{image.index:06d}"
             if not cv2.imwrite(str(out / f"{name}.color.png"), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
                 raise SystemExit(f"{out}: can't write images there")
             if pose is not None:
                 np.savetxt(out / f"{name}.pose.txt", pose, fmt="%.9e")
             count += 1
+    if reference is not None:
+        write_tum(out / "reference.tum", kidnapped(reference, numbers, dark, degrees))
     return count
+
+
+def kidnapped(
+    reference: Trajectory, numbers: dict[int, int], dark: tuple[int, int], degrees: float
+) -> Trajectory:
+    """The reference's poses of those images (``numbers`` by stamp) that show something, turned alike."""
+    rows = []
+    stamps = np.array(sorted(numbers), np.int64)
+    nearest = nearest_rows(stamps, reference.stamps) if len(stamps) else []
+    for row, pose, stamp in zip(nearest, reference.poses, reference.stamps, strict=True):
+        number = numbers[int(stamps[row])]
+        if abs(int(stamps[row]) - int(stamp)) <= TOGETHER_NS and not dark[0] <= number < dark[1]:
+            made = at_rate(number, RATE_HZ)
+            rows.append((made, pose @ roll_of(degrees) if number >= dark[1] else pose))
+    return Trajectory.of(rows)
 
 
 def describe(camera: Camera, path: Path) -> None:
@@ -91,14 +122,13 @@ def main() -> None:
     parser.add_argument("--dark", nargs=2, type=int, default=(300, 600), metavar=("FROM", "TO"))
     parser.add_argument("--roll", type=float, default=20.0, help="degrees (default 20)")
     parser.add_argument("--frames", type=int, default=10**9, help="stop after so many")
-    arguments = parser.parse_args()
+    parser.add_argument("--poses", type=Path, metavar="FILE.tum", help="a reference to turn too")
+    given = parser.parse_args()
     try:
-        count = write(
-            arguments.folder, arguments.out, tuple(arguments.dark), arguments.roll, arguments.frames
-        )
+        count = write(given.folder, given.out, tuple(given.dark), given.roll, given.frames, given.poses)
     except PrismError as error:
         sys.exit(str(error))
-    print(f"{count} images in {arguments.out}")
+    print(f"{count} images in {given.out}")
 
 
 if __name__ == "__main__":

@@ -35,8 +35,6 @@ F64 = NDArray[np.float64]
 NEAREST, FARTHEST = 0.3, 10.0  # m, what depth cameras are good for
 LEAST_PIXELS = 500
 LAGS_S = (1 / 3, 1.0, 3.0)
-# 7-Scenes' depth camera, in pixels of a 640 wide image; its images are not registered to colour.
-SEVEN_SCENES_DEPTH_FOCAL = 585.0
 
 
 @dataclass(frozen=True)
@@ -82,16 +80,15 @@ def measure(folder: Path, network: DepthNetwork, every: int) -> tuple[list[Frame
     scores, failed = [], 0
     sensor = SensorDepth(folder)
     with open_source(SourceConfig(uri=str(folder))) as source:
-        focal = SEVEN_SCENES_DEPTH_FOCAL if "7-Scenes" in source.name else None
         while (slot := source.peek()) is not None:
             if slot.index % every:
                 source.skip()
                 continue
-            image, truth = source.read(), sensor.read(slot.index)
+            image, truth = source.read(), sensor.in_colour(slot.index, source.camera)
             score = None
             if isinstance(image, Image) and truth is not None:
                 predicted = network.infer(_as_on_the_bus(image, source.camera), source.camera)
-                score = score_frame(image.stamp_ns, predicted, truth, source.camera, focal)
+                score = score_frame(image.stamp_ns, predicted, truth, source.camera)
             if score is None:
                 failed += 1
             else:
@@ -100,15 +97,12 @@ def measure(folder: Path, network: DepthNetwork, every: int) -> tuple[list[Frame
 
 
 def score_frame(
-    stamp_ns: int, predicted: Prediction, truth: NDArray[np.float32], camera: Camera, focal: float | None
+    stamp_ns: int, predicted: Prediction, truth: NDArray[np.float32], camera: Camera
 ) -> FrameScore | None:
     """Compares at the network's pixels; None where too few have both depths."""
     a, b, c, d = predicted.image_to_depth
     rows, columns = np.mgrid[0 : predicted.depth.shape[0], 0 : predicted.depth.shape[1]]
     x, y = (columns - b) / a, (rows - d) / c
-    if focal is not None:  # the depth camera sees the same direction elsewhere
-        x = (x - camera.cx) * (focal / camera.fx) + camera.cx
-        y = (y - camera.cy) * (focal / camera.fy) + camera.cy
     x = (x + 0.5) * truth.shape[1] / camera.width - 0.5
     y = (y + 0.5) * truth.shape[0] / camera.height - 0.5
     # Nearest: blending across an edge, or with the 0 of an invalid pixel, gives a depth that nothing has.

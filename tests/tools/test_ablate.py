@@ -78,9 +78,51 @@ def test_without_the_recordings_there_are_only_tables(tmp_path: Path, capsys, mo
         assert "is not there" in capsys.readouterr().err
 
 
-def test_a_run_that_fails_ends_it_in_one_line(tmp_path: Path, monkeypatch, capsys):
-    monkeypatch.setattr(ablate, "prism_edge", lambda words: 7)
+def test_a_run_that_fails_is_named_in_one_line_and_the_others_go_on(tmp_path: Path, monkeypatch, capsys):
+    ran = []
+    monkeypatch.setattr(ablate, "prism_edge", lambda words: ran.append(words) or 7)
     (tmp_path / "models").mkdir()
     (tmp_path / ablate.NETWORK).write_text("")
-    assert ablate.main(["--shared", str(tmp_path), "--out", str(tmp_path / "out"), "--table", "static"]) == 8
-    assert capsys.readouterr().err.count("\n") == 1
+    words = ["--shared", str(tmp_path), "--out", str(tmp_path / "out"), "--table", "static", "--most", "5"]
+    assert ablate.main(words) == 8
+    errors = capsys.readouterr().err.splitlines()
+    assert len(ran) == len(errors) == 5
+    assert all(line.startswith("ablate: error: ") and "ended with code 7" in line for line in errors)
+
+
+def test_all_parts_come_with_one_seed_and_real_recordings_first():
+    runs = ablate.missing(["static", "dynamic"], Path("nowhere"), [0, 1])
+    seeds = [seed for _, _, seed in runs]
+    assert seeds == sorted(seeds)
+    first = [sequence.distractors is None for sequence, _, seed in runs if seed == 0]
+    assert first == sorted(first, reverse=True)
+    assert {part for _, part, seed in runs if seed == 0} == set(ablate.STATIC_PARTS + ablate.DYNAMIC_PARTS)
+
+
+def test_what_is_cut_short_is_compared_over_the_seeds_that_both_have(tmp_path: Path):
+    for sequence in ablate.TABLES["static"][1]:
+        for seed, metres in enumerate((0.02, 0.5, 0.9)):
+            write(tmp_path, sequence, "", seed, metres)
+        write(tmp_path, sequence, "dsug", 0, 0.03)
+    rows = ablate.table("static", tmp_path, [0, 1, 2])
+    assert "| full system | 50.0 / 25.0 | 50.0 / 25.0 | 50.0 / 25.0 | 50.0 |" in rows
+    assert "| without dsug | 3.0 / 1.5 | 3.0 / 1.5 | 3.0 / 1.5 | 3.0 (+1.0) |" in rows
+    assert rows.endswith("Medians of 1 to 3 seed(s).")
+
+
+def test_a_run_that_was_cut_off_is_run_again(tmp_path: Path):
+    sequence = ablate.TABLES["static"][1][0]
+    write(tmp_path, sequence, "", 0, 0.02)
+    before = len(ablate.missing(["static"], tmp_path, [0]))
+    (ablate.place(tmp_path, sequence, "", 0) / "metrics.json").write_text('{"live": {"ate')
+    assert len(ablate.missing(["static"], tmp_path, [0])) == before + 1
+    assert "| full system | - / - " in ablate.table("static", tmp_path, [0])
+
+
+def test_an_interrupt_ends_it(tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(ablate, "prism_edge", lambda words: 130)
+    (tmp_path / "models").mkdir()
+    (tmp_path / ablate.NETWORK).write_text("")
+    with pytest.raises(SystemExit) as ended:
+        ablate.main(["--shared", str(tmp_path), "--out", str(tmp_path / "out"), "--table", "static"])
+    assert ended.value.code == 130

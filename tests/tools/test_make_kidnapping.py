@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import SourceConfig
+from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources import open_source
 from prism_edge.sources.truth import read_truth
@@ -62,6 +63,18 @@ def test_a_recording_is_carried_off_and_comes_back(tool, tmp_path):
     assert poses[:, :3, 3] == pytest.approx(before[:8, :3, 3], abs=1e-6)
     assert poses[:6] == pytest.approx(before[:6], abs=1e-6)
     assert poses[6] == pytest.approx(before[6] @ tool.roll_of(20.0), abs=1e-6)
+
+
+def test_another_reference_is_turned_alike_and_has_nothing_of_the_dark(tool, tmp_path):
+    source = write_sequence(tmp_path / "in", frames=9, width=160, height=120)
+    truth = tmp_path / "in" / "groundtruth.txt"
+    out = tmp_path / "out"
+    tool.write(str(source), out, (3, 6), 20.0, 8, truth)
+    made = read_tum(out / "reference.tum")
+    stamps, poses = read_truth(str(out))
+    lit = [0, 1, 2, 6, 7]
+    assert made.stamps.tolist() == stamps[lit].tolist()
+    assert made.poses == pytest.approx(poses[lit], abs=1e-6)
 
 
 def test_an_unusable_recording_is_one_line(tool, tmp_path, monkeypatch):

@@ -53,6 +53,23 @@ def test_each_sequence_runs_twice_and_gives_a_line(tool, tmp_path, monkeypatch, 
     assert len(lines) == 4
 
 
+def test_where_no_loop_was_accepted_it_runs_once(tool, tmp_path, monkeypatch, capsys):
+    ran = []
+
+    def evaluate(words: list[str]) -> int:
+        ran.append(words)
+        out = Path(words[words.index("--out") + 1])
+        out.mkdir(parents=True)
+        (out / "metrics.json").write_text(json.dumps(metrics(0.05)))
+        return 0
+
+    monkeypatch.setattr(tool, "prism_edge", evaluate)
+    monkeypatch.setattr(sys, "argv", ["measure_loops", "a", "--model", "m.onnx", "--out", str(tmp_path)])
+    tool.main()
+    assert len(ran) == 1
+    assert capsys.readouterr().out.splitlines()[2] == "| a | 0 | - | 5.00 cm | 5.00 cm | 0 % |"
+
+
 def test_what_could_not_be_computed_is_a_dash(tool):
     assert tool.row("x", metrics(None), metrics(0.1)) == "| x | 0 | - | 10.00 cm | - | - |"
 
