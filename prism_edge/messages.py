@@ -188,6 +188,8 @@ class Scale:
     observation_sigma: float
     points: int  # that it rests on
     accepted: bool
+    bias_sigma: float = 0.0  # the network's, which is in sigma
+    local_sigma: float = 0.0  # how far the map's log scale here may be from log_scale, beyond sigma
 
 
 @dataclass(frozen=True)

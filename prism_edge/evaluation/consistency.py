@@ -88,18 +88,17 @@ def relative_nees(
 
 
 def scale_errors(
-    scale_ratio: float | None, sigma: float | None, filter_sigma: float | None
+    scale_ratio: float | None, sigma: float | None, bias_sigma: float | None
 ) -> tuple[float | None, float | None]:
     """(|log scale_ratio| / sigma, sigma / the network's bias sigma) of the last `scale`; None: unknown.
 
-    ``scale_ratio`` is true / estimated; ``sigma`` has the network's bias in it, ``filter_sigma`` has not.
+    ``scale_ratio`` is true / estimated; ``bias_sigma`` is what the network's card says.
     """
     if sigma is None or not sigma > 0.0:
         return None, None
     known = scale_ratio is not None and scale_ratio > 0.0
     error = abs(math.log(scale_ratio)) / sigma if known and scale_ratio is not None else None
-    bias2 = sigma**2 - filter_sigma**2 if filter_sigma is not None else 0.0
-    return error, sigma / math.sqrt(bias2) if bias2 > 0.0 else None
+    return error, sigma / bias_sigma if bias_sigma is not None and bias_sigma > 0.0 else None
 
 
 def adjoint(pose: Array) -> Array:

@@ -74,7 +74,7 @@ def metrics(
 
 def _consistency(nees: Nees, scale_ratio: Any, recording: Recording) -> dict[str, Any]:
     scale = recording.last_scale() or {}
-    error, to_bias = scale_errors(scale_ratio, scale.get("sigma_log"), scale.get("filter_sigma_log"))
+    error, to_bias = scale_errors(scale_ratio, scale.get("sigma_log"), recording.bias_sigma)
     return {
         "nees_1s": nees.all,
         "nees_1s_translation": nees.translation,

@@ -85,7 +85,9 @@ class Recorder:
         self._closing = False
         self._stopped = bus.stopped
         self._scale: Any | None = None
+        self._bias_sigma: float | None = None
         self._ends, self._heartbeats, self._scales = map(bus.queue, ("end", "heartbeat", "scale"))
+        self._log_scales = bus.queue("log_scale")
         self._threads = [
             threading.Thread(
                 target=self._listen, args=(bus.queue(topic, _QUEUE), keep), name="recorder", daemon=True
@@ -101,6 +103,8 @@ class Recorder:
             self._end = end
         for scale in self._scales.drain():
             self._scale = scale
+        for log_scale in self._log_scales.drain():
+            self._bias_sigma = log_scale.bias_sigma
         beats: list[Heartbeat] = self._heartbeats.drain()
         return beats
 
@@ -137,7 +141,9 @@ class Recorder:
             thread.join()
         self.poll()
         heard = self._recording
-        return Recording(heard.poses, heard.frames, heard.arrivals_ns, self._end, self._scale)
+        return Recording(
+            heard.poses, heard.frames, heard.arrivals_ns, self._end, self._scale, self._bias_sigma
+        )
 
     def _listen(self, inbox: Any, keep: Any) -> None:
         while True:

@@ -32,6 +32,7 @@ class Recording:
     arrivals_ns: list[int] = field(default_factory=list)
     end: EndOfStream | None = None
     scale: Any | None = None  # the last prism_edge_msgs/Scale
+    bias_sigma: float | None = None  # of the network's log scale, as the scale process had it last
 
     @cached_property
     def published(self) -> dict[int, Published]:

@@ -16,6 +16,7 @@ from prism_edge.scale.gate import Floats
 from prism_edge.scale.gate_keyframes import KeyframeGate
 from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
 from prism_edge.scale.samples import sample
+from prism_edge.scale.spread import USUAL_BIAS, LocalScale
 from prism_edge.scale.steady import SteadyScale
 
 LEAST_TRUST = 0.05  # of a sample's weight: points of which nothing good is known still say something
@@ -36,9 +37,11 @@ class ScaleEstimator:
         self._least_squares = "wls" not in ablate
         self._epoch: int | None = None
         self._bias_sigma = 0.0  # of the network, as last heard
+        self._says_spread = False  # whether the source of depth has told its own frame_sigma
         self._gate = KeyframeGate(gate or GateConfig(), "dsug" not in ablate)
         self._filter = ScaleFilter(config, self._kalman)
         self._steady = self._new_steady()
+        self._local, self._local_ns = LocalScale(), 0
 
     @property
     def accepted(self) -> int:
@@ -72,6 +75,8 @@ class ScaleEstimator:
         scale.predict(keyframe.stamp_ns * 1e-9, keyframe.travelled)
         if depth is not None and math.isfinite(depth.bias_sigma) and depth.bias_sigma >= 0.0:
             self._bias_sigma = depth.bias_sigma
+            if self._bias_sigma > 0.0:
+                scale.expect(self._network_sigma())
         observation, accepted = None, False
         camera = _camera_of(keyframe)
         if depth is not None and depth.valid and camera is not None:
@@ -83,15 +88,23 @@ class ScaleEstimator:
                 accepted = scale.update(observation)
             elif scale.is_open:
                 scale.fix_unit()
-        sigma = self._steady.follow(scale.log_scale, scale.total_sigma(self._bias_sigma))
+        # What is held depends on the filter's own belief; how far it may be off, on what has been learned.
+        self._steady.follow(scale.log_scale, scale.total_sigma(self._bias_sigma))
+        held = self._steady.log_scale - scale.log_scale
+        if observation is not None and accepted:
+            elapsed_s = max(keyframe.stamp_ns - self._local_ns, 0) * 1e-9
+            self._local.take(observation.log_scale - self._steady.log_scale, scale.correlation(elapsed_s))
+            self._local_ns = keyframe.stamp_ns
         message = Scale(
             keyframe=keyframe.id,
             index=keyframe.index,
             stamp_ns=keyframe.stamp_ns,
             epoch=keyframe.epoch,
             log_scale=self._steady.log_scale,
-            sigma=sigma,
-            filter_sigma=scale.sigma,
+            sigma=math.hypot(scale.learned_sigma, self._bias_sigma, held),
+            filter_sigma=scale.learned_sigma,
+            bias_sigma=self._bias_sigma,
+            local_sigma=self._local.sigma(self._network_sigma()),
             observation=observation.log_scale if observation else math.nan,
             observation_sigma=math.sqrt(observation.variance) if observation else math.nan,
             points=observation.points if observation else 0,
@@ -109,6 +122,7 @@ class ScaleEstimator:
         self._epoch = epoch
         self._filter = ScaleFilter(self._config, self._kalman)
         self._steady = self._new_steady()
+        self._local, self._local_ns = LocalScale(), 0
         self._gate.forget()
 
     def _heed(self, depth: Depth | None) -> None:
@@ -116,12 +130,17 @@ class ScaleEstimator:
         said = math.nan if depth is None else depth.frame_sigma
         if math.isfinite(said) and 0.0 <= said <= 2.0 and said != self._config.frame_sigma:
             self._config = replace(self._config, frame_sigma=said)
+            self._says_spread = True
             if self._filter.is_open:
                 self._filter = ScaleFilter(self._config, self._kalman)
 
     def gate_images(self) -> tuple[Floats, Floats] | None:
         """u and w of every pixel of the newest keyframe's depth map (h, w); None where the gate was open."""
         return self._gate.images()
+
+    def _network_sigma(self) -> float:
+        """What the pixels of an image are thought to share with this network."""
+        return self._config.frame_sigma * (1.0 if self._says_spread else self._bias_sigma / USUAL_BIAS)
 
     def _new_steady(self) -> SteadyScale:
         return SteadyScale(self._config.hold_sigmas if self._kalman else 0.0)

@@ -22,6 +22,7 @@ import numpy as np
 
 from prism_edge.config import ScaleConfig
 from prism_edge.scale.least_squares import Observation
+from prism_edge.scale.spread import FrameSpread
 
 # A belief that rests on n observations falls to as many that contradict it and agree with one another,
 # at least the first number of them and at most the second.
@@ -46,6 +47,8 @@ class ScaleFilter:
         self._covariance = np.diag([config.initial_sigma**2, config.frame_sigma**2])
         self._time_s: float | None = None
         self._travelled = 0.0
+        self._spread = FrameSpread(config.frame_sigma)
+        self._elapsed_s = 0.0  # since the last observation that the spread has
 
     @property
     def log_scale(self) -> float:
@@ -62,6 +65,22 @@ class ScaleFilter:
         return math.hypot(self.sigma, bias_sigma if math.isfinite(bias_sigma) else 0.0)
 
     @property
+    def learned_sigma(self) -> float:
+        """``sigma`` with the spread that this network's observations have here in place of the model's."""
+        model = self._config.frame_sigma
+        return self.sigma * (self._spread.sigma / model if self._kalman and model > 0.0 else 1.0)
+
+    def expect(self, frame_sigma: float) -> None:
+        """What the network at hand is thought to spread; heard before anything has been seen of it."""
+        if self.is_open:
+            self._spread = FrameSpread(frame_sigma)
+
+    def correlation(self, elapsed_s: float) -> float:
+        """Of what the pixels of a keyframe share with those of another, so long apart."""
+        time_constant = self._config.correlation_s
+        return math.exp(-elapsed_s / time_constant) if time_constant > 0.0 else 0.0
+
+    @property
     def is_open(self) -> bool:
         """Whether nothing, neither unit nor observation, has come yet."""
         return not self._unit_fixed and self.accepted == 0
@@ -75,8 +94,9 @@ class ScaleFilter:
         metres = _step(travelled - self._travelled) * math.exp(min(max(self.log_scale, -_MAX_LOG), _MAX_LOG))
         self._time_s = time_s if math.isfinite(time_s) else self._time_s
         self._travelled = travelled if math.isfinite(travelled) else self._travelled
+        self._elapsed_s += elapsed
         c = self._config
-        phi = math.exp(-elapsed / c.correlation_s) if c.correlation_s > 0.0 else 0.0
+        phi = self.correlation(elapsed)
         transition = np.diag([1.0, phi])
         walk = min(c.drift_per_sqrt_m**2 * metres + c.drift_per_sqrt_s**2 * elapsed, _MAX_LOG**2)
         noise = np.diag([walk, c.frame_sigma**2 * (1.0 - phi * phi)])
@@ -97,6 +117,7 @@ class ScaleFilter:
         self._state = np.zeros(2)
         self._covariance = np.array([[shared + own, -shared], [-shared, shared]])
         self._unit_fixed = True
+        self._elapsed_s = 0.0
 
     def take_over(self, log_scale: float, sigma: float) -> None:
         """Begin with what an earlier run knew of this map's unit."""
@@ -124,6 +145,8 @@ class ScaleFilter:
             return False
         self._contradicting.clear()
         self._correct(innovation, variance)
+        self._spread.take(z - self.log_scale, self.learned_sigma, 1.0 - self.correlation(self._elapsed_s))
+        self._elapsed_s = 0.0
         self.accepted += 1
         self._support += 1
         return True
@@ -148,6 +171,7 @@ class ScaleFilter:
                 return False
         self._covariance = self._covariance + np.diag([innovation**2 + self._config.initial_sigma**2, 0.0])
         self._support = 0
+        self._spread = FrameSpread(self._config.frame_sigma)
         return True
 
 

@@ -14,7 +14,7 @@ from prism_edge.tracking.point_table import Index
 
 PARALLAX_DEG = 1.0  # as the first two views must have (initialisation.py)
 ENOUGH = 20  # matched points with that
-UNOBSERVED = 0.5  # of the scene's depth: what is moved by more shows, whatever the depths are
+UNOBSERVED = 0.7  # of the scene's depth: what is moved by more shows, whatever the depths are
 NOTHING = np.zeros((6, 6))
 
 

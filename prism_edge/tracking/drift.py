@@ -1,9 +1,12 @@
 """How far the map may have drifted: a random walk with the way and the turning, undone where it is known.
 
-Between two places that share points the map's error grows like a random walk: its variance by
-``drift_per_sqrt_m``^2 for each metre and, of rotation, ``drift_per_sqrt_rad``^2 for each radian turned. The
-whole walk is what `odom` has. In the map a keyframe that sees known points drifted little more than its
-neighbours: its drift is that of the shortest way through keyframes that share points, from the first one.
+Between two places that share points the map's error grows like a random walk. Its variance grows by
+``drift_per_sqrt_m``^2 for each metre, and by what a local map is out of shape: a second's motion is off by a
+share of its way, and the next second's by another. That share is ``drift_of_motion``, and beside it what
+keyframes show of the map's scale here. Of rotation it grows by ``drift_per_sqrt_rad``^2 for each radian
+turned and ``turn_per_sqrt_m``^2 for each metre. The whole walk is what `odom` has. In the map a keyframe that
+sees known points drifted little more than its neighbours: its drift is that of the shortest way through
+keyframes that share points, from the first one.
 """
 
 from __future__ import annotations
@@ -20,6 +23,9 @@ from prism_edge.tracking.frame_result import FrameResult
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
 FORGET_ABOVE = 2  # times as many keyframes remembered as there are
+COHERENT_S = 1.0  # for so long the local map is off by the same share; speed is averaged over as long
+COHERENT_M = 1.0  # and, between two places, at least over so much of the way, however slow the camera is now
+LONGEST_S = 0.5  # between two frames: longer than that nothing was seen
 
 
 @dataclass(frozen=True)
@@ -48,14 +54,22 @@ class Drift:
     """Follows one camera: ``total`` is the whole walk, ``here`` what of it the last frame has in the map."""
 
     def __init__(self, config: CovarianceConfig) -> None:
-        self._per_m, self._per_rad = config.drift_per_sqrt_m**2, config.drift_per_sqrt_rad**2
+        self._config = config
+        self._speed = 0.0  # metres a second
+        self._stamp_ns: int | None = None
+        self.local_sigma = 0.0  # of the log scale here about the published one, as last heard
         self.total = self.here = NO_DRIFT
         self._keyframes: dict[int, Walk] = {}
 
-    def advance(self, before: Array | None, result: FrameResult, log_scale: float) -> None:
+    def advance(
+        self, before: Array | None, result: FrameResult, log_scale: float, stamp_ns: int | None = None
+    ) -> None:
         """A frame has been tracked; ``before`` is where the present map has the one before it."""
         if result.world_from_camera is not None and before is not None:
-            self.total += self._of(inverse(before) @ result.world_from_camera, log_scale)
+            motion = inverse(before) @ result.world_from_camera
+            self._pace(motion, log_scale, stamp_ns)
+            self.total += self._of(motion, log_scale)
+        self._stamp_ns = stamp_ns
         keyframe = self._keyframes.get(result.reference, self.total)
         self.here = keyframe + self._of(result.reference_from_camera, log_scale)
 
@@ -87,8 +101,21 @@ class Drift:
 
     def _of(self, motion: Array, log_scale: float) -> Walk:
         """What is added between two places that differ by ``motion`` (4, 4), map units."""
-        way = math.exp(log_scale) * float(np.linalg.norm(motion[:3, 3]))
-        return Walk(self._per_m * way, self._per_rad * rotation_angle(motion[:3, :3]))
+        c, way = self._config, math.exp(log_scale) * float(np.linalg.norm(motion[:3, 3]))
+        share2 = c.drift_of_motion**2 + self.local_sigma**2
+        per_m = c.drift_per_sqrt_m**2 + share2 * max(COHERENT_S * self._speed, min(way, COHERENT_M))
+        angle = rotation_angle(motion[:3, :3])
+        return Walk(per_m * way, c.drift_per_sqrt_rad**2 * angle + c.turn_per_sqrt_m**2 * way)
+
+    def _pace(self, motion: Array, log_scale: float, stamp_ns: int | None) -> None:
+        """Take a frame's motion into the speed."""
+        elapsed_s = 0.0
+        if stamp_ns is not None and self._stamp_ns is not None:
+            elapsed_s = (stamp_ns - self._stamp_ns) * 1e-9
+        if 0.0 < elapsed_s < LONGEST_S:
+            now = math.exp(log_scale) * float(np.linalg.norm(motion[:3, 3])) / elapsed_s
+            share = 1.0 - math.exp(-elapsed_s / COHERENT_S) if self._speed > 0.0 else 1.0
+            self._speed += share * (now - self._speed)
 
     def _until(self, keyframe: LocalKeyframe, log_scale: float) -> Walk:
         """Of a keyframe; of one that an earlier life made, as the crow flies from the map's beginning."""

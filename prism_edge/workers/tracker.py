@@ -200,7 +200,7 @@ class TrackerWorker:
             self._odometry.advance(before, result.world_from_camera, tracker.log_scale, frame.stamp_ns)
             if before is not None:
                 self._travelled += float(np.linalg.norm(result.world_from_camera[:3, 3] - before[:3, 3]))
-            self._drift.advance(before, result, tracker.log_scale)
+            self._drift.advance(before, result, tracker.log_scale, frame.stamp_ns)
         self._publisher.publish(
             frame.stamp_ns,
             result,
@@ -299,10 +299,12 @@ class TrackerWorker:
             self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
 
     def _apply_scale(self, message: Scale) -> None:
-        if message.epoch == self._tracker.epoch and np.isfinite([message.log_scale, message.sigma]).all():
+        numbers = (message.log_scale, message.sigma, message.local_sigma)
+        if message.epoch == self._tracker.epoch and np.isfinite(numbers).all():
             self._tracker.log_scale = message.log_scale
             self._scale_sigma = message.sigma
             self._status.metres.scale(message.observation, message.accepted)
+            self._drift.local_sigma = message.local_sigma
 
     def _apply_update(self, message: MapUpdate) -> None:
         if message.epoch != self._tracker.epoch or message.sequence <= self._update_sequence:

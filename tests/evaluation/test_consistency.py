@@ -105,9 +105,10 @@ def test_without_pairs_there_is_none():
 
 
 def test_scale_errors_in_sigmas():
-    error, to_bias = scale_errors(float(np.exp(-0.25)), 0.125, 0.075)
+    error, to_bias = scale_errors(float(np.exp(-0.25)), 0.125, 0.1)
     assert error == pytest.approx(2.0)
     assert to_bias == pytest.approx(1.25)
     assert scale_errors(None, 0.1, 0.05)[0] is None
     assert scale_errors(1.1, None, None) == (None, None)
-    assert scale_errors(1.1, 0.1, 0.1)[1] is None
+    assert scale_errors(1.1, 0.1, None)[1] is None
+    assert scale_errors(1.1, 0.1, 0.0)[1] is None

@@ -177,3 +177,30 @@ def test_a_source_that_knows_how_well_its_images_agree_is_believed_accordingly()
     for nonsense in (-1.0, np.inf, np.nan, 50.0):
         scale = estimators[1].process(later, replace(depth_of(later), frame_sigma=nonsense))[0]
         assert np.isfinite(scale.filter_sigma)
+
+
+def test_sigma_has_the_network_s_bias_and_what_is_held_back():
+    estimator = ScaleEstimator(ScaleConfig())
+    free = ScaleEstimator(CONFIG)
+    for held, best in zip(play(estimator, 40, 1.3), play(free, 40, 1.3), strict=True):
+        expected = np.hypot(np.hypot(best.filter_sigma, 0.1), held.log_scale - best.log_scale)
+        assert held.sigma == pytest.approx(expected)
+        assert held.bias_sigma == 0.1
+    assert held.log_scale != best.log_scale
+
+
+def test_a_network_with_less_bias_is_thought_to_spread_less():
+    keyframe = keyframe_of_wall(0, 0.0, 1.0, parallax_deg=0.0)
+    usual = ScaleEstimator(CONFIG).process(keyframe, depth_of(keyframe))[0]
+    better = ScaleEstimator(CONFIG).process(keyframe, replace(depth_of(keyframe), bias_sigma=0.05))[0]
+    assert better.filter_sigma == pytest.approx(0.5 * usual.filter_sigma)
+
+
+def test_a_place_whose_scale_is_another_is_told_from_the_network_s_errors():
+    estimator = ScaleEstimator(ScaleConfig())
+    assert [r.local_sigma for r in play(estimator, 20)] == [0.0] * 20
+    there = play(estimator, 9, metres_per_unit=1.5, start=21)[-1]  # a part of the map that is too small
+    seen = abs(there.observation - there.log_scale)
+    assert seen > 0.25
+    assert 0.5 * seen < there.local_sigma < seen
+    assert play(estimator, 1, start=50, epoch=1)[0].local_sigma == 0.0

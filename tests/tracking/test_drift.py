@@ -14,7 +14,9 @@ from prism_edge.tracking.drift import NO_DRIFT, Drift, Walk
 from prism_edge.tracking.frame_result import FrameResult
 from tests.tracking.cloud import pose_at
 
-CONFIG = CovarianceConfig(drift_per_sqrt_m=0.02, drift_per_sqrt_rad=0.01)
+CONFIG = CovarianceConfig(
+    drift_of_motion=0.0, drift_per_sqrt_m=0.02, drift_per_sqrt_rad=0.01, turn_per_sqrt_m=0.0
+)
 
 
 def result(pose: np.ndarray, reference: int = -1, offset: np.ndarray | None = None) -> FrameResult:
@@ -119,3 +121,55 @@ def test_culled_keyframes_are_forgotten():
             del world.keyframes[old]
     assert len(drift._keyframes) < 40
     assert world.drift_at(99).metres2 == pytest.approx(0.02**2 * 9.9)
+
+
+STEADY = CovarianceConfig(
+    drift_of_motion=0.05, drift_per_sqrt_m=0.0, drift_per_sqrt_rad=0.0, turn_per_sqrt_m=0.01
+)
+
+
+def driven(drift: Drift, speed: float, seconds: float, metres: float = 1.0) -> None:
+    """Along a line at 10 Hz, in a map whose unit is ``metres``."""
+    last = None
+    for k in range(round(10 * seconds) + 1):
+        pose = pose_at(speed / metres * 0.1 * k)
+        drift.advance(last, result(pose), np.log(metres), 100_000_000 * k)
+        last = pose
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.5])
+def test_a_second_s_motion_is_off_by_a_share_of_its_way_and_the_next_by_another(speed):
+    one, many = Drift(STEADY), Drift(STEADY)
+    driven(one, speed, 1.0, metres=2.0)
+    driven(many, speed, 9.0)
+    assert one.total.sigmas()[0] == pytest.approx(0.05 * speed)
+    assert many.total.sigmas()[0] == pytest.approx(0.05 * speed * 3.0)
+    assert many.total.sigmas()[1] == pytest.approx(0.01 * np.sqrt(9.0 * speed))
+
+
+def test_what_keyframes_show_of_the_scale_here_is_added_to_the_share():
+    drift = Drift(STEADY)
+    drift.local_sigma = 0.12
+    driven(drift, 0.5, 1.0)
+    assert drift.total.sigmas()[0] == pytest.approx(0.13 * 0.5)
+
+
+def test_a_place_is_no_surer_for_standing_there():
+    drift = Drift(STEADY)
+    driven(drift, 0.0, 3.0)
+    drift.advance(None, result(pose_at(0.4), 7, pose_at(0.4)), 0.0, 4_000_000_000)
+    assert drift.here.sigmas()[0] == pytest.approx(0.05 * 0.4)
+    drift.advance(None, result(pose_at(9.0), 7, pose_at(9.0)), 0.0, 4_000_000_000)
+    assert drift.here.sigmas()[0] == pytest.approx(0.05 * 3.0)
+
+
+def test_speed_is_an_average_of_a_second_and_a_gap_says_nothing_of_it():
+    drift = Drift(STEADY)
+    driven(drift, 1.0, 5.0)
+    before = drift.total.metres2
+    drift.advance(pose_at(5.0), result(pose_at(5.2)), 0.0, 5_100_000_000)  # 2 m/s for a tenth of a second
+    speed = 1.0 + (1.0 - np.exp(-0.1))
+    assert drift.total.metres2 - before == pytest.approx(0.05**2 * speed * 0.2)
+    before = drift.total.metres2
+    drift.advance(pose_at(5.2), result(pose_at(15.2)), 0.0, 9_000_000_000)  # found again, far away
+    assert drift.total.metres2 - before == pytest.approx(0.05**2 * speed * 10.0)

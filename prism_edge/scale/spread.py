@@ -1,0 +1,60 @@
+"""How far keyframes' observations lie from the estimate, learned as they come; and what of it the map has.
+
+The filter is run with one noise model for every network and scene, and its gain needs no better one: a common
+factor on all variances leaves it as it is. The uncertainty does need one. The variance that the pixels of a
+keyframe share has an inverse-gamma belief, as of the unknown observational variance of a dynamic linear model
+(West and Harrison 1997, section 4.5), which each observation sharpens by as much of it as is new.
+"""
+
+from __future__ import annotations
+
+import math
+
+PRIOR_WEIGHT = 4.0  # independent observations that the network's own word counts as
+USUAL_BIAS = 0.10  # of the network that frame_sigma was measured with; another's images spread in proportion
+_NOT_THE_MAP = 2.0  # times the network's variance: a few seconds hold about one draw of it
+_MOST = 1.0  # of log scale: more is no wavering
+
+
+class FrameSpread:
+    """Standard deviation of what a keyframe shows about the estimate of log scale."""
+
+    def __init__(self, prior: float) -> None:
+        self._weight = PRIOR_WEIGHT
+        self._sum = PRIOR_WEIGHT * prior**2
+
+    @property
+    def sigma(self) -> float:
+        """Root of the belief's mean variance."""
+        return math.sqrt(self._sum / self._weight)
+
+    def take(self, residual: float, sigma: float, share: float) -> None:
+        """An observation minus the estimate, which has ``sigma``; ``share`` in [0, 1] of it is new.
+
+        The expected square of an observation about the truth is the residual's plus the estimate's variance,
+        which the residual lacks: the estimate has gone towards the observation.
+        """
+        self._sum += share * min(residual * residual + sigma * sigma, _MOST)
+        self._weight += share
+
+
+class LocalScale:
+    """How far the map's scale here may be from the published one: what a network's errors don't explain.
+
+    A map's scale wavers from place to place. There the observations leave the published value together, and
+    by more than the network's own errors would make them.
+    """
+
+    def __init__(self) -> None:
+        self._sum = self._weight = 0.0
+
+    def take(self, residual: float, fading: float) -> None:
+        """An observation minus what is published; ``fading`` in [0, 1] is left of what was seen before."""
+        self._sum = fading * self._sum + min(residual * residual, _MOST)
+        self._weight = fading * self._weight + 1.0
+
+    def sigma(self, network: float) -> float:
+        """Standard deviation of the log scale here; ``network`` is what the pixels of its images share."""
+        if self._weight == 0.0:
+            return 0.0
+        return math.sqrt(max(self._sum / self._weight - _NOT_THE_MAP * network**2, 0.0))

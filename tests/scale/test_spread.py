@@ -1,0 +1,110 @@
+"""The learned spread against closed forms and Monte Carlo, and what of it is the map's."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from prism_edge.config import ScaleConfig
+from prism_edge.scale.filter import ScaleFilter
+from prism_edge.scale.least_squares import Observation
+from prism_edge.scale.spread import PRIOR_WEIGHT, FrameSpread, LocalScale
+
+STEP_S, TIME_CONSTANT_S, WHITE = 0.3, 2.0, 1e-4
+CONFIG = ScaleConfig(drift_per_sqrt_m=0.0, drift_per_sqrt_s=0.0, correlation_s=TIME_CONSTANT_S)
+
+
+def test_before_anything_is_seen_it_is_the_prior():
+    assert FrameSpread(0.07).sigma == pytest.approx(0.07)
+
+
+def test_residuals_weigh_by_how_much_of_them_is_new():
+    spread = FrameSpread(0.1)
+    spread.take(0.2, 0.1, 1.0)
+    spread.take(-0.3, 0.0, 0.5)
+    spread.take(5.0, 1.0, 0.0)  # says nothing that was not known
+    expected = (PRIOR_WEIGHT * 0.01 + 0.05 + 0.045) / (PRIOR_WEIGHT + 1.5)
+    assert spread.sigma == pytest.approx(math.sqrt(expected))
+
+
+def observed(rng: np.random.Generator, spread: float, count: int) -> tuple[np.ndarray, float]:
+    """What a network whose images err by ``spread``, alike in time, shows, and the true log scale."""
+    phi = math.exp(-STEP_S / TIME_CONSTANT_S)
+    errors = [rng.normal(0.0, spread)]
+    for _ in range(count):
+        errors.append(phi * errors[-1] + rng.normal(0.0, spread * math.sqrt(1.0 - phi * phi)))
+    # The first depth is the map's unit: everything is seen relative to it.
+    return np.array(errors[1:]) - errors[0] + rng.normal(0.0, math.sqrt(WHITE), count), -errors[0]
+
+
+@pytest.mark.parametrize("spread", [0.05, 0.15, 0.3])
+def test_the_learned_sigma_is_right_for_a_steadier_and_a_wilder_network(spread):
+    rng = np.random.default_rng(3)
+    card = 0.5 * (spread + 0.15)  # is half right
+    squares, learned = [], []
+    for _ in range(60):
+        values, true = observed(rng, spread, 100)
+        scale = ScaleFilter(CONFIG)
+        scale.expect(card)
+        scale.predict(0.0, 0.0)
+        scale.fix_unit()
+        for k, value in enumerate(values, 1):
+            scale.predict(STEP_S * k, 0.0)
+            scale.update(Observation(float(value), WHITE + 0.15**2, WHITE, 100))
+        squares.append(((scale.log_scale - true) / scale.learned_sigma) ** 2)
+        learned.append(0.15 * scale.learned_sigma / scale.sigma)
+    # Thirty seconds hold about fifteen draws beside the card's four; without learning: 0.1, 1 and 4.
+    assert 0.3 < np.mean(squares) < 1.8
+    assert abs(np.log(np.mean(learned) / spread)) < max(0.6 * abs(np.log(card / spread)), 0.1)
+
+
+def test_learning_changes_no_estimate():
+    rng = np.random.default_rng(1)
+    values, _ = observed(rng, 0.05, 40)
+    estimates = []
+    for expected in (0.01, 0.15, 1.0):
+        scale = ScaleFilter(CONFIG)
+        scale.expect(expected)
+        scale.fix_unit()
+        for k, value in enumerate(values, 1):
+            scale.predict(STEP_S * k, 0.0)
+            scale.update(Observation(float(value), WHITE + 0.15**2, WHITE, 100))
+        estimates.append((scale.log_scale, scale.sigma))
+    assert estimates[0] == estimates[1] == estimates[2]
+
+
+def test_a_belief_that_falls_forgets_what_it_had_learned():
+    scale = ScaleFilter(CONFIG)
+    scale.expect(0.02)
+    scale.fix_unit()
+    for k in range(1, 60):
+        scale.predict(STEP_S * k, 0.0)
+        scale.update(Observation(0.0, WHITE + 0.15**2, WHITE, 100))
+    steady = scale.learned_sigma / scale.sigma
+    for k in range(60, 120):
+        scale.predict(STEP_S * k, 0.0)
+        scale.update(Observation(2.0, WHITE + 0.15**2, WHITE, 100))
+    assert scale.log_scale == pytest.approx(2.0, abs=0.1)
+    assert steady < 0.2
+    assert scale.learned_sigma / scale.sigma > 2.0 * steady
+
+
+def test_local_scale_is_what_the_network_does_not_explain():
+    local = LocalScale()
+    assert local.sigma(0.1) == 0.0
+    for _ in range(5):
+        local.take(0.3, 0.8)
+    assert local.sigma(0.0) == pytest.approx(0.3)
+    assert local.sigma(0.1) == pytest.approx(math.sqrt(0.09 - 0.02))
+    assert local.sigma(0.3) == 0.0
+
+
+def test_local_scale_fades():
+    local = LocalScale()
+    local.take(0.4, 0.0)
+    local.take(0.0, 0.5)
+    assert local.sigma(0.0) == pytest.approx(math.sqrt(0.5 * 0.16 / 1.5))
+    local.take(1e6, 0.0)  # a network gone mad does not make a map that is off by more than it can be
+    assert local.sigma(0.0) == 1.0

@@ -1,0 +1,32 @@
+"""What the tracker worker makes of how well the scale is known where it is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.workers.list_bus import ListBus
+from tests.workers.tracker_bench import World, frame, run, scale_of
+
+
+def walked(local_sigma: float) -> tuple[float, np.ndarray]:
+    """Drift of `odom` (m) after 30 frames in a map whose scale here is in doubt by so much, and its pose."""
+    bus = ListBus("frame")
+    World(bus).scale = lambda keyframe: scale_of(keyframe, local_sigma=local_sigma)
+    run(bus, [frame(i) for i in range(30)])
+    message = bus.of("odom")[-1]
+    covariance = np.asarray(message.pose.covariance).reshape(6, 6)
+    walk = bus.of("tracked")[-1].walk_m
+    assert covariance[0, 0] > walk**2
+    return walk, message.pose.pose.position
+
+
+def test_odom_drifts_more_where_the_map_s_scale_is_in_doubt_and_stays_where_it_is():
+    surely, place = walked(0.0)
+    doubted, same = walked(0.3)
+    assert doubted > 4.0 * surely > 0.0
+    assert (place.x, place.y, place.z) == (same.x, same.y, same.z)
+
+
+def test_a_doubt_that_is_no_number_is_ignored():
+    assert walked(float("nan"))[0] == pytest.approx(walked(0.0)[0], rel=0.2)
