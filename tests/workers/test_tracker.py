@@ -331,17 +331,24 @@ def test_the_network_is_shown_what_a_lost_camera_sees(bus, world):
 
 def test_where_its_place_in_the_map_is_unknown_odom_goes_out_and_pose_does_not(bus, world):
     """Carried off to another room, the camera maps there; a loop of the backend's brings it into the map."""
-    room, none = other_room(60), dict[str, object]()
-    closed = {"loop_closed": True, "loop_candidate": 0}
+    room, looped_at = other_room(60), 80
     config = replace(CONFIG, tracking=replace(CONFIG.tracking, submap_after_s=0.3))
     world.depth = lambda image: replace(depth_of(image, of=0), depth=depths[image.index])
     depths = dict(enumerate(footage().depths)) | {42 + i: depth for i, (_, depth, _) in enumerate(room)}
     world.update = lambda keyframe, sequence: update_of(
-        keyframe,
-        sequence,
-        poses=keyframe.world_from_camera[None],
-        **({**closed, "loop_query": keyframe.id} if keyframe.index > 80 else none),
+        keyframe, 2 * sequence, poses=keyframe.world_from_camera[None]
     )
+
+    def heard(topic, message) -> None:
+        """The loop is told after a frame, whichever frames became keyframes."""
+        world.heard(topic, message)
+        if topic == "tracked" and message.index == looped_at:
+            newest = bus.of("keyframe")[-1]
+            closed = {"loop_closed": True, "loop_query": newest.id, "loop_candidate": 0}
+            pose = newest.world_from_camera[None]
+            bus.give("map_update", update_of(newest, 2 * newest.id + 3, poses=pose, **closed))
+
+    bus.hear = heard
     frames = [frame(i) for i in range(30)]
     frames += [replace(dark(i), duplicate=i > 30) for i in range(30, 42)]
     frames += [replace(frame(42 + i, of=0), image=image) for i, (image, _, _) in enumerate(room)]
@@ -359,6 +366,7 @@ def test_where_its_place_in_the_map_is_unknown_odom_goes_out_and_pose_does_not(b
     assert sum("map" in names for names in frames_of) == len(placed)
     assert "ok relocalising" in [s.status[0].message for s in bus.of("status")]
     # Once a loop has told where that is, poses go out again; odom knows nothing of it.
+    assert astray[-1] == looped_at
     assert max(placed) == 101
     odom = {index[ros.stamp_ns(m)]: ros.pose_matrix(m.pose.pose)[:3, 3] for m in bus.of("odom")}
     steps = [np.linalg.norm(odom[i + 1] - odom[i]) for i in sorted(odom) if i + 1 in odom]
