@@ -94,7 +94,7 @@ class Keyframe:
     """A keyframe as the tracker made it, with what it observed; images travel apart.
 
     Observations are the keypoints that have a map point. New points are those this keyframe created;
-    ``moved`` lists points whose identity was fused into another one.
+    points fused go from ``fused_from`` into ``fused_into``.
     """
 
     id: int

@@ -10,9 +10,9 @@ from prism_edge.geometry.alignment import align
 from prism_edge.geometry.poses import Array, from_rt, inverse, se3_exp, transform
 from prism_edge.messages import Keyframe
 from prism_edge.tracking.features import Features
+from tests.synthetic.messages import blank
 from tests.tracking.cloud import CAMERA, descriptors, flipped
 
-NO_IDS = np.zeros(0, np.int64)
 RADIUS, WALL = 3.0, (5.0, 8.0)
 FORGOTTEN = 3  # keyframes without a point after which it is a new one
 
@@ -89,7 +89,8 @@ class Ring:
         points = np.array([self.ids[p][0] for p in shown.tolist()], np.int64)
         words = flipped(self.rng, self.words[shown], 12)
         before = self.told[-2] if number else told
-        return Keyframe(
+        return blank(
+            Keyframe,
             id=number,
             index=10 * number,
             stamp_ns=number * 300_000_000,
@@ -105,13 +106,6 @@ class Ring:
             parallax_deg=np.full(len(shown), 3.0, np.float32),
             new_points=np.array(new, np.int64),
             new_positions=np.array([self.positions[i] for i in new]).reshape(-1, 3),
-            late_points=NO_IDS,
-            late_keyframes=NO_IDS,
-            late_keypoints=NO_IDS,
-            culled_points=NO_IDS,
-            culled_keyframes=NO_IDS,
-            fused_from=NO_IDS,
-            fused_into=NO_IDS,
             anchor=max(number - 1, 0),
             world_from_anchor=before,
             travelled=number * 2.0 * np.pi * RADIUS / self.lap,

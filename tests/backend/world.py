@@ -9,6 +9,7 @@ import numpy as np
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.messages import Keyframe
+from tests.synthetic.messages import blank
 from tests.tracking.cloud import CAMERA, Cloud
 
 NO_IDS = np.zeros(0, np.int64)
@@ -35,7 +36,8 @@ class Teller:
         self.told |= set(new.tolist())
         self.poses.append(pose)
         depths = transform(inverse(pose), self.cloud.positions[shown])[:, 2]
-        return Keyframe(
+        return blank(
+            Keyframe,
             id=number,
             index=10 * number,
             stamp_ns=number * 300_000_000,
@@ -51,13 +53,6 @@ class Teller:
             parallax_deg=np.full(len(shown), 3.0, np.float32),
             new_points=new,
             new_positions=transform(moved, self.cloud.positions[new]),
-            late_points=NO_IDS,
-            late_keyframes=NO_IDS,
-            late_keypoints=NO_IDS,
-            culled_points=NO_IDS,
-            culled_keyframes=NO_IDS,
-            fused_from=NO_IDS,
-            fused_into=NO_IDS,
             anchor=max(number - 1, self.first),
             world_from_anchor=moved @ before,
             travelled=0.1 * number,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Depth, Keyframe
+from tests.synthetic import messages
+from tests.synthetic.messages import blank
 
 CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
 SHAPE = (120, 160)
@@ -40,8 +40,8 @@ def keyframe_of_wall(
     rng = np.random.default_rng(number)
     raw = rng.uniform((10, 10), (camera.width - 10, camera.height - 10), (points, 2))
     rays = camera.normalise(raw)
-    none = np.zeros(0, np.int64)
-    return Keyframe(
+    return blank(
+        Keyframe,
         id=number,
         index=10 * number,
         stamp_ns=round(stamp_s * 1e9),
@@ -55,34 +55,11 @@ def keyframe_of_wall(
         points=np.arange(points, dtype=np.int64),
         depths=(wall(rays) / metres_per_unit).astype(np.float32),
         parallax_deg=np.full(points, parallax_deg, np.float32),
-        new_points=none,
-        new_positions=np.zeros((0, 3)),
-        late_points=none,
-        late_keyframes=none,
-        late_keypoints=none,
-        culled_points=none,
-        culled_keyframes=none,
-        fused_from=none,
-        fused_into=none,
-        travelled=0.0,
     )
 
 
 def depth_of(keyframe: Keyframe, factor: float = 1.0, camera: Camera = CAMERA, **changes: object) -> Depth:
     """The network's depth of a keyframe: the wall's times ``factor``."""
-    depth = Depth(
-        keyframe=keyframe.id,
-        index=keyframe.index,
-        stamp_ns=keyframe.stamp_ns,
-        epoch=keyframe.epoch,
-        model="wall",
-        bias_sigma=0.1,
-        inference_ms=1.0,
-        valid=True,
-        reason="",
-        image_to_depth=IMAGE_TO_DEPTH.copy(),
-        depth=depth_of_wall(camera) * np.float32(factor),
-        confidence=np.zeros((0, 0), np.float32),
-        descriptor=np.zeros(0, np.float32),
-    )
-    return replace(depth, **changes)
+    depth = depth_of_wall(camera) * np.float32(factor)
+    said = {"model": "wall", "bias_sigma": 0.1, **changes}
+    return messages.depth_of(keyframe, depth, IMAGE_TO_DEPTH.copy(), **said)

@@ -8,7 +8,6 @@ import numpy as np
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, se3_exp, transform
-from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
@@ -111,26 +110,3 @@ def check(world: LocalMap) -> None:
     assert set(seen) <= set(alive), "a keyframe sees a point that is gone"
     for point, count in alive.items():
         assert count == len(seen.get(point, {})), f"point {point} counts {count} keyframes"
-
-
-def map_update(based_on: int, sequence: int = 1, **arrays: np.ndarray) -> MapUpdate:
-    """A correction with what is given, and nothing else."""
-    none = np.zeros(0, np.int64)
-    empty = {
-        "keyframes": none,
-        "poses": np.zeros((0, 4, 4)),
-        "points": none,
-        "positions": np.zeros((0, 3)),
-        "parallax_deg": np.zeros(0, np.float32),
-        "dropped_keyframes": none,
-        "dropped_points": none,
-    }
-    return MapUpdate(
-        epoch=0,
-        sequence=sequence,
-        based_on=based_on,
-        index=0,
-        loop_closed=False,
-        solve_ms=0.0,
-        **(empty | arrays),
-    )

@@ -8,7 +8,8 @@ import pytest
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.map_correction import apply_correction, fit, join
-from tests.tracking.cloud import CAMERA, FACTORS, Cloud, check, map_update, pose_at
+from tests.synthetic.messages import map_update
+from tests.tracking.cloud import CAMERA, FACTORS, Cloud, check, pose_at
 
 MOTION = pose_at(0.3, -0.2, 0.1, 0.02, 0.1, -0.05)
 POSES = [pose_at(0.3 * i, 0.0, 0.0, 0.0, -0.04 * i) for i in range(6)]

@@ -8,7 +8,8 @@ import pytest
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.messages import INITIALISING, OK
 from prism_edge.tracking.announcement import keyframe_message
-from tests.tracking.cloud import check, map_update, pose_at
+from tests.synthetic.messages import map_update
+from tests.tracking.cloud import check, pose_at
 from tests.tracking.film_run import BLACK, Run
 from tests.tracking.footage import IDENTITY, footage
 

@@ -9,7 +9,8 @@ import pytest
 
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.tracking.tracker import Tracker
-from tests.tracking.cloud import check, map_update, pose_at
+from tests.synthetic.messages import map_update
+from tests.tracking.cloud import check, pose_at
 from tests.tracking.film_run import BLACK, CONFIG, Run
 from tests.tracking.footage import IDENTITY, footage, other_room
 

@@ -8,14 +8,16 @@ import numpy as np
 
 from prism_edge.config import Config, DepthConfig
 from prism_edge.geometry.poses import inverse, transform
-from prism_edge.messages import Depth, Gate, Keyframe, MapSnapshot, Scale, Tracked
+from prism_edge.messages import Depth, Gate, Keyframe, MapSnapshot, Scale
 from tests.backend.world import Teller
+from tests.synthetic import messages
 from tests.tracking.cloud import pose_at
 from tests.workers.list_bus import ListBus
 
 CONFIG = Config(depth=DepthConfig(model="exact"))
 LOCKSTEP = replace(CONFIG, mode="lockstep")
 NO_DEPTH = Config()
+QUARTER = np.array([0.25, 0.0, 0.25, 0.0])  # image_to_depth: a pixel of depth for four by four
 
 
 def keyframes(count: int, epoch: int = 0, first: int = 0) -> tuple[Teller, list[Keyframe]]:
@@ -30,39 +32,11 @@ def depth_of(keyframe: Keyframe, teller: Teller, **changes: object) -> Depth:
     local = transform(inverse(pose), teller.cloud.positions[keyframe.points])
     for (x, y), z in zip(np.rint(keyframe.pixels / 4).astype(int), local[:, 2], strict=True):
         depth[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2] = z
-    made = Depth(
-        keyframe=keyframe.id,
-        index=keyframe.index,
-        stamp_ns=keyframe.stamp_ns,
-        epoch=keyframe.epoch,
-        model="exact",
-        bias_sigma=0.0,
-        inference_ms=1.0,
-        valid=True,
-        reason="",
-        image_to_depth=np.array([0.25, 0.0, 0.25, 0.0]),
-        depth=depth,
-        confidence=np.zeros((0, 0), np.float32),
-        descriptor=np.zeros(0, np.float32),
-    )
-    return replace(made, **changes)
+    return messages.depth_of(keyframe, depth, QUARTER, **changes)
 
 
 def scale_of(keyframe: Keyframe, log_scale: float = 0.1, **changes: object) -> Scale:
-    made = Scale(
-        keyframe=keyframe.id,
-        index=keyframe.index,
-        stamp_ns=keyframe.stamp_ns,
-        epoch=keyframe.epoch,
-        log_scale=log_scale,
-        sigma=0.1,
-        filter_sigma=0.1,
-        observation=log_scale,
-        observation_sigma=0.1,
-        points=50,
-        accepted=True,
-    )
-    return replace(made, **changes)
+    return messages.scale_of(keyframe, log_scale, 0.1, **changes)
 
 
 def gate_of(keyframe: Keyframe, weight: float = 1.0) -> Gate:
@@ -73,10 +47,6 @@ def gate_of(keyframe: Keyframe, weight: float = 1.0) -> Gate:
     known = np.full(count, 0.3, np.float32)
     known[0] = np.nan
     return Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, known)
-
-
-def tick(index: int, keyframe: int = -1) -> Tracked:
-    return Tracked(index, index * 33_000_000, 0, "ok", True, keyframe, 0, np.eye(4))
 
 
 def snapshot(bus: ListBus) -> MapSnapshot:

@@ -1,4 +1,4 @@
-"""A bus of lists for one worker in this thread: it ends once everything has been taken."""
+"""A bus of lists for one worker, which in the test's own thread ends once everything has been taken."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from typing import Any
 from prism_edge.bus import codec, ros
 from prism_edge.topics import TOPICS
 from tests.workers.fake_desk import FakeDesk
+
+DEADLINE_S = 10.0
 
 
 class ListInbox:
@@ -37,14 +39,14 @@ class ListInbox:
         return None
 
     def drain(self) -> list[Any]:
-        messages = list(self.waiting)
-        self.waiting.clear()
-        return messages
+        return [self.waiting.popleft() for _ in range(len(self.waiting))]
 
 
 class ListBus:
     """``drivers`` are the inboxes whose emptiness ends the run; ``hear`` answers what the worker says.
 
+    Without drivers it runs until it is stopped: a worker in a thread of its own, whose test waits for what
+    it says.
     Everything goes through the codec, so that what would be refused on the wire is refused here and
     arrays arrive as they do there: read-only.
     """
@@ -56,6 +58,7 @@ class ListBus:
         self.life, self.first_id = 0, 0
         self.run_directory: Path | None = None
         self.sent: list[tuple[str, Any]] = []
+        self._said = threading.Condition()
         self.inboxes: dict[str, ListInbox] = {}
         self.answers: dict[str, Callable[[], Any]] = {}
         self.hear: Callable[[str, Any], None] = lambda topic, message: None
@@ -101,7 +104,9 @@ class ListBus:
         else:
             assert type(message) is kind
             message = codec.unpack(codec.pack(message), kind)
-        self.sent.append((topic, message))
+        with self._said:
+            self.sent.append((topic, message))
+            self._said.notify_all()
         self.hear(topic, message)
 
     def give(self, topic: str, *messages: Any) -> None:
@@ -114,3 +119,8 @@ class ListBus:
     def of(self, topic: str) -> list[Any]:
         """What the worker has said on a topic."""
         return [message for name, message in self.sent if name == topic]
+
+    def wait_for(self, topic: str, count: int) -> None:
+        """Returns once the worker, in another thread, has said so many messages on a topic."""
+        with self._said:
+            assert self._said.wait_for(lambda: len(self.of(topic)) >= count, DEADLINE_S)

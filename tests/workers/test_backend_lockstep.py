@@ -10,7 +10,8 @@ import pytest
 from prism_edge.messages import Acknowledged, Keyframe
 from prism_edge.workers import backend as worker
 from tests.backend.world import Teller
-from tests.workers.backend_bench import LOCKSTEP, NO_DEPTH, depth_of, keyframes, scale_of, tick
+from tests.synthetic.messages import tick
+from tests.workers.backend_bench import LOCKSTEP, NO_DEPTH, depth_of, keyframes, scale_of
 from tests.workers.list_bus import ListBus
 
 pytestmark = pytest.mark.usefixtures("impatient")

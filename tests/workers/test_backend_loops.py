@@ -11,7 +11,8 @@ from prism_edge.config import Config
 from prism_edge.messages import Depth, EndOfStream, Keyframe
 from prism_edge.workers import backend as worker
 from tests.backend.ring import Ring, position_error
-from tests.workers.backend_bench import CONFIG, LOCKSTEP, gate_of, scale_of, snapshot, tick
+from tests.synthetic.messages import depth_of, tick
+from tests.workers.backend_bench import CONFIG, LOCKSTEP, gate_of, scale_of, snapshot
 from tests.workers.list_bus import ListBus
 
 pytestmark = pytest.mark.usefixtures("impatient")
@@ -19,21 +20,8 @@ pytestmark = pytest.mark.usefixtures("impatient")
 
 def ring_depth(keyframe: Keyframe, ring: Ring) -> Depth:
     """No depth worth the name, but what the network thinks the place looks like."""
-    return Depth(
-        keyframe=keyframe.id,
-        index=keyframe.index,
-        stamp_ns=keyframe.stamp_ns,
-        epoch=keyframe.epoch,
-        model="exact",
-        bias_sigma=0.0,
-        inference_ms=1.0,
-        valid=False,
-        reason="for its descriptor alone",
-        image_to_depth=np.zeros(4),
-        depth=np.zeros((0, 0), np.float32),
-        confidence=np.zeros((0, 0), np.float32),
-        descriptor=ring.looks_like(keyframe.id),
-    )
+    said = {"valid": False, "reason": "for its descriptor alone", "descriptor": ring.looks_like(keyframe.id)}
+    return depth_of(keyframe, np.zeros((0, 0), np.float32), np.zeros(4), **said)
 
 
 def round_the_ring(bus: ListBus, config: Config, count: int = 43) -> Ring:

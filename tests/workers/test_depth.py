@@ -2,25 +2,23 @@
 
 from __future__ import annotations
 
-import threading
-from collections import deque
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from prism_edge.bus import codec
-from prism_edge.bus.pulse import Pulse
 from prism_edge.config import Config, DepthConfig
 from prism_edge.depth import open_network
 from prism_edge.errors import ModelError
-from prism_edge.messages import Acknowledged, Depth, EndOfStream, KeyframeImage, Tracked
+from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage
 from prism_edge.sources.pack import pack
 from prism_edge.workers.depth import DepthWorker, answer, main
+from tests.synthetic.messages import tick
 from tests.synthetic.network import TinyNetwork, write_tiny_network
 from tests.synthetic.sequence import synthetic_camera
 from tests.synthetic.tint import tinted
+from tests.workers.list_bus import ListBus
 
 CAMERA = synthetic_camera()
 DEPTH = np.tile(np.linspace(1.0, 4.0, CAMERA.width, dtype=np.float32), (CAMERA.height, 1))
@@ -29,7 +27,7 @@ DEPTH = np.tile(np.linspace(1.0, 4.0, CAMERA.width, dtype=np.float32), (CAMERA.h
 def picture(keyframe: int, grey: bool = False) -> KeyframeImage:
     bgr = tinted(np.full(DEPTH.shape, 125, np.uint8), DEPTH)
     image, colour = pack(bgr[:, :, 1] if grey else bgr)
-    made = KeyframeImage(
+    return KeyframeImage(
         keyframe=keyframe,
         index=10 * keyframe,
         stamp_ns=keyframe * 333_000_000,
@@ -39,64 +37,6 @@ def picture(keyframe: int, grey: bool = False) -> KeyframeImage:
         camera=CAMERA.to_array(),
         image=image,
     )
-    return codec.unpack(codec.pack(made), KeyframeImage)  # arrays that can't be written to, as they arrive
-
-
-def tick(index: int, keyframe: int = -1) -> Tracked:
-    return Tracked(index, index * 33_000_000, 0, "ok", True, keyframe, 0, np.eye(4))
-
-
-class Inbox:
-    """Gives what it holds; a None in it is a wait that ends without a message."""
-
-    def __init__(self, bus: ListBus, ends: bool) -> None:
-        self.bus, self.ends, self.waiting = bus, ends, deque()
-
-    def take(self, timeout_s: float = 0.0):
-        if self.waiting:
-            return self.waiting.popleft()
-        if self.ends and timeout_s > 0:
-            self.bus.stopped.set()
-        return None
-
-    def drain(self):
-        messages, self.waiting = list(self.waiting), deque()
-        return messages
-
-
-class ListBus:
-    """Stops the worker once the inbox that drives it is empty."""
-
-    def __init__(self, driver: str) -> None:
-        self.stopped = threading.Event()
-        self.driver = driver
-        self.sent: list[tuple[str, object]] = []
-        self.states: list[str] = []
-        self.inboxes: dict[str, Inbox] = {}
-        self.kinds: dict[str, str] = {}
-        self.pulse = Pulse("depth", lambda beat: None, lambda: self.states.append("ready"))
-
-    def latest(self, topic: str) -> Inbox:
-        return self._inbox(topic, "latest")
-
-    def queue(self, topic: str, capacity: int = 256) -> Inbox:
-        return self._inbox(topic, "queue")
-
-    def _inbox(self, topic: str, kind: str) -> Inbox:
-        self.kinds[topic] = kind
-        return self.inboxes.setdefault(topic, Inbox(self, topic == self.driver))
-
-    def give(self, topic: str, *messages: object) -> None:
-        self.inboxes.setdefault(topic, Inbox(self, topic == self.driver)).waiting.extend(messages)
-
-    def publish(self, topic: str, message: object) -> None:
-        self.sent.append((topic, codec.unpack(codec.pack(message), type(message))))
-
-    def await_ready(self, processes, timeout_s):
-        return set()
-
-    def depths(self) -> list[Depth]:
-        return [message for topic, message in self.sent if topic == "depth"]
 
 
 @pytest.fixture
@@ -116,14 +56,14 @@ def test_a_keyframes_picture_becomes_its_metric_depth(tiny: str):
     bus, config = live(tiny)
     bus.give("keyframe_image", picture(7))
     main(config, bus)
-    (depth,) = bus.depths()
+    (depth,) = bus.of("depth")
     assert (depth.keyframe, depth.index, depth.stamp_ns, depth.epoch) == (7, 70, 7 * 333_000_000, 2)
     assert (depth.valid, depth.reason, depth.model) == (True, "", "tiny_tint")
     assert depth.bias_sigma == pytest.approx(0.05)
     a, b, c, d = depth.image_to_depth
     assert depth.depth[round(c * 240 + d), round(a * 320 + b)] == pytest.approx(DEPTH[240, 320], rel=0.03)
     assert depth.confidence.shape == (0, 0)
-    assert bus.states == ["ready"]
+    assert bus.states == ["loading the network", "ready", "keyframe 7", "idle"]
     values = bus.pulse.values
     assert (values["model"], values["provider"]) == ("tiny_tint", "CPUExecutionProvider")
     assert values["keyframes"] == "1"
@@ -135,8 +75,8 @@ def test_the_newest_keyframe_wins_and_those_passed_over_are_counted(tiny: str):
     bus, config = live(tiny)
     bus.give("keyframe_image", picture(0), picture(1), picture(5), picture(2), picture(3))
     main(config, bus)  # 2 after 5: a tracker that started again
-    assert bus.kinds["keyframe_image"] == "latest"
-    assert [depth.keyframe for depth in bus.depths()] == [0, 1, 5, 2, 3]
+    assert bus.inboxes["keyframe_image"].newest
+    assert [depth.keyframe for depth in bus.of("depth")] == [0, 1, 5, 2, 3]
     assert bus.pulse.values["dropped"] == "3"
 
 
@@ -144,7 +84,7 @@ def test_a_grey_picture_is_answered_too(tiny: str):
     bus, config = live(tiny)
     bus.give("keyframe_image", picture(0, grey=True))
     main(config, bus)
-    (depth,) = bus.depths()
+    (depth,) = bus.of("depth")
     assert not depth.valid  # the tint is gone: the tiny network sees one depth everywhere
     assert "constant" in depth.reason
 
@@ -155,9 +95,9 @@ def test_a_misbehaving_network_is_reported_and_counted(tmp_path: Path, misbehavi
     bus, config = live(str(path))
     bus.give("keyframe_image", picture(0), picture(1))
     main(config, bus)
-    assert [depth.valid for depth in bus.depths()] == [False, False]
-    assert not any(depth.depth.any() for depth in bus.depths())
-    assert all(depth.reason for depth in bus.depths())
+    assert [depth.valid for depth in bus.of("depth")] == [False, False]
+    assert not any(depth.depth.any() for depth in bus.of("depth"))
+    assert all(depth.reason for depth in bus.of("depth"))
     assert bus.pulse.values["invalid"] == "2"
 
 
@@ -175,7 +115,7 @@ def test_an_inference_that_fails_is_an_invalid_answer(tiny: str, change: dict):
     bus, config = live(tiny)
     bus.give("keyframe_image", replace(picture(0), **change), picture(1))
     main(config, bus)
-    failed, fine = bus.depths()
+    failed, fine = bus.of("depth")
     assert (failed.valid, fine.valid) == (False, True)
     assert failed.reason.startswith("inference failed: ")
     assert "\n" not in failed.reason
@@ -188,12 +128,12 @@ def test_lockstep_acknowledges_each_frame_after_its_depth(tiny: str):
     bus.give("tracked", tick(0, keyframe=0), tick(1), tick(2), tick(10, keyframe=1), tick(11))
     bus.give("end", EndOfStream(12, 12, 0, 0, 11))
     main(config, bus)
-    assert bus.kinds["keyframe_image"] == "queue"
+    assert not bus.inboxes["keyframe_image"].newest
     order = [message.index if isinstance(message, Acknowledged) else "depth" for _, message in bus.sent]
     assert order == ["depth", 0, 1, 2, "depth", 10, 11]
-    assert [depth.keyframe for depth in bus.depths()] == [0, 1]
+    assert [depth.keyframe for depth in bus.of("depth")] == [0, 1]
     assert all(m.process == "depth" for t, m in bus.sent if t == "acknowledged")
-    assert bus.pulse.beat().state == "ended"
+    assert bus.states[-1] == "ended"
 
 
 def test_lockstep_does_without_a_picture_that_never_comes(tiny: str):
@@ -201,7 +141,7 @@ def test_lockstep_does_without_a_picture_that_never_comes(tiny: str):
     bus.give("keyframe_image", picture(4))
     bus.give("tracked", tick(0, keyframe=3), tick(1, keyframe=4))
     DepthWorker(config, bus, patience_s=0.05).run()
-    assert [depth.keyframe for depth in bus.depths()] == [4]
+    assert [depth.keyframe for depth in bus.of("depth")] == [4]
     assert [m.index for t, m in bus.sent if t == "acknowledged"] == [0, 1]
     assert bus.pulse.values["dropped"] == "1"
 
@@ -213,7 +153,7 @@ def test_two_lockstep_runs_are_identical(tiny: str):
         bus.give("keyframe_image", picture(0))
         bus.give("tracked", tick(0, keyframe=0))
         main(config, bus)
-        runs.append(bus.depths()[0].depth)
+        runs.append(bus.of("depth")[0].depth)
     assert np.array_equal(*runs)
 
 
@@ -223,7 +163,7 @@ def test_without_a_network_nobody_waits_for_depth(mode):
     bus.give("keyframe_image", picture(0))
     bus.give("tracked", tick(0, keyframe=0))
     main(config, bus)
-    (depth,) = bus.depths()
+    (depth,) = bus.of("depth")
     assert not depth.valid
     assert depth.reason == "no depth network is configured"
     assert depth.model == "none"
@@ -233,7 +173,7 @@ def test_a_network_that_can_not_be_run_ends_the_worker_before_it_is_ready():
     bus, config = live("no/such.onnx")
     with pytest.raises(ModelError, match="no such file"):
         main(config, bus)
-    assert bus.states == []
+    assert bus.states == ["loading the network"]
 
 
 def test_pairing_that_fails_shows_on_health(tmp_path: Path):
@@ -243,7 +183,7 @@ def test_pairing_that_fails_shows_on_health(tmp_path: Path):
     bus, config = live(f"nested:{relative},{metric}")
     bus.give("keyframe_image", picture(0))
     main(config, bus)
-    assert bus.depths()[0].valid
+    assert bus.of("depth")[0].valid
     assert bus.pulse.values["unpaired"] == "1"
     assert bus.pulse.values["model"] == "nested:r,m"
 

@@ -12,7 +12,7 @@ from prism_edge.sources import open_source
 from prism_edge.workers.pause import Pause
 from prism_edge.workers.source import SourceWorker
 from tests.workers.list_bus import ListBus
-from tests.workers.test_source import Recorder, running, settings
+from tests.workers.source_bench import Recorder, running, settings
 
 
 def test_on_off_and_what_was_so_already() -> None:

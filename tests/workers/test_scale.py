@@ -3,81 +3,17 @@
 from __future__ import annotations
 
 import threading
-from collections import deque
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from prism_edge.bus import codec, ros
 from prism_edge.config import Config, GateConfig, ScaleConfig
-from prism_edge.messages import Acknowledged, EndOfStream, Gate, Scale, Tracked
-from prism_edge.topics import TOPICS
+from prism_edge.messages import Acknowledged, EndOfStream, Gate, Scale
 from prism_edge.workers.scale import ScaleWorker, main
 from tests.scale.scene import depth_of, keyframe_of_wall
-
-DEADLINE_S = 10.0
-
-
-class ListBus:
-    """Bus without a network; ``run`` ends it once everything has been taken and nothing more goes out."""
-
-    def __init__(self):
-        self.stopped = threading.Event()
-        self.sent = []
-        self.inboxes = {}
-        self.states = []
-        state = self.states.append
-        self.pulse = SimpleNamespace(
-            values={},
-            ready=lambda: state("ready"),
-            idle=lambda: state("idle"),
-            working=lambda activity, budget_s=5.0: state(activity),
-            ended=lambda: state("ended"),
-        )
-        self._changed = threading.Condition()
-
-    def queue(self, topic, capacity=256):
-        return self.inboxes.setdefault(topic, ListInbox(self))
-
-    def publish(self, topic, message):
-        kind = TOPICS[topic].type  # what the real bus would refuse is refused here
-        assert ros.serialise(kind, message) if isinstance(kind, str) else codec.pack(message)
-        with self._changed:
-            self.sent.append((topic, message))
-            self._changed.notify_all()
-
-    def give(self, topic, *messages):
-        self.queue(topic).waiting.extend(messages)
-
-    def await_ready(self, processes, timeout_s):
-        return set()
-
-    def of(self, topic):
-        return [message for name, message in self.sent if name == topic]
-
-    def wait_for(self, topic, count):
-        with self._changed:
-            assert self._changed.wait_for(lambda: len(self.of(topic)) >= count, DEADLINE_S)
-
-
-class ListInbox:
-    def __init__(self, bus):
-        self.bus = bus
-        self.waiting = deque()
-
-    def take(self, timeout_s=0.0):
-        if self.waiting and not self.bus.stopped.is_set():
-            return self.waiting.popleft()
-        self.bus.stopped.wait(min(timeout_s, 0.005))
-        return None
-
-    def drain(self):
-        messages = list(self.waiting)
-        for _ in messages:
-            self.waiting.popleft()
-        return messages
+from tests.synthetic.messages import tick
+from tests.workers.list_bus import DEADLINE_S, ListBus
 
 
 @pytest.fixture
@@ -103,10 +39,6 @@ def start(bus):
     for thread in threads:
         thread.join(DEADLINE_S)
         assert not thread.is_alive()
-
-
-def tick(index, keyframe=-1):
-    return Tracked(index, index * 33_000_000, 0, "ok", True, keyframe, 0, np.eye(4))
 
 
 def test_each_pair_gives_scale_gate_and_the_public_scale(bus, start):

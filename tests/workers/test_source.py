@@ -5,133 +5,21 @@ from __future__ import annotations
 import queue
 import socket
 import threading
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
 
 from prism_edge.bus.session import Bus
-from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
+from prism_edge.config import BusConfig, DepthConfig
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.messages import Acknowledged, EndOfStream, Frame
 from prism_edge.sources import open_source
 from prism_edge.sources.pack import bgr, grey, pack
 from prism_edge.workers.source import SourceWorker, main
-from tests.workers.fake_desk import FakeDesk
-
-DEADLINE_S = 20.0
-
-
-class Box:
-    """An Inbox without a network."""
-
-    def __init__(self, stopped: threading.Event) -> None:
-        self._messages: queue.Queue[Any] = queue.Queue()
-        self._stopped = stopped
-        self.put = self._messages.put
-
-    def take(self, timeout_s: float = 0.0) -> Any | None:
-        deadline = time.monotonic() + timeout_s
-        while not self._stopped.is_set():
-            try:
-                return self._messages.get(timeout=max(0.001, min(0.02, timeout_s)))
-            except queue.Empty:
-                if time.monotonic() >= deadline:
-                    return None
-        return None
-
-
-class Recorder:
-    """Stands in for the bus: keeps what is published, delivers what a test says."""
-
-    def __init__(self) -> None:
-        self.life = 0
-        self.stopped = threading.Event()
-        self.published: queue.Queue[tuple[str, Any]] = queue.Queue()
-        self.states: list[str] = []
-        self.boxes: dict[str, Box] = {}
-        self.desk = FakeDesk()
-        self.commands = self.desk.open
-        self.pulse = SimpleNamespace(
-            values={},
-            ready=lambda: self.states.append("ready"),
-            working=lambda activity, budget_s=5.0: self.states.append("working"),
-            idle=lambda: self.states.append("idle"),
-            ended=lambda: self.states.append("ended"),
-        )
-
-    def queue(self, topic: str, capacity: int = 256) -> Box:
-        return self.boxes.setdefault(topic, Box(self.stopped))
-
-    def publish(self, topic: str, message: Any) -> None:
-        self.published.put((topic, message))
-
-    def say(self, topic: str, message: Any) -> None:
-        self.queue(topic).put(message)
-
-    def await_ready(self, processes: set[str], timeout_s: float) -> set[str]:
-        missing, deadline = set(processes), time.monotonic() + timeout_s
-        while missing and time.monotonic() < deadline and not self.stopped.is_set():
-            missing.discard(self.queue("ready").take(0.02))
-        return missing
-
-    def next(self) -> tuple[str, Any]:
-        return self.published.get(timeout=DEADLINE_S)
-
-    def until_end(self) -> tuple[list[Frame], EndOfStream]:
-        frames = []
-        while True:
-            topic, message = self.next()
-            if topic == "end":
-                return frames, message
-            assert topic == "frame"
-            frames.append(message)
-
-
-@contextmanager
-def running(work: Callable[[Recorder], None]) -> Iterator[Recorder]:
-    """Runs ``work`` in a thread; it must end soon after the bus is stopped, and without an error."""
-    bus = Recorder()
-    errors: list[BaseException] = []
-
-    def body() -> None:
-        try:
-            work(bus)
-        except BaseException as error:
-            errors.append(error)
-
-    thread = threading.Thread(target=body, daemon=True)
-    thread.start()
-    try:
-        yield bus
-    finally:
-        bus.stopped.set()
-        thread.join(DEADLINE_S)
-    assert not thread.is_alive()
-    assert not errors, errors
-
-
-def settings(folder: Path, mode: str = "realtime", **source: Any) -> Config:
-    values = {"peers_s": 0.0} | source
-    return Config(mode=mode, source=SourceConfig(uri=str(folder), **values))
-
-
-def playing(config: Config) -> Any:
-    return running(lambda bus: main(config, bus))  # type: ignore[arg-type]
-
-
-def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, wait_for
 
 
 def test_realtime_plays_everything_and_ends(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.live.driver import CameraLostError, Grab
 from prism_edge.workers import source as source_worker
 from prism_edge.workers.source import SourceWorker, main
-from tests.workers.test_source import Recorder, running, wait_for
+from tests.workers.source_bench import Recorder, running, wait_for
 
 CONFIG = Config(source=SourceConfig(uri="a camera", peers_s=0.0))
 

@@ -10,7 +10,7 @@ from sources import tiny_datasets as tiny
 
 from prism_edge.sources import Image, Slot, Source, open_source
 from prism_edge.workers.source import SourceWorker
-from tests.workers.test_source import Recorder, running, settings
+from tests.workers.source_bench import Recorder, running, settings
 
 
 class SlowSource(Source):

@@ -9,22 +9,16 @@ import numpy as np
 from prism_edge.bus import ros
 from prism_edge.config import Config, DepthConfig, TrackingConfig
 from prism_edge.geometry.poses import inverse
-from prism_edge.messages import (
-    Depth,
-    Frame,
-    Keyframe,
-    KeyframeImage,
-    MapUpdate,
-    Scale,
-)
+from prism_edge.messages import Depth, Frame, Keyframe, KeyframeImage, MapUpdate
 from prism_edge.workers import tracker as worker
+from tests.synthetic import messages
+from tests.synthetic.messages import scale_of
 from tests.tracking.footage import IDENTITY, footage
 from tests.workers.list_bus import ListBus
 
 CONFIG = Config(tracking=TrackingConfig(features=500), depth=DepthConfig(model="exact"))
 LOCKSTEP = replace(CONFIG, mode="lockstep")
 BASE_FROM_CAMERA = np.array([[0.0, 0, 1, 0], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
-NONE = np.zeros(0, np.int64)
 
 
 def frame(index: int, of: int | None = None, **changes: object) -> Frame:
@@ -43,59 +37,15 @@ def frame(index: int, of: int | None = None, **changes: object) -> Frame:
 
 
 def depth_of(image: KeyframeImage, of: int | None = None, **changes: object) -> Depth:
-    made = Depth(
-        keyframe=image.keyframe,
-        index=image.index,
-        stamp_ns=image.stamp_ns,
-        epoch=image.epoch,
-        model="exact",
-        bias_sigma=0.0,
-        inference_ms=1.0,
-        valid=True,
-        reason="",
-        image_to_depth=IDENTITY,
-        depth=footage().depths[image.index if of is None else of],
-        confidence=np.zeros((0, 0), np.float32),
-        descriptor=np.zeros(0, np.float32),
-    )
-    return replace(made, **changes)
-
-
-def scale_of(keyframe: Keyframe, log_scale: float = 0.0, sigma: float = 0.05, **changes: object) -> Scale:
-    made = Scale(
-        keyframe=keyframe.id,
-        index=keyframe.index,
-        stamp_ns=keyframe.stamp_ns,
-        epoch=keyframe.epoch,
-        log_scale=log_scale,
-        sigma=sigma,
-        filter_sigma=sigma,
-        observation=log_scale,
-        observation_sigma=0.1,
-        points=50,
-        accepted=True,
-    )
-    return replace(made, **changes)
+    depth = footage().depths[image.index if of is None else of]
+    return messages.depth_of(image, depth, IDENTITY, **changes)
 
 
 def update_of(keyframe: Keyframe, sequence: int = 1, poses: np.ndarray | None = None, **changes) -> MapUpdate:
     """An update that changes nothing, or puts the newest keyframe elsewhere."""
-    made = MapUpdate(
-        epoch=keyframe.epoch,
-        sequence=sequence,
-        based_on=keyframe.id,
-        index=keyframe.index,
-        loop_closed=False,
-        solve_ms=1.0,
-        keyframes=NONE if poses is None else np.array([keyframe.id]),
-        poses=np.zeros((0, 4, 4)) if poses is None else poses,
-        points=NONE,
-        positions=np.zeros((0, 3)),
-        parallax_deg=np.zeros(0, np.float32),
-        dropped_keyframes=NONE,
-        dropped_points=NONE,
-    )
-    return replace(made, **changes)
+    moved = {} if poses is None else {"keyframes": np.array([keyframe.id]), "poses": poses}
+    told = {"epoch": keyframe.epoch, "index": keyframe.index, **moved, **changes}
+    return messages.map_update(keyframe.id, sequence, **told)
 
 
 class World:

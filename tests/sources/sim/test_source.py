@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,9 +16,8 @@ from prism_edge.sources import Image, open_source
 from prism_edge.sources.sim import SimSource
 from prism_edge.sources.sim.effects import EXPOSURE_S
 from prism_edge.sources.truth import read_truth
-from prism_edge.topics import TOPICS
 from prism_edge.workers.source import SourceWorker
-from tests.workers.fake_desk import FakeDesk
+from tests.workers.list_bus import ListBus
 
 TINY = "width=96&height=72"
 
@@ -121,41 +118,18 @@ def test_refusals() -> None:
         SimSource("sim:room").image(0)
 
 
-class Listener:
-    """Stands in for the bus: keeps what the source says."""
-
-    def __init__(self) -> None:
-        self.life = 0
-        self.stopped = threading.Event()
-        self.said: list[tuple[str, Any]] = []
-        self.commands = FakeDesk().open
-        nothing = lambda *_: None  # noqa: E731
-        self.pulse = SimpleNamespace(
-            values={}, ready=nothing, working=nothing, idle=nothing, ended=self.stopped.set
-        )
-
-    def publish(self, topic: str, message: Any) -> None:
-        self.said.append((topic, message))
-
-    def await_ready(self, processes: set[str], timeout_s: float) -> set[str]:
-        return set()
-
-
 def test_the_truth_of_each_frame_is_published() -> None:
     uri = f"sim:room?frames=3&rate=100&{TINY}"
     config = replace(Config(), source=SourceConfig(uri=uri))
-    bus: Any = Listener()
+    bus: Any = ListBus()
+    bus.pulse.ended = bus.stopped.set
     with open_source(config.source) as source:
         SourceWorker(config, bus, source).run()
-    frames = [message.stamp_ns for topic, message in bus.said if topic == "frame"]
-    truths = [message for topic, message in bus.said if topic == "truth"]
+    frames, truths = [frame.stamp_ns for frame in bus.of("frame")], bus.of("truth")
     assert frames
     assert [ros.stamp_ns(message) for message in truths] == frames
     simulated = SimSource(uri)
     for stamp, message in zip(frames, truths, strict=True):
-        kind = TOPICS["truth"].type
-        assert isinstance(kind, str)
-        received = ros.deserialise(kind, ros.serialise(kind, message))
         pose = simulated.pose(round(stamp / 1e7))
-        assert inverse(pose) @ ros.pose_matrix(received.pose) == pytest.approx(np.eye(4), abs=1e-9)
-        assert received.header.frame_id == "simulated_world"
+        assert inverse(pose) @ ros.pose_matrix(message.pose) == pytest.approx(np.eye(4), abs=1e-9)
+        assert message.header.frame_id == "simulated_world"
