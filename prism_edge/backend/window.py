@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import gtsam
@@ -16,7 +15,8 @@ from prism_edge.geometry.poses import Array
 
 CHI2_2D_99 = 9.21
 DEPTH_PARALLAX_DEG = 3.0  # above it two rays place a point far better than a network does
-REFINING = 4  # iterations kept for the second round
+REFINING = 4  # iterations kept for a second round
+RANGE_CHANGE = 0.05
 CONVERGED = 1e-4  # relative decrease of the cost that is not worth another iteration
 
 
@@ -139,13 +139,26 @@ def with_rays(world: GlobalMap, problem: Problem, values: gtsam.Values) -> gtsam
     if not problem.rays:
         return problem.graph
     graph = gtsam.NonlinearFactorGraph(problem.graph)
-    centres = {k: values.atPose3(X(k)).translation() for k in {ray.keyframe for ray in problem.rays}}
-    for ray in problem.rays:
-        offset = values.atPoint3(L(ray.point)) - centres[ray.keyframe]
-        distance = math.sqrt(float(offset @ offset))
+    for ray, distance in zip(problem.rays, ranges(problem.rays, values).tolist(), strict=True):
         keyframe = world.keyframes[ray.keyframe]
         graph.add(problem.factors.ray(X(ray.keyframe), L(ray.point), keyframe, ray.keypoint, distance))
     return graph
+
+
+def stale(rays: list[Ray], whitened_at: gtsam.Values, now: gtsam.Values) -> bool:
+    """Whether a tenth of the rays or more has a range that differs by more than RANGE_CHANGE (log)."""
+    if not rays:
+        return False
+    before, after = ranges(rays, whitened_at), ranges(rays, now)
+    return bool(np.mean(np.abs(np.log(before / after)) > RANGE_CHANGE) > 0.1)
+
+
+def ranges(rays: list[Ray], values: gtsam.Values) -> Array:
+    """Distance (n,) of each ray's point from its camera."""
+    centres = {k: values.atPose3(X(k)).translation() for k in {ray.keyframe for ray in rays}}
+    points = {p: values.atPoint3(L(p)) for p in {ray.point for ray in rays}}
+    offsets = np.array([points[ray.point] - centres[ray.keyframe] for ray in rays])
+    return np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
 
 
 def solve(
@@ -163,11 +176,10 @@ def solve(
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(1e-4)
     parameters.setlambdaInitial(1e-4)
-    # Rays are whitened by ranges that the first round changes: a second one sets that right.
-    rounds = [config.iterations - REFINING] * bool(problem.rays) + [config.iterations]
     observations, result, iterations, before, error = problem.observations, problem.values, 0, None, 0.0
     try:
-        for most in rounds:
+        for most in (config.iterations - REFINING, config.iterations):
+            started = result
             graph = with_rays(world, problem, result)
             optimiser = gtsam.LevenbergMarquardtOptimizer(graph, result, parameters)
             error = previous = optimiser.error()
@@ -181,6 +193,9 @@ def solve(
                     break
                 previous = error
             result = optimiser.values()
+            # Rays are whitened by ranges: where those have changed a second round sets that right.
+            if not stale(problem.rays, started, result):
+                break
     except RuntimeError:
         return None
     poses = {k: result.atPose3(X(k)).matrix() for k in window.free}
