@@ -61,6 +61,7 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"{path} is there already: name another with --out, or give --overwrite")
         if not path.parent.is_dir():
             raise ConfigError(f"{path}: there is no folder {path.parent}")
+        _check_writable(path)
     if out == picture:
         raise ConfigError(f"{out} can't be both the camera file and the picture")
     source = open_source(SourceConfig(uri=args.source), calibrated=False)
@@ -115,9 +116,25 @@ def _refuse(problems: list[str]) -> None:
         raise CalibrationError("; ".join(problems))
 
 
+def _check_writable(path: Path) -> None:
+    """Before the board is held up in twenty places. Raises ConfigError."""
+    temporary = _beside(path)
+    try:
+        temporary.touch()
+        temporary.unlink()
+    except OSError as error:
+        raise ConfigError(f"{path} can't be written ({error.strerror})") from None
+    if path.is_dir():
+        raise ConfigError(f"{path} is a folder; name a file")
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}")
+
+
 def _write(path: Path, data: bytes) -> None:
     """All or nothing: a file cut short might be read as another camera."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary = _beside(path)
     try:
         temporary.write_bytes(data)
         temporary.replace(path)

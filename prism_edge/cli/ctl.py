@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from prism_edge.cli.settings import add_common, config_from
+from prism_edge.cli.settings import add_common, config_from, seconds_above_zero
 from prism_edge.topics import COMMANDS
 
 REFUSED = 1
@@ -26,7 +26,9 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("name", metavar="COMMAND", choices=list(COMMANDS), help=", ".join(COMMANDS))
     parser.add_argument("argument", metavar="ARGUMENT", nargs="?", help="the command's one word")
-    parser.add_argument("--timeout", metavar="S", type=float, default=10.0, help="wait this long (10)")
+    parser.add_argument(
+        "--timeout", metavar="S", type=seconds_above_zero, default=10.0, help="wait this long (10)"
+    )
     parser.add_argument("--json", action="store_true", help="print the reply as it came")
     parser.add_argument("--quiet", action="store_true", help="print nothing: the exit code says it")
     add_common(parser)
@@ -41,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     config = config_from(args)
     check_robot_name(config.robot)
     with open_session(config.bus, listen=False, client=True, network=config.network) as session:
-        reply = send(session, config.robot, COMMANDS[args.name], args.argument, max(args.timeout, 0.1))
+        reply = send(session, config.robot, COMMANDS[args.name], args.argument, args.timeout)
     if args.json:
         print(pack_reply(reply).decode())
     elif not args.quiet:

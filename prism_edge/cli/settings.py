@@ -20,6 +20,24 @@ BUNDLED = "prism_nano"  # the network that comes with prism_edge (docs/PRISM_NAN
 NO_NETWORK = "none"
 
 
+def whole_above_zero(text: str) -> int:
+    """An option's number of things. Raises ArgumentTypeError, which ends with exit code 2."""
+    if not (text.isascii() and text.isdigit() and 0 < int(text) < 2**31):
+        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
+    return int(text)
+
+
+def seconds_above_zero(text: str) -> float:
+    """An option's time in seconds. Raises ArgumentTypeError, which ends with exit code 2."""
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0.0 < seconds <= 86_400.0:
+        raise argparse.ArgumentTypeError(f"expected seconds above 0, a day at most, got {text!r}")
+    return seconds
+
+
 def add_common(parser: argparse.ArgumentParser) -> None:
     """--config, --robot, --endpoint and --set."""
     parser.add_argument("--config", metavar="FILE", help="configuration file (YAML); options win over it")

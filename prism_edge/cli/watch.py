@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any
 
 from prism_edge.cli.live_view import LiveView
-from prism_edge.cli.settings import add_common, config_from
+from prism_edge.cli.settings import add_common, config_from, whole_above_zero
 
 if TYPE_CHECKING:
     from prism_edge.bus.session import Bus
@@ -28,7 +28,7 @@ def add_parser(subparsers: Any) -> None:
     )
     parser.add_argument("--tum", metavar="FILE", help="record the camera's poses as they come (TUM format)")
     parser.add_argument("--plain", action="store_true", help="print one line a pose instead of a live table")
-    parser.add_argument("--count", metavar="N", type=int, help="end after N poses")
+    parser.add_argument("--count", metavar="N", type=whole_above_zero, help="end after N poses")
     add_common(parser)
 
 

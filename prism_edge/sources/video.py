@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,10 @@ from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import check_camera_size
+
+# What is wrong with a file is said by us, in one line: FFmpeg and OpenCV would add theirs on stderr.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened
+_QUIET = cv2.utils.logging.LOG_LEVEL_ERROR
 
 
 class Video(Source):
@@ -41,6 +46,7 @@ class Video(Source):
 
     def _rewind(self) -> None:
         self.close()
+        cv2.utils.logging.setLogLevel(_QUIET)
         # One decoding thread: the cores belong to the tracker.
         capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
         if not capture.isOpened():

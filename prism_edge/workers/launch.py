@@ -70,6 +70,8 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
         if "cv2" in sys.modules:  # else the environment sees to it
             sys.modules["cv2"].setNumThreads(1)
         with Bus.open(config, process.name) as bus:
+            if parent is None:  # by hand: without a listener it waits, which would look like nothing
+                log.info("on the bus at %s", config.bus.endpoint)
             bus.life = life
             bus.run_directory = Path(config_file).resolve().parent if parent is not None else None
             signals.also(bus.stopped)

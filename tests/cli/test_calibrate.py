@@ -101,6 +101,8 @@ def test_images_of_different_sizes(tmp_path: Path, capsys: pytest.CaptureFixture
         (["v4l2:video0"], 4, "by its path"),
         (["SOURCE", "--board", "checkers"], 3, "chessboard:9x6"),
         (["SOURCE", "--out", "/nowhere/c.yaml"], 3, "no folder"),
+        (["SOURCE", "--out", "/proc/c.yaml"], 3, "can't be written"),
+        (["SOURCE", "--out", "/proc", "--overwrite"], 3, "/proc"),
         (["SOURCE", "--out", "OUT/c.png"], 3, "both the camera file and the picture"),
     ],
 )

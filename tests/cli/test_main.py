@@ -57,7 +57,22 @@ def test_help_loads_no_heavy_library() -> None:
     assert subprocess.check_output([sys.executable, "-c", script], text=True).strip() == "[]"
 
 
-@pytest.mark.parametrize("arguments", [[], ["fly"], ["run", "--fly"], ["worker", "pilot", "--config", "x"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["fly"],
+        ["run", "--fly"],
+        ["worker", "pilot", "--config", "x"],
+        ["watch", "--count", "0"],
+        ["watch", "--count", "-1"],
+        ["watch", "--count", "many"],
+        ["ctl", "dance"],
+        ["ctl", "info", "--timeout", "0"],
+        ["ctl", "info", "--timeout", "nan"],
+        ["ctl", "info", "--timeout", "soon"],
+    ],
+)
 def test_wrong_command_line_is_2(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         main(arguments)

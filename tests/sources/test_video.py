@@ -66,9 +66,10 @@ def test_a_truncated_video_ends_early(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [b"", b"no video", b"RIFF\x10\0\0\0AVI LIST", b"\0" * 500])
-def test_what_is_no_video(tmp_path: Path, content: bytes) -> None:
+def test_what_is_no_video(tmp_path: Path, content: bytes, capfd: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "clip.avi"
     path.write_bytes(content)
     (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
     with pytest.raises(SourceError, match=r"clip\.avi"), opened(path):
         pass
+    assert capfd.readouterr().err == "", "FFmpeg's own words are nothing to a user"
