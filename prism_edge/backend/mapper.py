@@ -215,15 +215,3 @@ class Mapper:
             dropped_keyframes=ids,
             dropped_points=ids,
         )
-
-    def step(
-        self, message: Keyframe, depth: NDArray[np.float32], image_to_depth: Array, log_scale: float
-    ) -> MapUpdate | None:
-        """A keyframe with its depth, absorbed and optimised."""
-        self.absorb(message)
-        self.add_depth(message, depth, image_to_depth, log_scale)
-        return self.optimise(message.id, log_scale)
-
-    def keyframe_poses(self) -> dict[int, Array]:
-        """world_from_camera of every keyframe, culled ones that are remembered included."""
-        return self.world.poses()

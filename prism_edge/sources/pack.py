@@ -48,18 +48,9 @@ def grey(frame: FrameLike) -> U8:
     return frame.image[:height, :width]
 
 
-def bgr(frame: FrameLike) -> U8:
-    """The image (h, w, 3) in OpenCV's order of colours."""
-    return _colours(frame, cv2.COLOR_YUV2BGR_I420, cv2.COLOR_GRAY2BGR)
-
-
 def rgb(frame: FrameLike) -> U8:
     """The image (h, w, 3) as networks take it."""
-    return _colours(frame, cv2.COLOR_YUV2RGB_I420, cv2.COLOR_GRAY2RGB)
-
-
-def _colours(frame: FrameLike, from_i420: int, from_grey: int) -> U8:
     if not frame.colour:
-        return cv2.cvtColor(np.ascontiguousarray(grey(frame)), from_grey)
+        return cv2.cvtColor(np.ascontiguousarray(grey(frame)), cv2.COLOR_GRAY2RGB)
     width, height = int(frame.camera[0]), int(frame.camera[1])
-    return cv2.cvtColor(frame.image, from_i420)[:height, :width]
+    return cv2.cvtColor(frame.image, cv2.COLOR_YUV2RGB_I420)[:height, :width]

@@ -45,7 +45,7 @@ def closed() -> tuple[Ring, Mapper, float]:
     ring = Ring(drift=DRIFT, stretch=1.004)
     mapper = walk(ring, 46)
     plain = walk(Ring(drift=DRIFT, stretch=1.004), 46, places=False)
-    return ring, mapper, position_error(plain.keyframe_poses(), ring.true)
+    return ring, mapper, position_error(plain.world.poses(), ring.true)
 
 
 def test_a_drifted_walk_is_restored(closed):
@@ -53,7 +53,7 @@ def test_a_drifted_walk_is_restored(closed):
     assert before > 0.14
     assert mapper.loops.accepted
     finish(mapper)
-    assert position_error(mapper.keyframe_poses(), ring.true) < 0.1 * before
+    assert position_error(mapper.world.poses(), ring.true) < 0.1 * before
     check(mapper.world)
 
 
@@ -108,7 +108,7 @@ def test_a_place_that_only_looks_the_same_is_refused():
     ranked = mapper.loops.index.rank(ring.looks_like(30), range(20))
     assert ranked[0][0] == 10  # it is what the network would say
     assert not mapper.loops.accepted
-    assert position_error(mapper.keyframe_poses(), ring.true) < 0.01
+    assert position_error(mapper.world.poses(), ring.true) < 0.01
 
 
 def test_without_descriptors_there_are_no_loops():
@@ -124,7 +124,7 @@ def test_descriptors_that_are_all_equal_do_no_harm():
     for loop in mapper.loops.accepted:
         true = inverse(ring.true[loop.candidate]) @ ring.true[loop.query]
         assert np.abs(se3_log(inverse(true) @ loop.candidate_from_query)).max() < 0.1
-    assert all(np.isfinite(pose).all() for pose in mapper.keyframe_poses().values())
+    assert all(np.isfinite(pose).all() for pose in mapper.world.poses().values())
 
 
 def test_a_keyframe_without_features_closes_nothing():
@@ -143,7 +143,7 @@ def test_two_keyframes_at_one_pose_are_no_trouble():
     hear(mapper, ring, message, ring.looks_like(message.id))
     mapper = walk(ring, 2, mapper=mapper)
     finish(mapper)
-    assert all(np.isfinite(pose).all() for pose in mapper.keyframe_poses().values())
+    assert all(np.isfinite(pose).all() for pose in mapper.world.poses().values())
     check(mapper.world)
 
 
@@ -152,7 +152,7 @@ def test_a_loop_that_fits_already_moves_nothing_but_joins_points():
     mapper = walk(ring, 43)
     assert mapper.loops.accepted
     assert mapper.loops.changes.fused
-    for k, pose in mapper.keyframe_poses().items():
+    for k, pose in mapper.world.poses().items():
         assert np.abs(se3_log(inverse(ring.true[k]) @ pose)).max() < 0.01
 
 
@@ -167,7 +167,7 @@ def test_two_walks_are_the_same_to_the_last_bit():
     for _ in range(2):
         mapper = walk(Ring(drift=DRIFT), 43)
         finish(mapper)
-        found.append(np.array(list(mapper.keyframe_poses().values())).tobytes())
+        found.append(np.array(list(mapper.world.poses().values())).tobytes())
     assert found[0] == found[1]
 
 
@@ -184,12 +184,12 @@ def test_a_part_mapped_apart_is_merged_when_its_place_is_recognised():
     carried_off(ring)
     for poses in (ring.true, ring.told):
         poses += 4 * [poses[-1]]  # it comes to itself four steps on
-    before = {k: pose.copy() for k, pose in mapper.keyframe_poses().items()}
+    before = {k: pose.copy() for k, pose in mapper.world.poses().items()}
     mapper = walk(ring, 26, mapper=mapper)
     first = mapper.loops.accepted[0]
     assert first.candidate < 10 <= first.query
     finish(mapper)
-    poses = mapper.keyframe_poses()
+    poses = mapper.world.poses()
     assert position_error(poses, ring.true) < 0.05
     for k, pose in before.items():
         assert np.abs(se3_log(inverse(pose) @ poses[k])).max() < 0.05
@@ -206,6 +206,6 @@ def test_a_part_of_its_own_is_adjusted_without_being_merged():
         assert any(k == min(part) for part in apart)
     mapper.loops._wanted = True
     finish(mapper)
-    poses = mapper.keyframe_poses()
+    poses = mapper.world.poses()
     assert poses[0] == pytest.approx(ring.told[0], abs=1e-4)
     assert all(np.isfinite(pose).all() for pose in poses.values())

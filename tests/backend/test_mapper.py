@@ -15,7 +15,7 @@ from prism_edge.messages import Gate, Keyframe, MapUpdate
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import Tracker
-from tests.backend.world import Teller, check, depth_at_keypoints
+from tests.backend.world import Teller, check, depth_at_keypoints, step
 from tests.tracking.cloud import check as check_local
 from tests.tracking.cloud import pose_at
 from tests.tracking.footage import IDENTITY, footage
@@ -141,8 +141,8 @@ def test_sequences_grow_and_an_empty_answer_takes_one(solved):
 def test_a_single_keyframe_has_nothing_to_solve():
     mapper = Mapper(CONFIG)
     message = Teller().keyframe(np.eye(4))
-    assert mapper.step(message, plane(), WIDE, 0.0) is None
-    assert list(mapper.keyframe_poses()) == [0]
+    assert step(mapper, message, plane(), WIDE) is None
+    assert list(mapper.world.poses()) == [0]
 
 
 def film_frame(index: int, length: int = 75) -> int:
@@ -190,7 +190,7 @@ class Pair:
         message = codec.unpack(codec.pack(made), Keyframe)
         self.told.append(message)
         self.tracker.add_depth(keyframe.id, depth, IDENTITY, 0.2)
-        update = self.mapper.step(message, depth, IDENTITY, 0.0)
+        update = step(self.mapper, message, depth, IDENTITY)
         if update is not None:
             self.due.append((frame + self.lag, codec.unpack(codec.pack(update), MapUpdate)))
 
@@ -295,7 +295,7 @@ def test_a_bounded_map_tracks_on(bounded):
 
 def test_frames_of_culled_keyframes_have_a_place_in_the_finished_map(bounded):
     """As final.tum is made: by the pose that the backend remembers of the frame's reference."""
-    poses, truth = bounded.mapper.keyframe_poses(), footage().poses
+    poses, truth = bounded.mapper.world.poses(), footage().poses
     on_culled = [i for i, (k, _) in bounded.carriers.items() if k in bounded.mapper.world.carried]
     assert len(on_culled) > 20
     for i, (reference, reference_from_camera) in bounded.carriers.items():

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.mapper import Mapper
 from prism_edge.geometry.poses import inverse, transform
-from prism_edge.messages import Keyframe
+from prism_edge.messages import Keyframe, MapUpdate
 from tests.synthetic.messages import blank
 from tests.tracking.cloud import CAMERA, Cloud
 
@@ -78,6 +79,15 @@ def quiet(message: Keyframe, **changes: object) -> Keyframe:
     }
     arrays = {k: np.array(v, np.int64) if isinstance(v, list) else v for k, v in changes.items()}
     return replace(message, **(empty | follows | arrays))
+
+
+def step(
+    mapper: Mapper, message: Keyframe, depth: np.ndarray, image_to_depth: np.ndarray
+) -> MapUpdate | None:
+    """What the worker does with a keyframe and its depth, while the map's unit is a metre."""
+    mapper.absorb(message)
+    mapper.add_depth(message, depth, image_to_depth, 0.0)
+    return mapper.optimise(message.id, 0.0)
 
 
 def check(world: GlobalMap) -> None:

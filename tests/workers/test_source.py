@@ -17,7 +17,7 @@ from prism_edge.config import BusConfig, DepthConfig
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.messages import Acknowledged, EndOfStream, Frame
 from prism_edge.sources import open_source
-from prism_edge.sources.pack import bgr, grey, pack
+from prism_edge.sources.pack import grey, pack, rgb
 from prism_edge.workers.source import SourceWorker, main
 from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, wait_for
 
@@ -40,7 +40,7 @@ def test_realtime_plays_everything_and_ends(tmp_path: Path) -> None:
         assert frame.colour
         assert not frame.duplicate
         assert frame.camera.tolist() == [64, 48, 60, 60, 31.5, 23.5]
-        assert np.abs(bgr(frame).astype(int) - tiny.picture(frame.index)).mean() < 8
+        assert np.abs(rgb(frame)[:, :, ::-1].astype(int) - tiny.picture(frame.index)).mean() < 8
 
 
 def test_the_recordings_own_stamps_set_the_pace(tmp_path: Path) -> None:
