@@ -60,7 +60,8 @@ class FactorFactory:
         x, y = (float(pixel[0]) - camera.cx) / camera.fx, (float(pixel[1]) - camera.cy) / camera.fy
         distance = float(keyframe.depths[keypoint]) * math.sqrt(x * x + y * y + 1.0)
         weight = max(keyframe.gate_weight(keypoint), LEAST_WEIGHT)
-        sigma = self._config.depth_sigma * distance / math.sqrt(weight)
+        relative = keyframe.depth_sigma or self._config.depth_sigma
+        sigma = relative * distance / math.sqrt(weight)
         noise = depth_noise(round(math.log(sigma) / _SIGMA_STEP), self._huber_depth)
         return gtsam.RangeFactor3D(pose_key, point_key, distance, noise)
 

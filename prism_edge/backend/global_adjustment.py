@@ -62,7 +62,8 @@ class GlobalAdjustment:
                 keypoint = keyframe.observed[p]
                 seen.add(k)
                 graph.add(factors.reprojection(X(k), L(p), keyframe, keypoint))
-                if deepen and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
+                wanted = deepen or (use_depth and keyframe.depth_sigma > 0)
+                if wanted and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
                     graph.add(factors.metric_depth(X(k), L(p), keyframe, keypoint))
         self._keyframes = sorted(seen)
         for k in self._keyframes:

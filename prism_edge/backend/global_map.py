@@ -37,6 +37,8 @@ class GlobalKeyframe:
     observed: dict[int, int]
     # Network depth at each keypoint along z, in map units by this keyframe's own scale; 0 for none.
     depths: NDArray[np.float64] | None = None
+    # Their relative noise where the source knows it, and they are in the map's scale; else 0.
+    depth_sigma: float = 0.0
     features: Features = field(default_factory=no_features, repr=False)
     scale_factor: float = 1.2  # between pyramid levels
     travelled: float = 0.0  # path length to here, map units as the tracker had them

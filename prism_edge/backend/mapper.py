@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
@@ -23,6 +24,7 @@ from prism_edge.tracking.seeding import sample_depth
 
 MIN_ALIGNED = 20
 MIN_ALIGNED_PARALLAX_DEG = 1.0
+LEAST_DEPTH_SIGMA = 0.02  # relative, of one pixel: an edge, a rounded place
 
 
 class Mapper:
@@ -78,13 +80,19 @@ class Mapper:
             self.loops.index.remove(gone)
 
     def add_depth(
-        self, message: Keyframe, depth: NDArray[np.float32], image_to_depth: Array, log_scale: float
+        self,
+        message: Keyframe,
+        depth: NDArray[np.float32],
+        image_to_depth: Array,
+        log_scale: float,
+        frame_sigma: float = math.nan,
     ) -> None:
         """Attach network depth (metres) to a keyframe's keypoints, in map units.
 
         A network's scale wavers from frame to frame, much more than its relative depth is wrong. So each
         keyframe has a log scale of its own: that of its triangulated points, where there are enough. Depths
-        that don't tell near from far are left out.
+        that don't tell near from far are left out. A source that says how little its images' scales waver
+        (``frame_sigma``) is taken in the map's own scale instead, and so keeps that from drifting.
         """
         keyframe = self.world.keyframes.get(message.id)
         if keyframe is None:
@@ -93,7 +101,9 @@ class Mapper:
         own = np.where(good, network, 0.0)
         firm = good & (message.parallax_deg >= MIN_ALIGNED_PARALLAX_DEG) & (message.depths > 0)
         factor = float(np.exp(-log_scale))
-        if firm.sum() >= MIN_ALIGNED:
+        if math.isfinite(frame_sigma) and frame_sigma >= 0.0:
+            keyframe.depth_sigma = max(frame_sigma, LEAST_DEPTH_SIGMA)
+        elif firm.sum() >= MIN_ALIGNED:
             agreed = agreement(message.depths[firm].astype(np.float64), own[firm])
             if not agreed.informative:
                 return
@@ -124,7 +134,8 @@ class Mapper:
         )
         if solution is None:
             return None
-        if len(window.held) == 1:
+        measured = any(self.world.keyframes[k].depth_sigma > 0 for k in window.free)
+        if len(window.held) == 1 and not measured:
             keep_unit(self.world, window.held[0], solution.poses, solution.points)
         return self._take_over(newest, solution, started)
 

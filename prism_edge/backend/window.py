@@ -117,14 +117,16 @@ def assemble(
     for p in window.points:
         point, point_key = world.points[p], L(p)
         values.insert(point_key, point.position)
-        # Depth says something where rays hardly differ, and of scale where nothing else does.
+        # Depth says something where rays hardly differ, and of scale where nothing else does; one that is as
+        # good as a sensor's always does.
         shallow = point.parallax_deg < DEPTH_PARALLAX_DEG
         deepen = use_depth and (scale_is_free or shallow)
         for k in point.keyframes & members.keys():
             pose_key, keyframe = members[k]
             keypoint = keyframe.observed[p]
             observations.append((k, p, keypoint))
-            deep = deepen and keyframe.depths is not None and keyframe.depths[keypoint] > 0
+            wanted = deepen or (use_depth and keyframe.depth_sigma > 0)
+            deep = wanted and keyframe.depths is not None and keyframe.depths[keypoint] > 0
             if deep:
                 graph.add(factors.metric_depth(pose_key, point_key, keyframe, keypoint))
             if deep and shallow and use_rays:

@@ -142,7 +142,9 @@ class BackendWorker:
         self._gated = {k: kept for k, kept in self._gated.items() if k > keyframe.id}
         self._scaled = {k for k in self._scaled if k > keyframe.id}
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
-            self._mapper.add_depth(keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale)
+            self._mapper.add_depth(
+                keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma
+            )
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
             self._mapper.loops.add_place(keyframe.id, depth.descriptor)
         self._keeper.note(keyframe, self._scale)
