@@ -5,8 +5,10 @@
 A real worker process on a bus of its own and a bare onnxruntime session on the same file take turns, so that
 whatever else the machine does slows both. A ratio is the median over the turns. The worker's time is told
 twice: as it stands in its message (resizing, inference, metres) and from the picture's publication to the
-depth's arrival in another process. Then the worker gets nothing for a while, and then a keyframe now and
-then. A relative network, which the daemon does not run alone, is timed as if its depths were metres.
+depth's arrival in another process. Beside that stands the CPU time of both, all threads and all that belongs
+to answering, as a ratio of sums: on a machine with other work it says more. Then the worker gets nothing for
+a while, and then a keyframe now and then. A relative network, which the daemon does not run alone, is timed
+as if its depths were metres.
 """
 
 from __future__ import annotations
@@ -58,6 +60,8 @@ class Turn:
     bare: float
     worker: float  # as its message says
     round_trip: float
+    bare_cpu: float
+    worker_cpu: float  # counted in the kernel's ticks: only sums mean something
 
 
 class Worker:
@@ -150,23 +154,30 @@ def take_turns(worker: Worker, bare: Any, feed: dict[str, Any], runs: int) -> It
     """Worker and bare session alternate; who begins alternates too."""
     for turn in range(runs + WARM_UP):
         first = turn % 2 == 0
-        bare_ms = _bare_ms(bare, feed) if first else 0.0
+        bare_ms, bare_cpu = _bare_ms(bare, feed) if first else (0.0, 0.0)
+        before = worker.cpu_s()
         depth, round_trip = worker.ask()
+        worker_cpu = 1e3 * (worker.cpu_s() - before)
         if depth is None or not depth.inference_ms:
             raise ModelError(f"the worker gave no depth ({depth.reason if depth else 'nothing came'})")
-        bare_ms = bare_ms if first else _bare_ms(bare, feed)
+        if not first:
+            bare_ms, bare_cpu = _bare_ms(bare, feed)
         if turn >= WARM_UP:
-            yield Turn(bare_ms, depth.inference_ms, round_trip)
+            yield Turn(bare_ms, depth.inference_ms, round_trip, bare_cpu, worker_cpu)
 
 
 def show_turns(turns: list[Turn]) -> None:
-    """Medians in ms, and the median of each turn's ratio."""
+    """Medians in ms, and the median of each turn's ratio; means of CPU time, and the ratio of those."""
     bare = statistics.median(turn.bare for turn in turns)
     print(f"bare onnxruntime        {bare:8.2f} ms")
     for name, words in (("worker", "worker, its own time"), ("round_trip", "picture sent to depth")):
         values = [getattr(turn, name) for turn in turns]
         ratio = statistics.median(value / turn.bare for value, turn in zip(values, turns, strict=True))
         print(f"{words:<24}{statistics.median(values):8.2f} ms   {ratio:.3f} x bare")
+    bare_cpu = statistics.mean(turn.bare_cpu for turn in turns)
+    worker_cpu = statistics.mean(turn.worker_cpu for turn in turns)
+    print(f"CPU time: bare          {bare_cpu:8.2f} ms")
+    print(f"CPU time: worker        {worker_cpu:8.2f} ms   {worker_cpu / bare_cpu:.3f} x bare")
 
 
 def rest(worker: Worker, seconds: float) -> float:
@@ -215,10 +226,11 @@ def running_worker(depth: DepthConfig) -> Iterator[Worker]:
             child.wait(10.0)
 
 
-def _bare_ms(session: Any, feed: dict[str, Any]) -> float:
-    started = time.perf_counter()
+def _bare_ms(session: Any, feed: dict[str, Any]) -> tuple[float, float]:
+    """Wall time and CPU time of one run."""
+    started, cpu = time.perf_counter(), time.process_time()
     session.run(None, feed)
-    return 1e3 * (time.perf_counter() - started)
+    return 1e3 * (time.perf_counter() - started), 1e3 * (time.process_time() - cpu)
 
 
 if __name__ == "__main__":

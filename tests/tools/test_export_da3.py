@@ -21,6 +21,8 @@ from tests.synthetic.network import write_tiny_network
 from tests.synthetic.sequence import synthetic_camera, write_sequence
 from tests.tools.exporter import CHECKOUT, export, exporter_python, run
 
+pytestmark = pytest.mark.timeout(900)  # five exports, which take two minutes where nothing else runs
+
 PROCESS = CHECKOUT / "tests" / "tools" / "da3_process.py"
 SIZES = {"published": (112, 154), "bare.pth": (168, 126)}  # landscape from a folder, portrait from a file
 FOCAL = 525.0
@@ -142,7 +144,7 @@ def test_the_whole_daemon_runs_with_it(exported, tmp_path):
     room = write_sequence(tmp_path / "room", 40, 320, 240)
     pair = f"nested:{folder / 'small0.onnx'},{write_tiny_network(tmp_path / 'metric.onnx')}"
     options = ("--lockstep", "--camera", room / "camera.yaml", "--out", tmp_path / "out")
-    done = prism_edge("eval", room, "--model", pair, *options, timeout_s=170)
+    done = prism_edge("eval", room, "--model", pair, *options, timeout_s=600)
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "out" / "metrics.json").read_text())
     assert report["tracked"] >= 35

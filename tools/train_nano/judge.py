@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from tools.train_nano.losses import SEEN_TOGETHER
 from tools.train_nano.network import Nano
 from tools.train_nano.pictures import Views
+from tools.train_nano.ruler import FOUND, SEEN_TOGETHER
 
 MOST = 600  # views looked at, spread over all worlds
 _AT_ONCE = 30
@@ -66,7 +66,7 @@ def judge(network: Nano, views: Views, width: int, height: int, most: int = MOST
     overlap = views.shared(rows)
     np.fill_diagonal(overlap, 0)
     asked = overlap.max(axis=1) >= SEEN_TOGETHER
-    found = overlap[np.arange(len(rows)), alike.argmax(axis=1)] >= 0.5 * SEEN_TOGETHER
+    found = overlap[np.arange(len(rows)), alike.argmax(axis=1)] >= FOUND
     return Verdict(
         absrel=float(np.mean(absrel)),
         within_125=float(np.mean(within)),

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F  # noqa: N812
 
-SEEN_TOGETHER, SEEN_APART = 0.35, 0.05  # overlap of views of one place, and of different ones
+from tools.train_nano.ruler import SEEN_APART, SEEN_TOGETHER
+
 TEMPERATURE = 0.15
 EDGES, SCALE, OWN_ERROR, PLACES = 0.5, 0.5, 0.2, 0.3  # weights, log depth's being 1
 
