@@ -234,6 +234,9 @@ class StateConfig:
     journal: bool = field(
         default=True, metadata={"help": "a backend that was started again recovers its map from a journal"}
     )
+    recover_s: float = limits(
+        600.0, 0.0, 1e6, "go on in the map of a live camera's run that was cut off no longer ago; 0: never"
+    )
 
 
 @dataclass(frozen=True)

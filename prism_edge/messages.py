@@ -22,6 +22,7 @@ U8 = NDArray[np.uint8]
 # Tracking state in two words: odometry, map.
 INITIALISING, OK, DEGRADED, LOST = "initialising", "ok", "degraded", "lost"
 BUILDING, LOOP_CLOSED, RELOCALISING, LOCALISED = "building", "loop_closed", "relocalising", "localised"
+RECOVERED = "recovered"
 
 
 def array(dtype: str, *shape: int) -> Any:

@@ -184,7 +184,7 @@ def bars(
 ) -> dict[str, dict[str, Any]]:
     """Each bar: what was found, and whether it is met."""
     beyond = [outcome.beyond_s for outcome in outcomes] or [0.0]
-    lost = [o.kind for o in outcomes if not o.new_run and (o.epochs or _shrunk(*o.keyframes))]
+    lost = [o.kind for o in outcomes if o.epochs or _shrunk(*o.keyframes)]
     died = [o.kind for o in outcomes if o.exits and not o.new_run]
     more = {
         name: after["descriptors"].get(name, 0) - count for name, count in before["descriptors"].items()

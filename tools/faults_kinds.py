@@ -47,7 +47,7 @@ class Kind:
     length_s: float
     fault: Fault
     far: bool = False
-    new_run: bool = False  # the run begins anew, and the map with it
+    new_run: bool = False  # the service ends with it; the next run goes on in the map
 
 
 def kinds(disk: bool, clock: bool) -> tuple[list[Kind], dict[str, str]]:

@@ -59,6 +59,7 @@ def supervise(
         with Supervisor(config, processes, command) as supervisor:
             try:
                 supervisor.run(finished)
+                supervisor.ended_well()
             finally:
                 notifier.stopping()
             log.info("stopping" if signals.stopped.is_set() else "the recording has ended; stopping")

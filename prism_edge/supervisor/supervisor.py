@@ -15,6 +15,7 @@ from prism_edge.bus.access import check_network
 from prism_edge.bus.keys import check_loopback, check_robot_name
 from prism_edge.config import Config
 from prism_edge.config_file import dump
+from prism_edge.errors import SupervisionError
 from prism_edge.processes import Process, processes_for
 from prism_edge.supervisor.child import Child, Command, worker_command
 from prism_edge.supervisor.health import Row, status_line, summary
@@ -24,6 +25,7 @@ from prism_edge.supervisor.reload import difference
 from prism_edge.supervisor.remote import RemoteWatch
 from prism_edge.supervisor.run_directory import RunDirectory
 from prism_edge.supervisor.watch import Watch
+from prism_edge.workers.cut_off import TOLD, run_mark
 
 if TYPE_CHECKING:
     from prism_edge.bus.commands import Reply
@@ -64,6 +66,8 @@ class Supervisor:
         self._status = "starting"
         self._rows: list[Row] = []  # the latest
         self._before = config  # the last reload
+        self._mark = run_mark(config)
+        self._ended_well = False
 
     def __enter__(self) -> Supervisor:
         self.start()
@@ -72,6 +76,8 @@ class Supervisor:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if self._mark is not None and isinstance(error, SupervisionError):
+            self._mark.gave_up()
         self.stop()
 
     @property
@@ -111,6 +117,8 @@ class Supervisor:
         self._directory = RunDirectory()
         self._cleanup.callback(self._directory.remove)
         self._file = self._directory.write("config.yaml", dump(self._config))
+        if self._mark is not None and self._mark.begin(self._config.state.recover_s):
+            self._directory.write(TOLD, "")
         try:
             # Workers load their libraries while we load ours; but none may join a stranger's listener.
             early = can_listen(self._config.bus.endpoint)
@@ -147,6 +155,10 @@ class Supervisor:
                 watch.asked_to_end_s = time.monotonic()
                 child.terminate()
 
+    def ended_well(self) -> None:
+        """The run ends as it should: no other goes on in its map. Call before :meth:`stop`, or not at all."""
+        self._ended_well = True
+
     def stop(self) -> None:
         """End every process within ``supervisor.stop_s``, then close the bus and remove the run's files."""
         running = [child for child in self._children.values() if child.poll() is None]
@@ -160,6 +172,8 @@ class Supervisor:
             if child.exit_code is None:
                 log.warning("%s did not end in %g s and is killed", name, self._config.supervisor.stop_s)
                 child.kill()
+        if self._mark is not None and self._ended_well:
+            self._mark.end()
         self._cleanup.close()
 
     def _open_bus(self) -> None:
@@ -207,6 +221,8 @@ class Supervisor:
             self.ready_s = now - self.started_s
             log.info("ready after %.2f s: %s", self.ready_s, " ".join(self._watches))
         self._publish(now)
+        if self._mark is not None:
+            self._mark.alive()
 
     def _look_at(self, name: str, watch: Watch, now: float) -> None:
         if watch.restart_at_s is not None:

@@ -65,6 +65,8 @@ class BackendWorker:
         recovered = self._keeper.recover()
         if recovered is not None:
             self._scale = recovered
+        # A whole run's map, not a life's: the new scale filter does not know its unit.
+        self._untold = recovered is not None and not bus.life
         self._snapshot = self._take_snapshot()
         bus.answer("map_snapshot", lambda: self._snapshot)
         bus.answer("whole_map", self._whole.ask)
@@ -78,6 +80,9 @@ class BackendWorker:
         while not self._bus.stopped.is_set():
             self._desk.serve()
             self._whole.serve(lambda: self._keeper.whole(self._scale))
+            if self._untold and not self._bus.await_ready(self._peers & {"scale"}, _LOOK_S):
+                self._untold = False
+                self._tell_loaded()
             worked = self._realtime() if self._ticks is None else self._lockstep()
             ending = ending or bool(self._ends.drain())
             # The last keyframe may still be under way when the end is: one quiet look more.
@@ -230,9 +235,12 @@ class BackendWorker:
             self._bus.pulse.idle()
         self._waiting.clear()  # keyframes of the map that has gone
         self._snapshot = self._take_snapshot()
+        self._tell_loaded()
+        return Reply(True, f"{said}; looking for the camera in it")
+
+    def _tell_loaded(self) -> None:
         loaded = MapLoaded(self._mapper.epoch, self._scale.log_scale, self._scale.sigma)
         self._bus.publish("map_loaded", loaded)
-        return Reply(True, f"{said}; looking for the camera in it")
 
     # -- the map for others -------------------------------------------------------------------------
 

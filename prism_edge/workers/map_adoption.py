@@ -1,4 +1,4 @@
-"""The tracker goes on in the backend's map: after its own restart, and when a stored map was loaded."""
+"""The tracker goes on in the backend's map: its own after a restart, a stored one, one of a run cut off."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ log = logging.getLogger("prism_edge.tracker")
 
 ASK_S = 3.0  # a tracker that was started again is wanted soon: without an answer it begins a new map
 LOADED_S = 30.0
+RECOVERED_S = 30.0  # the backend starts beside us, and reads its journal first
 TAKING_OVER_S = 30.0
 LEAST_KEYFRAMES = 2  # a map of fewer is as soon made anew
 
@@ -39,9 +40,16 @@ class MapAdoption:
             log.info("no map to go on in: beginning a new one")
         return whole
 
-    def loaded(self) -> WholeMap | None:
-        """The map that the backend has just loaded; mostly None."""
-        heard = self._loaded.drain()
+    def of_a_run_cut_off(self) -> WholeMap | None:
+        """The map that the backend has recovered of an earlier run; None where there is none to go on in."""
+        self._bus.pulse.working("asking for the map that was left", 2 * RECOVERED_S + TAKING_OVER_S)
+        self._bus.await_ready(["backend"], RECOVERED_S)
+        whole: WholeMap | None = self._bus.ask("whole_map", RECOVERED_S)
+        return whole
+
+    def loaded(self, epoch: int) -> WholeMap | None:
+        """The map that the backend has just loaded, newer than ``epoch``; mostly None."""
+        heard = [loaded for loaded in self._loaded.drain() if loaded.epoch > epoch]
         if not heard:
             return None
         self._bus.pulse.working("asking for the loaded map", LOADED_S + TAKING_OVER_S)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-import os
 import time
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -13,7 +13,7 @@ import numpy as np
 from prism_edge import __version__
 from prism_edge.backend import map_file
 from prism_edge.backend.journal import Journal
-from prism_edge.backend.map_file import Arrays
+from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus import codec
@@ -21,7 +21,8 @@ from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.errors import BusError, MapError
 from prism_edge.messages import Keyframe, WholeMap
-from prism_edge.workers.state_directory import map_names, map_path, state_directory
+from prism_edge.workers.cut_off import goes_on
+from prism_edge.workers.state_directory import kept_journal, map_names, map_path
 
 log = logging.getLogger("prism_edge.backend")
 
@@ -37,6 +38,7 @@ class MapKeeper:
         self._journal: Journal | None = None
         self._failed_s = float("-inf")
         self._overhauled = False
+        self._run = "" if bus.run_directory is None else bus.run_directory.name
         folder = journal_folder(config, bus)
         if folder is not None:
             try:
@@ -45,13 +47,15 @@ class MapKeeper:
                 self._say(error)
 
     def recover(self) -> KnownScale | None:
-        """In a later life: take the map up where the last life left it; its scale, None for no map.
+        """Take the map up where the last life left it, or a run that was cut off; its scale, None for no map.
 
-        In the first, forget what an earlier run left: its tracker's numbers mean nothing in this one.
+        In the first life of any other run, forget what an earlier run left: its tracker's numbers mean
+        nothing in this one.
         """
         if self._journal is None:
             return None
-        if not self._bus.life:
+        going_on = goes_on(self._bus)
+        if not self._bus.life and not going_on:
             self._journal.clear()
             return None
         found = self._journal.recover()
@@ -59,8 +63,15 @@ class MapKeeper:
             log.warning("no map to recover: beginning an empty one")
             return None
         info, arrays, records = found
+        # Another run's epochs may be ahead of this one's: here its map is the first.
+        foreign = info.get("run") != self._run
+        problem = self._foreign_flaw(info, arrays) if foreign and going_on else "it is of another run"
+        if foreign and (problem or not going_on):
+            log.warning("the map that was left is not gone on in: %s", problem)
+            self._journal.clear()
+            return None
         try:
-            scale = self._mapper.restore(info, arrays)
+            scale = self._mapper.restore(info, arrays, 0 if foreign else None)
             for record in records:
                 scale = self._absorb(record)
         except (MapError, BusError, KeyError, ValueError) as error:
@@ -69,7 +80,21 @@ class MapKeeper:
             return None
         world = self._mapper.world
         log.info("recovered %d keyframes and %d points", len(world.keyframes), len(world.points))
+        if foreign:
+            self._bus.pulse.values["recovered"] = f"{len(world.keyframes)} keyframes of an earlier run"
         return scale
+
+    def _foreign_flaw(self, info: Info, arrays: Arrays) -> str:
+        """Why another run's map can't be gone on in; empty where it can, by the camera that made it."""
+        for what, ours in (("robot", self._config.robot), ("model", self._config.depth.model)):
+            if info.get(what) != ours:
+                return f"it has another {what}, {info.get(what)!r:.60}"
+        return self._pyramid_flaw(arrays)
+
+    def _pyramid_flaw(self, arrays: Arrays) -> str:
+        ours = self._config.tracking.scale_factor
+        others = set(arrays.get("scale_factors", np.zeros(0)).tolist()) - {ours}
+        return f"the map was made with another tracking.scale_factor than {ours:g}" if others else ""
 
     def note(self, message: Keyframe, scale: KnownScale) -> None:
         """A keyframe has been absorbed, with its depth and its place."""
@@ -99,9 +124,8 @@ class MapKeeper:
             raise MapError(f"there is no map {name}; there are: {there}")
         self._bus.pulse.working("loading a map", 60.0)
         info, arrays = map_file.unpack(map_file.read(path))
-        ours = self._config.tracking.scale_factor
-        if set(arrays.get("scale_factors", np.zeros(0)).tolist()) - {ours}:
-            raise MapError(f"the map was made with another tracking.scale_factor than {ours:g}")
+        if flaw := self._pyramid_flaw(arrays):
+            raise MapError(flaw)
         scale = self._mapper.restore(info, arrays, self._mapper.epoch + EPOCHS_BETWEEN)
         try:
             if self._journal is not None:
@@ -121,7 +145,7 @@ class MapKeeper:
 
     def _begin_journal(self, journal: Journal, scale: KnownScale) -> None:
         self._bus.pulse.working("writing the journal", 30.0)
-        journal.begin(lambda generation: self._packed(scale, generation=generation))
+        journal.begin(lambda generation: self._packed(scale, generation=generation, run=self._run))
         self._bus.pulse.values.pop("journal", None)
         self._overhauled = False
 
@@ -162,7 +186,7 @@ class MapKeeper:
     def _absorb(self, record: bytes) -> KnownScale:
         info, arrays = map_file.unpack(record)
         message = codec.unpack(arrays["keyframe"].tobytes(), Keyframe)
-        self._mapper.absorb(message)
+        self._mapper.absorb(replace(message, epoch=self._mapper.epoch))
         keyframe = self._mapper.world.keyframes[message.id]
         if len(arrays["depths"]) == len(keyframe.pixels):
             keyframe.depths = arrays["depths"].astype(np.float64)
@@ -185,8 +209,7 @@ def journal_folder(config: Config, bus: Bus) -> Path | None:
 
     None where neither is, as for a worker that was started by hand.
     """
-    if not config.state.journal:
-        return None
-    if config.state.directory or os.environ.get("STATE_DIRECTORY"):
-        return state_directory(config.state) / "journal"
+    kept = kept_journal(config.state)
+    if kept is not None or not config.state.journal:
+        return kept
     return None if bus.run_directory is None else bus.run_directory / "journal"

@@ -24,6 +24,12 @@ def state_directory(config: StateConfig) -> Path:
     return (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "prism-edge"
 
 
+def kept_journal(config: StateConfig) -> Path | None:
+    """Where the journal is kept from run to run; None where state has no folder, or none is wanted."""
+    given = config.directory or os.environ.get("STATE_DIRECTORY")
+    return state_directory(config) / "journal" if config.journal and given else None
+
+
 def map_path(config: StateConfig, name: str) -> Path:
     """The file of a map. Raises MapError for a name that could lead anywhere but into the folder of maps."""
     if not _NAME.fullmatch(name):

@@ -22,6 +22,7 @@ from prism_edge.geometry.poses import Array
 from prism_edge.messages import (
     INITIALISING,
     LOOP_CLOSED,
+    RECOVERED,
     Acknowledged,
     Depth,
     Frame,
@@ -40,6 +41,7 @@ from prism_edge.tracking.local_map import LocalKeyframe
 from prism_edge.tracking.map_correction import flaw
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import FrameResult, Tracker
+from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.map_adoption import MapAdoption
 from prism_edge.workers.pose_publisher import PosePublisher
 from prism_edge.workers.tracker_status import TrackerStatus
@@ -78,19 +80,25 @@ class TrackerWorker:
         self._probed_ns = -_PROBE_NS
         self._now_ns = 0  # stamp of the newest frame
         self._localise_only = False
+        # The map of a run that was cut off: the first image says whether it is this camera's.
+        self._unproven = self._recovering = False
         self._desk = bus.commands({"reset": self._reset, "localise_only": self._switch_localise_only})
 
     def run(self) -> None:
         """Tracks until the bus is stopped."""
         if self._bus.life and not self._lockstep:
             self._adopt(self._maps.of_the_last_life())
+        elif goes_on(self._bus) and not self._lockstep:
+            self._unproven = self._adopt(self._maps.of_a_run_cut_off())
+            if not self._unproven:
+                self._tracker.reset()  # a later epoch than any map that the backend may have found after all
         self._bus.pulse.ready()
         if self._lockstep:
             self._bus.await_ready(self._peers, _PATIENCE_S)
         self._show(INITIALISING, 0, time.time_ns())
         while not self._bus.stopped.is_set():
             self._desk.serve()
-            self._adopt(self._maps.loaded())
+            self._adopt(self._maps.loaded(self._tracker.epoch))
             frame = self._frames.take(_LOOK_S)
             if frame is not None:
                 self._bus.pulse.working(f"frame {frame.index}", _FRAME_S)
@@ -118,6 +126,8 @@ class TrackerWorker:
             last = self._tracker.last_result
             self._tick(frame, INITIALISING if last is None else last.odometry, published=False)
             return
+        if self._unproven:
+            self._prove(camera)
         tracker, before = self._tracker, self._tracker.last_pose()
         last = tracker.last_result
         # A camera that shows the same darkness over and over is lost like any other.
@@ -128,6 +138,9 @@ class TrackerWorker:
         if result is None:
             result = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera)
         published = result.world_from_camera is not None and result.in_map
+        if self._recovering and published:
+            self._recovering = False
+            self._status.say(RECOVERED, frame.stamp_ns)
         if result.world_from_camera is not None:
             self._publish(frame, result, before, repeated)
         keyframe = None if repeated or self._localise_only else tracker.maybe_keyframe()
@@ -322,13 +335,23 @@ class TrackerWorker:
         if message.loop_closed:
             self._status.say(LOOP_CLOSED, self._now_ns)
 
-    def _adopt(self, whole: WholeMap | None) -> None:
+    def _adopt(self, whole: WholeMap | None) -> bool:
         """Go on in the backend's map, if there is one to go on in."""
         if whole is None or not self._maps.take_over(self._tracker, whole):
-            return
+            return False
         self._scale_sigma, self._update_sequence = whole.scale_sigma, whole.sequence
         self._travelled, self._localise_only = self._maps.travelled, False
         self._expected.clear()
+        return True
+
+    def _prove(self, camera: Camera) -> None:
+        """Go on in the map of an earlier run only with the camera that made it."""
+        self._unproven = False
+        if self._tracker.world.newest().camera == camera:
+            self._recovering = True
+            return
+        log.warning("the map that was left was made by another camera: a new one begins")
+        self._reset("")
 
     # -- commands ---------------------------------------------------------------------------------
 

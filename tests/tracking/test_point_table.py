@@ -92,3 +92,24 @@ def test_views_follow_growth():
     table.octave[table.rows(first)] = 7
     assert table.octave[:10].tolist() == [7] * 10
     assert (table.octave[10:] == 2).all()
+
+
+def test_the_index_stays_as_large_as_the_table_asks_for():
+    """Days of mapping: millions of ids given out, a few thousand rows left, old and new among them."""
+    table = PointTable()
+    old = table.add(1500, parallax_deg=1.0)
+    rng = np.random.default_rng(0)
+    for _ in range(60):
+        ids = table.add(70_000)
+        kept = rng.choice(ids, 60, replace=False)
+        table.alive[table.rows(ids)] = np.isin(ids, kept)
+        table.squeeze()
+    assert len(table) < 80_000
+    assert len(table._slots) <= 8 * 80_000
+    alive = table.ids[table.alive]
+    assert set(old.tolist()) <= set(alive.tolist())
+    rng.shuffle(alive)
+    assert (table.ids[table.rows(alive)] == alive).all()
+    assert table._shared, "else this tries nothing: ids far apart with a slot in common"
+    anything = np.concatenate([alive, rng.integers(0, 60 * 70_000, 5000)])
+    assert (table.known(anything) == np.isin(anything, alive)).all()
