@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.backend.carried import Carried
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, normalised
 from prism_edge.messages import Keyframe
@@ -68,11 +71,9 @@ class GlobalMap:
     """
 
     def __init__(self, max_carried: int = 10_000) -> None:
-        self._max_carried = max_carried
         self.keyframes: dict[int, GlobalKeyframe] = {}
         self.points: dict[int, GlobalPoint] = {}
-        # A culled keyframe still carries frames: its pose hangs on one that is here (id, link, frame index).
-        self.carried: dict[int, tuple[int, Array, int]] = {}
+        self.carried = Carried(max_carried)  # a culled keyframe still carries frames
         # Points that a loop made one: the tracker may still speak of the old identity until it hears of it.
         self._now: dict[int, int] = {}
 
@@ -200,21 +201,30 @@ class GlobalMap:
 
     def covisible(self, keyframe: int) -> list[tuple[int, int]]:
         """(keyframe, shared points) of every keyframe that shares points with one, most first."""
-        votes: dict[int, int] = {}
-        for point in self.keyframes[keyframe].observed:
-            for other in self.points[point].keyframes:
-                votes[other] = votes.get(other, 0) + 1
+        seen = (self.points[point].keyframes for point in self.keyframes[keyframe].observed)
+        votes = Counter(chain.from_iterable(seen))  # counted in C: in a small room a hundred see each point
         votes.pop(keyframe, None)
         return sorted(votes.items(), key=lambda item: (-item[1], -item[0]))
 
     def poses(self) -> dict[int, Array]:
         """world_from_camera of every keyframe, the remembered culled ones carried by their anchors."""
-        known = {k: keyframe.world_from_camera for k, keyframe in self.keyframes.items()}
-        if self.carried:
-            anchors = np.array([known[anchor] for anchor, _, _ in self.carried.values()])
-            links = np.array([link for _, link, _ in self.carried.values()])
-            known.update(zip(self.carried, anchors @ links, strict=True))
-        return known
+        ids, _, poses = self.table()
+        return dict(zip(ids.tolist(), poses, strict=True))
+
+    def table(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+        """Numbers (n,), frames (n,) and world_from_camera (n, 4, 4) of the same."""
+        ids, here = _ids(self.keyframes), self.keyframes.values()
+        frames = _ids(k.index for k in here)
+        poses = np.array([k.world_from_camera for k in here]).reshape(-1, 4, 4)
+        if not len(self.carried):
+            return ids, frames, poses
+        order = np.argsort(ids)
+        anchors = poses[order[np.searchsorted(ids, self.carried.numbers[:, 1], sorter=order)]]
+        return (
+            np.concatenate([ids, self.carried.ids]),
+            np.concatenate([frames, self.carried.numbers[:, 2]]),
+            np.concatenate([poses, anchors @ self.carried.links]),
+        )
 
     def observe(self, keyframe: int, point: int, keypoint: int) -> None:
         """Note that a keyframe sees a point; nothing where either is not here."""
@@ -237,12 +247,8 @@ class GlobalMap:
         anchor = shared[0][0] if shared else min(others, key=lambda k: abs(k - keyframe))
         link = inverse(self.keyframes[anchor].world_from_camera) @ gone.world_from_camera
         # What hung on it hangs on its anchor now, so that no chain grows and any link can be forgotten.
-        for k, (at, own, index) in self.carried.items():
-            if at == keyframe:
-                self.carried[k] = (anchor, link @ own, index)
-        self.carried[keyframe] = (anchor, link, gone.index)
-        while len(self.carried) > self._max_carried:
-            del self.carried[next(iter(self.carried))]
+        self.carried.rehang(keyframe, anchor, link)
+        self.carried.add(keyframe, anchor, link, gone.index)
         for point in list(gone.observed):
             self.points[point].keyframes.discard(keyframe)
             if len(self.points[point].keyframes) < 2:

@@ -42,9 +42,10 @@ def local_copy(world: GlobalMap) -> LocalMap:
             ],
             observations=0,
         )
+    near = _neighbours(world, order, ids)
     # In their order, so that points look as the newest keyframe saw them.
     for k in order:
-        copy.add_keyframe(_keyframe(world, world.keyframes[k]))
+        copy.add_keyframe(_keyframe(world.keyframes[k], near[k]))
     return copy
 
 
@@ -54,15 +55,17 @@ def parts_of(world: GlobalMap) -> dict[int, int]:
     Where such a part lies is unknown until a loop joins it (tracking/submaps.py).
     """
     part: dict[int, int] = {}
+    passed: set[int] = set()  # points whose viewers are known to hang together
     for start in sorted(world.keyframes):
         if start in part:
             continue
         part[start], todo = start, [start]
         while todo:
-            for point in world.keyframes[todo.pop()].observed:
-                new = [k for k in world.points[point].keyframes if k not in part]
-                part.update(dict.fromkeys(new, start))
-                todo += new
+            fresh = world.keyframes[todo.pop()].observed.keys() - passed
+            passed |= fresh
+            new = {k for point in fresh for k in world.points[point].keyframes} - part.keys()
+            part.update(dict.fromkeys(new, start))
+            todo += new
     home = min(world.keyframes)
     return {k: of for k, of in part.items() if of != home}
 
@@ -72,11 +75,33 @@ def _columns(world: GlobalMap, ids: Ids) -> tuple[Array, Array]:
     return np.array([p.position for p in points]), np.array([p.parallax_deg for p in points])
 
 
-def _keyframe(world: GlobalMap, source: GlobalKeyframe) -> LocalKeyframe:
+def _neighbours(world: GlobalMap, order: list[int], points: Ids) -> dict[int, list[int]]:
+    """The keyframes that share most points with each, best first, as ``covisible`` says.
+
+    For all at once: hundreds see each point of a small room, and a tracker that was started again is waited
+    for.
+    """
+    if not len(points):
+        return {k: [] for k in order}
+    row = {k: i for i, k in enumerate(order)}
+    viewers = [sorted(row[k] for k in world.points[p].keyframes) for p in points.tolist()]
+    starts = np.concatenate([[0], np.cumsum([len(v) for v in viewers])])
+    flat = np.array([k for v in viewers for k in v], np.intp)
+    numbers, near = np.array(order, np.int64), {}
+    for i, k in enumerate(order):
+        mine = np.searchsorted(points, np.fromiter(world.keyframes[k].observed, np.int64))
+        pieces = [flat[starts[m] : starts[m + 1]] for m in mine.tolist()]
+        counts = np.bincount(np.concatenate([flat[:0], *pieces]), minlength=len(order))
+        counts[i] = 0
+        best = np.lexsort((-numbers, -counts))[:NEIGHBOURS]
+        near[k] = numbers[best[counts[best] >= LEAST_SHARED]].tolist()
+    return near
+
+
+def _keyframe(source: GlobalKeyframe, neighbours: list[int]) -> LocalKeyframe:
     points = np.full(len(source.features), NO_POINT, np.int64)
     for point, keypoint in source.observed.items():
         points[keypoint] = point
-    shared = world.covisible(source.id)[:NEIGHBOURS]
     return LocalKeyframe(
         source.id,
         source.index,
@@ -85,5 +110,5 @@ def _keyframe(world: GlobalMap, source: GlobalKeyframe) -> LocalKeyframe:
         source.camera,
         source.features,
         points,
-        [k for k, count in shared if count >= LEAST_SHARED],
+        neighbours,
     )

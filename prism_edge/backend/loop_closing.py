@@ -26,6 +26,7 @@ SAME_ANGLE, SAME_SHIFT = np.radians(3.0), 0.15  # how far two loops of one retur
 SLIGHT_ANGLE, SLIGHT_SHIFT, SLIGHT_STRETCH = np.radians(1.0), 0.03, 0.02  # a window's own work mends that
 SAME_RETURN = 5  # keyframes within which coming back to one place is one return
 FUSED_NEIGHBOURS, FUSE_RADIUS = 5, 5.0
+MOST_ACCEPTED = 1000  # remembered; the map itself has had what an older one had to say
 REST = 8  # keyframes between the beginnings of two global adjustments
 
 
@@ -143,6 +144,8 @@ class LoopCloser:
         self.accepted.append(
             Accepted(loop.query, loop.candidate, query.index, candidate.index, relative, loop.inliers)
         )
+        if len(self.accepted) > MOST_ACCEPTED:
+            self._forget_one()
         made = self._join(query, [(i, world.present(p)) for i, p in loop.pairs])
         made += self._join_neighbours(loop)
         self._unconfirmed.clear()
@@ -157,6 +160,12 @@ class LoopCloser:
             made,
         )
         return True
+
+    def _forget_one(self) -> None:
+        """The oldest loop with an end that was culled, else the oldest: its ends share points by now."""
+        here = self._world.keyframes
+        gone = (i for i, a in enumerate(self.accepted) if a.query not in here or a.candidate not in here)
+        del self.accepted[next(gone, 0)]
 
     def _slight(self, loop: Loop, query: GlobalKeyframe) -> bool:
         off = inverse(query.world_from_camera) @ loop.world_from_query

@@ -137,8 +137,8 @@ def to_arrays(world: GlobalMap, index: PlaceIndex) -> tuple[Info, Arrays]:
         "points": np.array(kept, np.int64),
         "positions": _stack((world.points[p].position for p in kept), (3,)),
         "parallax_deg": np.array([world.points[p].parallax_deg for p in kept], np.float32),
-        "carried": np.array([(k, c[0], c[2]) for k, c in world.carried.items()], np.int64).reshape(-1, 3),
-        "links": _stack((c[1] for c in world.carried.values()), (4, 4)),
+        "carried": world.carried.numbers.copy(),
+        "links": world.carried.links,
         "places": np.array(places, np.int64),
         "place_descriptors": np.array(descriptors, np.float32).reshape(len(places), -1 if places else 0),
     }
@@ -168,7 +168,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     for (culled, anchor, frame), link in zip(arrays["carried"].tolist(), arrays["links"], strict=True):
         if anchor not in world.keyframes or culled in world.keyframes:
             raise MapError("the map's culled keyframes hang on ones that it does not have")
-        world.carried[culled] = (anchor, normalised(link), frame)
+        world.carried.add(culled, anchor, normalised(link), frame)
     index = PlaceIndex()
     for number, descriptor in zip(arrays["places"].tolist(), arrays["place_descriptors"], strict=True):
         if number not in world.keyframes or not index.add(number, descriptor):

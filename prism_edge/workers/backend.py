@@ -246,16 +246,15 @@ class BackendWorker:
 
     def _take_snapshot(self) -> MapSnapshot:
         world, loops = self._mapper.world, self._mapper.loops.accepted
-        poses = world.poses()
-        indices = [world.keyframes[k].index if k in world.keyframes else world.carried[k][2] for k in poses]
+        numbers, frames, poses = world.table()
         return MapSnapshot(
             epoch=self._mapper.epoch,
             sequence=self._mapper.sequence,
             settled=self._settled,
             log_scale=self._scale.log_scale,
-            keyframes=np.array(list(poses), np.int64),
-            indices=np.array(indices, np.int64),
-            poses=np.array(list(poses.values())).reshape(-1, 4, 4),
+            keyframes=numbers,
+            indices=frames,
+            poses=poses,
             points=np.array(list(world.points), np.int64),
             positions=np.array([p.position for p in world.points.values()]).reshape(-1, 3),
             loop_queries=np.array([loop.query_index for loop in loops], np.int64),

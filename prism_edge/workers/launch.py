@@ -12,6 +12,7 @@ from prism_edge.config import Config
 from prism_edge.config_file import load
 from prism_edge.errors import PrismError
 from prism_edge.processes import Process
+from prism_edge.workers.heap import bound_heap
 from prism_edge.workers.journal import JournalHandler, stderr_is_the_journal
 from prism_edge.workers.stopping import StopSignals, die_with
 
@@ -56,6 +57,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
     """
     if parent is not None:
         die_with(parent)
+    bound_heap()
     signals = StopSignals()
     log_to_stderr(process.name)
     log = logging.getLogger(f"prism_edge.{process.name}")

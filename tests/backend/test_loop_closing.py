@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend import loop_closing as module
 from prism_edge.backend import pose_graph
 from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
@@ -209,3 +210,19 @@ def test_a_part_of_its_own_is_adjusted_without_being_merged():
     poses = mapper.world.poses()
     assert poses[0] == pytest.approx(ring.told[0], abs=1e-4)
     assert all(np.isfinite(pose).all() for pose in poses.values())
+
+
+def test_no_more_loops_are_remembered_than_need_be(monkeypatch):
+    """A camera that goes round for weeks: first go the loops whose keyframes were culled, then the oldest."""
+    mapper = walk(Ring(drift=DRIFT), 44)
+    assert mapper.loops.accepted
+    loops, (first, *_) = mapper.loops, mapper.loops.accepted
+    newest = replace(first, inliers=99)
+    loops.accepted[:] = [replace(first, inliers=i) for i in range(4)] + [newest]
+    loops.accepted[2] = replace(loops.accepted[2], query=10_000)  # no longer here
+    loops._forget_one()
+    assert [a.inliers for a in loops.accepted] == [0, 1, 3, 99]
+    loops._forget_one()
+    assert [a.inliers for a in loops.accepted] == [1, 3, 99]
+    monkeypatch.setattr(module, "MOST_ACCEPTED", 1)
+    assert len(walk(Ring(drift=DRIFT), 60).loops.accepted) == 1

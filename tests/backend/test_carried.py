@@ -1,0 +1,55 @@
+"""The columns of culled keyframes against a dict, through any sequence of operations."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.backend.carried import Carried
+from prism_edge.geometry.poses import from_rt, se3_exp
+
+
+def link(seed: int) -> np.ndarray:
+    return se3_exp(np.random.default_rng(seed).normal(size=6))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 40),
+    st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.booleans()), max_size=300),
+)
+def test_it_does_what_a_dict_does(most: int, steps: list[tuple[int, int, bool]]) -> None:
+    carried, model = Carried(most), {}
+    for number, (one, other, culls) in enumerate(steps):
+        if culls:
+            for k, (anchor, own, frame) in model.items():
+                if anchor == one:
+                    model[k] = (other, link(number) @ own, frame)
+            carried.rehang(one, other, link(number))
+        model[1000 + number] = (one, link(number + 1), 7 * number)
+        carried.add(1000 + number, one, link(number + 1), 7 * number)
+        while len(model) > most:
+            del model[next(iter(model))]
+    assert list(carried) == list(model)
+    assert len(carried) == len(model)
+    for k, (anchor, own, frame) in model.items():
+        assert k in carried
+        found = carried[k]
+        assert (found[0], found[2]) == (anchor, frame)
+        np.testing.assert_allclose(found[1], own, atol=1e-9)
+    expected = np.array([m[1] for m in model.values()]).reshape(-1, 4, 4)
+    np.testing.assert_allclose(carried.links, expected, atol=1e-9)
+    assert carried.numbers.tolist() == [[k, m[0], m[2]] for k, m in model.items()]
+    assert 5 not in carried
+    with pytest.raises(KeyError):
+        carried[5]
+
+
+def test_it_takes_no_more_memory_however_many_were_culled() -> None:
+    carried, shift = Carried(1000), from_rt(np.eye(3), np.ones(3))
+    for number in range(20_000):
+        carried.add(number, 0, shift, number)
+    assert list(carried) == list(range(19_000, 20_000))
+    assert len(carried._numbers) == len(carried._links) <= 2048

@@ -1,0 +1,45 @@
+"""What a peak took is given back."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+# Blocks below the threshold that glibc would have arrived at by itself, freed with something small behind.
+PEAK = """
+import sys
+import numpy as np
+from prism_edge.workers.heap import bound_heap
+if sys.argv[1] == "bound" and not bound_heap():
+    raise SystemExit(3)
+def resident():
+    with open("/proc/self/smaps_rollup") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith("Pss_Anon"))
+del (first := [np.ones(2 << 20, np.uint8) for _ in range(3)])[:]
+before = resident()
+blocks = [np.ones(24 << 20, np.uint8)]
+del blocks
+kept = []
+blocks = []
+for _ in range(20):
+    blocks.append(np.ones(3 << 20, np.uint8))
+    kept.append(bytes(2000))
+del blocks
+print(resident() - before)
+"""
+
+
+def growth_kb(how: str) -> int:
+    done = subprocess.run([sys.executable, "-c", PEAK, how], capture_output=True, text=True)
+    if done.returncode == 3:
+        pytest.skip("not glibc")
+    assert not done.stderr
+    return int(done.stdout)
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="mallopt is glibc's")
+def test_a_peak_is_given_back() -> None:
+    assert growth_kb("unbound") > 10_000, "else there is nothing to bound here"
+    assert growth_kb("bound") < 5000
