@@ -37,8 +37,12 @@ def server(long_room: Path) -> Iterator[MjpegServer]:
 
 
 def source_row(bus_health) -> dict[str, str]:  # type: ignore[no-untyped-def]
+    return process_row(bus_health, "source")
+
+
+def process_row(bus_health, name: str) -> dict[str, str]:  # type: ignore[no-untyped-def]
     found = [rows(message) for message in bus_health.drain()]
-    return found[-1].get("source", {}) if found else {}
+    return found[-1].get(name, {}) if found else {}
 
 
 def next_ok(tracked) -> Tracked:  # type: ignore[no-untyped-def]
@@ -101,3 +105,53 @@ def test_a_live_camera_is_nothing_to_evaluate(server: MjpegServer, camera: Path,
     assert done.returncode == 8
     assert "evaluate a recording" in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_the_map_of_a_run_that_was_cut_off_is_the_next_ones(
+    server: MjpegServer, camera: Path, network: Path, tmp_path: Path
+) -> None:
+    mark = tmp_path / "state" / "journal" / "unfinished"
+    state = f"state.directory={tmp_path / 'state'}"
+    arguments = (server.address(), "--camera", camera, "--model", network, "--set", state)
+    with Daemon(tmp_path / "first.log", *arguments) as first:
+        with first.until_ready().bus() as bus:
+            next_ok(bus.queue("tracked", 1024))
+            before = wait_until(lambda: known(bus, 4), "four keyframes")
+        first.send(signal.SIGKILL)
+        first.wait()
+        assert not first.leftovers(5.0)
+    assert mark.is_file()
+
+    with Daemon(tmp_path / "second.log", *arguments) as second:
+        with second.until_ready().bus() as bus:
+            status, tracked = bus.queue("status", 256), bus.queue("tracked", 1024)
+            said: list[str] = []
+
+            def recovered() -> bool:
+                said.extend(message.status[0].message for message in status.drain())
+                return any(word.endswith(" recovered") for word in said)
+
+            wait_until(recovered, "the camera is found in the map")
+            assert before <= known(bus, 4)
+            assert next_ok(tracked).odometry == "ok"
+            health = bus.queue("health", 64)
+            row = wait_until(lambda: process_row(health, "backend"), "health")
+            assert row["recovered"].endswith("keyframes of an earlier run")
+        assert "going on in its map" in second.log
+        assert "Traceback" not in second.log
+        second.send(signal.SIGTERM)
+        assert second.wait() == 0
+    assert not mark.exists()
+
+    with Daemon(tmp_path / "third.log", *arguments) as third, third.until_ready().bus() as bus:
+        health = bus.queue("health", 64)
+        row = wait_until(lambda: process_row(health, "backend"), "health")
+        assert "recovered" not in row, "it goes on in the map of a run that had ended"
+        assert "going on in its map" not in third.log
+
+
+def known(bus: Bus, least: int) -> set[int]:
+    """Numbers of the keyframes in the backend's map, once they are so many."""
+    snapshot = bus.ask("map_snapshot", 2.0)
+    ids = set() if snapshot is None else set(snapshot.keyframes.tolist())
+    return ids if len(ids) >= least else set()
