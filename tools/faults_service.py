@@ -127,9 +127,9 @@ class Service:
                     found.append(process)
         return found
 
-    def memory_mb(self) -> dict[str, float]:
-        """PSS of each process."""
-        return {name: pss_mb(p.pid) or 0.0 for name, p in self.processes().items()}
+    def memory_mb(self, part: str = "") -> dict[str, float]:
+        """PSS of each process, or a ``part`` of it."""
+        return {name: pss_mb(p.pid, part) or 0.0 for name, p in self.processes().items()}
 
     def descriptors(self) -> dict[str, int]:
         """Open files of each process."""

@@ -125,11 +125,14 @@ def cpu_s(pid: int) -> tuple[float, float] | None:
     return own * _TICK_S, reaped * _TICK_S
 
 
-def pss_mb(pid: int) -> float | None:
-    """Proportional set size (MB = 2^20 bytes): a page shared by n processes counts 1/n in each."""
+def pss_mb(pid: int, part: str = "") -> float | None:
+    """Proportional set size (MB = 2^20 bytes): a page shared by n processes counts 1/n in each.
+
+    ``part``: ``_Anon`` for memory that is no file's, ``_File`` for files' pages.
+    """
     try:
         for line in (PROC / str(pid) / "smaps_rollup").read_text().splitlines():
-            if line.startswith("Pss:"):
+            if line.startswith(f"Pss{part}:"):
                 return int(line.split()[1]) / 1024.0
     except (OSError, IndexError, ValueError):
         pass
