@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import threading
 
 # <malloc.h>
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
@@ -13,6 +14,7 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
 MAPPED_BYTES = 1 << 20  # a block this large goes back when it is freed
 KEPT_BYTES = 2 << 20  # free at the heap's end: an image's temporaries must not be mapped anew each time
 ARENAS = 2
+TRIM_S = 60.0
 
 
 def bound_heap() -> bool:
@@ -22,3 +24,18 @@ def bound_heap() -> bool:
         limits = ((_MMAP_THRESHOLD, MAPPED_BYTES), (_TRIM_THRESHOLD, KEPT_BYTES), (_ARENA_MAX, ARENAS))
         return 0 not in [mallopt(name, value) for name, value in limits]
     return False
+
+
+def keep_trimmed(stopped: threading.Event, every_s: float = TRIM_S) -> None:
+    """Give back, now and then, what is free in the midst of the heap too: solvers leave it full of holes.
+
+    In a thread of its own, without the interpreter's lock; it takes some milliseconds.
+    """
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+
+    def go_on() -> None:
+        while not stopped.wait(every_s):
+            trim(0)
+
+    if trim is not None:
+        threading.Thread(target=go_on, name="heap", daemon=True).start()

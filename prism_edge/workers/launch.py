@@ -12,7 +12,7 @@ from prism_edge.config import Config
 from prism_edge.config_file import load
 from prism_edge.errors import PrismError
 from prism_edge.processes import Process
-from prism_edge.workers.heap import bound_heap
+from prism_edge.workers.heap import bound_heap, keep_trimmed
 from prism_edge.workers.journal import JournalHandler, stderr_is_the_journal
 from prism_edge.workers.stopping import StopSignals, die_with
 
@@ -77,6 +77,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
             bus.life = life
             bus.run_directory = Path(config_file).resolve().parent if parent is not None else None
             signals.also(bus.stopped)
+            keep_trimmed(bus.stopped)
             main(config, bus)
         if not signals.stopped.is_set():
             log.error("ended without being told to")

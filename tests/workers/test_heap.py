@@ -43,3 +43,28 @@ def growth_kb(how: str) -> int:
 def test_a_peak_is_given_back() -> None:
     assert growth_kb("unbound") > 10_000, "else there is nothing to bound here"
     assert growth_kb("bound") < 5000
+
+
+HOLES = """
+import threading, time
+from prism_edge.workers.heap import keep_trimmed
+def resident():
+    with open("/proc/self/smaps_rollup") as file:
+        return next(int(line.split()[1]) for line in file if line.startswith("Pss_Anon"))
+before = resident()
+blocks = [bytes(3000) for _ in range(40_000)]
+blocks = [block for i, block in enumerate(blocks) if i % 50 == 0]
+print(resident() - before > 50_000)
+keep_trimmed(threading.Event(), 0.05)
+deadline = time.monotonic() + 20.0
+while resident() - before > 30_000 and time.monotonic() < deadline:
+    time.sleep(0.05)
+print(resident() - before < 30_000)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="malloc_trim is glibc's")
+def test_holes_in_the_midst_of_the_heap_are_given_back() -> None:
+    done = subprocess.run([sys.executable, "-c", HOLES], capture_output=True, text=True)
+    assert not done.stderr
+    assert done.stdout.split() == ["True", "True"]
