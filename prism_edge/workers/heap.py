@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import threading
+from collections.abc import Callable
 
 # <malloc.h>
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
@@ -32,10 +33,11 @@ def keep_trimmed(stopped: threading.Event, every_s: float = TRIM_S) -> None:
     In a thread of its own, without the interpreter's lock; it takes some milliseconds.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is None:
+        return
 
-    def go_on() -> None:
+    def go_on(trim: Callable[[int], int]) -> None:
         while not stopped.wait(every_s):
             trim(0)
 
-    if trim is not None:
-        threading.Thread(target=go_on, name="heap", daemon=True).start()
+    threading.Thread(target=go_on, args=(trim,), name="heap", daemon=True).start()
