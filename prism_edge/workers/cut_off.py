@@ -84,7 +84,8 @@ class RunMark:
 
     def _stamp(self, now: Moment) -> None:
         self._stamped_s = now.boot_s
-        text = f"{now.boot or '-'} {now.boot_s:.1f} {now.wall_s:.1f}"
+        # Exactly: rounded up, it would be a moment that is yet to come for a run that begins at once.
+        text = f"{now.boot or '-'} {now.boot_s!r} {now.wall_s!r}"
         with contextlib.suppress(OSError):
             self._path.parent.mkdir(parents=True, exist_ok=True)
             flags = os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW

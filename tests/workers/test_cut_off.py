@@ -25,6 +25,13 @@ def test_a_run_that_did_not_end_is_gone_on_from(tmp_path: Path) -> None:
     assert RunMark(tmp_path).begin(600.0, later(20.0))
 
 
+@pytest.mark.parametrize("seconds", [5000.06, 5000.0999999, 1 / 3])
+def test_however_soon_after(tmp_path: Path, seconds: float) -> None:
+    at = Moment("boot-a", seconds, 1.7e9 + seconds)
+    RunMark(tmp_path).begin(600.0, at)
+    assert RunMark(tmp_path).begin(600.0, at)
+
+
 def test_a_run_that_ended_is_not(tmp_path: Path) -> None:
     mark = RunMark(tmp_path)
     mark.begin(600.0, NOW)
