@@ -41,7 +41,7 @@ def walked(frame_sigma: float) -> float:
         point.position = TOO_LARGE * point.position
     for _ in range(3):
         assert mapper.optimise(5, 0.0) is not None
-    poses = mapper.keyframe_poses()
+    poses = mapper.world.poses()
     return float(np.linalg.norm(poses[5][:3, 3]) / np.linalg.norm(teller.poses[5][:3, 3]))
 
 
