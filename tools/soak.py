@@ -29,6 +29,7 @@ SETTLED_S = 600.0  # from when on memory counts
 SAMPLE_S = 10.0
 GROWTH_MB = 3.0
 FLAT = 1.2  # p99 latency of the last third by that of the first, at most
+SCALE = ("log_scale", "rejected")  # no bar: but a map whose unit has gone is worth a line
 SLACK_MS = 2.0  # a difference that small is none
 
 
@@ -78,6 +79,7 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
                     "anonymous_mb": service.memory_mb("_Anon"),
                     "descriptors": service.descriptors(),
                     "keyframes": _held(watcher),
+                    "scale": {k: watcher.health.get("scale", {}).get(k, "nan") for k in SCALE},
                 }
             )
             time.sleep(max(0.0, min(SAMPLE_S, begun + seconds - time.monotonic())))
@@ -117,6 +119,8 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
         "foreign_cpu": foreign,
         "growth_mb": growth,
         "anonymous_growth_mb": anonymous,
+        "log_scale": _range([float(sample["scale"]["log_scale"]) for sample in samples]),
+        "scales_refused": samples[-1]["scale"]["rejected"],
         "growth_mb_by_process": {
             name: round(_growth(late, "pss_mb", name)[0], 2) for name in late[0]["pss_mb"]
         },
@@ -141,12 +145,19 @@ def markdown(report: dict[str, Any]) -> str:
         lines.append(f"| {name} | {bar['found']} | {'yes' if bar['met'] else '**no**'} |")
     by_process = ", ".join(f"{name} {mb:+.1f}" for name, mb in report["growth_mb_by_process"].items())
     anonymous = report["anonymous_growth_mb"]
+    low, high = report["log_scale"]
+    lines += ["", f"Log scale from {low:.2f} to {high:.2f}, {report['scales_refused']} observations refused."]
     lines += ["", f"Growth by process (MB): {by_process}. Without files' pages: {anonymous:+.1f} MB in all."]
     return "\n".join(lines) + "\n"
 
 
 def _bounded(config: Any, max_keyframes: int) -> Any:
     return replace(config, tracking=replace(config.tracking, max_keyframes=max_keyframes))
+
+
+def _range(values: list[float]) -> tuple[float, float]:
+    known = [value for value in values if np.isfinite(value)] or [float("nan")]
+    return min(known), max(known)
 
 
 def _growth(samples: list[dict[str, Any]], what: str, name: str = "") -> tuple[float, float]:
