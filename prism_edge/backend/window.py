@@ -17,6 +17,8 @@ CHI2_2D_99 = 9.21
 DEPTH_PARALLAX_DEG = 3.0  # above it two rays place a point far better than a network does
 REFINING = 4  # iterations kept for a second round
 RANGE_CHANGE = 0.05
+UNPLACED = 0.25  # of a point's parallax: a window that has less of it can't say how far the point is
+HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
 CONVERGED = 1e-4  # relative decrease of the cost that is not worth another iteration
 
 
@@ -63,14 +65,35 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
     for point in chosen:
         for k in world.points[point].keyframes - inside:
             outside[k] = outside.get(k, 0) + 1
-    ranked = sorted((-n, k) for k, n in outside.items())
-    anchors = [k for n, k in ranked if -n >= 10][: config.fixed]
+    ranked = [k for n, k in sorted((-n, k) for k, n in outside.items()) if -n >= 10]
+    anchors = widening(world, free, ranked, config.fixed)
     if not anchors:
         anchors = [min(free)]
         free = [k for k in free if k not in anchors]
     members = set(free) | set(anchors)
     points = sorted(p for p in chosen if len(world.points[p].keyframes & members) >= 2)
     return Window(sorted(free), sorted(anchors), points)
+
+
+def widening(world: GlobalMap, free: list[int], ranked: list[int], most: int) -> list[int]:
+    """Keyframes to hold: half of them the first in rank, the others each as far as can be from all chosen.
+
+    Where a camera has come by a hundred times those that share most all stand in one spot, from which no
+    point can be placed.
+    """
+    chosen = ranked[: most - most // 2]
+    rest = ranked[len(chosen) :]
+    if not rest:
+        return chosen
+    centres = np.array([world.keyframes[k].world_from_camera[:3, 3] for k in rest])
+    taken = [world.keyframes[k].world_from_camera[:3, 3] for k in free + chosen]
+    nearest = np.min([np.linalg.norm(centres - centre, axis=1) for centre in taken], axis=0)
+    while len(chosen) < min(most, len(ranked)):
+        farthest = int(np.argmax(nearest))
+        chosen.append(rest[farthest])
+        nearest = np.minimum(nearest, np.linalg.norm(centres - centres[farthest], axis=1))
+        nearest[farthest] = -1.0
+    return chosen
 
 
 @dataclass(frozen=True)
@@ -113,10 +136,13 @@ def assemble(
     for k in window.held:
         graph.add(held(X(k), world.keyframes[k].world_from_camera))
     members = {k: (X(k), world.keyframes[k]) for k in window.free + window.held}
+    placed = placed_elsewhere(world, window)
     scale_is_free = len(window.held) == 1
     for p in window.points:
         point, point_key = world.points[p], L(p)
         values.insert(point_key, point.position)
+        if p in placed:
+            graph.add(gtsam.PriorFactorPoint3(point_key, point.position, HELD_POINT))
         # Depth says something where rays hardly differ, and of scale where nothing else does; one that is as
         # good as a sensor's always does.
         shallow = point.parallax_deg < DEPTH_PARALLAX_DEG
@@ -134,6 +160,16 @@ def assemble(
             else:
                 graph.add(factors.reprojection(pose_key, point_key, keyframe, keypoint))
     return Problem(graph, values, observations, rays, factors)
+
+
+def placed_elsewhere(world: GlobalMap, window: Window) -> set[int]:
+    """Points that keyframes outside of the window place, and those in it can't: they stay where they are."""
+    known = {p: world.points[p].position for p in window.points}
+    known = {p: x for p, x in known.items() if world.points[p].parallax_deg >= DEPTH_PARALLAX_DEG}
+    if not known or len(window.held) == 1:
+        return set()
+    seen = widest_parallax(world, known, set(window.free) | set(window.held))
+    return {p for p, angle in seen.items() if angle < UNPLACED * world.points[p].parallax_deg}
 
 
 def with_rays(world: GlobalMap, problem: Problem, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
@@ -209,12 +245,18 @@ def solve(
     return Solution(poses, points, parallax, wrong, iterations, before or 0.0, error)
 
 
-def widest_parallax(world: GlobalMap, points: dict[int, Array]) -> dict[int, float]:
-    """Angle (degrees) between the first ray of each point and the one farthest from it."""
+def widest_parallax(
+    world: GlobalMap, points: dict[int, Array], among: set[int] | None = None
+) -> dict[int, float]:
+    """Angle (degrees) between the first ray of each point and the one farthest from it.
+
+    ``among``: only from these keyframes, of which every point must be seen by one.
+    """
     centres = {k: keyframe.world_from_camera[:3, 3] for k, keyframe in world.keyframes.items()}
     owner, rays = [], []
     for i, (p, position) in enumerate(points.items()):
-        for k in sorted(world.points[p].keyframes):
+        viewers = world.points[p].keyframes
+        for k in sorted(viewers if among is None else viewers & among):
             owner.append(i)
             rays.append(position - centres[k])
     groups = np.array(owner)

@@ -8,7 +8,13 @@ import numpy as np
 import pytest
 
 from prism_edge.backend.global_map import GlobalMap, GlobalPoint
-from prism_edge.backend.window import choose_window, solve, widest_parallax
+from prism_edge.backend.window import (
+    Window,
+    choose_window,
+    placed_elsewhere,
+    solve,
+    widest_parallax,
+)
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, scaled, se3_exp, se3_log
 from tests.backend.world import Teller, depth_at_keypoints
@@ -210,3 +216,54 @@ def test_a_point_only_the_window_s_other_members_see_is_left_out():
     world.points[10**6] = GlobalPoint(np.ones(3), {0})
     world.keyframes[0].observed[10**6] = 0
     assert 10**6 not in choose_window(world, 5, CONFIG).points
+
+
+def spot_and_walk(noise_px: float = 0.7) -> tuple[GlobalMap, Teller, set[int]]:
+    """A walk of 1.5 m, then forty keyframes within a centimetre; and the points that the walk places."""
+    rng = np.random.default_rng(0)
+    walk = [pose_at(0.25 * i - 0.75, 0.05 * i) for i in range(7)]
+    spot = [se3_exp(np.concatenate([rng.normal(0, 0.004, 3), rng.normal(0, 0.004, 3)])) for _ in range(40)]
+    world, teller = world_of(walk + spot, noise_px)
+    for keyframe in world.keyframes.values():
+        keyframe.depths = None
+    places = {p: point.position for p, point in world.points.items()}
+    for p, angle in widest_parallax(world, places).items():
+        world.points[p].parallax_deg = angle
+    placed = {p for p, x in world.points.items() if len(x.keyframes & set(range(len(walk)))) >= 3}
+    return world, teller, placed
+
+
+def test_coming_by_one_spot_again_and_again_leaves_the_map_as_it_is():
+    """Those that share most with the newest all stand beside it: among themselves they place nothing."""
+    world, teller, placed = spot_and_walk()
+    for k in range(20):
+        solution = solve(world, choose_window(world, 46 - k % 8, CONFIG), CONFIG, 1.0, True)
+        for number, pose in solution.poses.items():
+            world.keyframes[number].world_from_camera = pose
+        for p, position in solution.points.items():
+            world.points[p].position = position
+            world.points[p].parallax_deg = solution.parallax_deg[p]
+    off = [np.linalg.norm(world.points[p].position - teller.cloud.positions[p]) for p in placed]
+    assert len(placed) > 150
+    assert np.median(off) < 0.05
+    assert np.quantile(off, 0.95) < 0.3
+    assert worst(solution, teller) < 0.02
+
+
+def test_held_keyframes_look_from_more_than_one_place():
+    world, _, _ = spot_and_walk()
+    window = choose_window(world, 46, CONFIG)
+    assert sum(k < 7 for k in window.held) >= 3
+    assert sum(k >= 7 for k in window.held) >= 3
+
+
+def test_a_point_that_others_place_stays_where_it_is_in_a_window_that_cannot():
+    world, _, placed = spot_and_walk()
+    seen = sorted(p for p in placed if len(world.points[p].keyframes & set(range(20, 40))) >= 2)
+    window = Window(list(range(20, 32)), list(range(32, 40)), seen)
+    kept = placed_elsewhere(world, window)
+    assert kept >= {p for p in seen if world.points[p].parallax_deg >= 10.0}
+    before = {p: world.points[p].position.copy() for p in kept}
+    solution = solve(world, window, CONFIG, 1.0, True)
+    assert max(np.linalg.norm(solution.points[p] - x) for p, x in before.items()) < 1e-4
+    assert not placed_elsewhere(world, Window(list(range(1, 7)), [7, 8], seen))
