@@ -17,6 +17,7 @@ CHI2_2D_99 = 9.21
 DEPTH_PARALLAX_DEG = 3.0  # above it two rays place a point far better than a network does
 REFINING = 4  # iterations kept for a second round
 RANGE_CHANGE = 0.05
+BESIDE = 0.02  # of the depth of the scene: from one spot, for its points
 UNPLACED = 0.25  # of a point's parallax: a window that has less of it can't say how far the point is
 HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
 CONVERGED = 1e-4  # relative decrease of the cost that is not worth another iteration
@@ -66,7 +67,7 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
         for k in world.points[point].keyframes - inside:
             outside[k] = outside.get(k, 0) + 1
     ranked = [k for n, k in sorted((-n, k) for k, n in outside.items()) if -n >= 10]
-    anchors = widening(world, free, ranked, config.fixed)
+    anchors = apart(world, free, ranked, config.fixed)
     if not anchors:
         anchors = [min(free)]
         free = [k for k in free if k not in anchors]
@@ -75,25 +76,26 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
     return Window(sorted(free), sorted(anchors), points)
 
 
-def widening(world: GlobalMap, free: list[int], ranked: list[int], most: int) -> list[int]:
-    """Keyframes to hold: half of them the first in rank, the others each as far as can be from all chosen.
+def apart(world: GlobalMap, free: list[int], ranked: list[int], most: int) -> list[int]:
+    """The first in rank that stand beside none of the free keyframes or of each other, to be held.
 
     Where a camera has come by a hundred times those that share most all stand in one spot, from which no
-    point can be placed.
+    point can be placed. If there are too few others, the rest are again the first in rank.
     """
-    chosen = ranked[: most - most // 2]
-    rest = ranked[len(chosen) :]
-    if not rest:
-        return chosen
-    centres = np.array([world.keyframes[k].world_from_camera[:3, 3] for k in rest])
-    taken = [world.keyframes[k].world_from_camera[:3, 3] for k in free + chosen]
-    nearest = np.min([np.linalg.norm(centres - centre, axis=1) for centre in taken], axis=0)
-    while len(chosen) < min(most, len(ranked)):
-        farthest = int(np.argmax(nearest))
-        chosen.append(rest[farthest])
-        nearest = np.minimum(nearest, np.linalg.norm(centres - centres[farthest], axis=1))
-        nearest[farthest] = -1.0
-    return chosen
+    newest = world.keyframes[free[0]]
+    centre = newest.world_from_camera[:3, 3]
+    depth = np.median([np.linalg.norm(world.points[p].position - centre) for p in newest.observed] or [0.0])
+    taken = [world.keyframes[k].world_from_camera[:3, 3] for k in free]
+    chosen: list[int] = []
+    for k in ranked:
+        if len(chosen) == most:
+            break
+        here = world.keyframes[k].world_from_camera[:3, 3]
+        if min(np.linalg.norm(here - other) for other in taken) >= BESIDE * depth:
+            chosen.append(k)
+            taken.append(here)
+    left = [k for k in ranked if k not in chosen]
+    return chosen + left[: most - len(chosen)]
 
 
 @dataclass(frozen=True)
