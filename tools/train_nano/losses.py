@@ -9,6 +9,8 @@ from torch.nn import functional as F  # noqa: N812
 from tools.train_nano.ruler import SEEN_APART, SEEN_TOGETHER
 
 TEMPERATURE = 0.15
+RANKING_TEMPERATURE, SHARPNESS = 0.07, 10.0  # of likeness, and of closeness, in the ranking
+LEAST_ASKED = 0.25  # closeness of the closest other view, for a view to be asked about
 EDGES, SCALE, OWN_ERROR, PLACES = 0.5, 0.5, 0.2, 0.3  # weights, log depth's being 1
 
 
@@ -53,6 +55,19 @@ def place_loss(descriptor: Tensor, overlap: Tensor) -> Tensor:
     others = alike.masked_fill(~negative, float("-inf")).logsumexp(dim=1, keepdim=True)
     each = F.softplus(others - alike)
     return each[positive].mean() if bool(positive.any()) else alike.sum() * 0.0
+
+
+def ranking_loss(descriptor: Tensor, closeness: Tensor) -> Tensor:
+    """Listwise cross entropy (Cao et al., ICML 2007): the closer a view (n, n), the likelier it is to be.
+
+    Views that are close to no other one ask nothing, but are there to be taken for what they are not.
+    """
+    self = torch.eye(len(descriptor), dtype=torch.bool)
+    alike = (descriptor @ descriptor.T / RANKING_TEMPERATURE).masked_fill(self, -1e4)
+    wanted = (SHARPNESS * closeness).masked_fill(closeness < SEEN_APART, -1e4).masked_fill(self, -1e4)
+    asked = (closeness.masked_fill(self, 0.0) >= LEAST_ASKED).any(dim=1)
+    each = -(wanted.softmax(dim=1) * alike.log_softmax(dim=1)).sum(dim=1)
+    return each[asked].mean() if bool(asked.any()) else alike.sum() * 0.0
 
 
 def total(log_depth: Tensor, log_error: Tensor, descriptor: Tensor, truth: Tensor, overlap: Tensor) -> tuple[

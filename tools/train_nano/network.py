@@ -13,7 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional as F  # noqa: N812
 
-DESCRIPTOR = 128
+DESCRIPTOR = 256
+_PLACE_WIDTH = 192  # of the maps that a descriptor is pooled from
 _PLACES_PULL = 0.05
 _LEAST_ERROR, _LARGEST_ERROR = 0.005, 1.0  # bounds of the predicted mean error of log depth
 
@@ -74,23 +75,36 @@ class Context(nn.Module):
 
 
 class Place(nn.Module):
-    """Descriptor (n, DESCRIPTOR) of unit length from maps of features: means of quarters, then linear."""
+    """Descriptor (n, DESCRIPTOR) of unit length from maps of features, fine to coarse: see :meth:`gather`."""
 
     def __init__(self, *widths: int) -> None:
         super().__init__()
-        self.widen = nn.ModuleList(convolution(width, 2 * width) for width in widths)
+        # Each kind of feature has its own scale: one normalisation before they are mixed.
+        self.level = nn.BatchNorm2d(sum(widths), affine=False)
+        self.mix = nn.Sequential(
+            convolution(sum(widths), _PLACE_WIDTH),
+            convolution(_PLACE_WIDTH, _PLACE_WIDTH, 3, 1, _PLACE_WIDTH),
+            convolution(_PLACE_WIDTH, _PLACE_WIDTH),
+        )
         # Without its mean over pictures: what all have in common tells no place from another.
-        self.centre = nn.BatchNorm1d(8 * sum(widths), affine=False)
-        self.turn = nn.Linear(8 * sum(widths), DESCRIPTOR, bias=False)
+        self.centre = nn.BatchNorm1d(5 * _PLACE_WIDTH, affine=False)
+        self.turn = nn.Linear(5 * _PLACE_WIDTH, DESCRIPTOR, bias=False)
 
-    def forward(self, maps: Sequence[Tensor]) -> Tensor:
+    def gather(self, maps: Sequence[Tensor]) -> Tensor:
+        """Maps (n, c, h, w), each of twice or once the next one's size, as one of the last one's size."""
         pooled = []
-        for widen, x in zip(self.widen, maps, strict=True):
+        for x in maps:
             if self.training:  # depth comes first: places pull at what both share with little force
                 x = x.detach() + _PLACES_PULL * (x - x.detach())
-            # Where in a picture something is tells as much of a place as what it is.
-            pooled.append(F.adaptive_avg_pool2d(widen(x), 2).flatten(1))
-        y: Tensor = self.turn(self.centre(torch.cat(pooled, dim=1)))
+            times = x.shape[2] // maps[-1].shape[2]
+            pooled.append(F.avg_pool2d(x, times) if times > 1 else x)
+        return torch.cat(pooled, dim=1)
+
+    def forward(self, gathered: Tensor) -> Tensor:
+        x = self.mix(self.level(gathered))
+        # Where in a picture something is tells as much of a place as that it is there at all.
+        quarters = F.adaptive_avg_pool2d(x, 2).flatten(1)
+        y: Tensor = self.turn(self.centre(torch.cat([quarters, x.amax(dim=(2, 3))], dim=1)))
         return y / (y.square().sum(dim=1, keepdim=True) + 1e-12).sqrt()
 
 
@@ -114,21 +128,29 @@ class Nano(nn.Module):
         self.head = nn.Sequential(convolution(24, 24, 3), nn.Conv2d(24, 8, 1))
         with torch.no_grad():  # begin at 2.5 m and 20 %
             self.head[-1].bias.copy_(torch.tensor([0.9] * 4 + [-1.6] * 4))
-        self.place = Place(40, 96)
+        self.place = Place(24, 40, 96, 80)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Log depth (n, 1, h/2, w/2), log of its expected error likewise, descriptor (n, DESCRIPTOR).
 
         The error is the mean absolute one of log depth, that is about the relative error of depth.
         """
+        fine, maps = self._maps(image)
+        both = F.pixel_shuffle(self.head(self.merge4(fine, maps[0])), 2)
+        error = both[:, 1:].clamp(_LOG_LEAST, _LOG_LARGEST)
+        return both[:, :1], error, self.place(self.place.gather(maps))
+
+    def place_maps(self, image: Tensor) -> Tensor:
+        """What the descriptor is made of (n, c, h/16, w/16): :class:`Place` takes it from there."""
+        return self.place.gather(self._maps(image)[1])
+
+    def _maps(self, image: Tensor) -> tuple[Tensor, tuple[Tensor, ...]]:
+        """The decoder's map at an 8th; and maps at a quarter, an 8th, a 16th, and the decoder's at a 16th."""
         quarter = self.quarter(self.stem(image))
         eighth = self.eighth(quarter)
         sixteenth = self.sixteenth(eighth)
-        coarsest = self.coarsest(sixteenth)
-        fine = self.merge4(self.merge8(self.merge16(coarsest, sixteenth), eighth), quarter)
-        both = F.pixel_shuffle(self.head(fine), 2)
-        error = both[:, 1:].clamp(_LOG_LEAST, _LOG_LARGEST)
-        return both[:, :1], error, self.place((eighth, sixteenth))
+        merged = self.merge16(self.coarsest(sixteenth), sixteenth)
+        return self.merge8(merged, eighth), (quarter, eighth, sixteenth, merged)
 
 
 class Exported(nn.Module):

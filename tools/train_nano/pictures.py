@@ -19,6 +19,7 @@ F32 = NDArray[np.float32]
 
 WORLDS, PAIRS = 4, 4  # of a batch; each pair is two views of one place
 _ASPECT = 4 / 3  # of most cameras; a picture is stretched to the network's own
+NEARBY = 1.0  # m; views this far apart are 0.6 as close as their overlap says
 FARTHEST = 20.0  # m; beyond it a room has nothing (the renderer writes infinity where it draws nothing)
 _GRAIN = np.random.default_rng(0).standard_normal((256, 256, 3), dtype=np.float32)
 
@@ -42,6 +43,7 @@ class Views:
         self.depths = np.load(folder / "depth.npy", mmap_mode="r", allow_pickle=False)
         with np.load(folder / "views.npz", allow_pickle=False) as file:
             self.world, self.focal, self.overlap = file["world"], file["focal"], file["overlap"]
+            self.position = file["pose"][:, :3, 3]
         self.pose_count = len(self.world)
         self._first = {int(w): int(np.argmax(self.world == w)) for w in np.unique(self.world)}
 
@@ -70,6 +72,20 @@ class Views:
         local = np.array([row - self._first[int(w)] for row, w in zip(rows, world, strict=True)])
         one = self.overlap[rows[:, None], np.where(same, local[None], 0)].astype(np.float32) * same
         return np.asarray((one + one.T) / 2, dtype=np.float32)
+
+    def close(self, rows: NDArray[np.int64]) -> F32:
+        """Closeness (n, n) of views, 0 to 1: their overlap, less so the farther apart they were taken."""
+        place = self.position[rows]
+        apart = np.linalg.norm(place[:, None] - place[None], axis=2)
+        return np.asarray(self.shared(rows) * np.exp(-0.5 * (apart / NEARBY) ** 2), dtype=np.float32)
+
+    def spoilt(self, row: int, narrowest: float, *seed: int) -> F32:
+        """One picture as training sees it, not mirrored."""
+        return self._example(row, False, WIDTH, HEIGHT, narrowest, np.random.default_rng((*seed, row)))[0]
+
+    def of_world(self, world: int) -> NDArray[np.int64]:
+        """The rows of one world."""
+        return np.flatnonzero(self.world == world)
 
     def _choose(self, rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Rows of a batch, and which are mirrored: whole worlds, since a mirrored place is another place."""

@@ -65,32 +65,59 @@ def main() -> None:
 
 def render(folder: Path, rooms: int, loops: int, worlds: int, first: int) -> None:
     """Writes the three files; the same arguments give the same bytes."""
-    folder.mkdir(parents=True, exist_ok=True)
-    # Spread evenly, so that any stretch of the files is a fair sample of both kinds.
+    kinds = kinds_of(rooms, loops)[: worlds or None]
+    files = Files(folder, first, np.where(kinds, LOOP_VIEWS, ROOM_VIEWS))
+    np.seterr(over="ignore", invalid="ignore")  # nothing is drawn at 1e6 m, which becomes infinity
+    for number in track(range(len(kinds)), description="rendering worlds"):
+        rows = files.rows(number)
+        views = render_world(bool(kinds[number]), first + number, files.images[rows], files.depths[rows])
+        files.add(number, np.array([view.pose for view in views]), np.array([view.focal for view in views]))
+    files.close()
+
+
+def kinds_of(rooms: int, loops: int) -> NDArray[np.bool_]:
+    """Which worlds are loops, spread evenly: any stretch of the files is a fair sample of both kinds."""
     kinds = np.zeros(rooms + loops, dtype=bool)
     if loops:
         kinds[np.linspace(0, rooms + loops - 1, loops).astype(int)] = True
-    kinds = kinds[: worlds or None]
-    counts = np.where(kinds, LOOP_VIEWS, ROOM_VIEWS)
-    total = int(counts.sum())
-    images = np.lib.format.open_memmap(folder / "images.npy", "w+", np.uint8, (total, HEIGHT, WIDTH, 3))
-    depths = np.lib.format.open_memmap(
-        folder / "depth.npy", "w+", np.float16, (total, HEIGHT // 2, WIDTH // 2)
-    )
-    focal, pose = np.zeros(total), np.zeros((total, 4, 4))
-    overlap = np.zeros((total, int(counts.max())), dtype=np.float16)
-    row = 0
-    np.seterr(over="ignore", invalid="ignore")  # nothing is drawn at 1e6 m, which becomes infinity
-    for number in track(range(len(kinds)), description="rendering worlds"):
-        rows = slice(row, row + int(counts[number]))
-        views = render_world(bool(kinds[number]), first + number, images[rows], depths[rows])
-        pose[rows], focal[rows] = [view.pose for view in views], [view.focal for view in views]
-        overlap[rows, : counts[number]] = overlaps(depths[rows], pose[rows], focal[rows])
-        row = rows.stop
-    images.flush()
-    depths.flush()
-    world = np.repeat(first + np.arange(len(kinds)), counts)
-    np.savez(folder / "views.npz", world=world, focal=focal, pose=pose, overlap=overlap)
+    return kinds
+
+
+class Files:
+    """The three files while they are written: ``counts`` views of each world, seeds from ``first`` up."""
+
+    def __init__(self, folder: Path, first: int, counts: NDArray[np.int64]) -> None:
+        folder.mkdir(parents=True, exist_ok=True)
+        self._folder, self._first, self._counts = folder, first, counts
+        total = int(counts.sum())
+        self.images = np.lib.format.open_memmap(
+            folder / "images.npy", "w+", np.uint8, (total, HEIGHT, WIDTH, 3)
+        )
+        self.depths = np.lib.format.open_memmap(
+            folder / "depth.npy", "w+", np.float16, (total, HEIGHT // 2, WIDTH // 2)
+        )
+        self._focal, self._pose = np.zeros(total), np.zeros((total, 4, 4))
+        self._overlap = np.zeros((total, int(counts.max())), dtype=np.float16)
+
+    def rows(self, number: int) -> slice:
+        """Where world ``number`` stands in the files."""
+        start = int(self._counts[:number].sum())
+        return slice(start, start + int(self._counts[number]))
+
+    def add(self, number: int, poses: F64, focals: F64) -> None:
+        """Where world ``number``'s views, whose pictures and depths are there, were taken from."""
+        rows = self.rows(number)
+        self._pose[rows], self._focal[rows] = poses, focals
+        self._overlap[rows, : len(poses)] = overlaps(self.depths[rows], poses, focals)
+
+    def close(self) -> None:
+        """Writes what is not yet written."""
+        self.images.flush()
+        self.depths.flush()
+        world = np.repeat(self._first + np.arange(len(self._counts)), self._counts)
+        np.savez(
+            self._folder / "views.npz", world=world, focal=self._focal, pose=self._pose, overlap=self._overlap
+        )
 
 
 def render_world(

@@ -1,11 +1,12 @@
 """Trains prism-nano on rendered views; a checkpoint of each stage is kept up to date as it goes.
 
-    python -m tools.train_nano.train DATA OUT [--held-out DATA] [--steps N,N,...] [--seed N] [--threads N]
+    python -m tools.train_nano.train DATA OUT [--walks DATA] [--held-out DATA] [--steps N,N,...] [--seed N]
 
-Five stages, or the first few of them. Small pictures come first: most of what a room looks like is learned
+Six stages, or the first few of them. Small pictures come first: most of what a room looks like is learned
 there at half the price. Then pictures of the network's own size at a constant learning rate, and then the
 rate goes down to nothing. The fourth and fifth are the second and third once more, with wider crops, which
-are nearer to the whole pictures that the network is for. Where the rate is constant, a stage can be stopped
+are nearer to the whole pictures that the network is for. The sixth takes strewn views and views of walks by
+turns, nearly whole, and ends with the rate at nothing. Where the rate is constant, a stage can be stopped
 at any checkpoint as if it had been asked for no more steps. The weights that are kept are an exponential
 mean over the steps.
 """
@@ -17,7 +18,6 @@ import copy
 import math
 import sys
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 
 import cv2
@@ -31,6 +31,7 @@ from rich.progress import (
     TimeElapsedColumn,
     TimeRemainingColumn,
 )
+from torch import Tensor
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
@@ -41,11 +42,11 @@ from tools.train_nano.pictures import WORLDS, Batch, Views
 from tools.train_nano.ruler import HEIGHT, WIDTH
 
 FULL = (WIDTH, HEIGHT)
-SIZES = ((96, 80), FULL, FULL, FULL, FULL)  # of a stage's pictures
+SIZES = ((96, 80), FULL, FULL, FULL, FULL, FULL)  # of a stage's pictures
 # Learning rate at a stage's beginning and end.
-RATES = ((3e-3, 1.2e-3), (1.2e-3, 1.2e-3), (1.2e-3, 1e-5), (1.2e-3, 1.2e-3), (1.2e-3, 1e-5))
-NARROWEST = (0.55, 0.55, 0.55, 0.7, 0.7)  # a stage's narrowest crop, as a share of the view's width
-WARM_UP = {0: 200, 3: 50}  # steps of a stage: where the rate jumps up
+RATES = ((3e-3, 1.2e-3), (1.2e-3, 1.2e-3), (1.2e-3, 1e-5), (1.2e-3, 1.2e-3), (1.2e-3, 1e-5), (1e-3, 1e-5))
+NARROWEST = (0.55, 0.55, 0.55, 0.7, 0.7, 0.85)  # a stage's narrowest crop, as a share of the view's width
+WARM_UP = {0: 200, 3: 50, 5: 30}  # steps of a stage: where the rate jumps up
 KEEP = 0.998  # of the running mean, a step
 REPORT, CHECK = 50, 250  # steps between lines, and between checkpoints
 AHEAD = 3  # batches made in advance
@@ -77,6 +78,7 @@ def main() -> None:
     )
     parser.add_argument("data", type=Path, help="folder that tools.train_nano.render wrote")
     parser.add_argument("out", type=Path, help="folder for checkpoints")
+    parser.add_argument("--walks", type=Path, help="folder that tools.train_nano.walks wrote, for stage 6")
     parser.add_argument("--held-out", type=Path, help="such a folder of other worlds, looked at on the way")
     parser.add_argument("--steps", default="2500,2500,1000", help="of the stages (default %(default)s)")
     parser.add_argument("--stop", type=int, default=0, help="end the last stage after so many of its steps")
@@ -96,16 +98,32 @@ def main() -> None:
     if arguments.resume:
         earlier = torch.load(arguments.resume, weights_only=True)
         first = earlier["stage"] + 1
-        network.load_state_dict(earlier["network"])
-        mean.network.load_state_dict(earlier["mean"])
+        load(network, earlier["network"])
+        load(mean.network, earlier["mean"])
         mean.count = earlier["count"]
     others = Views(arguments.held_out) if arguments.held_out else None
     views = Views(arguments.data)
     if len(set(views.world.tolist())) < WORLDS:
         parser.error(f"{arguments.data}: training takes {WORLDS} worlds or more")
+    walks = Views(arguments.walks) if arguments.walks else None
+    if len(steps) == len(SIZES) and walks is None:
+        parser.error("the last stage takes --walks")
     for stage in range(first, len(steps)):
+        folders = [views]
+        if walks is not None and stage + 1 == len(SIZES):
+            folders = [views, walks]
+            mean.count = 0  # other pictures: what was learned before them is to be forgotten sooner
         stop = arguments.stop if stage + 1 == len(steps) and arguments.stop else steps[stage]
-        run_stage(stage, steps[stage], stop, network, mean, views, others, arguments.seed, arguments.out)
+        run_stage(stage, steps[stage], stop, network, mean, folders, others, arguments.seed, arguments.out)
+
+
+def load(network: Nano, weights: dict[str, Tensor]) -> None:
+    """A checkpoint's weights; of one whose descriptor was made otherwise, all but that."""
+    own = {name: w for name, w in network.state_dict().items() if name.startswith("place.")}
+    stored = {name: w.shape for name, w in weights.items() if name.startswith("place.")}
+    if stored != {name: w.shape for name, w in own.items()}:
+        weights = {name: w for name, w in weights.items() if name not in stored} | own
+    network.load_state_dict(weights)
 
 
 def run_stage(
@@ -114,14 +132,17 @@ def run_stage(
     stop: int,
     network: Nano,
     mean: Mean,
-    views: Views,
+    folders: list[Views],
     others: Views | None,
     seed: int,
     out: Path,
 ) -> None:
     """One stage of ``steps`` steps, or its first ``stop``; ``mean`` is what counts afterwards."""
     width, height = SIZES[stage]
-    batch = partial(views.batch, width, height, NARROWEST[stage])
+
+    def batch(step: int) -> Batch:
+        return folders[step % len(folders)].batch(width, height, NARROWEST[stage], seed, stage, step)
+
     decayed = [p for p in network.parameters() if p.ndim > 1]
     plain = [p for p in network.parameters() if p.ndim <= 1]
     groups = [{"params": decayed, "weight_decay": 0.02}, {"params": plain, "weight_decay": 0.0}]
@@ -138,14 +159,12 @@ def run_stage(
     )
     with bar, ThreadPoolExecutor(1) as pool:
         task = bar.add_task("", total=steps, loss="")
-        coming: list[Future[Batch]] = [
-            pool.submit(batch, seed, stage, step) for step in range(min(AHEAD, steps))
-        ]
+        coming: list[Future[Batch]] = [pool.submit(batch, step) for step in range(min(AHEAD, steps))]
         running: dict[str, float] = {}
         for step in range(stop):
             example = coming.pop(0).result()
             if step + AHEAD < steps:
-                coming.append(pool.submit(batch, seed, stage, step + AHEAD))
+                coming.append(pool.submit(batch, step + AHEAD))
             image, truth, overlap = (torch.from_numpy(part) for part in example)
             network.train()
             answer = network(image.contiguous(memory_format=torch.channels_last))
