@@ -84,7 +84,8 @@ def apart(world: GlobalMap, free: list[int], ranked: list[int], most: int) -> li
     """
     newest = world.keyframes[free[0]]
     centre = newest.world_from_camera[:3, 3]
-    depth = np.median([np.linalg.norm(world.points[p].position - centre) for p in newest.observed] or [0.0])
+    ranges = [float(np.linalg.norm(world.points[p].position - centre)) for p in newest.observed]
+    depth = float(np.median(ranges)) if ranges else 0.0
     taken = [world.keyframes[k].world_from_camera[:3, 3] for k in free]
     chosen: list[int] = []
     for k in ranked:
@@ -179,7 +180,7 @@ def with_rays(world: GlobalMap, problem: Problem, values: gtsam.Values) -> gtsam
     if not problem.rays:
         return problem.graph
     graph = gtsam.NonlinearFactorGraph(problem.graph)
-    for ray, distance in zip(problem.rays, ranges(problem.rays, values).tolist(), strict=True):
+    for ray, distance in zip(problem.rays, ranges_of(problem.rays, values).tolist(), strict=True):
         keyframe = world.keyframes[ray.keyframe]
         graph.add(problem.factors.ray(X(ray.keyframe), L(ray.point), keyframe, ray.keypoint, distance))
     return graph
@@ -189,11 +190,11 @@ def stale(rays: list[Ray], whitened_at: gtsam.Values, now: gtsam.Values) -> bool
     """Whether a tenth of the rays or more has a range that differs by more than RANGE_CHANGE (log)."""
     if not rays:
         return False
-    before, after = ranges(rays, whitened_at), ranges(rays, now)
+    before, after = ranges_of(rays, whitened_at), ranges_of(rays, now)
     return bool(np.mean(np.abs(np.log(before / after)) > RANGE_CHANGE) > 0.1)
 
 
-def ranges(rays: list[Ray], values: gtsam.Values) -> Array:
+def ranges_of(rays: list[Ray], values: gtsam.Values) -> Array:
     """Distance (n,) of each ray's point from its camera."""
     centres = {k: values.atPose3(X(k)).translation() for k in {ray.keyframe for ray in rays}}
     points = {p: values.atPoint3(L(p)) for p in {ray.point for ray in rays}}
