@@ -193,7 +193,7 @@ class BackendConfig:
     window: int = limits(12, 2, 100, "keyframes optimised together")
     fixed: int = limits(8, 1, 100, "older covisible keyframes held fixed beside them")
     iterations: int = limits(15, 1, 100, "Levenberg-Marquardt iterations at most")
-    observations: int = limits(300, 20, 2000, "observations a keyframe at most")
+    observations: int = limits(200, 20, 2000, "observations a keyframe at most")
     pixel_sigma: float = limits(1.0, 0.1, 10.0, "keypoint noise at pyramid level 0 (pixels)")
     huber_pixels: float = limits(2.45, 0.1, 50.0, "Huber threshold of a reprojection, in sigmas")
     depth_sigma: float = limits(
