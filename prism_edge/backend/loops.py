@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, rotation_angle, scaled, transform
+from prism_edge.tracking.depth_alignment import robust_sigma
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.matching import match_projected
 from prism_edge.tracking.pose_refinement import refine_pose
@@ -269,9 +270,7 @@ def _unit_ratio(world: GlobalMap, here: GlobalKeyframe, found: Found) -> tuple[f
     if good.sum() < MIN_SCALED:
         return 1.0, 0.2
     ratios = np.log(its_depth[good] / depth[good])
-    middle = float(np.median(ratios))
-    spread = 1.48 * float(np.median(np.abs(ratios - middle)))
-    return float(np.exp(middle)), max(1.25 * spread / np.sqrt(good.sum()), 0.002)
+    return float(np.exp(np.median(ratios))), max(1.25 * robust_sigma(ratios) / np.sqrt(good.sum()), 0.002)
 
 
 def _agreeing_neighbours(

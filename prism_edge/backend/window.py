@@ -218,9 +218,10 @@ def solve(
     parameters.setRelativeErrorTol(1e-4)
     parameters.setlambdaInitial(1e-4)
     observations, result, iterations, before, error = problem.observations, problem.values, 0, None, 0.0
+    first = max(config.iterations - REFINING, 1) if problem.rays else config.iterations
     try:
-        for most in (config.iterations - REFINING, config.iterations):
-            started = result
+        for most in (first, config.iterations):
+            started, converged = result, False
             graph = with_rays(world, problem, result)
             optimiser = gtsam.LevenbergMarquardtOptimizer(graph, result, parameters)
             error = previous = optimiser.error()
@@ -230,12 +231,13 @@ def solve(
                 optimiser.iterate()
                 iterations += 1
                 error = optimiser.error()
-                if previous - error < CONVERGED * previous:
+                converged = previous - error < CONVERGED * previous
+                if converged:
                     break
                 previous = error
             result = optimiser.values()
             # Rays are whitened by ranges: where those have changed a second round sets that right.
-            if not stale(problem.rays, started, result):
+            if converged and not stale(problem.rays, started, result):
                 break
     except RuntimeError:
         return None

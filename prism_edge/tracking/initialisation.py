@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, inverse
+from prism_edge.tracking.depth_alignment import robust_sigma
 from prism_edge.tracking.triangulation import rays, triangulate
 from prism_edge.tracking.two_view_pose import refine_two_view_pose, robust_cost, sampson_distances
 
@@ -82,7 +83,7 @@ def reconstruct(
         return None
     ratios = np.log(first_depths[wide] / depth_first[wide])
     unit = float(np.exp(np.median(ratios)))
-    spread = 1.48 * float(np.median(np.abs(ratios - np.median(ratios))))
+    spread = robust_sigma(ratios)
     first_from_second[:3, 3] *= unit
     return TwoViews(
         first_from_second, points * unit, parallax, good, spread, contradicts=at_tracked > CLEARLY * at_best

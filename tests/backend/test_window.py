@@ -268,3 +268,14 @@ def test_a_point_that_others_place_stays_where_it_is_in_a_window_that_cannot():
     solution = solve(world, window, CONFIG, 1.0, True)
     assert max(np.linalg.norm(solution.points[p] - x) for p, x in before.items()) < 1e-4
     assert not placed_elsewhere(world, Window(list(range(1, 7)), [7, 8], seen))
+
+
+@pytest.mark.parametrize("iterations", [1, 2, 4, 5])
+def test_few_iterations_are_made_all_the_same(iterations):
+    """Those kept for a second round must not be all there are."""
+    world, _ = world_of()
+    perturb(world)
+    config = replace(CONFIG, iterations=iterations)
+    solution = solve(world, choose_window(world, 5, config), config, 1.0, True)
+    assert 1 <= solution.iterations <= iterations
+    assert solution.error_after < 0.5 * solution.error_before
