@@ -35,6 +35,7 @@ import yaml
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.bus.inbox import Inbox
+from prism_edge.bus.pack import pack
 from prism_edge.bus.session import Bus
 from prism_edge.config import BusConfig, Config, DepthConfig
 from prism_edge.config_file import dump
@@ -45,7 +46,6 @@ from prism_edge.depth.providers import provider_options, session_options
 from prism_edge.errors import ModelError, PrismError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Depth, KeyframeImage
-from prism_edge.sources.pack import pack
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 WARM_UP = 3

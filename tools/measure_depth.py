@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from prism_edge.bus.pack import pack, rgb
 from prism_edge.config import DepthConfig, SourceConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction
@@ -27,7 +28,6 @@ from prism_edge.errors import PrismError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import Image
 from prism_edge.sources.open import open_source
-from prism_edge.sources.pack import pack, rgb
 from prism_edge.sources.sensor_depth import SensorDepth
 
 F64 = NDArray[np.float64]

@@ -52,7 +52,7 @@ class TrackedFrame:
 
 def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
     """One-sigma error vectors (n, 3) of points along the rays from ``origins`` that first saw them."""
-    return (table.position[rows] - origins) * table.log_depth_sigma[rows, None]
+    return (table.position.take(rows, axis=0) - origins) * table.log_depth_sigma[rows, None]
 
 
 def reference_origins(world: LocalMap, rows: Index) -> Array:
@@ -64,7 +64,8 @@ def reference_origins(world: LocalMap, rows: Index) -> Array:
     origins = centres[inverse]
     lost = np.isnan(origins[:, 0])
     if lost.any():
-        origins[lost] = (table.position + table.direction * table.distance[:, None])[rows[lost]]
+        gone = rows[lost]
+        origins[lost] = table.position[gone] + table.direction[gone] * table.distance[gone, None]
     return origins
 
 
@@ -147,11 +148,11 @@ class FrameTracker:
             ids = self._local_ids[table.known(self._local_ids)]
             descriptors = table.descriptor[table.rows(ids)]
             octaves = table.octave[table.rows(ids)]
-        rows = table.rows(ids)
+        positions = table.position.take(table.rows(ids), axis=0)
         best: tuple[PoseEstimate, Ids] | None = None
         for radius in SEARCH_RADII:
             points = np.full(len(features), -1, np.int64)
-            centres, inside = _project(camera, predicted, table.position[rows])
+            centres, inside = _project(camera, predicted, positions)
             query, keypoint = match_projected(
                 features,
                 centres[inside],
@@ -190,14 +191,16 @@ class FrameTracker:
     ) -> None:
         """Look for further points of the local map at their predicted places; fills ``points``."""
         table = world.points
-        centres, inside = _project(camera, pose, table.position[rows])
-        rows, centres = rows[inside], centres[inside]
-        offset = pose[:3, 3] - table.position[rows]
+        positions = table.position.take(rows, axis=0)
+        centres, inside = _project(camera, pose, positions)
+        rows, centres = rows[inside], centres.compress(inside, axis=0)
+        offset = pose[:3, 3] - positions.compress(inside, axis=0)
         distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
         octave = table.octave[rows] + np.rint(np.log(table.distance[rows] / distance) / self._log_factor)
         inside = (octave >= -1) & (octave <= len(self._factors))
-        inside &= np.einsum("ij,ij->i", offset, table.direction[rows]) > MIN_VIEW_COSINE * distance
-        rows, centres = rows[inside], centres[inside]
+        along = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0))
+        inside &= along > MIN_VIEW_COSINE * distance
+        rows, centres = rows[inside], centres.compress(inside, axis=0)
         octave = np.clip(octave[inside], 0, len(self._factors) - 1).astype(np.intp)
         table.visible[rows] += 1
         seen = points[points >= 0]
@@ -211,7 +214,7 @@ class FrameTracker:
             centres,
             radius,
             octave,
-            table.descriptor[rows],
+            table.descriptor.take(rows, axis=0),
             LOCAL_DISTANCE,
             LOCAL_RATIO,
             free=points < 0,
@@ -248,8 +251,8 @@ class FrameTracker:
         estimate = refine_pose(
             camera,
             start,
-            table.position[rows],
-            features.pixels[keypoints],
+            table.position.take(rows, axis=0),
+            features.pixels.take(keypoints, axis=0),
             self._factors[features.octaves[keypoints]],
             self._depth_error(world, rows),
             trust(table, rows, world.newest().stamp_ns, self._proven_after_s),

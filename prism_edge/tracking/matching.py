@@ -14,7 +14,8 @@ _FAR = np.int64(1024) << _SHIFT  # beyond any distance of 256 bits
 
 def hamming(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> NDArray[np.int64]:
     """Differing bits between rows of (n, 4) 64-bit words."""
-    return np.bitwise_count(a ^ b).sum(axis=1, dtype=np.int64)
+    bits: NDArray[np.int64] = np.einsum("ij->i", np.bitwise_count(a ^ b), dtype=np.int64)
+    return bits
 
 
 def expand_ranges(starts: Index, stops: Index) -> tuple[Index, Index]:
@@ -32,25 +33,30 @@ def candidate_pairs(
     if len(centres) == 0:
         none = np.zeros(0, np.intp)
         return none, none
-    last_cell = (features.columns - 1, features.rows - 1)
-    reach = radii[:, None] / CELL
-    middle = centres / CELL
-    low = np.clip(middle - reach, 0, last_cell).astype(np.intp)
-    high = np.clip(middle + reach, 0, last_cell).astype(np.intp)
-    low_x, low_y, high_x, high_y = low[:, 0], low[:, 1], high[:, 0], high[:, 1]
-    rows = low_y[:, None] + np.arange(int((high_y - low_y).max()) + 1)
-    wanted = rows <= high_y[:, None]
-    rows = np.minimum(rows, features.rows - 1)
+    x, y = np.ascontiguousarray(centres.T)
+    low_x, high_x = _cells(x, radii, features.columns)
+    low_y, high_y = _cells(y, radii, features.rows)
     # Cells of one row lie side by side in ``order``, so each row of a square is a single range.
-    starts = features.cell_start[rows * features.columns + low_x[:, None]]
-    stops = features.cell_start[rows * features.columns + high_x[:, None] + 1]
-    stops = np.where(wanted, stops, starts)
-    _, position = expand_ranges(starts.ravel(), stops.ravel())
-    query = np.repeat(np.arange(len(centres)), (stops - starts).sum(axis=1))
-    keypoint = features.order[position]
-    offset = np.abs(features.pixels[keypoint] - centres[query])
-    inside = np.maximum(offset[:, 0], offset[:, 1]) <= radii[query]
+    tallest = int((high_y - low_y).max()) + 1
+    rows = low_y[:, None] + np.arange(tallest)
+    wanted = rows <= high_y[:, None]
+    first = np.where(wanted, rows, 0) * features.columns
+    starts = features.cell_start[first + low_x[:, None]]
+    stops = np.where(wanted, features.cell_start[first + (high_x + 1)[:, None]], starts)
+    square, position = expand_ranges(starts.ravel(), stops.ravel())
+    query, keypoint = square // tallest, features.order[position]
+    column_x, column_y = np.ascontiguousarray(features.pixels.T)
+    offset = np.maximum(np.abs(column_x[keypoint] - x[query]), np.abs(column_y[keypoint] - y[query]))
+    inside = offset <= radii[query]
     return query[inside], keypoint[inside]
+
+
+def _cells(centres: NDArray[np.float64], radii: NDArray[np.float64], count: int) -> tuple[Index, Index]:
+    """First and last of ``count`` cells along one axis that a square of each radius touches."""
+    # Not np.clip, which takes several times as long on so few numbers.
+    low = np.minimum(np.maximum((centres - radii) / CELL, 0.0), count - 1)
+    high = np.minimum(np.maximum((centres + radii) / CELL, 0.0), count - 1)
+    return low.astype(np.intp), high.astype(np.intp)
 
 
 def best_pairs(
@@ -112,5 +118,6 @@ def match_projected(
     if free is not None:
         keep &= free[keypoint]
     query, keypoint = query[keep], keypoint[keep]
-    distance = hamming(descriptors[query], features.descriptors[keypoint])
+    # Whole rows: take() is several times as fast as an index in brackets.
+    distance = hamming(descriptors.take(query, axis=0), features.descriptors.take(keypoint, axis=0))
     return best_pairs(query, keypoint, distance, max_distance, ratio, exclusive)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,7 @@ from prism_edge.geometry.poses import Array, se3_exp
 CHI2_2D_95 = 5.991
 HUBER = np.sqrt(CHI2_2D_95)
 BEHIND = 1e3
+Linearised: TypeAlias = tuple[Array, Array, Array]  # residuals, Jacobian, chi2
 WIDEST = 10.0  # tangent of the widest angle off the axis that counts as seen
 
 
@@ -55,9 +57,10 @@ def refine_pose(
     inliers = np.ones(n, bool)
     problem = _Problem(camera, points, pixels, 1.0 / sigmas, depth_error)
     share = np.ones(n) if weights is None else weights
-    information, chi2 = np.eye(6) * 1e-9, np.full(n, np.inf)
+    information, at = np.eye(6) * 1e-9, problem.linearise(pose)
     for _ in range(rounds):
-        pose, information, chi2 = _descend(problem, pose, np.where(inliers, share, 0.0), iterations)
+        pose, information, at = _descend(problem, pose, at, np.where(inliers, share, 0.0), iterations)
+        chi2 = at[2]
         chosen = chi2 < CHI2_2D_95
         settled = np.array_equal(chosen, inliers)
         inliers = chosen
@@ -75,12 +78,19 @@ def _inverse_information(information: Array) -> Array:
     return covariance
 
 
-def _descend(problem: _Problem, pose: Array, share: Array, iterations: int) -> tuple[Array, Array, Array]:
-    """Levenberg-Marquardt on the Huber cost; returns the pose, its information (6, 6) and chi2 (n,)."""
-    best, best_cost, best_chi2, damping = pose, np.inf, np.full(len(share), np.inf), 1e-6
+def _descend(
+    problem: _Problem, pose: Array, at: Linearised, share: Array, iterations: int
+) -> tuple[Array, Array, Linearised]:
+    """Levenberg-Marquardt on the Huber cost from a pose with the problem linearised ``at`` it.
+
+    Returns the best pose, its information (6, 6) and the problem there.
+    """
+    best, best_cost, best_at, damping = pose, np.inf, at, 1e-6
     kept_information, kept_gradient = np.eye(6), np.zeros(6)
     for step in range(iterations + 1):
-        residual, jacobian, chi2 = problem.linearise(pose)
+        if step:
+            at = problem.linearise(pose)
+        residual, jacobian, chi2 = at
         root = np.sqrt(np.maximum(chi2, 1e-12))
         # A point behind the camera (chi2 of inf) costs like a gross outlier: hiding one must not look good.
         rho = np.where(root <= HUBER, chi2, np.minimum(2.0 * HUBER * root - HUBER**2, BEHIND))
@@ -91,7 +101,7 @@ def _descend(problem: _Problem, pose: Array, share: Array, iterations: int) -> t
             weighted = jacobian * weight
             kept_information = weighted.reshape(6, -1) @ jacobian.reshape(6, -1).T
             kept_gradient = weighted.reshape(6, -1) @ residual.ravel()
-            best, best_cost, best_chi2, damping = pose, cost, chi2, damping * 0.1
+            best, best_cost, best_at, damping = pose, cost, at, damping * 0.1
             if settled or step == iterations:
                 break
         else:
@@ -100,7 +110,7 @@ def _descend(problem: _Problem, pose: Array, share: Array, iterations: int) -> t
         damped.flat[::7] += damping * damped.flat[::7] + 1e-9
         twist: Array = np.asarray(np.linalg.solve(damped, -kept_gradient), np.float64)
         pose = best @ se3_exp(twist)
-    return best, kept_information, best_chi2
+    return best, kept_information, best_at
 
 
 class _Problem:
@@ -114,7 +124,7 @@ class _Problem:
         self._u = (camera.cx - pixels[:, 0]) * inverse_sigma
         self._v = (camera.cy - pixels[:, 1]) * inverse_sigma
 
-    def linearise(self, pose: Array) -> tuple[Array, Array, Array]:
+    def linearise(self, pose: Array) -> Linearised:
         """Whitened residuals (2, n), their Jacobian (6, 2, n) by the right-hand twist of the pose, chi2 (n,).
 
         What is behind the camera or far beyond its field of view has zero residual and Jacobian, chi2 inf.
@@ -122,13 +132,17 @@ class _Problem:
         rotation = pose[:3, :3]
         local = rotation.T @ (self._points - pose[:3, 3]).T
         # Also a bound on every number below: what is seen nearly edge-on says nothing but can overflow.
-        visible = (local[2] > 1e-3) & (np.abs(local[:2]) < WIDEST * local[2]).all(axis=0)
-        inverse_z = np.where(visible, 1.0, 0.0) / np.where(visible, local[2], 1.0)
+        widest = WIDEST * local[2]
+        visible = (local[2] > 1e-3) & (np.abs(local[0]) < widest) & (np.abs(local[1]) < widest)
+        z, fx, fy, u, v = local[2], self._fx, self._fy, self._u, self._v
+        if not visible.all():
+            z = np.where(visible, z, np.inf)
+            fx, fy, u, v = (np.where(visible, column, 0.0) for column in (fx, fy, u, v))
+        inverse_z = 1.0 / z
         x, y = local[0] * inverse_z, local[1] * inverse_z
-        fx, fy = np.where(visible, self._fx, 0.0), np.where(visible, self._fy, 0.0)
         residual = np.empty((2, len(x)))
-        residual[0] = fx * x + np.where(visible, self._u, 0.0)
-        residual[1] = fy * y + np.where(visible, self._v, 0.0)
+        np.add(fx * x, u, out=residual[0])
+        np.add(fy * y, v, out=residual[1])
         # d(pixel)/d(point) times d(point)/d(twist), with point' = point - rho - phi x point.
         jacobian = np.zeros((6, 2, len(x)))
         fxz, fyz, fxx, fyy = fx * inverse_z, fy * inverse_z, fx * x, fy * y

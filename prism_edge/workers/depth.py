@@ -11,6 +11,7 @@ from statistics import median
 import numpy as np
 
 from prism_edge.bus.inbox import Inbox
+from prism_edge.bus.pack import rgb
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.depth import DepthNetwork
@@ -18,7 +19,6 @@ from prism_edge.depth.prediction import no_confidence, no_descriptor
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
 from prism_edge.processes import processes_for
-from prism_edge.sources.pack import rgb
 from prism_edge.workers.sensor_network import SensorNetwork, open_depth
 
 log = logging.getLogger("prism_edge.depth")

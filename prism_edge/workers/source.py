@@ -9,6 +9,7 @@ from collections import deque
 from dataclasses import replace
 
 from prism_edge.bus.lockstep import Gatekeeper
+from prism_edge.bus.pack import pack
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.errors import ConfigError, SourceError
@@ -18,7 +19,6 @@ from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_sou
 from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.open import AUTO
-from prism_edge.sources.pack import pack
 from prism_edge.sources.schedule import Schedule
 from prism_edge.workers.pause import Pause
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from prism_edge.bus.commands import Reply, on_or_off
 from prism_edge.bus.inbox import Inbox
+from prism_edge.bus.pack import grey
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config, TrackingConfig
 from prism_edge.errors import ConfigError
@@ -34,7 +35,6 @@ from prism_edge.messages import (
     probe_of,
 )
 from prism_edge.processes import processes_for
-from prism_edge.sources.pack import grey
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.drift import Drift
 from prism_edge.tracking.local_map import LocalKeyframe

@@ -10,12 +10,12 @@ import cv2
 import numpy as np
 import pytest
 
+from prism_edge.bus.pack import pack, rgb
 from prism_edge.config import DepthConfig, SourceConfig
 from prism_edge.depth import open_network
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.sources.open import open_source
-from prism_edge.sources.pack import pack, rgb
 from tests.synthetic.network import write_tiny_network
 from tests.synthetic.render import Renderer
 from tests.synthetic.scene import furnished_room, hand_held_path

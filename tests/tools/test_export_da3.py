@@ -10,11 +10,11 @@ import numpy as np
 import onnx
 import pytest
 
+from prism_edge.bus.pack import pack
 from prism_edge.config import DepthConfig
 from prism_edge.depth import open_network
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.messages import KeyframeImage
-from prism_edge.sources.pack import pack
 from prism_edge.workers.depth import answer
 from tests.end_to_end.processes import prism_edge
 from tests.synthetic.network import write_tiny_network

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from prism_edge.bus.pack import pack
 from prism_edge.config import Config, DepthConfig
 from prism_edge.depth import open_network
 from prism_edge.errors import ModelError
 from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage
-from prism_edge.sources.pack import pack
 from prism_edge.workers.depth import DepthWorker, answer, main
 from tests.synthetic.messages import tick
 from tests.synthetic.network import TinyNetwork, write_tiny_network

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
 
+from prism_edge.bus.pack import grey, pack, rgb
 from prism_edge.bus.session import Bus
 from prism_edge.config import BusConfig, DepthConfig
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.messages import Acknowledged, EndOfStream, Frame
 from prism_edge.sources import open_source
-from prism_edge.sources.pack import grey, pack, rgb
 from prism_edge.workers.source import SourceWorker, main
 from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, wait_for
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sources.tiny_datasets import picture
 
-from prism_edge.sources.pack import FrameLike, grey, pack, rgb
+from prism_edge.bus.pack import FrameLike, grey, pack, rgb
 
 
 def framed(pixels: np.ndarray) -> FrameLike:
