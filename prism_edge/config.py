@@ -105,6 +105,9 @@ class TrackingConfig:
         default=True, metadata={"help": "a map's second keyframe waits for parallax, and checks the depth"}
     )
     max_keyframes: int = limits(600, 10, 100_000, "keyframes the local map keeps at most")
+    redundant_keyframes: int = limits(
+        200, 10, 100_000, "beyond so many, a keyframe goes where others see 90 % of its points as well"
+    )
 
 
 @dataclass(frozen=True)

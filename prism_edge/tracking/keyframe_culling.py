@@ -1,7 +1,8 @@
 """A bounded local map: which keyframe goes when there are too many, and what goes with it.
 
 Redundancy is ORB-SLAM's (Mur-Artal et al., 2015, section VI-E): the share of a keyframe's points that at
-least three others see as well. There every keyframe beyond 90 % goes; here only as many go as are too many.
+least three others see as well. There every keyframe beyond 90 % goes. Here a map of ordinary size keeps them,
+for they make its points surer; of a larger one, which may grow for weeks, those about the camera go.
 """
 
 from __future__ import annotations
@@ -14,26 +15,41 @@ from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
 log = logging.getLogger("prism_edge.tracking")
 
+REDUNDANT = 0.9
 OTHERS = 3  # keyframes that must see a point before it can do without one more
 # The newest stay: depth and corrections for them are on their way, and the next frames are tracked on them.
 RECENT = 12
 MIN_VIEWERS = 2  # a point with fewer is one that nothing would correct any more
 
 
-def cull_keyframes(world: LocalMap, most: int) -> list[int]:
-    """Drop the most redundant keyframes until there are at most ``most`` (3 or more); returns their ids.
+def cull_keyframes(world: LocalMap, most: int, most_redundant: int) -> list[int]:
+    """Drop keyframes until there are at most ``most`` (3 or more); returns their ids.
 
-    Of equally redundant ones the oldest goes first. The newest stay, and so does the first: its camera is
-    where the world's frame is, and what everything after was placed from.
+    Beyond ``most_redundant`` the redundant ones go that share points with the newest. Neither the newest go,
+    nor the first: its camera is where the world's frame is, and what everything after was placed from.
     """
     dropped = []
-    while len(world.keyframes) > most:
-        ids = sorted(world.keyframes)
-        candidates = ids[1 : -min(RECENT, most - 1)]
-        gone = max(candidates, key=lambda k: (redundancy(world, world.keyframes[k]), -k))
+    while len(world.keyframes) > min(most, most_redundant):
+        gone = _redundant(world)
+        if gone is None and len(world.keyframes) > most:
+            # Of equally redundant ones the oldest goes first.
+            candidates = sorted(world.keyframes)[1 : -min(RECENT, most - 1)]
+            gone = max(candidates, key=lambda k: (redundancy(world, world.keyframes[k]), -k))
+        if gone is None:
+            break
         drop_keyframe(world, world.keyframes[gone])
         dropped.append(gone)
     return dropped
+
+
+def _redundant(world: LocalMap) -> int | None:
+    """A neighbour of the newest keyframe that may go, the latest such: what placed a room first stays.
+
+    Were it the other way about, the map of one room would be made anew again and again, and creep.
+    """
+    candidates = sorted(world.keyframes)[1:-RECENT]
+    near = set(world.newest().neighbours).intersection(candidates)
+    return max((k for k in near if redundancy(world, world.keyframes[k]) > REDUNDANT), default=None)
 
 
 def redundancy(world: LocalMap, keyframe: LocalKeyframe) -> float:

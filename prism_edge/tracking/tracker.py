@@ -247,7 +247,7 @@ class Tracker:
             first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
             mapping.fuse(self.world, first, second)
         mapping.cull_recent_points(self.world, keyframe.id)
-        culled = cull_keyframes(self.world, self._config.max_keyframes)
+        culled = cull_keyframes(self.world, self._config.max_keyframes, self._config.redundant_keyframes)
         self.places.forget(culled)
         self.parts.forget(culled)
         self.world.points.squeeze()

@@ -9,6 +9,8 @@ from prism_edge.tracking.keyframe_culling import RECENT, cull_keyframes, drop_ke
 from prism_edge.tracking.local_map import LocalMap
 from tests.tracking.cloud import Cloud, check, observations, pose_at
 
+MANY = 1000
+
 
 def walk(count: int, step: float = 0.15, seed: int = 0) -> LocalMap:
     """Keyframes side by side, in whose images points come and go."""
@@ -55,7 +57,7 @@ def test_the_most_redundant_goes_and_neither_the_first_nor_the_newest(seed):
     shares = {k: counted(world, k) for k in range(1, 9)}
     expected = max(shares, key=lambda k: (shares[k], -k))
     assert len(set(shares.values())) > 4
-    assert cull_keyframes(world, RECENT + 8) == [expected]
+    assert cull_keyframes(world, RECENT + 8, MANY) == [expected]
     assert set(world.keyframes) == set(range(RECENT + 9)) - {expected}
     assert world.changes.culled_keyframes == [expected]
     check(world)
@@ -63,7 +65,7 @@ def test_the_most_redundant_goes_and_neither_the_first_nor_the_newest(seed):
 
 def test_of_equals_the_oldest_goes_first():
     world, _ = Cloud().mapped([np.eye(4)] * 20)
-    assert cull_keyframes(world, 15) == [1, 2, 3, 4, 5]
+    assert cull_keyframes(world, 15, MANY) == [1, 2, 3, 4, 5]
     check(world)
 
 
@@ -71,7 +73,7 @@ def test_of_equals_the_oldest_goes_first():
 def test_the_bound_is_kept_whatever_it_is(most):
     world = walk(30)
     newest = sorted(world.keyframes)[-min(RECENT, most - 1) :]
-    cull_keyframes(world, most)
+    cull_keyframes(world, most, MANY)
     assert len(world.keyframes) == most
     assert {0, *newest} <= set(world.keyframes)
     assert references_hold(world)
@@ -81,10 +83,44 @@ def test_the_bound_is_kept_whatever_it_is(most):
 def test_a_map_within_its_bound_is_left_alone():
     world = walk(20)
     before = observations(world)
-    assert cull_keyframes(world, 20) == []
+    assert cull_keyframes(world, 20, MANY) == []
     assert observations(world) == before
     assert not world.changes.culled_keyframes
     assert not world.changes.culled_points
+
+
+def passed_again(count: int) -> LocalMap:
+    """A camera that goes to and fro before one wall; the newest keyframe knows its neighbours."""
+    path = [pose_at(0.05 * (i % 4), 0.0, 0.0, 0.0, 0.0) for i in range(count)]
+    world, _ = Cloud(400).mapped(path)
+    newest = world.newest()
+    newest.neighbours = [k.id for k in world.covisible(newest, count)]
+    return world
+
+
+def test_beyond_a_number_the_redundant_go_and_what_placed_the_room_stays():
+    world = passed_again(RECENT + 12)
+    assert counted(world, 5) > 0.9
+    assert cull_keyframes(world, MANY, RECENT + 8) == [11, 10, 9, 8]
+    check(world)
+
+
+def test_beyond_it_what_is_not_redundant_stays():
+    world = walk(RECENT + 12, 0.3)
+    world.newest().neighbours = list(range(12))
+    wanted = {k for k in range(1, 12) if counted(world, k) > 0.9}
+    assert 0 < len(wanted) < 11
+    gone = cull_keyframes(world, MANY, 10)
+    assert gone
+    assert set(gone) <= wanted
+    check(world)
+
+
+def test_beyond_it_what_is_elsewhere_stays():
+    world = passed_again(RECENT + 12)
+    world.newest().neighbours = [3, 6]
+    assert cull_keyframes(world, MANY, 10) == [6, 3]
+    check(world)
 
 
 def test_points_that_fewer_than_two_still_see_go_with_it():
