@@ -218,9 +218,13 @@ class LoopCloser:
         due = self._count - self._last_begun >= REST
         return self._adjustment is not None or (self._wanted and due)
 
+    def finish(self) -> None:
+        """Nothing more will come: what no global adjustment has seen is to be adjusted, loop or not."""
+        self._wanted = self._wanted or self._count > self._last_begun
+
     @property
     def unfinished(self) -> bool:
-        """Whether a loop was closed that no finished global adjustment has seen."""
+        """Whether there is something that a global adjustment is still to see."""
         return self._adjustment is not None or self._wanted
 
     def adjust(self, units_per_metre: float) -> global_adjustment.Adjusted | None:

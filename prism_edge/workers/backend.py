@@ -88,6 +88,7 @@ class BackendWorker:
             # The last keyframe may still be under way when the end is: one quiet look more.
             if ending and not worked and not self._waiting and not self._settled:
                 self._receive(4 * _LOOK_S)
+                self._mapper.loops.finish()
                 while self._mapper.loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
                     self._adjust()
                 if not self._waiting:

@@ -9,8 +9,9 @@ import pytest
 
 from prism_edge.config import Config
 from prism_edge.geometry.poses import inverse
-from prism_edge.messages import EndOfStream
+from prism_edge.messages import EndOfStream, MapSnapshot
 from prism_edge.workers import backend as worker
+from tests.backend.world import Teller
 from tests.workers.backend_bench import (
     CONFIG,
     NO_DEPTH,
@@ -141,6 +142,33 @@ def test_the_end_settles_the_map_and_the_worker_stays():
     assert snapshot(bus).settled
     assert bus.states.count("ended") == 1
     assert bus.of("map_update")
+
+
+def test_at_the_end_everything_is_adjusted_together():
+    """What small windows have left, in a map without a loop; said to the tracker too."""
+    config = replace(CONFIG, backend=replace(CONFIG.backend, window=3, fixed=2, observations=20))
+    bus, (teller, told) = ListBus("keyframe", patience=40), keyframes(20)
+    made = worker.BackendWorker(config, bus)
+    for keyframe in told:
+        bus.give("depth", depth_of(keyframe, teller))
+        bus.give("gate", gate_of(keyframe))
+        bus.give("log_scale", scale_of(keyframe, 0.0))
+        bus.give("keyframe", keyframe)
+        made._realtime()
+    before, updates = off_by(snapshot(bus), teller), len(bus.of("map_update"))
+    bus.give("end", EndOfStream(100, 100, 0, 0, 99))
+    made.run()
+    (last,) = bus.of("map_update")[updates:]
+    assert last.keyframes.tolist() == [k.id for k in told]
+    assert off_by(snapshot(bus), teller) < 0.7 * before
+    assert snapshot(bus).settled
+    assert bus.states.count("ended") == 1
+
+
+def off_by(whole: MapSnapshot, teller: Teller) -> float:
+    """Root mean square error (m) of the keyframes' places."""
+    true = np.array([teller.poses[k][:3, 3] for k in whole.keyframes.tolist()])
+    return float(np.sqrt(((whole.poses[:, :3, 3] - true) ** 2).sum(axis=1).mean()))
 
 
 def test_a_new_map_begins_with_a_new_epoch():
