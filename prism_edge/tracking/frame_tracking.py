@@ -25,6 +25,7 @@ LOCAL_RADIUS, SEED_RADIUS = 3.0, 6.0
 MIN_VIEW_COSINE = 0.5
 SEED_SIGMA = 0.1  # relative depth error beyond which a point counts as a seed
 ENOUGH_TRIANGULATED = 60
+LOCAL_KEYFRAMES = 60
 SHARED_SEED_ERROR = 5.0
 # Points of the previous frame that give the first pose; keypoints come best of each cell first.
 FIRST_POSE_POINTS = 150
@@ -80,14 +81,13 @@ class FrameTracker:
         self._local_ids: Ids = np.zeros(0, np.int64)
 
     def refresh_local_map(self, world: LocalMap, point_ids: Ids) -> None:
-        """Choose the points to look for: those of the keyframes that share most with what is seen."""
+        """Choose the points to look for: those of the keyframes that share most with what is seen.
+
+        Where keyframes stand close, a dozen of them reach back a second or two: what is older would be mapped
+        a second time, and the map would drift within itself.
+        """
         ranked = sorted(world.votes(point_ids).items(), key=lambda item: (-item[1], -item[0]))
-        chosen = [k for k, _ in ranked[:12]]
-        # Neighbours of the best few bring in what is about to enter the image.
-        for k in chosen[:3]:
-            near = world.keyframes[k].neighbours[:6]
-            chosen += [n for n in near if n not in chosen and n in world.keyframes]
-        rows = world.rows_seen_by([world.keyframes[k] for k in chosen], self._most)
+        rows = world.rows_seen_by([world.keyframes[k] for k, _ in ranked[:LOCAL_KEYFRAMES]], self._most)
         self._local_ids = world.points.ids[rows].copy()
 
     def track(

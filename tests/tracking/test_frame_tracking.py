@@ -155,3 +155,20 @@ def test_the_local_map_is_what_the_best_keyframes_see_and_no_more_than_asked(sce
     frame = tracker.track(world, CAMERA, features, TRUE, None, ENOUGH)
     assert 30 < frame.matched <= 60
     assert np.isin(frame.points[frame.points >= 0], world.newest().points).all()
+
+
+def test_what_older_keyframes_saw_is_looked_for_however_many_stand_between():
+    world, _ = Cloud(500, seed=1).mapped([pose_at(0.01 * i) for i in range(40)])
+    table = world.points
+    seen_by_all = table.ids[table.observations == 40]
+    old = seen_by_all[:50]  # on which the camera has turned its back after two keyframes
+    later = [(k, p) for k in range(2, 40) for p in old.tolist()]
+    world.drop_observations(*np.array(later).T)
+    tracker = FrameTracker(FACTORS, 5000)
+    tracker.refresh_local_map(world, world.newest().points)
+    assert table.alive[table.rows(old)].all()
+    assert np.isin(old, tracker._local_ids).all()
+    few = FrameTracker(FACTORS, 200)
+    few.refresh_local_map(world, world.newest().points)
+    assert len(few._local_ids) == 200
+    assert not np.isin(old, few._local_ids).any(), "what is seen now comes first"
