@@ -69,6 +69,8 @@ def apply_correction(
         if keyframe.id in index:
             keyframe.world_from_camera = poses[index[keyframe.id]]
         elif keyframe.id > based_on:
+            # What other keyframes created is in its new place by now, corrected or taken along.
+            placed = corrected | (table.reference != keyframe.id)
             keyframe.world_from_camera = fit(
                 world,
                 keyframe.camera,
@@ -76,7 +78,7 @@ def apply_correction(
                 keyframe.points,
                 motion @ old,
                 scale_factors,
-                corrected,
+                placed,
             )
         else:
             continue
