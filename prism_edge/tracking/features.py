@@ -132,13 +132,15 @@ class OrbExtractor:
 
     def _spread(self, pixels: NDArray[np.float32], strength: NDArray[np.float64], width: int) -> Index:
         columns = width // self.spread_cell + 1
-        cell = (pixels[:, 1] // self.spread_cell).astype(np.intp) * columns
-        cell += (pixels[:, 0] // self.spread_cell).astype(np.intp)
-        order = np.lexsort((-strength, cell))
-        first_of_cell = np.searchsorted(cell[order], cell[order])
-        rank = np.arange(len(order)) - first_of_cell
+        at = (pixels * (1.0 / self.spread_cell)).astype(np.intp)
+        cell = at[:, 1] * columns + at[:, 0]
+        # One number to sort by: two take twice as long.
+        step = float(strength.max()) + 1.0
+        order = np.argsort(step * cell - strength, kind="stable")
+        begins = np.diff(cell[order], prepend=-1) > 0
+        rank = np.arange(len(order)) - np.flatnonzero(begins)[np.cumsum(begins) - 1]
         # Every cell's best, then every cell's second best, and so on until there are enough.
-        return order[np.lexsort((-strength[order], rank))][: self._wanted]
+        return order[np.argsort(step * rank - strength[order], kind="stable")[: self._wanted]]
 
 
 def _in_full_image(pixels: Array, octaves: Index, factors: Array, shape: tuple[int, ...]) -> Array:

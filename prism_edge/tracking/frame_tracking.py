@@ -87,12 +87,7 @@ class FrameTracker:
         a second time, and the map would drift within itself.
         """
         ranked = sorted(world.votes(point_ids).items(), key=lambda item: (-item[1], -item[0]))
-        chosen = [k for k, _ in ranked[:LOCAL_KEYFRAMES]]
-        # Neighbours of the best few bring in what is about to enter the image.
-        for k in chosen[:3]:
-            near = world.keyframes[k].neighbours[:6]
-            chosen += [n for n in near if n not in chosen and n in world.keyframes]
-        rows = world.rows_seen_by([world.keyframes[k] for k in chosen], self._most)
+        rows = world.rows_seen_by([world.keyframes[k] for k, _ in ranked[:LOCAL_KEYFRAMES]], self._most)
         self._local_ids = world.points.ids[rows].copy()
 
     def track(

@@ -48,7 +48,7 @@ from prism_edge.workers.tracker_status import TrackerStatus
 
 log = logging.getLogger("prism_edge.tracker")
 
-_LOOK_S = 0.01  # between frames, for what the others have sent
+_LOOK_S = 0.02  # between frames, for what the others have sent
 _FRAME_S = 5.0
 _PATIENCE_S = 30.0  # lockstep: an answer that takes longer isn't coming
 _PROBE_NS = 300_000_000  # between two looks of the network at what a lost camera sees
