@@ -291,6 +291,9 @@ class TrackerWorker:
                 apply[topic](message)
 
     def _await(self, topic: str, keyframe: int, inbox: Inbox) -> Any | None:
+        if (topic, keyframe) not in self._early:
+            # Of others, which a starved machine keeps waiting too: no hang of this process.
+            self._bus.pulse.working(f"waiting for {topic} of keyframe {keyframe}", _PATIENCE_S + _FRAME_S)
         deadline = time.monotonic() + _PATIENCE_S
         while (topic, keyframe) not in self._early:
             message = inbox.take(0.2)

@@ -63,6 +63,7 @@ class ListBus:
         self.answers: dict[str, Callable[[], Any]] = {}
         self.hear: Callable[[str, Any], None] = lambda topic, message: None
         self.states: list[str] = []
+        self.budgets_s: dict[str, float] = {}
         self.desk = FakeDesk()
         self.commands = self.desk.open
         note = self.states.append
@@ -71,9 +72,13 @@ class ListBus:
             ready=lambda: note("ready"),
             idle=lambda: note("idle"),
             ended=lambda: note("ended"),
-            working=lambda activity, budget_s=5.0: note(activity),
+            working=self._working,
             count=self._count,
         )
+
+    def _working(self, activity: str, budget_s: float = 5.0) -> None:
+        self.states.append(activity)
+        self.budgets_s[activity] = budget_s
 
     def _count(self, what: str) -> int:
         counted = int(self.pulse.values.get(what, "0")) + 1

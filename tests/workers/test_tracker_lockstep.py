@@ -72,6 +72,9 @@ def test_lockstep_goes_on_without_an_answer_that_never_comes(bus, world, monkeyp
     assert [a.index for a in bus.of("acknowledged")] == list(range(12))
     assert len(bus.of("pose")) == 9
     assert "no map_update of keyframe 0" in caplog.text
+    waiting = bus.budgets_s["waiting for map_update of keyframe 0"]
+    assert waiting > worker._PATIENCE_S, "the others' time, not ours"
+    assert bus.budgets_s["frame 11"] == 5.0
 
 
 def test_answers_that_come_in_another_order_are_each_found(bus, world):
