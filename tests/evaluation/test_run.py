@@ -164,8 +164,10 @@ def test_results_of_an_earlier_run_do_not_survive_a_failing_one(tiny_sequence: P
 def test_ended_from_outside_it_takes_the_daemon_along(
     number: signal.Signals, tiny_sequence: Path, tmp_path: Path
 ) -> None:
+    # Where the tests run in a shell's background, SIGINT is ignored from the start, by heirs too.
     code = f"""
-import functools, sys
+import functools, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from prism_edge.evaluation import run
 run.evaluate = functools.partial(run.evaluate, command=(sys.executable, {str(FAKE)!r}, "unsettled"))
 from prism_edge.cli.main import main
