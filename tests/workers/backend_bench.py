@@ -9,6 +9,7 @@ import numpy as np
 from prism_edge.config import Config, DepthConfig
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.messages import Depth, Gate, Keyframe, MapSnapshot, Scale
+from prism_edge.workers.backend import BackendWorker
 from tests.backend.world import Teller
 from tests.synthetic import messages
 from tests.tracking.cloud import pose_at
@@ -47,6 +48,18 @@ def gate_of(keyframe: Keyframe, weight: float = 1.0) -> Gate:
     known = np.full(count, 0.3, np.float32)
     known[0] = np.nan
     return Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, known)
+
+
+def hear(
+    made: BackendWorker, bus: ListBus, told: list[Keyframe], teller: Teller, log_scale: float = 0.25
+) -> None:
+    """Keyframes as they come in real time, each with all that belongs to it, solved one by one."""
+    for keyframe in told:
+        bus.give("depth", depth_of(keyframe, teller))
+        bus.give("gate", gate_of(keyframe))
+        bus.give("log_scale", scale_of(keyframe, log_scale))
+        bus.give("keyframe", keyframe)
+        made._realtime()
 
 
 def snapshot(bus: ListBus) -> MapSnapshot:

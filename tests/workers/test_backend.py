@@ -17,6 +17,7 @@ from tests.workers.backend_bench import (
     NO_DEPTH,
     depth_of,
     gate_of,
+    hear,
     keyframes,
     scale_of,
     snapshot,
@@ -149,12 +150,7 @@ def test_at_the_end_everything_is_adjusted_together():
     config = replace(CONFIG, backend=replace(CONFIG.backend, window=3, fixed=2, observations=20))
     bus, (teller, told) = ListBus("keyframe", patience=40), keyframes(20)
     made = worker.BackendWorker(config, bus)
-    for keyframe in told:
-        bus.give("depth", depth_of(keyframe, teller))
-        bus.give("gate", gate_of(keyframe))
-        bus.give("log_scale", scale_of(keyframe, 0.0))
-        bus.give("keyframe", keyframe)
-        made._realtime()
+    hear(made, bus, told, teller, log_scale=0.0)
     before, updates = off_by(snapshot(bus), teller), len(bus.of("map_update"))
     bus.give("end", EndOfStream(100, 100, 0, 0, 99))
     made.run()

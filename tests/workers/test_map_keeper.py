@@ -16,7 +16,7 @@ from prism_edge.errors import MapError
 from prism_edge.workers import backend as worker
 from prism_edge.workers import state_directory
 from prism_edge.workers.state_directory import map_names, map_path
-from tests.workers.backend_bench import CONFIG, depth_of, gate_of, keyframes, scale_of, snapshot
+from tests.workers.backend_bench import CONFIG, depth_of, gate_of, hear, keyframes, snapshot
 from tests.workers.list_bus import ListBus
 
 
@@ -25,12 +25,7 @@ def run(folder: Path, told: list, teller, life: int = 0, config=CONFIG, ask: tup
     bus = ListBus("keyframe")
     bus.life, bus.first_id, bus.run_directory = life, life * 1_000_000, folder
     made = worker.BackendWorker(config, bus)
-    for keyframe in told:
-        bus.give("depth", depth_of(keyframe, teller))
-        bus.give("gate", gate_of(keyframe))
-        bus.give("log_scale", scale_of(keyframe, 0.25))
-        bus.give("keyframe", keyframe)
-        made._realtime()
+    hear(made, bus, told, teller)
     for name in ask:
         bus.desk.ask("save_map", name)
     made._desk.serve()

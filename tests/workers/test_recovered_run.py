@@ -14,8 +14,8 @@ from prism_edge.config import Config, DepthConfig, StateConfig, TrackingConfig
 from prism_edge.messages import INITIALISING, MapLoaded, WholeMap
 from prism_edge.workers import backend as worker
 from prism_edge.workers.cut_off import TOLD
+from tests.workers.backend_bench import CONFIG, hear, keyframes, snapshot
 from tests.workers.list_bus import ListBus
-from tests.workers.test_backend import CONFIG, depth_of, gate_of, keyframes, scale_of, snapshot
 from tests.workers.test_map_adoption import AFTER, DRIFT, EPOCH, LOG_SCALE, Asked, errors, whole
 from tests.workers.tracker_bench import World, frame, positions, run
 
@@ -42,12 +42,7 @@ class Runs:
         bus = ListBus("keyframe")
         bus.life, bus.first_id, bus.run_directory = life, life * 1_000_000, directory
         made = worker.BackendWorker(replace(self.config, **changes), bus)  # type: ignore[arg-type]
-        for keyframe in told:
-            bus.give("depth", depth_of(keyframe, teller))
-            bus.give("gate", gate_of(keyframe))
-            bus.give("log_scale", scale_of(keyframe, 0.25))
-            bus.give("keyframe", keyframe)
-            made._realtime()
+        hear(made, bus, told, teller)
         made.run()
         made._snapshot = made._take_snapshot()
         return bus
