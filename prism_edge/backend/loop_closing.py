@@ -61,7 +61,7 @@ class LoopCloser:
         self._unconfirmed: list[Loop] = []
         self._part: set[int] | None = None  # what hangs together with the query
         self._adjustment: GlobalAdjustment | None = None
-        self._wanted = False  # something was closed that no global adjustment has seen
+        self._wanted = False  # there is something that no global adjustment has seen
         self._last_begun = -REST
         self._count = 0  # keyframes looked at
         self.changes = MapChanges()

@@ -30,7 +30,7 @@ def cull_keyframes(world: LocalMap, most: int, most_redundant: int) -> list[int]
     """
     dropped = []
     while len(world.keyframes) > min(most, most_redundant):
-        gone = _redundant(world)
+        gone = _redundant(world) if len(world.keyframes) > most_redundant else None
         if gone is None and len(world.keyframes) > most:
             # Of equally redundant ones the oldest goes first.
             candidates = sorted(world.keyframes)[1 : -min(RECENT, most - 1)]

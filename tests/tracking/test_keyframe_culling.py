@@ -105,6 +105,12 @@ def test_beyond_a_number_the_redundant_go_and_what_placed_the_room_stays():
     check(world)
 
 
+def test_up_to_that_number_only_the_bound_costs_keyframes_the_oldest_of_equals_first():
+    world = passed_again(RECENT + 12)
+    assert cull_keyframes(world, RECENT + 10, RECENT + 12) == [1, 2]
+    check(world)
+
+
 def test_beyond_it_what_is_not_redundant_stays():
     world = walk(RECENT + 12, 0.3)
     world.newest().neighbours = list(range(12))
