@@ -52,8 +52,8 @@ def apply_correction(
     """Move keyframes and points to where the backend put them.
 
     A keyframe newer than ``based_on``, which the backend had not seen, is fitted to what it observes of
-    corrected points and of those that others took along, and takes the points along that it created. Returns the rigid motion (4, 4) of the
-    newest keyframe, new world from old.
+    corrected points and of those that others took along, and takes the points along that it created.
+    Returns the rigid motion (4, 4) of the newest keyframe, new world from old.
     """
     index = {int(k): i for i, k in enumerate(keyframe_ids)}
     table = world.points
