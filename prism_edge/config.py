@@ -204,6 +204,9 @@ class BackendConfig:
     )
     huber_depth_m: float = limits(0.1, 0.001, 10.0, "Huber threshold of a depth residual (m)")
     loops: bool = field(default=True, metadata={"help": "recognise places seen before, and close loops"})
+    lens: bool = field(
+        default=True, metadata={"help": "find and take out radial distortion that the camera file lacks"}
+    )
     loop_inliers: int = limits(25, 10, 1000, "points that must agree on a loop")
     ray_sigma_m: float = limits(0.01, 1e-4, 1.0, "noise of a point's distance from a ray (m)")
     huber_ray_m: float = limits(0.05, 0.001, 10.0, "Huber threshold of that distance (m)")

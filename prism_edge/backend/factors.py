@@ -46,6 +46,20 @@ class FactorFactory:
             keyframe.pixels[keypoint], noise, pose_key, point_key, calibration
         )
 
+    def reprojection_through(
+        self, lens_key: int, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int
+    ) -> gtsam.NonlinearFactor:
+        """The same where the lens is unknown (lens.py): its variable has the principal point at 0."""
+        camera, sigma = keyframe.camera, self._config.pixel_sigma * float(keyframe.sigmas[keypoint])
+        x, y = keyframe.pixels[keypoint] - (camera.cx, camera.cy)
+        return gtsam.GeneralSFMFactor2Cal3Bundler(
+            np.array([x, y * camera.fx / camera.fy]),
+            pixel_noise(sigma, self._config.huber_pixels),
+            pose_key,
+            point_key,
+            lens_key,
+        )
+
     def metric_depth(
         self, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int
     ) -> gtsam.NonlinearFactor:

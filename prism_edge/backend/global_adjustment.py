@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from prism_edge.backend import lens
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.window import CONVERGED, DEPTH_PARALLAX_DEG, outliers, widest_parallax
@@ -30,6 +31,7 @@ class Adjusted:
     error_after: float
     steps: int
     cpu_s: float
+    lens: lens.Lens | None = None  # where it was looked for
 
 
 class GlobalAdjustment:
@@ -42,16 +44,26 @@ class GlobalAdjustment:
         units_per_metre: float,
         use_depth: bool,
         parts: Iterable[set[int]] = (),
+        find_lens: bool = False,
     ) -> None:
         """Takes down the map as it is now; raises RuntimeError where gtsam can't begin.
 
-        Of each of ``parts``, which hang together in themselves alone, the first pose is held.
+        Of each of ``parts`` (all keyframes, by what hangs together) the first pose is held. With
+        ``find_lens`` the lens of the one camera that took all keyframes is unknown too (lens.py).
         """
         began = time.process_time()
         self._before = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
         self._points = _choose_points(world)
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+        self._graph = graph = gtsam.NonlinearFactorGraph()
+        values = gtsam.Values()
         factors = FactorFactory(config, units_per_metre)
+        camera = lens.common(world) if find_lens else None
+        self._finds_lens = camera is not None
+        if camera is not None:
+            lens.add_variable(graph, values, camera)
+            # Where rays hardly cross, a point may slip behind a camera.
+            firm = lens.LEAST_PARALLAX_DEG
+            self._points = [p for p in self._points if world.points[p].parallax_deg >= firm]
         seen: set[int] = set()
         for p in self._points:
             point = world.points[p]
@@ -61,16 +73,22 @@ class GlobalAdjustment:
                 keyframe = world.keyframes[k]
                 keypoint = keyframe.observed[p]
                 seen.add(k)
-                graph.add(factors.reprojection(X(k), L(p), keyframe, keypoint))
+                if camera is None:
+                    graph.add(factors.reprojection(X(k), L(p), keyframe, keypoint))
+                else:
+                    graph.add(factors.reprojection_through(lens.LENS, X(k), L(p), keyframe, keypoint))
                 wanted = deepen or (use_depth and keyframe.depth_sigma > 0)
                 if wanted and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
                     graph.add(factors.metric_depth(X(k), L(p), keyframe, keypoint))
         self._keyframes = sorted(seen)
         for k in self._keyframes:
             values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
-        anchors = {min(part & seen) for part in parts if part & seen} | set(self._keyframes[:1])
-        for k in sorted(anchors):
+        hanging = [part & seen for part in (list(parts) or [seen]) if part & seen]
+        for k in sorted({min(part) for part in hanging}):
             graph.add(held(X(k), self._before[k]))
+        if camera is not None:
+            for part in hanging:
+                lens.hold_unit(graph, {k: self._before[k] for k in part})
         parameters = gtsam.LevenbergMarquardtParams()
         parameters.setlambdaInitial(1e-4)
         self._optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
@@ -109,6 +127,7 @@ class GlobalAdjustment:
         points = {p: np.asarray(values.atPoint3(L(p))) for p in self._points}
         if not poses or not all(np.isfinite(v).all() for v in (*poses.values(), *points.values())):
             return None
+        bent = lens.found(self._graph, values) if self._finds_lens else None
         unit = self._unit_change(poses, points)
         if not 0.5 < unit < 2.0:
             return None
@@ -116,7 +135,7 @@ class GlobalAdjustment:
         for k, pose in poses.items():
             poses[k] = normalised(from_rt(pose[:3, :3], anchor + (pose[:3, 3] - anchor) / unit))
         points = {p: anchor + (place - anchor) / unit for p, place in points.items()}
-        return Adjusted(poses, points, self._error_before, self._error, self._steps, self._cpu_s)
+        return Adjusted(poses, points, self._error_before, self._error, self._steps, self._cpu_s, bent)
 
     def _unit_change(self, poses: dict[int, Array], points: dict[int, Array]) -> float:
         """How much longer lengths have become, over all keyframes: the scale is for what they were."""
@@ -135,6 +154,9 @@ def _depths(world_from_camera: Array, places: list[Array]) -> Array:
 
 def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[tuple[int, int]]:
     """Take the result over; what came since moves with its surroundings. Returns observations found wrong."""
+    camera = world.camera
+    if adjusted.lens is not None and camera is not None:
+        world.take_lens(camera.bent(adjusted.lens.k1))
     motion: dict[int, Array] = {}
     for k in sorted(world.keyframes):
         keyframe = world.keyframes[k]

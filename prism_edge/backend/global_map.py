@@ -82,9 +82,9 @@ class GlobalMap:
 
         While corrections are on their way to the tracker, its world and this one differ: what it placed
         (the keyframe, new points) is put where the keyframe fits the points that both know. Points that a
-        loop made one here are taken for what they became.
+        loop made one here are taken for what they became. Its pixels are brought to the lens found here.
         """
-        message = self._renamed(message)
+        message = self._in_own_lens(self._renamed(message))
         world_correction = self._correction(message)
         for point, position in zip(message.new_points.tolist(), message.new_positions, strict=True):
             moved = world_correction[:3, :3] @ position + world_correction[:3, 3]
@@ -125,6 +125,27 @@ class GlobalMap:
         for keyframe in message.culled_keyframes.tolist():
             self._forget_keyframe(keyframe)
         return added
+
+    @property
+    def camera(self) -> Camera | None:
+        """The newest keyframe's, as far as its lens is known."""
+        return self.keyframes[max(self.keyframes)].camera if self.keyframes else None
+
+    def take_lens(self, lens: Camera) -> None:
+        """From now on the camera has this lens, and always had."""
+        for keyframe in self.keyframes.values():
+            if keyframe.camera != lens and keyframe.camera.like(lens):
+                keyframe.pixels = lens.pixels_of(keyframe.camera, keyframe.pixels)
+                keyframe.features = keyframe.features.through(lens, keyframe.camera)
+                keyframe.camera = lens
+
+    def _in_own_lens(self, message: Keyframe) -> Keyframe:
+        """The message as if the tracker had known what is known here of its camera's lens."""
+        given, known = Camera.from_array(message.camera_model, message.camera), self.camera
+        if known is None or known == given or not known.like(given):
+            return message
+        pixels = known.pixels_of(given, message.pixels.astype(np.float64)).astype(np.float32)
+        return replace(message, camera=known.to_array(), pixels=pixels)
 
     def _correction(self, message: Keyframe) -> Array:
         """This map's world from the tracker's (4, 4), near a new keyframe."""

@@ -10,6 +10,7 @@ import numpy as np
 from prism_edge.backend import global_adjustment, pose_graph
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.backend.lens import Lens, LensWatch
 from prism_edge.backend.loops import Loop, Surroundings, median_depth, plausible, verify
 from prism_edge.backend.places import candidates
 from prism_edge.config import BackendConfig
@@ -64,6 +65,7 @@ class LoopCloser:
         self._wanted = False  # there is something that no global adjustment has seen
         self._last_begun = -REST
         self._count = 0  # keyframes looked at
+        self._lens = LensWatch(config.lens)
         self.changes = MapChanges()
 
     def add_place(self, keyframe: int, descriptor: F32) -> None:
@@ -216,36 +218,29 @@ class LoopCloser:
     def adjusting(self) -> bool:
         """Whether a global adjustment has begun, or should."""
         due = self._count - self._last_begun >= REST
-        return self._adjustment is not None or (self._wanted and due)
+        return self._adjustment is not None or (self._wanted and due) or self._lens.due(self._world)
 
     def finish(self) -> None:
         """Nothing more will come: what no global adjustment has seen is to be adjusted, loop or not."""
         self._wanted = self._wanted or self._count > self._last_begun
+        self._lens.finish()
 
     @property
     def unfinished(self) -> bool:
         """Whether there is something that a global adjustment is still to see."""
-        return self._adjustment is not None or self._wanted
+        return self._adjustment is not None or self._wanted or self._lens.due(self._world)
 
     def adjust(self, units_per_metre: float) -> global_adjustment.Adjusted | None:
         """Take the next step of the global adjustment; its result, already in the map, with the last one."""
         if self._adjustment is None:
-            self._wanted, self._last_begun = False, self._count
-            try:
-                self._adjustment = GlobalAdjustment(
-                    self._world,
-                    self._config,
-                    units_per_metre,
-                    self._use_depth,
-                    pose_graph.parts(self._world, self._pairs()),
-                )
-            except RuntimeError as error:
-                log.warning("no global adjustment: %s", str(error).splitlines()[0][:200])
+            self._begin(units_per_metre)
             return None
         if not self._adjustment.step():
             return None
         adjusted, self._adjustment = self._adjustment.result(), None
         if adjusted is None or adjusted.error_after > adjusted.error_before:
+            return None
+        if adjusted.lens is not None and not self._believes(adjusted.lens):
             return None
         self.changes.dropped += global_adjustment.apply(self._world, adjusted, self._config)
         log.info(
@@ -258,6 +253,28 @@ class LoopCloser:
             adjusted.error_after,
         )
         return adjusted
+
+    def _begin(self, units_per_metre: float) -> None:
+        """A lens is looked for first: what else is wanted then begins with it."""
+        find_lens = self._lens.due(self._world)
+        if find_lens:
+            self._lens.looked(self._world)
+        else:
+            self._wanted, self._last_begun = False, self._count
+        parts = pose_graph.parts(self._world, self._pairs())
+        try:
+            self._adjustment = GlobalAdjustment(
+                self._world, self._config, units_per_metre, self._use_depth, parts, find_lens
+            )
+        except RuntimeError as error:
+            log.warning("no global adjustment: %s", str(error).splitlines()[0][:200])
+
+    def _believes(self, lens: Lens) -> bool:
+        self._lens.learn(lens)
+        said = "is off, and taken out from now on" if lens.is_certain else "is not certainly off"
+        number = len(self._world.keyframes)
+        log.info("lens: k1 %s (%.4f, sigma %.4f, %d keyframes)", said, lens.k1, lens.sigma, number)
+        return lens.is_certain
 
     def take_changes(self) -> MapChanges:
         """What has changed since this was last asked."""

@@ -16,6 +16,7 @@ from prism_edge.backend.unit import keep_unit
 from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
+from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import Gate, Keyframe, MapUpdate
 from prism_edge.tracking.depth_alignment import agreement
@@ -205,6 +206,7 @@ class Mapper:
             added_keyframes=added[:, 0],
             added_points=added[:, 1],
             added_keypoints=added[:, 2],
+            camera=_pinhole(world.camera),
         )
 
     def nothing(self, message: Keyframe) -> MapUpdate:
@@ -226,3 +228,8 @@ class Mapper:
             dropped_keyframes=ids,
             dropped_points=ids,
         )
+
+
+def _pinhole(camera: Camera | None) -> Array:
+    """A pinhole camera as messages carry it; other models have no lens of their own to be found."""
+    return camera.to_array() if camera is not None and camera.model == PINHOLE else np.zeros(0)

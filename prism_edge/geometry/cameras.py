@@ -12,6 +12,7 @@ from prism_edge.geometry.poses import Array
 PINHOLE = "pinhole"
 FISHEYE = "fisheye"
 _COEFFICIENTS = {PINHOLE: (0, 4, 5, 8), FISHEYE: (0, 4)}
+MOST_BENT = 0.2  # of k1: two cameras that differ by more are two
 _ITERATIONS = 20
 _SUBSTITUTIONS = 5
 
@@ -79,6 +80,23 @@ class Camera:
     def ideal(self) -> Camera:
         """The distortion-free pinhole with the same matrix: what undistorted pixels are seen by."""
         return replace(self, model=PINHOLE, distortion=())
+
+    def bent(self, k1: float) -> Camera:
+        """The same camera with another lens: ``k1`` is added to the first radial coefficient."""
+        first, *others = self.distortion or (0.0,) * 4
+        return replace(self, distortion=(first + k1, *others))
+
+    def like(self, other: Camera) -> bool:
+        """Whether one may be the other with its lens found anew (:meth:`bent`): a pinhole, else the same."""
+        if self == other or self.model != PINHOLE:
+            return self == other
+        mine, its = (np.array([*c.distortion, *(0.0,) * (8 - len(c.distortion))]) for c in (self, other))
+        same = self.ideal() == other.ideal() and other.model == PINHOLE and bool((mine[1:] == its[1:]).all())
+        return same and abs(float(mine[0] - its[0])) <= MOST_BENT
+
+    def pixels_of(self, other: Camera, pixels: Array) -> Array:
+        """Ideal pixels (n, 2) as this camera has them, of ``other``'s of the same image."""
+        return self.undistort_pixels(other.distort_pixels(pixels))
 
     def resized(self, width: int, height: int) -> Camera:
         """The same camera after its image was resized; scaling is about the image's outer corner."""

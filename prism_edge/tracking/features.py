@@ -53,6 +53,11 @@ class Features:
         cell_start = np.searchsorted(cell[order], np.arange(columns * rows + 1))
         return cls(pixels, octaves, descriptors, order, cell_start, columns, rows)
 
+    def through(self, lens: Camera, was: Camera) -> Features:
+        """The same keypoints where another lens has them; ``was`` is the camera they were undistorted by."""
+        pixels = lens.pixels_of(was, self.pixels)
+        return Features.build(pixels, self.octaves, self.descriptors, lens.width, lens.height)
+
 
 class OrbExtractor:
     """OpenCV's ORB with its keypoints thinned to an even spread.

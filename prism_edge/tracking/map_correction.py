@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.geometry.cameras import Camera
+from prism_edge.errors import ConfigError
+from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
@@ -36,6 +37,10 @@ def flaw(update: MapUpdate) -> str:
     for name in ("poses", "positions", "parallax_deg", "weights"):
         if not np.isfinite(getattr(update, name)).all():
             return f"its {name} are not all finite"
+    try:
+        Camera.from_array(PINHOLE, update.camera) if len(update.camera) else None
+    except ConfigError as error:
+        return f"its camera is none ({error})"
     return ""
 
 

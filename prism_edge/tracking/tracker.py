@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.config import TrackingConfig
-from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_log, transform
+from prism_edge.geometry.cameras import PINHOLE, Camera
+from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_log
 from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
+from prism_edge.tracking.first_map import begin_structure
 from prism_edge.tracking.frame_result import FrameResult, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
-from prism_edge.tracking.initialisation import reconstruct
 from prism_edge.tracking.keyframe_culling import cull_keyframes, drop_keyframe
 from prism_edge.tracking.keyframe_decision import decide
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
@@ -35,7 +35,6 @@ DEPTH_PATIENCE_S = 10.0  # and so is one that no depth has come for in this time
 NEIGHBOURS, SHARING, TRIANGULATING = 10, 10, 4  # covisible keyframes, best first
 DEGRADED_MATCHES = 50
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
-CAN_WAIT_MATCHES = 100
 MOST_BETWEEN_NS = 200_000_000  # what one frame adds to how long a lost camera has looked about
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
 
@@ -74,12 +73,15 @@ class Tracker:
         self._result: FrameResult | None = None
         self._fresh: tuple[int, TrackedFrame] | None = None  # tracked, not yet judged as a keyframe
         self._pending: LocalKeyframe | None = None  # the first keyframe, not yet handed out
+        self._lens: Camera | None = None  # the camera as the backend has found it
 
     def process(self, index: int, stamp_ns: int, grey: NDArray[np.uint8], camera: Camera) -> FrameResult:
         """Track one image (height, width) taken at ``stamp_ns``; what is published follows from the result.
 
         :meth:`maybe_keyframe` comes after, so that a pose need not wait for the mapping.
         """
+        if self._lens is not None and self._lens.like(camera):
+            camera = self._lens
         features = self._extractor.extract(grey, camera)
         if not self.world.keyframes:
             self._result = self._begin(index, stamp_ns, camera, features)
@@ -228,8 +230,12 @@ class Tracker:
         if not decision.wanted:
             return None
         alone = self._config.two_views and self.parts.size(self.world) == 1
-        if alone and not self._begin_structure(reference, frame):
-            return None
+        if alone:
+            sound = begin_structure(self.world, reference, frame, self._seed)
+            if sound is None:
+                self._velocity = np.zeros(6)
+            elif not sound:
+                return None
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
         )
@@ -257,42 +263,6 @@ class Tracker:
         self._refresh(frame)
         log.debug("keyframe %d at frame %d: %s", keyframe.id, index, decision.reason)
         return keyframe
-
-    def _begin_structure(self, first: LocalKeyframe, frame: TrackedFrame) -> bool:
-        """Check what the network gave the first map against two views; False: wait for more parallax.
-
-        Where its depths contradict the matches (outdoors, say), the two views' structure takes their place.
-        A camera that is about to lose the first view can't wait.
-        """
-        table = self.world.points
-        keypoints = np.flatnonzero(frame.points >= 0)
-        rows = table.rows(frame.points[keypoints])
-        depths = (table.position[rows] - first.world_from_camera[:3, 3]) @ first.world_from_camera[:3, 2]
-        views = reconstruct(
-            frame.camera,
-            first.features.pixels[table.reference_keypoint[rows]],
-            frame.features.pixels[keypoints],
-            depths,
-            inverse(first.world_from_camera) @ frame.world_from_camera,
-            self._seed,
-        )
-        if views is None:
-            return frame.matched < CAN_WAIT_MATCHES
-        if not views.contradicts:
-            return True
-        log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
-        frame.world_from_camera = first.world_from_camera @ views.first_from_second
-        good = views.good
-        table.position[rows[good]] = transform(first.world_from_camera, views.points[good])
-        table.parallax_deg[rows[good]] = np.degrees(views.parallax[good])
-        sigma = mapping.MATCHING_SIGMA_PX / (frame.camera.fx * np.maximum(views.parallax[good], 1e-4))
-        table.log_depth_sigma[rows[good]] = np.minimum(sigma, 2.0)
-        self.world.changes.new_points.append(table.ids[rows[good]])
-        frame.points[keypoints[~good]] = -1
-        kept = np.isin(table.ids, table.ids[rows[good]])
-        self.world.cull_points(np.flatnonzero(table.alive & ~kept & (table.reference == first.id)))
-        self._velocity = np.zeros(6)
-        return True
 
     def _insert(
         self, index: int, stamp_ns: int, camera: Camera, features: Features, pose: Array, points: Ids
@@ -349,6 +319,8 @@ class Tracker:
 
     def apply_update(self, update: MapUpdate) -> None:
         """Take over the backend's corrections; the last frame moves with its surroundings."""
+        if len(update.camera):
+            self._take_lens(Camera.from_array(PINHOLE, update.camera))
         motion = apply_correction(
             self.world, update.based_on, update.keyframes, update.poses,
             update.points, update.positions, update.parallax_deg, self._factors,
@@ -368,6 +340,13 @@ class Tracker:
                 self.world, last.camera, last.features, last.points, start, self._factors
             )
 
+    def _take_lens(self, lens: Camera) -> None:
+        self._lens = lens
+        views: list[LocalKeyframe | TrackedFrame] = list(self.world.keyframes.values())
+        for view in views if self._last is None else [*views, self._last]:
+            if view.camera != lens and view.camera.like(lens):
+                view.features, view.camera = view.features.through(lens, view.camera), lens
+
     def reset(self) -> None:
         """Begin a new map with the next frame: another epoch, at the identity."""
         self._restart()
@@ -380,6 +359,7 @@ class Tracker:
         self.world, self.places.index, self.parts = world, index, parts
         self.epoch, self.log_scale = epoch, log_scale
         self._initialised, self._lost, self._looked_ns, self._looking_at = True, True, 0, 0
+        self._lens = world.newest().camera
         self._announced = max(world.keyframes)
         self._next_keyframe = max(self._next_keyframe, self._announced + 1)
         self._reference_matches, self._reference_depth = 0, world.median_depth(world.newest())

@@ -350,7 +350,7 @@ class TrackerWorker:
     def _prove(self, camera: Camera) -> None:
         """Go on in the map of an earlier run only with the camera that made it."""
         self._unproven = False
-        if self._tracker.world.newest().camera == camera:
+        if self._tracker.world.newest().camera.like(camera):
             self._recovering = True
             return
         log.warning("the map that was left was made by another camera: a new one begins")

@@ -1,0 +1,158 @@
+"""The lens that a camera file lacks, against a cloud seen through a known one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.backend import lens as lens_module
+from prism_edge.backend.global_adjustment import GlobalAdjustment, apply
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.lens import Lens, LensWatch, common
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.cameras import FISHEYE
+from prism_edge.geometry.poses import inverse, transform
+from tests.backend.ring import position_error
+from tests.backend.world import Teller, check
+from tests.tracking.cloud import CAMERA, pose_at
+
+CONFIG = BackendConfig()
+
+
+def seen_through(
+    k1: float, count: int = 22, noise_px: float = 0.5, seed: int = 0
+) -> tuple[Teller, GlobalMap]:
+    """Keyframes of a camera that is said to be ideal, and is CAMERA.bent(k1)."""
+    teller, world, true = Teller(count=500, noise_px=noise_px, seed=seed), GlobalMap(), CAMERA.bent(k1)
+    for i in range(count):
+        message = teller.keyframe(
+            pose_at(0.15 * (i % 11), 0.03 * i, 0.0, 0.0, 0.01 * (i % 7) - 0.03 * (i % 3))
+        )
+        raw = true.distort_pixels(message.pixels.astype(np.float64))
+        world.absorb(replace(message, pixels=raw.astype(np.float32)))
+    for point in world.points.values():
+        point.parallax_deg = 5.0
+    return teller, world
+
+
+def look(world: GlobalMap) -> GlobalAdjustment:
+    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=False, find_lens=True)
+    while not job.step():
+        pass
+    return job
+
+
+@pytest.mark.parametrize("k1", [-0.06, 0.06])
+def test_a_lens_is_found_within_its_sigma_and_taken_out(k1):
+    teller, world = seen_through(k1)
+    said = world.camera
+    adjusted = look(world).result()
+    assert adjusted.lens.is_certain
+    assert abs(adjusted.lens.k1 - k1) < 2.0 * adjusted.lens.sigma
+    apply(world, adjusted, CONFIG)
+    assert world.camera == said.bent(adjusted.lens.k1)
+    assert len({keyframe.camera for keyframe in world.keyframes.values()}) == 1
+    check(world)
+    poses = {k: f.world_from_camera for k, f in world.keyframes.items()}
+    _, bent = seen_through(k1)
+    without = GlobalAdjustment(bent, CONFIG, 1.0, use_depth=False)
+    while not without.step():
+        pass
+    assert position_error(poses, teller.poses) < 0.7 * position_error(without.result().poses, teller.poses)
+
+
+def test_pixels_are_then_where_the_points_are():
+    teller, world = seen_through(-0.05, noise_px=0.0)
+    apply(world, look(world).result(), CONFIG)
+    errors = []
+    for k, keyframe in world.keyframes.items():
+        places = np.array([teller.cloud.positions[p] for p in keyframe.observed])
+        keypoints = list(keyframe.observed.values())
+        projected = CAMERA.ideal().project(transform(inverse(teller.poses[k]), places))
+        errors.append(np.abs(projected - keyframe.pixels[keypoints]).max())
+        assert keyframe.features.pixels == pytest.approx(keyframe.pixels)
+    assert max(errors) < 0.3  # and were up to 8 pixels off
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_lens_that_is_as_said_is_left_alone(seed):
+    _, world = seen_through(0.0, seed=seed)
+    found = look(world).result().lens
+    assert not found.is_certain
+    assert abs(found.k1) < 2.0 * found.sigma
+
+
+def test_one_that_has_coefficients_gets_the_rest():
+    _, world = seen_through(-0.04)
+    apply(world, look(world).result(), CONFIG)
+    again = look(world).result().lens
+    assert not again.is_certain
+    assert abs(again.k1) < again.sigma
+
+
+def test_a_pure_rotation_of_far_points_says_nothing_certain_that_is_wrong():
+    teller, world = Teller(count=500, noise_px=0.5), GlobalMap()
+    for i in range(22):
+        world.absorb(teller.keyframe(pose_at(0.0, 0.0, 0.0, 0.0, 0.01 * i)))
+    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=False, find_lens=True)
+    while not job.step():
+        pass
+    adjusted = job.result()
+    assert adjusted is None or adjusted.lens is None or not adjusted.lens.is_certain
+
+
+def test_a_keyframe_from_before_is_brought_to_the_lens():
+    teller, world = seen_through(-0.05, noise_px=0.0)
+    apply(world, look(world).result(), CONFIG)
+    late = teller.keyframe(pose_at(0.5, 0.1))
+    raw = CAMERA.bent(-0.05).distort_pixels(late.pixels.astype(np.float64))
+    added = world.absorb(replace(late, pixels=raw.astype(np.float32)))
+    assert added.camera == world.keyframes[0].camera
+    assert added.pixels == pytest.approx(late.pixels.astype(np.float64), abs=0.3)
+    assert common(world) is not None
+
+
+@pytest.mark.parametrize(("model", "size"), [(FISHEYE, 640), (CAMERA.model, 320)])
+def test_only_one_pinhole_camera_is_looked_into(model, size):
+    teller, world = seen_through(0.0, count=2)
+    other = replace(CAMERA, model=model, width=size)
+    world.absorb(replace(teller.keyframe(pose_at(0.4)), camera_model=model, camera=other.to_array()))
+    assert common(world) is None
+    assert look(world).result().lens is None
+    assert not LensWatch(True).due(world)
+
+
+def test_it_is_looked_for_as_the_map_grows(monkeypatch):
+    _, world = seen_through(0.0, count=6)
+    monkeypatch.setattr(lens_module, "FIRST", 4)
+    watch = LensWatch(True)
+    assert watch.due(world)
+    watch.looked(world)
+    assert not watch.due(world)
+    watch.finish()
+    assert not watch.due(world)  # nothing has come since
+    world.keyframes[99] = replace(world.keyframes[0], id=99)
+    assert watch.due(world)
+    assert not LensWatch(False).due(world)
+
+
+def test_a_lens_that_is_known_is_looked_for_less():
+    _, world = seen_through(0.0, count=22)
+    seldom, often = LensWatch(True), LensWatch(True)
+    for watch, sigma in ((seldom, 0.001), (often, 0.01)):
+        watch.looked(world)
+        watch.learn(Lens(0.0, sigma))
+    for k in range(100, 110):
+        world.keyframes[k] = replace(world.keyframes[0], id=k)
+    assert often.due(world)
+    assert not seldom.due(world)
+
+
+@pytest.mark.parametrize(
+    ("k1", "sigma", "certain"), [(0.03, 0.005, True), (0.03, 0.02, False), (0.5, 0.01, False)]
+)
+def test_what_is_taken_for_real(k1, sigma, certain):
+    assert Lens(k1, sigma).is_certain is certain
+    assert Lens(-k1, sigma).is_certain is certain
