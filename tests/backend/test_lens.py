@@ -11,9 +11,11 @@ from prism_edge.backend import lens as lens_module
 from prism_edge.backend.global_adjustment import GlobalAdjustment, apply
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common
+from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
-from prism_edge.geometry.cameras import FISHEYE
+from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.poses import inverse, transform
+from prism_edge.messages import Keyframe
 from tests.backend.ring import position_error
 from tests.backend.world import Teller, check
 from tests.tracking.cloud import CAMERA, pose_at
@@ -156,3 +158,59 @@ def test_a_lens_that_is_known_is_looked_for_less():
 def test_what_is_taken_for_real(k1, sigma, certain):
     assert Lens(k1, sigma).is_certain is certain
     assert Lens(-k1, sigma).is_certain is certain
+
+
+def mapper_of(k1: float, **changes: object) -> tuple[Mapper, list[Keyframe]]:
+    """A mapper that has heard of keyframes of a camera with a lens that it wasn't told of."""
+    teller, _ = seen_through(0.0, count=0)
+    mapper, told = Mapper(replace(CONFIG, **changes), use_depth=False), []
+    for i in range(22):
+        message = teller.keyframe(
+            pose_at(0.15 * (i % 11), 0.03 * i, 0.0, 0.0, 0.01 * (i % 7) - 0.03 * (i % 3))
+        )
+        raw = CAMERA.bent(k1).distort_pixels(message.pixels.astype(np.float64))
+        told.append(replace(message, pixels=raw.astype(np.float32)))
+        mapper.absorb(told[-1])
+    for point in mapper.world.points.values():
+        point.parallax_deg = 5.0
+    return mapper, told
+
+
+def adjust_all(mapper: Mapper) -> list[bool]:
+    """Whether each adjustment that was due came to something."""
+    came = []
+    for _ in range(100):
+        if not mapper.loops.adjusting:
+            return came
+        came.append(mapper.loops.adjust(1.0) is not None)
+    raise AssertionError("it never ends")
+
+
+def test_the_update_after_it_carries_the_camera():
+    mapper, told = mapper_of(-0.06)
+    assert any(adjust_all(mapper))
+    update = mapper.whole(told[-1].id, mapper.loops.take_changes())
+    found = Camera.from_array(CAMERA.model, update.camera)
+    assert found != CAMERA
+    assert found.like(CAMERA)
+    assert found.distortion[0] == pytest.approx(-0.06, abs=0.02)
+
+
+@pytest.mark.parametrize(("k1", "lens"), [(0.0, True), (-0.06, False)])
+def test_without_a_lens_or_the_setting_the_camera_is_as_said(k1, lens):
+    mapper, told = mapper_of(k1, lens=lens)
+    assert not any(adjust_all(mapper))
+    update = mapper.whole(told[-1].id, mapper.loops.take_changes())
+    assert update.camera.tolist() == CAMERA.to_array().tolist()
+
+
+def test_a_recording_that_ends_is_looked_at_once_more():
+    mapper, _ = mapper_of(0.0)
+    adjust_all(mapper)
+    assert not mapper.loops.unfinished
+    mapper.loops.finish()
+    assert mapper.loops.unfinished  # all keyframes together, at least
+    while mapper.loops.unfinished:
+        mapper.loops.adjust(1.0)
+    mapper.loops.finish()
+    assert not mapper.loops.unfinished

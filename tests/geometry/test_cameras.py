@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -166,3 +168,45 @@ def test_impossible_cameras_are_refused(changes: dict[str, object], word: str) -
     values = {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0} | changes
     with pytest.raises(ConfigError, match=word):
         Camera(**values)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("camera", CAMERAS[:5], ids=IDS[:5])
+def test_a_bent_camera_is_like_what_it_was(camera: Camera) -> None:
+    bent = camera.bent(-0.02)
+    assert bent != camera
+    assert bent.like(camera)
+    assert camera.like(bent)
+    assert bent.bent(0.02).project(np.array([[0.3, 0.2, 1.0]])) == pytest.approx(
+        camera.project(np.array([[0.3, 0.2, 1.0]])), abs=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        replace(vga(), width=320),
+        replace(vga(), fx=518.0),
+        replace(vga(), cx=318.0),
+        vga(FISHEYE),
+        vga(distortion=(0.0, 0.1, 0.0, 0.0)),
+        vga(distortion=(0.5, 0.0, 0.0, 0.0)),
+    ],
+)
+def test_another_camera_is_not_like_it(other: Camera) -> None:
+    assert not vga().like(other)
+    assert not other.like(vga())
+
+
+def test_a_fisheye_is_like_itself_alone() -> None:
+    assert CAMERAS[-1].like(CAMERAS[-1])
+    assert not CAMERAS[-1].like(replace(CAMERAS[-1], distortion=(-0.013, 0.04, -0.03, 0.006)))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.sampled_from(CAMERAS[:5]), st.floats(-0.06, 0.06), st.floats(-0.5, 0.5), st.floats(-0.4, 0.4))
+def test_ideal_pixels_of_another_lens_are_of_the_same_image(
+    camera: Camera, k1: float, x: float, y: float
+) -> None:
+    lens, ray = camera.bent(k1), np.array([[x, y, 1.0]])
+    wrong = camera.undistort_pixels(lens.project(ray))  # what one who doesn't know the lens makes of it
+    assert lens.pixels_of(camera, wrong) == pytest.approx(lens.ideal().project(ray), abs=1e-4)

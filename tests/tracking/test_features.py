@@ -183,3 +183,15 @@ def test_few_matches_bring_more_features_and_many_bring_fewer():
     for _ in range(10):
         extractor.want(50)
     assert 500 < found() <= 600
+
+
+def test_through_another_lens_keypoints_are_filed_where_they_then_are():
+    was, lens = CAMERA, CAMERA.bent(-0.1)
+    features = OrbExtractor(TrackingConfig()).extract(blocks(), was)
+    moved = features.through(lens, was)
+    anew = OrbExtractor(TrackingConfig()).extract(blocks(), lens)
+    np.testing.assert_allclose(moved.pixels, anew.pixels, atol=1e-6)
+    assert np.array_equal(moved.descriptors, anew.descriptors)
+    assert np.array_equal(moved.order, anew.order)
+    assert np.array_equal(moved.cell_start, anew.cell_start)
+    assert np.abs(moved.pixels - features.pixels).max() > 5.0

@@ -10,6 +10,7 @@ import pytest
 
 from prism_edge.backend import map_file
 from prism_edge.backend.map_file import Info
+from prism_edge.backend.stored_map import from_arrays, to_arrays
 from prism_edge.config import Config, DepthConfig, StateConfig, TrackingConfig
 from prism_edge.messages import INITIALISING, MapLoaded, WholeMap
 from prism_edge.workers import backend as worker
@@ -166,6 +167,23 @@ def test_the_tracker_goes_on_in_its_coordinates(whole: WholeMap, tmp_path: Path)
     assert {k.epoch for k in life.bus.of("keyframe")} == {0}
     assert "ok recovered" in words(life.bus)
     assert words(life.bus)[-1] == "ok recovered"  # for two seconds
+
+
+def test_the_lens_that_was_found_is_kept(whole: WholeMap, tmp_path: Path) -> None:
+    info, arrays = map_file.unpack(whole.data.tobytes())
+    world, index = from_arrays(info, arrays, 100)
+    assert world.camera is not None
+    lens = world.camera.bent(-0.005)
+    world.take_lens(lens)
+    cameras, moved = to_arrays(world, index)
+    data = np.frombuffer(map_file.pack({**info, **cameras}, moved), np.uint8)
+    life = Next(replace(whole, epoch=0, data=data), tmp_path)
+    life.bus.give("map_loaded", MapLoaded(0, LOG_SCALE, 0.05))
+    run(life.bus, [frame(i) for i in AFTER])
+    assert "ok recovered" in words(life.bus)
+    made = life.bus.of("keyframe")
+    assert made
+    assert all(keyframe.camera.tolist() == lens.to_array().tolist() for keyframe in made)
 
 
 def test_another_camera_begins_a_map_of_its_own(whole: WholeMap, tmp_path: Path, caplog) -> None:

@@ -1,0 +1,69 @@
+"""A camera whose lens the backend has found: the tracker's map and its next frames are seen through it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.cameras import FISHEYE
+from prism_edge.messages import OK
+from prism_edge.tracking.announcement import keyframe_message
+from prism_edge.tracking.map_correction import flaw
+from tests.synthetic.messages import map_update
+from tests.tracking.film_run import Run
+from tests.tracking.footage import footage
+
+
+@pytest.fixture
+def run() -> Run:
+    made = Run()
+    made.play(range(30))
+    return made
+
+
+def test_keyframes_and_frames_are_seen_through_it(run):
+    world, given = run.tracker.world, footage().camera
+    lens = given.bent(-0.01)
+    before = {k.id: k.features.pixels.copy() for k in world.keyframes.values()}
+    run.tracker.apply_update(map_update(max(world.keyframes), camera=lens.to_array()))
+    for keyframe in world.keyframes.values():
+        assert keyframe.camera == lens
+        np.testing.assert_allclose(
+            given.undistort_pixels(lens.distort_pixels(keyframe.features.pixels)),
+            before[keyframe.id],
+            atol=1e-6,
+        )
+    run.play(range(30, 60))
+    assert all(run.results[i].odometry == OK for i in range(30, 60))
+    assert world.newest().index > 30
+    assert world.newest().camera == lens
+    assert keyframe_message(run.tracker, world.newest()).camera.tolist() == lens.to_array().tolist()
+
+
+def test_one_of_another_camera_changes_nothing(run):
+    world, given = run.tracker.world, footage().camera
+    other = replace(given, fx=1.1 * given.fx).bent(-0.01)
+    run.tracker.apply_update(map_update(max(world.keyframes), camera=other.to_array()))
+    run.play(range(30, 60))
+    assert {k.camera for k in world.keyframes.values()} == {given}
+
+
+def test_an_update_without_a_camera_leaves_it(run):
+    lens = footage().camera.bent(-0.01)
+    world = run.tracker.world
+    run.tracker.apply_update(map_update(max(world.keyframes), camera=lens.to_array()))
+    run.tracker.apply_update(map_update(max(world.keyframes), sequence=2))
+    assert world.newest().camera == lens
+
+
+@pytest.mark.parametrize("camera", [[640.0, 480.0], [640.0, 480.0, -1.0, 500.0, 320.0, 240.0], [np.nan] * 6])
+def test_a_camera_that_is_none_makes_an_update_unusable(camera):
+    assert flaw(map_update(0)) == ""
+    assert "camera" in flaw(map_update(0, camera=np.array(camera)))
+
+
+def test_a_fisheye_is_no_other(run):
+    given = footage().camera
+    assert not given.bent(0.01).like(replace(given, model=FISHEYE))
