@@ -34,6 +34,7 @@ class FactorFactory:
         self._huber_depth = config.huber_depth_m * units_per_metre
         self._ray_sigma = config.ray_sigma_m * units_per_metre
         self._calibrations: dict[int, gtsam.Cal3_S2] = {}
+        self._taken: dict[int, Array] = {}  # pixels of each keyframe before undistortion, off the centre
 
     def reprojection(
         self, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int
@@ -49,9 +50,12 @@ class FactorFactory:
     def reprojection_through(
         self, lens_key: int, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int
     ) -> gtsam.NonlinearFactor:
-        """The same where the lens is unknown (lens.py): its variable has the principal point at 0."""
+        """The same for the pixel as taken, through a lens that is unknown (lens.py); its centre is at 0."""
         camera, sigma = keyframe.camera, self._config.pixel_sigma * float(keyframe.sigmas[keypoint])
-        x, y = keyframe.pixels[keypoint] - (camera.cx, camera.cy)
+        taken = self._taken.get(keyframe.id)
+        if taken is None:
+            taken = self._taken[keyframe.id] = camera.distort_pixels(keyframe.pixels) - (camera.cx, camera.cy)
+        x, y = taken[keypoint]
         return gtsam.GeneralSFMFactor2Cal3Bundler(
             np.array([x, y * camera.fx / camera.fy]),
             pixel_noise(sigma, self._config.huber_pixels),

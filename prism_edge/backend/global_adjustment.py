@@ -57,8 +57,7 @@ class GlobalAdjustment:
         self._graph = graph = gtsam.NonlinearFactorGraph()
         values = gtsam.Values()
         factors = FactorFactory(config, units_per_metre)
-        camera = lens.common(world) if find_lens else None
-        self._finds_lens = camera is not None
+        self._camera = camera = lens.common(world) if find_lens else None
         if camera is not None:
             lens.add_variable(graph, values, camera)
             # Where rays hardly cross, a point may slip behind a camera.
@@ -127,7 +126,9 @@ class GlobalAdjustment:
         points = {p: np.asarray(values.atPoint3(L(p))) for p in self._points}
         if not poses or not all(np.isfinite(v).all() for v in (*poses.values(), *points.values())):
             return None
-        bent = lens.found(self._graph, values) if self._finds_lens else None
+        bent = lens.found(self._graph, values, self._camera) if self._camera is not None else None
+        if self._camera is not None and bent is None:
+            return None  # places that go with a lens nobody can be sure of
         unit = self._unit_change(poses, points)
         if not 0.5 < unit < 2.0:
             return None
@@ -154,9 +155,8 @@ def _depths(world_from_camera: Array, places: list[Array]) -> Array:
 
 def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[tuple[int, int]]:
     """Take the result over; what came since moves with its surroundings. Returns observations found wrong."""
-    camera = world.camera
-    if adjusted.lens is not None and camera is not None:
-        world.take_lens(camera.bent(adjusted.lens.k1))
+    if adjusted.lens is not None:
+        world.take_lens(adjusted.lens.camera)
     motion: dict[int, Array] = {}
     for k in sorted(world.keyframes):
         keyframe = world.keyframes[k]

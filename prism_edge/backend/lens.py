@@ -3,8 +3,8 @@
 Most cameras bend their image by a per cent or so at the rim and most recordings say that they don't. Such a
 lens bends the map: its path turns a little too far with every view, which no later view undoes. An adjustment
 of all keyframes sees it where points are seen in the middle as well as at the rim. One coefficient is looked
-for, r -> r (1 + k1 r^2), on top of what the camera file says. Focal length and principal point stay as they
-are: a short path says little of them, and their errors do little.
+for, r -> r (1 + k1 r^2). Focal length and principal point stay as they are: a short path says little of them,
+and their errors do little.
 """
 
 from __future__ import annotations
@@ -28,43 +28,54 @@ UNIT_SIGMA = 0.01  # relative; lengths don't bend with the lens
 ALIKE = 3.0
 CERTAIN = 3.0  # sigmas: less is not taken for a lens
 LEAST_PARALLAX_DEG = 1.0  # of the points that it is looked for in
-LARGEST = 0.15  # of |k1|: more is a wrong map
+LARGEST = 0.15  # of |k1|, all told: more is a wrong map
 WELL_KNOWN = 0.004  # sigma: half a pixel at the corner of a common image
 FIRST, GROWTH, LAST = 20, 1.25, 200  # keyframes at which it is looked for, each so many times the one before
+ROUND_TRIP_PX = 0.1
 
 
 @dataclass(frozen=True)
 class Lens:
-    """What to add to k1, and one sigma of it."""
+    """What to add to k1 of the camera that ``was``, and one sigma of it."""
 
+    was: Camera
     k1: float
     sigma: float
 
     @property
+    def camera(self) -> Camera:
+        """The camera as found."""
+        return self.was.bent(self.k1)
+
+    @property
     def is_certain(self) -> bool:
-        """Whether it is taken for real."""
-        return CERTAIN * self.sigma < abs(self.k1) < LARGEST
+        """Whether it is taken for real: beyond chance, and a lens that shows each ray once."""
+        if not CERTAIN * self.sigma < abs(self.k1) or abs(radial(self.camera)) > LARGEST:
+            return False
+        right, bottom = self.was.width - 1.0, self.was.height - 1.0
+        corners = np.array([[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]])
+        there = self.camera.distort_pixels(self.camera.undistort_pixels(corners))
+        return bool(np.abs(there - corners).max() < ROUND_TRIP_PX)
 
 
 class LensWatch:
     """When the lens is looked for: as a map grows, until it is known."""
 
-    def __init__(self, enabled: bool) -> None:
-        self._enabled, self._next, self._looked_at = enabled, FIRST, 0
+    def __init__(self, enabled: bool, known: int = 0) -> None:
+        """A map that had ``known`` keyframes when it was taken up has been looked at."""
+        self._enabled, self._next, self._looked_at = enabled, FIRST, known
+        if known:
+            self._next = max(math.ceil(GROWTH * known), FIRST)
 
     def due(self, world: GlobalMap) -> bool:
         """Whether the map has grown enough since it was looked for."""
         return self._enabled and self._next <= len(world.keyframes) <= LAST and common(world) is not None
 
-    def looked(self, world: GlobalMap) -> None:
-        """It is being looked for in the map as it is."""
+    def looked(self, world: GlobalMap, lens: Lens | None = None) -> None:
+        """It has been looked for, with this result: what is known well need not be looked for so soon."""
         self._looked_at = len(world.keyframes)
-        self._next = math.ceil(GROWTH * self._looked_at)
-
-    def learn(self, lens: Lens) -> None:
-        """What came of it: what is known well need not be looked for so soon."""
-        if lens.is_certain or lens.sigma < WELL_KNOWN:
-            self._next = 2 * self._looked_at
+        well_known = lens is not None and (lens.is_certain or lens.sigma < WELL_KNOWN)
+        self._next = math.ceil((2.0 if well_known else GROWTH) * self._looked_at)
 
     def finish(self) -> None:
         """The map won't grow any more: its last keyframes count as well."""
@@ -72,18 +83,28 @@ class LensWatch:
 
 
 def common(world: GlobalMap) -> Camera | None:
-    """The one pinhole camera that took all keyframes; None where there were several."""
+    """The one camera that took all keyframes, if its lens may be looked for: a pinhole with k1 at most.
+
+    A camera file that says more comes of a calibration, and is believed.
+    """
     camera = world.camera
-    one = camera is not None and camera.model == PINHOLE
-    return camera if one and all(k.camera == camera for k in world.keyframes.values()) else None
+    if camera is None or camera.model != PINHOLE or any(camera.distortion[1:]):
+        return None
+    one = all(k.camera == camera for k in world.keyframes.values())
+    return camera if one and abs(radial(camera)) <= LARGEST else None
+
+
+def radial(camera: Camera) -> float:
+    """The first radial coefficient."""
+    return camera.distortion[0] if camera.distortion else 0.0
 
 
 def add_variable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, camera: Camera) -> None:
     """The lens with its prior; all but k1 is held."""
-    ideal = gtsam.Cal3Bundler(camera.fx, 0.0, 0.0, 0.0, 0.0)
+    said = gtsam.Cal3Bundler(camera.fx, radial(camera), 0.0, 0.0, 0.0)
     sigmas = np.array([1e-6 * camera.fx, PRIOR_SIGMA, 1e-6])
-    values.insert(LENS, ideal)
-    graph.add(gtsam.PriorFactorCal3Bundler(LENS, ideal, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
+    values.insert(LENS, said)
+    graph.add(gtsam.PriorFactorCal3Bundler(LENS, said, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
 
 
 def hold_unit(graph: gtsam.NonlinearFactorGraph, poses: dict[int, Array]) -> None:
@@ -96,12 +117,12 @@ def hold_unit(graph: gtsam.NonlinearFactorGraph, poses: dict[int, Array]) -> Non
         graph.add(gtsam.RangeFactorPose3(X(first), X(far), distance[far], noise))
 
 
-def found(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> Lens | None:
+def found(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, was: Camera) -> Lens | None:
     """The lens of a solved graph; None where it has no covariance."""
     try:
         variance = gtsam.Marginals(graph, values).marginalCovariance(LENS)[1, 1]
     except RuntimeError:
         return None
-    k1 = float(values.atCal3Bundler(LENS).k1())
+    k1 = float(values.atCal3Bundler(LENS).k1()) - radial(was)
     usable = math.isfinite(k1) and math.isfinite(variance) and variance > 0.0
-    return Lens(k1, ALIKE * math.sqrt(variance)) if usable else None
+    return Lens(was, k1, ALIKE * math.sqrt(variance)) if usable else None

@@ -10,7 +10,7 @@ import numpy as np
 from prism_edge.backend import global_adjustment, pose_graph
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
-from prism_edge.backend.lens import Lens, LensWatch
+from prism_edge.backend.lens import Lens, LensWatch, common
 from prism_edge.backend.loops import Loop, Surroundings, median_depth, plausible, verify
 from prism_edge.backend.places import candidates
 from prism_edge.config import BackendConfig
@@ -56,6 +56,7 @@ class LoopCloser:
     """Watches one map for returns. Every call works on the newest keyframe; nothing here knows time."""
 
     def __init__(self, world: GlobalMap, config: BackendConfig, use_depth: bool, seed: int = 0) -> None:
+        """``world`` may be a map that was there before."""
         self._world, self._config, self._use_depth, self._seed = world, config, use_depth, seed
         self.index = PlaceIndex()
         self.accepted: list[Accepted] = []
@@ -65,7 +66,8 @@ class LoopCloser:
         self._wanted = False  # there is something that no global adjustment has seen
         self._last_begun = -REST
         self._count = 0  # keyframes looked at
-        self._lens = LensWatch(config.lens)
+        self._lens = LensWatch(config.lens, len(world.keyframes))
+        self._finds_lens = False  # the adjustment under way
         self.changes = MapChanges()
 
     def add_place(self, keyframe: int, descriptor: F32) -> None:
@@ -238,9 +240,11 @@ class LoopCloser:
         if not self._adjustment.step():
             return None
         adjusted, self._adjustment = self._adjustment.result(), None
-        if adjusted is None or adjusted.error_after > adjusted.error_before:
-            return None
-        if adjusted.lens is not None and not self._believes(adjusted.lens):
+        sound = adjusted is not None and adjusted.error_after <= adjusted.error_before
+        if self._finds_lens:
+            self._lens.looked(self._world, adjusted.lens if adjusted is not None else None)
+            sound = sound and adjusted is not None and self._believes(adjusted.lens)
+        if adjusted is None or not sound:
             return None
         self.changes.dropped += global_adjustment.apply(self._world, adjusted, self._config)
         log.info(
@@ -256,24 +260,28 @@ class LoopCloser:
 
     def _begin(self, units_per_metre: float) -> None:
         """A lens is looked for first: what else is wanted then begins with it."""
-        find_lens = self._lens.due(self._world)
-        if find_lens:
-            self._lens.looked(self._world)
-        else:
+        self._finds_lens = self._lens.due(self._world)
+        if not self._finds_lens:
             self._wanted, self._last_begun = False, self._count
         parts = pose_graph.parts(self._world, self._pairs())
         try:
             self._adjustment = GlobalAdjustment(
-                self._world, self._config, units_per_metre, self._use_depth, parts, find_lens
+                self._world, self._config, units_per_metre, self._use_depth, parts, self._finds_lens
             )
         except RuntimeError as error:
             log.warning("no global adjustment: %s", str(error).splitlines()[0][:200])
+            if self._finds_lens:
+                self._lens.looked(self._world)
 
-    def _believes(self, lens: Lens) -> bool:
-        self._lens.learn(lens)
+    def _believes(self, lens: Lens | None) -> bool:
+        """Whether a lens is taken over; all that the search had no part in is then to be adjusted to it."""
+        if lens is None or common(self._world) != lens.was:  # another camera has come meanwhile
+            return False
         said = "is off, and taken out from now on" if lens.is_certain else "is not certainly off"
         number = len(self._world.keyframes)
         log.info("lens: k1 %s (%.4f, sigma %.4f, %d keyframes)", said, lens.k1, lens.sigma, number)
+        if lens.is_certain:
+            self._wanted, self._last_begun = True, self._count - REST
         return lens.is_certain
 
     def take_changes(self) -> MapChanges:

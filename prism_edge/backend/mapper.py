@@ -166,6 +166,7 @@ class Mapper:
             weights=np.array([self.world.gate_weight(p) for p in alive], np.float32),
             dropped_keyframes=outliers[:, 0],
             dropped_points=outliers[:, 1],
+            camera=_pinhole(self.world.camera),
         )
 
     def whole(

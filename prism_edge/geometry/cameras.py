@@ -12,7 +12,7 @@ from prism_edge.geometry.poses import Array
 PINHOLE = "pinhole"
 FISHEYE = "fisheye"
 _COEFFICIENTS = {PINHOLE: (0, 4, 5, 8), FISHEYE: (0, 4)}
-MOST_BENT = 0.2  # of k1: two cameras that differ by more are two
+MOST_BENT = 0.3  # of k1: two cameras that differ by more are two
 _ITERATIONS = 20
 _SUBSTITUTIONS = 5
 

@@ -351,7 +351,7 @@ class Tracker:
         """Begin a new map with the next frame: another epoch, at the identity."""
         self._restart()
         self._pending, self._fresh, self._result, self._seen_at = None, None, None, None
-        self.may_map = True
+        self.may_map, self._lens = True, None
 
     def adopt(self, world: LocalMap, index: PlaceIndex, parts: Parts, epoch: int, log_scale: float) -> None:
         """Go on in a map that was there: the camera is looked for anywhere in it."""

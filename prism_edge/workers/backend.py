@@ -158,10 +158,11 @@ class BackendWorker:
     def _solve(self, keyframe: Keyframe) -> MapUpdate | None:
         self._bus.pulse.working(f"window of keyframe {keyframe.id}", _SOLVE_S)
         loops, adjusted = self._mapper.loops, False
-        if self._ticks is not None and loops.adjusting:
+        if self._ticks is not None:
             # In lockstep its result comes a fixed number of keyframes after its beginning.
             for _ in range(_LOCKSTEP_STEPS):
-                adjusted = adjusted or loops.adjust(float(np.exp(-self._scale.log_scale))) is not None
+                if loops.adjusting and not adjusted:
+                    adjusted = loops.adjust(float(np.exp(-self._scale.log_scale))) is not None
         update = self._mapper.optimise(keyframe.id, self._scale.log_scale)
         closed = loops.look(keyframe.id) if self._close_loops else None
         if closed is not None or adjusted:

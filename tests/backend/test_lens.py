@@ -23,19 +23,29 @@ from tests.tracking.cloud import CAMERA, pose_at
 CONFIG = BackendConfig()
 
 
+def path(count: int) -> list[np.ndarray]:
+    """Back and forth, with a little turning."""
+    return [
+        pose_at(0.15 * (i % 11), 0.03 * i, 0.0, 0.0, 0.01 * (i % 7) - 0.03 * (i % 3)) for i in range(count)
+    ]
+
+
+def firm(world: GlobalMap) -> None:
+    """As after a window's solution: all rays cross well."""
+    for point in world.points.values():
+        point.parallax_deg = 5.0
+
+
 def seen_through(
     k1: float, count: int = 22, noise_px: float = 0.5, seed: int = 0
 ) -> tuple[Teller, GlobalMap]:
     """Keyframes of a camera that is said to be ideal, and is CAMERA.bent(k1)."""
     teller, world, true = Teller(count=500, noise_px=noise_px, seed=seed), GlobalMap(), CAMERA.bent(k1)
-    for i in range(count):
-        message = teller.keyframe(
-            pose_at(0.15 * (i % 11), 0.03 * i, 0.0, 0.0, 0.01 * (i % 7) - 0.03 * (i % 3))
-        )
+    for pose in path(count):
+        message = teller.keyframe(pose)
         raw = true.distort_pixels(message.pixels.astype(np.float64))
         world.absorb(replace(message, pixels=raw.astype(np.float32)))
-    for point in world.points.values():
-        point.parallax_deg = 5.0
+    firm(world)
     return teller, world
 
 
@@ -86,12 +96,18 @@ def test_a_lens_that_is_as_said_is_left_alone(seed):
     assert abs(found.k1) < 2.0 * found.sigma
 
 
-def test_one_that_has_coefficients_gets_the_rest():
-    _, world = seen_through(-0.04)
+def test_what_is_found_joins_what_was_said():
+    """A file that says -0.05 where it is -0.11: each pixel was undistorted by the wrong one."""
+    said, true = CAMERA.bent(-0.05), CAMERA.bent(-0.11)
+    teller, world = Teller(count=500, noise_px=0.5), GlobalMap()
+    for pose in path(22):
+        message = teller.keyframe(pose)
+        pixels = said.pixels_of(true, message.pixels.astype(np.float64)).astype(np.float32)
+        world.absorb(replace(message, pixels=pixels, camera=said.to_array()))
+    firm(world)
     apply(world, look(world).result(), CONFIG)
-    again = look(world).result().lens
-    assert not again.is_certain
-    assert abs(again.k1) < again.sigma
+    assert world.camera.distortion[0] == pytest.approx(-0.11, abs=0.015)
+    assert not look(world).result().lens.is_certain
 
 
 def test_a_pure_rotation_of_far_points_says_nothing_certain_that_is_wrong():
@@ -144,8 +160,7 @@ def test_a_lens_that_is_known_is_looked_for_less():
     _, world = seen_through(0.0, count=22)
     seldom, often = LensWatch(True), LensWatch(True)
     for watch, sigma in ((seldom, 0.001), (often, 0.01)):
-        watch.looked(world)
-        watch.learn(Lens(0.0, sigma))
+        watch.looked(world, Lens(CAMERA, 0.0, sigma))
     for k in range(100, 110):
         world.keyframes[k] = replace(world.keyframes[0], id=k)
     assert often.due(world)
@@ -156,23 +171,54 @@ def test_a_lens_that_is_known_is_looked_for_less():
     ("k1", "sigma", "certain"), [(0.03, 0.005, True), (0.03, 0.02, False), (0.5, 0.01, False)]
 )
 def test_what_is_taken_for_real(k1, sigma, certain):
-    assert Lens(k1, sigma).is_certain is certain
-    assert Lens(-k1, sigma).is_certain is certain
+    assert Lens(CAMERA, k1, sigma).is_certain is certain
+    assert Lens(CAMERA, -k1, sigma).is_certain is certain
+
+
+def test_lenses_add_up_to_a_bound_only():
+    assert Lens(CAMERA.bent(0.08), 0.05, 0.01).is_certain
+    assert not Lens(CAMERA.bent(0.12), 0.05, 0.01).is_certain
+
+
+def test_one_that_would_show_a_ray_twice_is_none():
+    wide = replace(CAMERA, fx=300.0, fy=300.0)
+    assert Lens(CAMERA, -0.14, 0.01).is_certain
+    assert not Lens(wide, -0.14, 0.01).is_certain
+
+
+@pytest.mark.parametrize(
+    "distortion", [(-0.28, 0.07, 0.0, 0.0), (0.02, 0.0, 0.001, 0.0), (-0.3, 0.0, 0.0, 0.0)]
+)
+def test_a_camera_that_was_calibrated_is_believed(distortion):
+    _, world = seen_through(0.0, count=3)
+    assert common(world) == CAMERA
+    for keyframe in world.keyframes.values():
+        keyframe.camera = replace(CAMERA, distortion=distortion)
+    assert common(world) is None
+
+
+def test_a_lens_without_a_covariance_changes_nothing(monkeypatch):
+    """Places that were solved with it would go with no lens at all."""
+    _, world = seen_through(-0.06)
+    job = look(world)
+
+    def unknown(*_: object) -> None:
+        raise RuntimeError("indeterminate")
+
+    monkeypatch.setattr(lens_module.gtsam, "Marginals", unknown)
+    assert job.result() is None
 
 
 def mapper_of(k1: float, **changes: object) -> tuple[Mapper, list[Keyframe]]:
     """A mapper that has heard of keyframes of a camera with a lens that it wasn't told of."""
     teller, _ = seen_through(0.0, count=0)
     mapper, told = Mapper(replace(CONFIG, **changes), use_depth=False), []
-    for i in range(22):
-        message = teller.keyframe(
-            pose_at(0.15 * (i % 11), 0.03 * i, 0.0, 0.0, 0.01 * (i % 7) - 0.03 * (i % 3))
-        )
+    for pose in path(22):
+        message = teller.keyframe(pose)
         raw = CAMERA.bent(k1).distort_pixels(message.pixels.astype(np.float64))
         told.append(replace(message, pixels=raw.astype(np.float32)))
         mapper.absorb(told[-1])
-    for point in mapper.world.points.values():
-        point.parallax_deg = 5.0
+    firm(mapper.world)
     return mapper, told
 
 
@@ -214,3 +260,37 @@ def test_a_recording_that_ends_is_looked_at_once_more():
         mapper.loops.adjust(1.0)
     mapper.loops.finish()
     assert not mapper.loops.unfinished
+
+
+def test_a_search_into_which_another_camera_comes_is_dropped():
+    mapper, told = mapper_of(-0.06)
+    mapper.loops.adjust(1.0)  # begins
+    wider = replace(CAMERA, width=700)
+    mapper.absorb(replace(told[-1], id=99, camera=wider.to_array()))
+    before = [k.world_from_camera.copy() for k in mapper.world.keyframes.values()]
+    assert not any(adjust_all(mapper))
+    for keyframe, pose in zip(mapper.world.keyframes.values(), before, strict=True):
+        assert keyframe.world_from_camera == pytest.approx(pose)
+        assert keyframe.camera.distortion == ()
+
+
+def test_what_the_search_left_out_is_adjusted_at_once():
+    mapper, _ = mapper_of(-0.06)
+    assert adjust_all(mapper).count(True) == 2  # the lens, then everything with it
+
+
+def test_windows_after_it_carry_the_camera_too():
+    """The one update of everything may be lost on the way."""
+    mapper, told = mapper_of(-0.06)
+    adjust_all(mapper)
+    update = mapper.optimise(told[-1].id, 0.0)
+    assert Camera.from_array(CAMERA.model, update.camera) == mapper.world.camera != CAMERA
+
+
+def test_a_map_that_is_taken_up_again_is_not_searched_anew():
+    mapper, _ = mapper_of(0.0)
+    assert mapper.loops.adjusting
+    info, arrays = mapper.stored()
+    again = Mapper(CONFIG, use_depth=False)
+    again.restore({**info, "log_scale": 0.0, "scale_sigma": 0.1}, arrays)
+    assert not again.loops.adjusting

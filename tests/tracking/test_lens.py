@@ -50,6 +50,16 @@ def test_one_of_another_camera_changes_nothing(run):
     assert {k.camera for k in world.keyframes.values()} == {given}
 
 
+def test_a_new_map_begins_with_what_the_camera_file_says(run):
+    given = footage().camera
+    run.tracker.apply_update(
+        map_update(max(run.tracker.world.keyframes), camera=given.bent(-0.01).to_array())
+    )
+    run.tracker.reset()
+    run.play(range(30, 40))
+    assert {k.camera for k in run.tracker.world.keyframes.values()} == {given}
+
+
 def test_an_update_without_a_camera_leaves_it(run):
     lens = footage().camera.bent(-0.01)
     world = run.tracker.world
