@@ -42,6 +42,7 @@ ABLATIONS = {
     "dsug": "the uncertainty gate: depth weighs alike at every pixel",
     "consistency": "the trust that points earn: all weigh alike, however long they have stood",
     "plucker": "the ray-distance factor: points that rest on depth keep their reprojections",
+    "lens": "the search for radial distortion that the camera file lacks",
 }
 
 

@@ -34,7 +34,7 @@ from tools import make_distractors  # noqa: E402
 
 NETWORK = "models/fastdepth_nyu_224.onnx"
 FULL = ""  # nothing switched off
-STATIC_PARTS = (FULL, "plucker", "dsug", "kalman", "wls", "consistency", "depth_factor", "loop", "init")
+STATIC_PARTS = (FULL, *ABLATIONS)
 DYNAMIC_PARTS = (FULL, "dsug", "consistency", "dsug+consistency")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections import deque
+from dataclasses import replace
 
 import numpy as np
 
@@ -52,7 +53,8 @@ class BackendWorker:
         self._ends = bus.queue("end")
         self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
         use_rays = "plucker" not in config.ablate
-        self._mapper = Mapper(config.backend, self._use_depth, bus.first_id, config.seed, use_rays)
+        settings = replace(config.backend, lens=config.backend.lens and "lens" not in config.ablate)
+        self._mapper = Mapper(settings, self._use_depth, bus.first_id, config.seed, use_rays)
         self._keeper = MapKeeper(config, bus, self._mapper)
         self._desk = bus.commands({"save_map": self._save_map, "load_map": self._load_map})
         self._whole = Handover()

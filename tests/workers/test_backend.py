@@ -76,6 +76,12 @@ def test_without_a_network_nothing_is_waited_for(monkeypatch):
     assert bus.of("map_update")[-1].based_on == 2
 
 
+@pytest.mark.parametrize(("ablate", "looks"), [((), True), (("lens",), False)])
+def test_ablating_the_lens_leaves_the_camera(ablate, looks):
+    made = worker.BackendWorker(replace(CONFIG, ablate=ablate), ListBus("keyframe"))
+    assert made._mapper._config.lens is looks
+
+
 def test_ablating_the_depth_factor_uses_no_depth(monkeypatch):
     monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 1e6)
     bus, (teller, told) = ListBus("keyframe"), keyframes(3)
