@@ -58,7 +58,7 @@ def test_what_is_there_is_not_run_again_and_most_is_most(tmp_path: Path, monkeyp
     assert len(ran) == 2
     assert ran[0][:2] == ["eval", str(shared / first.folder)]
     assert "--lockstep" in ran[0]
-    assert ran[0][ran[0].index("--ablate") + 1] == "plucker"
+    assert ran[0][ran[0].index("--ablate") + 1] == ablate.STATIC_PARTS[1]
     assert "full system | 2.0 / 1.0" in capsys.readouterr().out
 
 
