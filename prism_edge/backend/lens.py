@@ -57,6 +57,10 @@ class Lens:
         there = self.camera.distort_pixels(self.camera.undistort_pixels(corners))
         return bool(np.abs(there - corners).max() < ROUND_TRIP_PX)
 
+    def agrees(self, other: Lens | None) -> bool:
+        """Whether ``other``, found before with less to go by, is the same within its sigma."""
+        return other is not None and other.was == self.was and abs(other.k1 - self.k1) < other.sigma
+
 
 class LensWatch:
     """When the lens is looked for: as a map grows, until it is known."""
@@ -64,6 +68,7 @@ class LensWatch:
     def __init__(self, enabled: bool, known: int = 0) -> None:
         """A map that had ``known`` keyframes when it was taken up has been looked at."""
         self._enabled, self._next, self._looked_at = enabled, FIRST, known
+        self._last: Lens | None = None  # what the last search found
         if known:
             self._next = max(math.ceil(GROWTH * known), FIRST)
 
@@ -71,11 +76,17 @@ class LensWatch:
         """Whether the map has grown enough since it was looked for."""
         return self._enabled and self._next <= len(world.keyframes) <= LAST and common(world) is not None
 
-    def looked(self, world: GlobalMap, lens: Lens | None = None) -> None:
-        """It has been looked for, with this result: what is known well need not be looked for so soon."""
+    def looked(self, world: GlobalMap, lens: Lens | None = None) -> bool:
+        """It has been looked for, with this result; True where it is certain and was found before, too.
+
+        What is known well need not be looked for so soon.
+        """
+        found_again = lens is not None and lens.is_certain and lens.agrees(self._last)
+        self._last = None if found_again else lens
         self._looked_at = len(world.keyframes)
-        well_known = lens is not None and (lens.is_certain or lens.sigma < WELL_KNOWN)
+        well_known = lens is not None and (found_again or lens.sigma < WELL_KNOWN)
         self._next = math.ceil((2.0 if well_known else GROWTH) * self._looked_at)
+        return found_again
 
     def finish(self) -> None:
         """The map won't grow any more: its last keyframes count as well."""

@@ -242,8 +242,7 @@ class LoopCloser:
         adjusted, self._adjustment = self._adjustment.result(), None
         sound = adjusted is not None and adjusted.error_after <= adjusted.error_before
         if self._finds_lens:
-            self._lens.looked(self._world, adjusted.lens if adjusted is not None else None)
-            sound = sound and adjusted is not None and self._believes(adjusted.lens)
+            sound = self._believes(adjusted.lens if adjusted is not None and sound else None)
         if adjusted is None or not sound:
             return None
         self.changes.dropped += global_adjustment.apply(self._world, adjusted, self._config)
@@ -275,14 +274,16 @@ class LoopCloser:
 
     def _believes(self, lens: Lens | None) -> bool:
         """Whether a lens is taken over; all that the search had no part in is then to be adjusted to it."""
-        if lens is None or common(self._world) != lens.was:  # another camera has come meanwhile
-            return False
-        said = "is off, and taken out from now on" if lens.is_certain else "is not certainly off"
-        number = len(self._world.keyframes)
-        log.info("lens: k1 %s (%.4f, sigma %.4f, %d keyframes)", said, lens.k1, lens.sigma, number)
-        if lens.is_certain:
+        if lens is not None and common(self._world) != lens.was:  # another camera has come meanwhile
+            lens = None
+        taken = self._lens.looked(self._world, lens)
+        if lens is not None:
+            said = "is off, and taken out from now on" if taken else "is not certainly off"
+            number = len(self._world.keyframes)
+            log.info("lens: k1 %s (%.4f, sigma %.4f, %d keyframes)", said, lens.k1, lens.sigma, number)
+        if taken:
             self._wanted, self._last_begun = True, self._count - REST
-        return lens.is_certain
+        return taken
 
     def take_changes(self) -> MapChanges:
         """What has changed since this was last asked."""
