@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from prism_edge.backend.lens import radial
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus.commands import Reply
@@ -177,6 +178,9 @@ class BackendWorker:
         self._bus.pulse.values["keyframes"] = str(len(self._mapper.world.keyframes))
         self._bus.pulse.values["points"] = str(len(self._mapper.world.points))
         self._bus.pulse.values["behind"] = str(len(self._waiting))
+        camera = self._mapper.world.camera
+        if camera is not None:
+            self._bus.pulse.values["k1"] = f"{radial(camera):.4f}"
         self._bus.pulse.idle()
         return update
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import Config
+from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import EndOfStream, MapSnapshot
 from prism_edge.workers import backend as worker
@@ -80,6 +81,15 @@ def test_without_a_network_nothing_is_waited_for(monkeypatch):
 def test_ablating_the_lens_leaves_the_camera(ablate, looks):
     made = worker.BackendWorker(replace(CONFIG, ablate=ablate), ListBus("keyframe"))
     assert made._mapper._config.lens is looks
+
+
+def test_health_shows_the_lens_of_the_map(monkeypatch):
+    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    bus, (_, told) = ListBus("keyframe"), keyframes(3)
+    bent = Camera.from_array(told[0].camera_model, told[0].camera).bent(-0.02)
+    bus.give("keyframe", *(replace(k, camera=bent.to_array()) for k in told))
+    run_realtime(bus, NO_DEPTH)
+    assert bus.pulse.values["k1"] == "-0.0200"
 
 
 def test_ablating_the_depth_factor_uses_no_depth(monkeypatch):
