@@ -64,6 +64,8 @@ TABLES = {
         (
             Sequence("redkitchen_moving_0", *KITCHEN, 0),
             Sequence("redkitchen_moving_1", *KITCHEN, 1),
+            Sequence("redkitchen_moving_2", *KITCHEN, 2),
+            Sequence("redkitchen_moving_3", *KITCHEN, 3),
             Sequence("tartanair_moving_0", HOSPITAL, "", 0),
             Sequence("tartanair_moving_1", HOSPITAL, "", 1),
         ),

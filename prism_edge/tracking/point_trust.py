@@ -2,7 +2,8 @@
 
 What moves is seldom found in the same place for long: its points fail and are made anew. So a point earns
 its weight in a pose by the time for which it has been found consistent (squared, relative to
-``proven_after_s``), times what the uncertainty gate thinks of it. Among points that are all new, as in a part
+``proven_after_s``), times what the uncertainty gate thinks of it, which counts the less the longer the point
+has stood: what geometry has proven, a network that is unsure of its depth does not refute. Among points that are all new, as in a part
 of the scene that has just come into view, the weights are alike and change nothing.
 """
 
@@ -21,4 +22,5 @@ def trust(table: PointTable, rows: Index, now_ns: int, proven_after_s: float) ->
     if proven_after_s <= 0.0:
         return np.maximum(table.weight[rows], LEAST_WEIGHT)
     share = np.clip((now_ns - table.born_ns[rows]) * (1e-9 / proven_after_s), 0.0, 1.0)
-    return np.maximum(table.weight[rows] * share * share, LEAST_WEIGHT)
+    gate = table.weight[rows]
+    return np.maximum((gate + (1.0 - gate) * share) * share * share, LEAST_WEIGHT)

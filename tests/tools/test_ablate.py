@@ -35,7 +35,8 @@ def test_a_table_has_medians_means_and_differences(tmp_path: Path):
 def test_a_run_that_found_no_figure_leaves_a_dash(tmp_path: Path):
     for sequence in ablate.TABLES["dynamic"][1]:
         write(tmp_path, sequence, "", 0, None)
-    assert "| full system | - / - | - / - | - / - | - / - | - |" in ablate.table("dynamic", tmp_path, [0])
+    many = len(ablate.TABLES["dynamic"][1])
+    assert f"| full system | {'- / - | ' * many}- |" in ablate.table("dynamic", tmp_path, [0])
 
 
 def test_only_parts_that_can_be_switched_off_are_listed():

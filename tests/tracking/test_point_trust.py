@@ -59,14 +59,15 @@ def test_where_all_is_new_nothing_changes():
     assert errors[1] == pytest.approx(errors[0], abs=2e-3)
 
 
-def test_the_weight_grows_with_the_square_of_age_and_goes_by_the_gate():
+def test_the_weight_grows_with_the_square_of_age_and_the_gate_s_say_ends_with_it():
     _, world, _ = world_with_a_mover(0.0)
     table = world.points
-    table.born_ns[:4] = np.array([10.0, 9.5, 9.0, 0.0]) * SECOND
-    table.weight[:5] = (1.0, 1.0, 1.0, 0.4, 0.0)
-    found = trust(table, np.arange(5), 10 * SECOND, 2.0)
-    np.testing.assert_allclose(found, [LEAST_WEIGHT, 0.0625, 0.25, 0.4, LEAST_WEIGHT])
-    np.testing.assert_allclose(trust(table, np.arange(5), 10 * SECOND, 0.0), [1, 1, 1, 0.4, LEAST_WEIGHT])
+    table.born_ns[:6] = np.array([10.0, 9.5, 9.0, 9.0, 9.0, 0.0]) * SECOND
+    table.weight[:6] = (1.0, 1.0, 1.0, 0.4, 0.0, 0.0)
+    found = trust(table, np.arange(6), 10 * SECOND, 2.0)
+    np.testing.assert_allclose(found, [LEAST_WEIGHT, 0.0625, 0.25, 0.25 * 0.7, 0.25 * 0.5, 1.0])
+    ageless = trust(table, np.arange(6), 10 * SECOND, 0.0)
+    np.testing.assert_allclose(ageless, [1, 1, 1, 0.4, LEAST_WEIGHT, LEAST_WEIGHT])
     np.testing.assert_allclose(trust(table, np.arange(1), 0, 2.0), LEAST_WEIGHT)  # a clock that went back
 
 
