@@ -3,8 +3,8 @@
 What moves is seldom found in the same place for long: its points fail and are made anew. So a point earns
 its weight in a pose by the time for which it has been found consistent (squared, relative to
 ``proven_after_s``), times what the uncertainty gate thinks of it, which counts the less the longer the point
-has stood: what geometry has proven, a network that is unsure of its depth does not refute. Among points that are all new, as in a part
-of the scene that has just come into view, the weights are alike and change nothing.
+has stood: what geometry has proven, a network that is unsure of its depth does not refute. Among points that
+are all new, as in a part of the scene that has just come into view, the weights are alike and change nothing.
 """
 
 from __future__ import annotations
