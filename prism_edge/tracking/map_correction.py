@@ -37,10 +37,11 @@ def flaw(update: MapUpdate) -> str:
     for name in ("poses", "positions", "parallax_deg", "weights"):
         if not np.isfinite(getattr(update, name)).all():
             return f"its {name} are not all finite"
-    try:
-        Camera.from_array(PINHOLE, update.camera) if len(update.camera) else None
-    except ConfigError as error:
-        return f"its camera is none ({error})"
+    if len(update.camera):
+        try:
+            Camera.from_array(PINHOLE, update.camera)
+        except ConfigError as error:
+            return f"its camera is none ({error})"
     return ""
 
 
