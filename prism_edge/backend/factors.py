@@ -89,12 +89,15 @@ class FactorFactory:
         """Distance of a point from the ray of a keypoint; ``current_range`` is the point's, map units.
 
         It repeats what the reprojection of the same pixel says: use one of them. Huber's k = delta / sigma.
+        A length far away is a small angle, but no ray is known better than its pixel: one point that had run
+        off to a kilometre turned a whole window towards itself.
         """
         camera, pixel = keyframe.camera, keyframe.pixels[keypoint]
         direction = (pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0
         weight = max(keyframe.gate_weight(keypoint), LEAST_WEIGHT)
-        sigma = self._ray_sigma / math.sqrt(weight)
-        angle = sigma / max(current_range, _LEAST_RANGE)
+        of_pixel = self._config.pixel_sigma * float(keyframe.sigmas[keypoint]) / camera.fx
+        of_length = self._ray_sigma / max(current_range, _LEAST_RANGE)
+        angle = max(of_length, of_pixel) / math.sqrt(weight)
         threshold = self._config.huber_ray_m / self._config.ray_sigma_m * math.sqrt(weight)
         noise = ray_noise(round(math.log(angle) / _RAY_STEP), round(threshold, 2))
         return gtsam.BearingFactor3D(pose_key, point_key, gtsam.Unit3(np.array(direction)), noise)

@@ -141,13 +141,14 @@ def test_a_held_pose_is_dearer_than_any_measurement():
 @settings(max_examples=60, deadline=None)
 @given(st.floats(-40, 40), st.floats(-40, 40), st.floats(0.1, 1.0), st.floats(0.5, 2.0))
 def test_a_ray_is_the_pluecker_distance_to_second_order(dx, dy, weight, units_per_metre):
-    """Its own Huber threshold, 0.05 m, and the gate's weight included."""
+    """Its own Huber threshold, 0.05 m, the gate's weight and the least of noises, a pixel's, included."""
     local = transform(inverse(POSE), POINT[None])
     pixel = CAMERA.project(local)[0] + (dx, dy)
     distance = pluecker_distance(POSE, pixel, POINT)
     current = float(np.linalg.norm(local))
-    sigma = CONFIG.ray_sigma_m * units_per_metre / np.sqrt(weight)
-    expected = huber(distance / sigma, CONFIG.huber_ray_m * units_per_metre / sigma)
+    least = CONFIG.pixel_sigma / CAMERA.fx * current
+    sigma = max(CONFIG.ray_sigma_m * units_per_metre, least) / np.sqrt(weight)
+    expected = huber(distance / sigma, CONFIG.huber_ray_m / CONFIG.ray_sigma_m * np.sqrt(weight))
     angle = np.arcsin(distance / current)
     # sin a = a (1 - a^2 / 6); sigmas are rounded to a hundredth, thresholds in sigmas too
     tolerance = angle**2 / 3 + 0.012
@@ -165,6 +166,19 @@ def test_a_gross_ray_costs_in_proportion_to_its_distance():
         costs.append(ray(CAMERA.project(local)[0], current).error(values_of(POSE, aside)))
     assert costs[1] / costs[0] == pytest.approx(4.0, rel=0.02)
     assert costs[3] / costs[2] == pytest.approx(2.0, rel=0.15)
+
+
+@pytest.mark.parametrize("octave", [0, 3])
+def test_far_away_a_ray_counts_as_what_it_is_a_pixel(octave):
+    """A centimetre at a kilometre would be a hundredth of a pixel."""
+    far = transform(POSE, np.array([[50.0, -40.0, 1000.0]]))[0]
+    exact = CAMERA.project(transform(inverse(POSE), far[None]))[0]
+    pixel = exact + (1.0, 0.0)
+    keyframe = keyframe_of(pixel, octave)
+    factor = FactorFactory(CONFIG, 1.0).ray(X(0), L(0), keyframe, 0, float(np.linalg.norm(far)))
+    assert factor.error(values_of(POSE, far)) == pytest.approx(
+        reprojection(pixel, octave).error(values_of(POSE, far)), rel=0.05
+    )
 
 
 def test_rays_alone_say_nothing_of_the_scale():

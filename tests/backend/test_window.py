@@ -270,6 +270,20 @@ def test_a_point_that_others_place_stays_where_it_is_in_a_window_that_cannot():
     assert not placed_elsewhere(world, Window(list(range(1, 7)), [7, 8], seen))
 
 
+def test_one_point_that_has_run_away_turns_no_window():
+    """Its rays hardly cross, so they count as rays; one of them is of something else."""
+    world, teller = world_of()
+    gone = max(world.points, key=lambda p: (len(world.points[p].keyframes), -p))
+    eye = world.keyframes[5].world_from_camera[:3, 3]
+    world.points[gone].position = eye + 1000.0 * (world.points[gone].position - eye)
+    world.points[gone].parallax_deg = 0.05
+    first = world.keyframes[min(world.points[gone].keyframes)]
+    first.pixels[first.observed[gone]] += (60.0, -40.0)
+    solution = solve(world, choose_window(world, 5, CONFIG), CONFIG, 1.0, True)
+    assert worst(solution, teller) < 0.005
+    assert (min(world.points[gone].keyframes), gone) in solution.outliers
+
+
 @pytest.mark.parametrize("iterations", [1, 2, 4, 5])
 def test_few_iterations_are_made_all_the_same(iterations):
     """Those kept for a second round must not be all there are."""
