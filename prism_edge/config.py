@@ -175,7 +175,7 @@ class ScaleConfig:
     drift_per_sqrt_m: float = limits(0.003, 0.0, 1.0, "random walk of log scale with distance")
     drift_per_sqrt_s: float = limits(0.0005, 0.0, 1.0, "random walk of log scale with time")
     initial_sigma: float = limits(0.3, 0.01, 2.0, "log-scale sigma before any observation")
-    hold_sigmas: float = limits(0.7, 0.0, 3.0, "the published scale holds while the estimate is this near")
+    hold_sigmas: float = limits(0.6, 0.0, 3.0, "the published scale holds while the estimate is this near")
     gate_sigmas: float = limits(4.0, 1.0, 100.0, "an innovation beyond this is an outlier")
 
 
