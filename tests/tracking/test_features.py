@@ -195,3 +195,21 @@ def test_through_another_lens_keypoints_are_filed_where_they_then_are():
     assert np.array_equal(moved.order, anew.order)
     assert np.array_equal(moved.cell_start, anew.cell_start)
     assert np.abs(moved.pixels - features.pixels).max() > 5.0
+
+
+def test_points_of_an_edge_are_no_corners():
+    """They slide along it: where a tiled wall's joints run, only their crossings are places."""
+    rng = np.random.default_rng(3)
+    wall = np.full((480, 640), 205.0)
+    ends = [((-20, 90), (660, 190)), ((-20, 290), (660, 390)), ((150, -20), (90, 500)), ((470, -20), (410, 500))]
+    for start, end in ends:
+        cv2.line(wall, start, end, 60.0, 3, cv2.LINE_AA)
+    image = np.clip(cv2.GaussianBlur(wall, (0, 0), 0.7) + rng.normal(0, 2.0, wall.shape), 0, 255)
+    found = OrbExtractor(TrackingConfig()).extract(image.astype(np.uint8), CAMERA)
+    lines = [np.cross((*start, 1.0), (*end, 1.0)) for start, end in ends]
+    crossings = np.array([np.cross(a, b) for a in lines[:2] for b in lines[2:]])
+    crossings = crossings[:, :2] / crossings[:, 2:]
+    nearest = np.linalg.norm(found.pixels[:, None] - crossings, axis=2).min(axis=1)
+    reach = 16.0 * 1.2**found.octaves  # of a corner's window
+    assert (nearest < reach).sum() >= 4
+    assert (nearest > reach).mean() < 0.1
