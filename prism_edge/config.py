@@ -209,7 +209,9 @@ class BackendConfig:
         default=True, metadata={"help": "find and take out radial distortion that the camera file lacks"}
     )
     loop_inliers: int = limits(25, 10, 1000, "points that must agree on a loop")
-    ray_sigma_m: float = limits(0.01, 1e-4, 1.0, "noise of a point's distance from a ray (m); never less than its pixel's")
+    ray_sigma_m: float = limits(
+        0.01, 1e-4, 1.0, "noise of a point's distance from a ray (m), no less than a pixel"
+    )
     huber_ray_m: float = limits(0.05, 0.001, 10.0, "Huber threshold of that distance (m)")
     max_carried: int = limits(10_000, 0, 1_000_000, "poses kept of culled keyframes, the last culled")
 

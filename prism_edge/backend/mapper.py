@@ -17,7 +17,7 @@ from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
 from prism_edge.geometry.cameras import PINHOLE, Camera
-from prism_edge.geometry.poses import Array
+from prism_edge.geometry.poses import Array, inverse
 from prism_edge.messages import Gate, Keyframe, MapUpdate
 from prism_edge.tracking.depth_alignment import agreement
 from prism_edge.tracking.place_index import PlaceIndex
@@ -140,7 +140,18 @@ class Mapper:
             keep_unit(self.world, window.held[0], solution.poses, solution.points)
         return self._take_over(newest, solution, started)
 
+    def _take_along(self, solution: Solution) -> None:
+        """Points that the window left out (it takes a keyframe's best only) go with their first keyframe."""
+        points = self.world.points
+        for k, pose in solution.poses.items():
+            keyframe = self.world.keyframes[k]
+            motion = pose @ inverse(keyframe.world_from_camera)
+            for p in keyframe.observed.keys() - solution.points.keys():
+                if min(points[p].keyframes) == k:
+                    points[p].position = motion[:3, :3] @ points[p].position + motion[:3, 3]
+
     def _take_over(self, newest: int, solution: Solution, started: float) -> MapUpdate:
+        self._take_along(solution)
         for k, pose in solution.poses.items():
             self.world.keyframes[k].world_from_camera = pose
         for p, position in solution.points.items():

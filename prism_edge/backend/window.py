@@ -20,6 +20,7 @@ RANGE_CHANGE = 0.05
 BESIDE = 0.02  # of the depth of the scene: from one spot, for its points
 UNPLACED = 0.25  # of a point's parallax: a window that has less of it can't say how far the point is
 HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
+MOST_DAMPING = 1e10
 CONVERGED = 1e-4  # relative decrease of the cost that is not worth another iteration
 
 
@@ -217,6 +218,8 @@ def solve(
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setRelativeErrorTol(1e-4)
     parameters.setlambdaInitial(1e-4)
+    # gtsam's own limit, 1e5, is less than a pixel's weight: it would give up where steps have to be small.
+    parameters.setlambdaUpperBound(MOST_DAMPING)
     observations, result, iterations, before, error = problem.observations, problem.values, 0, None, 0.0
     first = max(config.iterations - REFINING, 1) if problem.rays else config.iterations
     try:

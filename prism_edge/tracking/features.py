@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
+from prism_edge.tracking.corners import are_corners
 
 Index = NDArray[np.intp]
 HIGHEST_THRESHOLD = 25  # of FAST
@@ -65,10 +66,7 @@ class OrbExtractor:
     OpenCV keeps the strongest responses wherever they cluster; a pose rests better on corners from
     all over the image. So more are detected than wanted, and each grid cell keeps its strongest.
 
-    FAST takes points of a straight edge for corners, too. They slide along it from frame to frame, all to
-    the same side, and robust kernels don't mind: at a tiled wall two in three are of that kind, and turned
-    the camera by a degree a frame. Harris' measure is negative there (one eigenvalue of the structure tensor
-    below about a twentieth of the other).
+    Points of straight edges are left out (corners.py).
     """
 
     surplus = 1.6  # detected per kept; more costs time and brings little
@@ -85,8 +83,8 @@ class OrbExtractor:
             nfeatures=int(self._wanted * self.surplus),
             scaleFactor=config.scale_factor,
             nlevels=config.levels,
-            edgeThreshold=19,
-            scoreType=cv2.ORB_HARRIS_SCORE,
+            edgeThreshold=19,  # more than corners.py's margin
+            scoreType=cv2.ORB_FAST_SCORE,
             patchSize=31,
             fastThreshold=config.fast_threshold,
         )
@@ -101,12 +99,11 @@ class OrbExtractor:
         self._adapt(len(keypoints))
         pixels = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float32).reshape(-1, 2)
         octaves = np.fromiter(map(_octave, keypoints), np.intp, len(keypoints))
-        strength = np.fromiter(map(_response, keypoints), np.float64, len(keypoints))
-        chosen = np.flatnonzero(strength > 0.0)
+        chosen = np.flatnonzero(are_corners(grey, pixels, octaves, self.scale_factors))
         if len(chosen) > self._wanted:
+            strength = np.fromiter(map(_response, keypoints), np.float64, len(keypoints))
             chosen = chosen[self._spread(pixels[chosen], strength[chosen], grey.shape[1])]
-        if len(chosen) < len(keypoints):
-            pixels, octaves, descriptors = pixels[chosen], octaves[chosen], descriptors[chosen]
+        pixels, octaves, descriptors = pixels[chosen], octaves[chosen], descriptors[chosen]
         raw = _in_full_image(pixels.astype(np.float64), octaves, self.scale_factors, grey.shape)
         packed = np.ascontiguousarray(descriptors).view(np.uint64)
         ideal = camera.undistort_pixels(raw)

@@ -173,7 +173,7 @@ def test_far_away_a_ray_counts_as_what_it_is_a_pixel(octave):
     """A centimetre at a kilometre would be a hundredth of a pixel."""
     far = transform(POSE, np.array([[50.0, -40.0, 1000.0]]))[0]
     exact = CAMERA.project(transform(inverse(POSE), far[None]))[0]
-    pixel = exact + (1.0, 0.0)
+    pixel = exact + np.array([1.0, 0.0])
     keyframe = keyframe_of(pixel, octave)
     factor = FactorFactory(CONFIG, 1.0).ray(X(0), L(0), keyframe, 0, float(np.linalg.norm(far)))
     assert factor.error(values_of(POSE, far)) == pytest.approx(

@@ -10,7 +10,7 @@ import pytest
 from prism_edge.backend.mapper import Mapper
 from prism_edge.bus import codec
 from prism_edge.config import BackendConfig, TrackingConfig
-from prism_edge.geometry.poses import inverse, se3_exp
+from prism_edge.geometry.poses import inverse, se3_exp, transform
 from prism_edge.messages import Gate, Keyframe, MapUpdate
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.odometry import MetricOdometry
@@ -127,6 +127,35 @@ def test_wrong_observations_leave_the_map_and_are_told(solved):
     for k, p in dropped:
         assert p not in mapper.world.keyframes[k].observed
     assert not set(update.points.tolist()) - set(mapper.world.points)
+
+
+def test_points_that_a_window_leaves_out_go_with_their_keyframe():
+    """A window takes some points of each keyframe; the others must not stay where the keyframe was."""
+    mapper, teller = Mapper(BackendConfig(observations=40)), Teller(600)
+    poses = [pose_at(0.2 * i, 0.0, 0.02 * i, 0.0, yaw) for i, yaw in enumerate((0.0, 0.0, 0.0, -0.3))]
+    for pose in poses:
+        mapper.absorb(teller.keyframe(pose))
+    depth_at_keypoints(mapper.world, teller.cloud, poses)
+    newest = mapper.world.keyframes[3]
+    off = se3_exp(np.array([0.1, 0.05, -0.1, 0.02, 0.03, 0.0]))
+    newest.world_from_camera = newest.world_from_camera @ off
+
+    def in_first_view() -> dict[int, np.ndarray]:
+        views = {p: mapper.world.keyframes[min(x.keyframes)] for p, x in mapper.world.points.items()}
+        return {
+            p: transform(inverse(view.world_from_camera), mapper.world.points[p].position[None])[0]
+            for p, view in views.items()
+        }
+
+    before, was = in_first_view(), newest.world_from_camera.copy()
+    update = mapper.optimise(3, 0.0)
+    left = [p for p in before if p not in set(update.points.tolist()) and p in mapper.world.points]
+    of_newest = [p for p in left if min(mapper.world.points[p].keyframes) == 3]
+    assert np.linalg.norm(newest.world_from_camera[:3, 3] - was[:3, 3]) > 0.05
+    assert len(left) > 100
+    assert len(of_newest) > 5
+    after = in_first_view()
+    assert max(np.linalg.norm(after[p] - before[p]) for p in left) < 1e-9
 
 
 def test_sequences_grow_and_an_empty_answer_takes_one(solved):
