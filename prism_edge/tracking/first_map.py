@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from enum import Enum
 
 import numpy as np
 
@@ -17,12 +18,19 @@ log = logging.getLogger("prism_edge.tracking")
 CAN_WAIT_MATCHES = 100
 
 
-def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, seed: int) -> bool | None:
-    """Check what the network gave the first map against two views; False: wait for more parallax.
+class SecondView(Enum):
+    """What the second view says of the first map."""
 
-    Where its depths contradict the matches (outdoors, say), the two views' structure takes their place,
-    ``frame`` is moved, and None is returned: the motion until here was none. A camera that is about to lose
-    the first view can't wait.
+    TOO_NEAR = "wait for more parallax"
+    AGREES = "the first map stands"
+    CONTRADICTS = "the first map rests on two views now, and the motion until here was none"
+
+
+def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, seed: int) -> SecondView:
+    """Check what the network gave the first map against two views.
+
+    Where its depths contradict the matches (outdoors, say), the two views' structure takes their place and
+    ``frame`` is moved. A camera that is about to lose the first view can't wait for parallax.
     """
     table = world.points
     keypoints = np.flatnonzero(frame.points >= 0)
@@ -37,9 +45,9 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
         seed,
     )
     if views is None:
-        return frame.matched < CAN_WAIT_MATCHES
+        return SecondView.AGREES if frame.matched < CAN_WAIT_MATCHES else SecondView.TOO_NEAR
     if not views.contradicts:
-        return True
+        return SecondView.AGREES
     log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
     frame.world_from_camera = first.world_from_camera @ views.first_from_second
     good = views.good
@@ -51,4 +59,4 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
     frame.points[keypoints[~good]] = -1
     kept = np.isin(table.ids, table.ids[rows[good]])
     world.cull_points(np.flatnonzero(table.alive & ~kept & (table.reference == first.id)))
-    return None
+    return SecondView.CONTRADICTS

@@ -13,7 +13,7 @@ from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_l
 from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
-from prism_edge.tracking.first_map import begin_structure
+from prism_edge.tracking.first_map import SecondView, begin_structure
 from prism_edge.tracking.frame_result import FrameResult, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.keyframe_culling import cull_keyframes, drop_keyframe
@@ -231,11 +231,11 @@ class Tracker:
             return None
         alone = self._config.two_views and self.parts.size(self.world) == 1
         if alone:
-            sound = begin_structure(self.world, reference, frame, self._seed)
-            if sound is None:
-                self._velocity = np.zeros(6)
-            elif not sound:
+            said = begin_structure(self.world, reference, frame, self._seed)
+            if said is SecondView.TOO_NEAR:
                 return None
+            if said is SecondView.CONTRADICTS:
+                self._velocity = np.zeros(6)
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
         )
