@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from operator import attrgetter
 
@@ -13,6 +14,7 @@ from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.corners import are_corners
+from prism_edge.tracking.spreading import spread
 
 Index = NDArray[np.intp]
 HIGHEST_THRESHOLD = 25  # of FAST
@@ -64,13 +66,11 @@ class OrbExtractor:
     """OpenCV's ORB with its keypoints thinned to an even spread.
 
     OpenCV keeps the strongest responses wherever they cluster; a pose rests better on corners from
-    all over the image. So more are detected than wanted, and each grid cell keeps its strongest.
-
-    Points of straight edges are left out (corners.py).
+    all over the image. So more are detected than wanted, and thinned (spreading.py); only those that are
+    left are described. Points of straight edges are left out (corners.py).
     """
 
-    surplus = 1.6  # detected per kept; more costs time and brings little
-    spread_cell = 32  # pixels
+    surplus = 2.0  # detected per kept; more costs time and brings little
 
     def __init__(self, config: TrackingConfig) -> None:
         self._config = config
@@ -93,17 +93,15 @@ class OrbExtractor:
         """Features of a grey image (height, width); an image without corners gives none."""
         if (grey.shape[1], grey.shape[0]) != self._size:
             self._fit((grey.shape[1], grey.shape[0]))
-        keypoints, descriptors = self._orb.detectAndCompute(grey, None)
-        if descriptors is None or not len(keypoints):
-            keypoints, descriptors = (), np.zeros((0, 32), np.uint8)
-        self._adapt(len(keypoints))
-        pixels = np.asarray(cv2.KeyPoint.convert(keypoints), dtype=np.float32).reshape(-1, 2)
-        octaves = np.fromiter(map(_octave, keypoints), np.intp, len(keypoints))
-        chosen = np.flatnonzero(are_corners(grey, pixels, octaves, self.scale_factors))
-        if len(chosen) > self._wanted:
-            strength = np.fromiter(map(_response, keypoints), np.float64, len(keypoints))
-            chosen = chosen[self._spread(pixels[chosen], strength[chosen], grey.shape[1])]
-        pixels, octaves, descriptors = pixels[chosen], octaves[chosen], descriptors[chosen]
+        found = self._orb.detect(grey, None)
+        self._adapt(len(found))
+        pixels = np.asarray(cv2.KeyPoint.convert(found), dtype=np.float32).reshape(-1, 2)
+        octaves = np.fromiter(map(_octave, found), np.intp, len(found))
+        strength = np.fromiter(map(_response, found), np.float64, len(found))
+        corners = np.flatnonzero(are_corners(grey, pixels, octaves, self.scale_factors))
+        chosen = corners[spread(pixels[corners], strength[corners], grey.shape, self._wanted, self._least)]
+        descriptors = self._describe(grey, found, octaves, chosen)
+        pixels, octaves = pixels[chosen], octaves[chosen]
         raw = _in_full_image(pixels.astype(np.float64), octaves, self.scale_factors, grey.shape)
         packed = np.ascontiguousarray(descriptors).view(np.uint64)
         ideal = camera.undistort_pixels(raw)
@@ -139,17 +137,17 @@ class OrbExtractor:
         self._threshold = max(threshold, self._lowest)
         self._orb.setFastThreshold(self._threshold)
 
-    def _spread(self, pixels: NDArray[np.float32], strength: NDArray[np.float64], width: int) -> Index:
-        columns = width // self.spread_cell + 1
-        at = (pixels * (1.0 / self.spread_cell)).astype(np.intp)
-        cell = at[:, 1] * columns + at[:, 0]
-        # One number to sort by: two take twice as long.
-        step = float(strength.max()) + 1.0
-        order = np.argsort(step * cell - strength, kind="stable")
-        begins = np.diff(cell[order], prepend=-1) > 0
-        rank = np.arange(len(order)) - np.flatnonzero(begins)[np.cumsum(begins) - 1]
-        # Every cell's best, then every cell's second best, and so on until there are enough.
-        return order[np.argsort(step * rank - strength[order], kind="stable")[: self._wanted]]
+    def _describe(
+        self, grey: NDArray[np.uint8], found: Sequence[cv2.KeyPoint], octaves: Index, chosen: Index
+    ) -> NDArray[np.uint8]:
+        """Descriptors (n, 32) of the chosen keypoints alone: half of those found are thrown away."""
+        # OpenCV answers in the order of levels.
+        by_level = np.argsort(octaves[chosen], kind="stable")
+        _, answered = self._orb.compute(grey, [found[i] for i in chosen[by_level]])
+        descriptors = np.empty((len(chosen), 32), np.uint8)
+        if len(chosen):
+            descriptors[by_level] = answered
+        return descriptors
 
 
 def _in_full_image(pixels: Array, octaves: Index, factors: Array, shape: tuple[int, ...]) -> Array:

@@ -50,21 +50,25 @@ def test_a_quarter_of_strong_corners_does_not_take_them_all():
     assert cells_with_features(features.pixels, 64) > cells_with_features(clustered, 64)
 
 
-def test_the_strongest_of_a_cell_is_kept_first():
-    extractor = OrbExtractor(TrackingConfig(features=100, max_features=100))
-    rng = np.random.default_rng(3)
-    pixels = rng.uniform(0, (640, 480), (2000, 2)).astype(np.float32)
-    strength = rng.permutation(2000).astype(float)
-    chosen = extractor._spread(pixels, strength, 640)
-    assert len(chosen) == 100
-    cell = (pixels // extractor.spread_cell).astype(int) @ (1, 1000)
-    for c in np.unique(cell):
-        mine = np.flatnonzero(cell == c)
-        kept = np.intersect1d(mine, chosen)
-        best = mine[np.argsort(-strength[mine])][: len(kept)]
-        assert set(kept) == set(best)
-    # 300 cells and 100 places: nobody gets a second before everybody has a first
-    assert len(np.unique(cell[chosen])) == 100
+def test_descriptors_are_those_of_their_keypoints():
+    config = TrackingConfig(features=400, max_features=400)
+    image, extractor = blocks(2), OrbExtractor(config)
+    plain = cv2.ORB.create(
+        nfeatures=int(400 * extractor.surplus),
+        scaleFactor=config.scale_factor,
+        nlevels=config.levels,
+        edgeThreshold=19,
+        scoreType=cv2.ORB_FAST_SCORE,
+        fastThreshold=config.fast_threshold,
+    )
+    keypoints, descriptors = plain.detectAndCompute(image, None)
+    at_level_0 = {k.pt: d.tobytes() for k, d in zip(keypoints, descriptors, strict=True) if k.octave == 0}
+    features = extractor.extract(image, CAMERA)
+    mine = np.flatnonzero(features.octaves == 0)
+    assert len(mine) > 50
+    assert set(features.octaves.tolist()) > {0, 3}
+    for i in mine:
+        assert features.descriptors[i].tobytes() == at_level_0[tuple(np.rint(features.pixels[i]))]
 
 
 def test_an_image_without_corners_gives_none():

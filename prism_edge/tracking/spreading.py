@@ -1,0 +1,42 @@
+"""Keypoints spread over the image: of what clusters, the strongest stay."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Index = NDArray[np.intp]
+
+CELL = 32  # pixels a side
+CROWD = 3.0  # times a cell's even share of what is wanted: no cell has more
+ENOUGH = 0.6  # of what is wanted at least: with fewer, crowds are better than nothing
+
+
+def spread(
+    pixels: NDArray[np.float32],
+    strength: NDArray[np.float64],
+    shape: tuple[int, ...],
+    wanted: int,
+    least: int,
+) -> Index:
+    """Choose at most ``wanted`` of the keypoints (n, 2) of an image (height, width), best places first.
+
+    Every cell's best, then every cell's second best, and so on until there are enough. A textured thing in
+    a bare room would still have most of them, as no other cell has so many; if it moves, or its depth is
+    wrong, so is the pose. So no cell has more than CROWD times its share, unless ENOUGH of ``least`` would
+    not be reached.
+    """
+    if len(pixels) == 0:
+        return np.zeros(0, np.intp)
+    columns, rows = shape[1] // CELL + 1, shape[0] // CELL + 1
+    at = (pixels * (1.0 / CELL)).astype(np.intp)
+    cell = at[:, 1] * columns + at[:, 0]
+    # One number to sort by: two take twice as long.
+    step = float(strength.max()) + 1.0
+    order = np.argsort(step * cell - strength, kind="stable")
+    begins = np.diff(cell[order], prepend=-1) > 0
+    rank = np.arange(len(order)) - np.flatnonzero(begins)[np.cumsum(begins) - 1]
+    ranked = np.argsort(step * rank - strength[order], kind="stable")
+    uncrowded = int(np.count_nonzero(rank < CROWD * wanted / (columns * rows)))
+    chosen: Index = order[ranked[: min(max(uncrowded, int(ENOUGH * least)), wanted)]]
+    return chosen
