@@ -9,8 +9,10 @@ repeated: stop it when you like, and go on later; --most ends it after so many r
 the first seed, on real recordings and then on dynamic ones, before any with the second. A run that fails is
 named and passed over. The dynamic recordings are made by tools/make_distractors.py, once. Printed is, in
 Markdown, what there is so far: live ATE after SE(3) and Sim(3) alignment, median over the seeds that are
-there, and the mean over the sequences, with its difference to the full system's over the same seeds;
-docs/ABLATION.md keeps a copy. Exit code 1: runs are missing; 8: some failed.
+there, and the mean over the sequences, with its difference to the full system's over the same seeds; then,
+as errors over unlike stretches can't be compared, the SE(3) errors of each part and of the full system over
+the frames that both have placed. docs/ABLATION.md keeps a copy. Exit code 1: runs are missing; 8: some
+failed.
 """
 
 from __future__ import annotations
@@ -24,16 +26,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import mean, median
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:  # run from a checkout
     sys.path.insert(0, str(ROOT))
 
 from prism_edge.cli.main import main as prism_edge  # noqa: E402
 from prism_edge.config import ABLATIONS  # noqa: E402
+from prism_edge.errors import PrismError  # noqa: E402
+from prism_edge.evaluation.scores import ate  # noqa: E402
+from prism_edge.evaluation.trajectory import Trajectory, associate, read_tum  # noqa: E402
+from prism_edge.sources.truth import read_truth  # noqa: E402
 from tools import make_distractors  # noqa: E402
 
 NETWORK = "models/fastdepth_nyu_224.onnx"
 FULL = ""  # nothing switched off
+MOST_TRACKED = 97.0  # per cent of the frames: with fewer, a cell of the table says so
 STATIC_PARTS = (FULL, *ABLATIONS)
 DYNAMIC_PARTS = (FULL, "dsug", "consistency", "dsug+consistency")
 
@@ -68,9 +77,20 @@ TABLES = {
             Sequence("redkitchen_moving_3", *KITCHEN, 3),
             Sequence("tartanair_moving_0", HOSPITAL, "", 0),
             Sequence("tartanair_moving_1", HOSPITAL, "", 1),
+            Sequence("tartanair_moving_2", HOSPITAL, "", 2),
+            Sequence("tartanair_moving_3", HOSPITAL, "", 3),
         ),
     ),
 }
+
+
+@dataclass(frozen=True)
+class Common:
+    """Errors (cm) over the frames that two runs have both placed."""
+
+    frames: int
+    full: float
+    without: float
 
 
 def parts_of(table: str) -> list[str]:
@@ -122,11 +142,12 @@ Figures = dict[int, float]  # by seed
 
 
 def figures(out: Path, sequence: Sequence, part: str, seeds: list[int], key: str) -> Figures:
-    """One live figure in centimetres of each seed that has it."""
+    """One live figure of each seed that has it, in hundredths: centimetres, per cent."""
     found: Figures = {}
     for seed in seeds:
         try:
-            value = json.loads((place(out, sequence, part, seed) / "metrics.json").read_text())["live"][key]
+            metrics = json.loads((place(out, sequence, part, seed) / "metrics.json").read_text())
+            value = metrics[key] if key == "coverage" else metrics["live"][key]
         except (OSError, ValueError, KeyError, TypeError):
             continue  # not run yet, or cut off
         if value is not None:
@@ -136,6 +157,12 @@ def figures(out: Path, sequence: Sequence, part: str, seeds: list[int], key: str
 
 def _middle(found: Figures) -> str:
     return f"{median(found.values()):.1f}" if found else "-"
+
+
+def _tracked(found: Figures) -> str:
+    """What is said of a run that lost its way."""
+    share = median(found.values()) if found else 100.0
+    return f" ({share:.0f} %)" if share < MOST_TRACKED else ""
 
 
 def _average(rows: list[Figures], beside: list[Figures]) -> tuple[float, float] | None:
@@ -159,11 +186,14 @@ def table(name: str, out: Path, seeds: list[int]) -> str:
     whole = [figures(out, s, FULL, seeds, "ate_se3_m") for s in sequences]
     counts: set[int] = set()
     for part in parts_of(name):
-        se3, sim3 = (
-            [figures(out, s, part, seeds, key) for s in sequences] for key in ("ate_se3_m", "ate_sim3_m")
+        se3, sim3, tracked = (
+            [figures(out, s, part, seeds, key) for s in sequences]
+            for key in ("ate_se3_m", "ate_sim3_m", "coverage")
         )
         counts |= {len(found) for found in se3 if found}
-        cells = [f"{_middle(a)} / {_middle(b)}" for a, b in zip(se3, sim3, strict=True)]
+        cells = [
+            f"{_middle(a)} / {_middle(b)}{_tracked(c)}" for a, b, c in zip(se3, sim3, tracked, strict=True)
+        ]
         both = _average(se3, whole)
         text = "-" if both is None else f"{both[0]:.1f}"
         if both is not None and part != FULL:
@@ -172,6 +202,52 @@ def table(name: str, out: Path, seeds: list[int]) -> str:
     if counts:
         many = f"{min(counts)} to {max(counts)}" if len(counts) > 1 else f"{max(counts)}"
         lines.append(f"\nMedians of {many} seed(s).")
+    return "\n".join(lines)
+
+
+def truth_of(shared: Path, sequence: Sequence) -> Trajectory | None:
+    """The true path of a recording; None where it isn't there."""
+    if sequence.truth:
+        return read_tum(shared / sequence.truth) if (shared / sequence.truth).is_file() else None
+    known = read_truth(str(shared / sequence.folder))
+    return None if known is None else Trajectory(*known)
+
+
+def on_common_frames(out: Path, truth: Trajectory, sequence: Sequence, part: str, seed: int) -> Common | None:
+    """Live SE(3) errors of the full system and without ``part`` where both have a pose; None for no runs."""
+    try:
+        full, without = (read_tum(place(out, sequence, name, seed) / "live.tum") for name in (FULL, part))
+    except (OSError, PrismError):
+        return None
+    stamps = np.intersect1d(full.stamps, without.stamps)
+    errors = []
+    for run in (full, without):
+        mine, true = associate(run.at(np.flatnonzero(np.isin(run.stamps, stamps))), truth)
+        errors.append(ate(mine.positions, true.positions, with_scale=False))
+    if errors[0] is None or errors[1] is None:
+        return None
+    return Common(len(stamps), 100.0 * errors[0], 100.0 * errors[1])
+
+
+def common_table(name: str, shared: Path, out: Path, seed: int) -> str:
+    """In Markdown: each part against the full system over the frames that both have placed, one seed."""
+    sequences = TABLES[name][1]
+    truths = [truth_of(shared, s) for s in sequences]
+    heads = " | ".join(s.name for s in sequences)
+    title = f"{name}, frames that both have: live SE(3) without / full, cm (frames)"
+    lines = [f"| {title} | {heads} | mean |", "|---" * (len(sequences) + 2) + "|"]
+    for part in parts_of(name)[1:]:
+        found = [
+            None if truth is None else on_common_frames(out, truth, sequence, part, seed)
+            for sequence, truth in zip(sequences, truths, strict=True)
+        ]
+        cells = [f"{c.without:.1f} / {c.full:.1f} ({c.frames})" if c else "-" for c in found]
+        there = [c for c in found if c]
+        whole = "-"
+        if len(there) == len(found):
+            without, full = mean(c.without for c in there), mean(c.full for c in there)
+            whole = f"{without:.1f} / {full:.1f} ({100.0 * (full / without - 1.0):+.0f} %)"
+        lines.append(f"| {label(part)} | {' | '.join(cells)} | {whole} |")
     return "\n".join(lines)
 
 
@@ -226,6 +302,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(said, file=sys.stderr, flush=True)
     for name in names:
         print(table(name, out, args.seeds), end="\n\n", flush=True)
+        print(common_table(name, shared, out, args.seeds[0]), end="\n\n", flush=True)
     return 8 if failed else 1 if missing(names, out, args.seeds) else 0
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from prism_edge.config import ABLATIONS
+from prism_edge.evaluation.trajectory import Trajectory, write_tum
 from tools import ablate
 
 
@@ -127,3 +129,65 @@ def test_an_interrupt_ends_it(tmp_path: Path, monkeypatch):
     with pytest.raises(SystemExit) as ended:
         ablate.main(["--shared", str(tmp_path), "--out", str(tmp_path / "out"), "--table", "static"])
     assert ended.value.code == 130
+
+
+def on_a_spiral(count: int) -> Trajectory:
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    turn = np.linspace(0, 6, count)
+    poses[:, :3, 3] = np.stack([np.cos(turn), np.sin(turn), 0.3 * turn], axis=1)
+    return Trajectory(np.arange(count, dtype=np.int64) * 100_000_000, poses)
+
+
+def test_errors_are_compared_where_both_runs_have_poses(tmp_path: Path):
+    sequence = ablate.TABLES["dynamic"][1][0]
+    truth = on_a_spiral(60)
+    lost_later = on_a_spiral(60)
+    lost_later.poses[40:, 0, 3] += np.linspace(0, 5, 20)  # where the other run has nothing to show
+    early = truth.at(np.arange(40))
+    early.poses[10:20, 2, 3] += 0.4
+    for part, run in (("", lost_later), ("dsug", early)):
+        folder = ablate.place(tmp_path, sequence, part, 0)
+        folder.mkdir(parents=True)
+        write_tum(folder / "live.tum", run)
+    found = ablate.on_common_frames(tmp_path, truth, sequence, "dsug", 0)
+    assert found is not None
+    assert found.frames == 40
+    assert found.full == pytest.approx(0.0, abs=1e-3)
+    assert 5.0 < found.without < 20.0
+    assert ablate.on_common_frames(tmp_path, truth, sequence, "consistency", 0) is None
+
+
+def test_runs_that_placed_no_frame_in_common_are_not_compared(tmp_path: Path):
+    sequence = ablate.TABLES["dynamic"][1][0]
+    truth = on_a_spiral(60)
+    for part, rows in (("", np.arange(30)), ("dsug", np.arange(30, 60))):
+        folder = ablate.place(tmp_path, sequence, part, 0)
+        folder.mkdir(parents=True)
+        write_tum(folder / "live.tum", truth.at(rows))
+    assert ablate.on_common_frames(tmp_path, truth, sequence, "dsug", 0) is None
+
+
+def test_the_common_table_averages_what_all_sequences_have(tmp_path: Path, monkeypatch):
+    sequences = ablate.TABLES["dynamic"][1]
+    monkeypatch.setattr(ablate, "truth_of", lambda shared, sequence: on_a_spiral(60))
+    for n, sequence in enumerate(sequences):
+        for part in ("", "dsug"):
+            run = on_a_spiral(60)
+            run.poses[::2, 2, 3] += 0.02 * (n + 1) * (1 if part == "" else 2)
+            folder = ablate.place(tmp_path, sequence, part, 0)
+            folder.mkdir(parents=True)
+            write_tum(folder / "live.tum", run)
+    rows = ablate.common_table("dynamic", tmp_path, tmp_path, 0).splitlines()
+    without = next(row for row in rows if row.startswith("| without dsug |"))
+    assert "2.0 / 1.0 (60)" in without
+    assert without.endswith("9.0 / 4.5 (-50 %) |")
+    assert next(row for row in rows if "consistency |" in row).endswith("| - |")
+
+
+def test_a_run_that_lost_its_way_says_how_much_it_has(tmp_path: Path):
+    sequence = ablate.TABLES["dynamic"][1][0]
+    folder = ablate.place(tmp_path, sequence, "", 0)
+    folder.mkdir(parents=True)
+    live = {"ate_se3_m": 0.05, "ate_sim3_m": 0.02}
+    (folder / "metrics.json").write_text(json.dumps({"live": live, "coverage": 0.762}))
+    assert "| full system | 5.0 / 2.0 (76 %) |" in ablate.table("dynamic", tmp_path, [0])
