@@ -38,8 +38,8 @@ def relative_nees(
     Of what a published covariance consists of, two poses share the error of scale, which moves a
     pose by its distance from the start, and the drift since the map's beginning, a random walk; `tracked`
     has both for each frame. So the motion between i and j has: what is left of i and of j without those two,
-    independent of one another; what the walk of `odom` grew by between them; and the scale's share of the
-    motion itself. ``truth`` is world_from_camera.
+    independent of one another; what the walk of `odom` grew by between them, or, across a loop, the drift
+    that it has taken out; and the scale's share of the motion itself. ``truth`` is world_from_camera.
     """
     shared = {
         f.stamp_ns: (f.scale_sigma, f.drift_m, f.drift_rad, f.walk_m, f.walk_rad) for f in recording.frames
@@ -72,8 +72,8 @@ def relative_nees(
         true = base_from_camera @ inverse(truth.poses[i]) @ truth.poses[j] @ camera_from_base
         carry = adjoint(inverse(moved))
         covariance = own[1] + carry @ own[0] @ carry.T
-        covariance[:3, :3] += np.eye(3) * (abs(walk_m[j] ** 2 - walk_m[i] ** 2) + _FLOOR)
-        covariance[3:, 3:] += np.eye(3) * (abs(walk_rad[j] ** 2 - walk_rad[i] ** 2) + _FLOOR)
+        covariance[:3, :3] += np.eye(3) * (_grown(walk_m, drift_m, i, j) + _FLOOR)
+        covariance[3:, 3:] += np.eye(3) * (_grown(walk_rad, drift_rad, i, j) + _FLOOR)
         # Only the camera's path is scaled: where it sits on the robot is known in metres.
         path = estimate.poses[j][:3, 3] - estimate.poses[i][:3, 3]
         along = (estimate.poses[j] @ camera_from_base)[:3, :3].T @ path
@@ -107,6 +107,11 @@ def adjoint(pose: Array) -> Array:
     out[:3, :3] = out[3:, 3:] = pose[:3, :3]
     out[:3, 3:] = skew(pose[:3, 3]) @ pose[:3, :3]
     return out
+
+
+def _grown(walk: Array, drift: Array, i: int, j: int) -> float:
+    """Variance that drift puts between two poses: what was walked, or what a loop took out."""
+    return float(max(abs(walk[j] ** 2 - walk[i] ** 2), drift[i] ** 2 - drift[j] ** 2))
 
 
 def _own(
