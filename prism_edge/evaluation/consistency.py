@@ -109,7 +109,7 @@ def adjoint(pose: Array) -> Array:
     return out
 
 
-def _grown(walk: Array, drift: Array, i: int, j: int) -> float:
+def _grown(walk: Array, drift: Array, i: np.intp, j: np.intp) -> float:
     """Variance that drift puts between two poses: what was walked, or what a loop took out."""
     return float(max(abs(walk[j] ** 2 - walk[i] ** 2), drift[i] ** 2 - drift[j] ** 2))
 
