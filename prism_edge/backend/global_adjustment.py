@@ -13,13 +13,7 @@ from gtsam.symbol_shorthand import L, X
 from prism_edge.backend import lens
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.window import (
-    CONVERGED,
-    DEPTH_PARALLAX_DEG,
-    MOST_DAMPING,
-    outliers,
-    widest_parallax,
-)
+from prism_edge.backend.window import CONVERGED, DEPTH_PARALLAX_DEG, damping, outliers, widest_parallax
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
 
@@ -94,10 +88,7 @@ class GlobalAdjustment:
         if camera is not None:
             for part in hanging:
                 lens.hold_unit(graph, {k: self._before[k] for k in part})
-        parameters = gtsam.LevenbergMarquardtParams()
-        parameters.setlambdaInitial(1e-4)
-        parameters.setlambdaUpperBound(MOST_DAMPING)
-        self._optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
+        self._optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, damping())
         self._error_before = self._error = self._optimiser.error()
         self._steps = 0
         self.done = len(self._keyframes) < 3

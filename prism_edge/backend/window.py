@@ -215,11 +215,8 @@ def solve(
     if not window.free or len(window.points) < 10:
         return None
     problem = assemble(world, window, config, units_per_metre, use_depth, use_rays)
-    parameters = gtsam.LevenbergMarquardtParams()
+    parameters = damping()
     parameters.setRelativeErrorTol(1e-4)
-    parameters.setlambdaInitial(1e-4)
-    # gtsam's own limit, 1e5, is less than a pixel's weight: it would give up where steps have to be small.
-    parameters.setlambdaUpperBound(MOST_DAMPING)
     observations, result, iterations, before, error = problem.observations, problem.values, 0, None, 0.0
     first = max(config.iterations - REFINING, 1) if problem.rays else config.iterations
     try:
@@ -251,6 +248,15 @@ def solve(
     wrong = outliers(world, poses, points, observations, config)
     parallax = widest_parallax(world, points)
     return Solution(poses, points, parallax, wrong, iterations, before or 0.0, error)
+
+
+def damping() -> gtsam.LevenbergMarquardtParams:
+    """How a bundle adjustment of the map is damped."""
+    parameters = gtsam.LevenbergMarquardtParams()
+    parameters.setlambdaInitial(1e-4)
+    # gtsam's own limit, 1e5, is less than a pixel's weight: it would give up where steps have to be small.
+    parameters.setlambdaUpperBound(MOST_DAMPING)
+    return parameters
 
 
 def widest_parallax(
