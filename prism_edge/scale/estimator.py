@@ -17,7 +17,7 @@ from prism_edge.scale.gate_keyframes import KeyframeGate
 from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
 from prism_edge.scale.samples import sample
 from prism_edge.scale.spread import USUAL_BIAS, LocalScale
-from prism_edge.scale.steady import SteadyScale, lasting
+from prism_edge.scale.steady import SteadyScale
 
 LEAST_TRUST = 0.05  # of a sample's weight: points of which nothing good is known still say something
 
@@ -89,8 +89,7 @@ class ScaleEstimator:
             elif scale.is_open:
                 scale.fix_unit()
         # What is held depends on the filter's own belief; how far it may be off, on what has been learned.
-        room = lasting(scale.learned_sigma, self._bias_sigma)
-        self._steady.follow(scale.log_scale, scale.total_sigma(self._bias_sigma), room)
+        self._steady.follow(scale.log_scale, scale.total_sigma(self._bias_sigma))
         held = self._steady.log_scale - scale.log_scale
         if observation is not None and accepted:
             elapsed_s = max(keyframe.stamp_ns - self._local_ns, 0) * 1e-9

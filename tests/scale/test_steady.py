@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from prism_edge.scale.steady import CREEP, MOST_SIGMA, SteadyScale, lasting
+from prism_edge.scale.steady import SteadyScale
 
 ESTIMATES = st.lists(st.tuples(st.floats(-3, 3), st.floats(0.001, 1.0)), min_size=1, max_size=30)
 
@@ -50,35 +50,3 @@ def test_a_steady_truth_is_reached_as_the_uncertainty_shrinks():
     for sigma in np.geomspace(0.3, 0.001, 40):
         steady.follow(0.2, float(sigma))
     assert steady.log_scale == pytest.approx(0.2, abs=0.001)
-
-
-def test_what_is_too_far_to_stay_goes_slowly_and_no_nearer_than_it_must():
-    steady = SteadyScale(0.7)
-    for n in range(1, 16):
-        steady.follow(-0.06, 0.1, lasting=0.04)
-        assert steady.log_scale == pytest.approx(-min(n * CREEP, 0.02))
-
-
-@given(ESTIMATES, st.floats(0.0, 0.5))
-def test_a_keyframe_moves_it_by_a_contradiction_or_a_creep(estimates, room):
-    steady, held = SteadyScale(0.7), SteadyScale(0.7)
-    for estimate, sigma in estimates:
-        held.log_scale = before = steady.log_scale
-        held.follow(estimate, sigma)  # as it was without
-        steady.follow(estimate, sigma, room)
-        assert abs(steady.log_scale - held.log_scale) <= CREEP + 1e-12
-        assert abs(estimate - steady.log_scale) <= abs(estimate - held.log_scale) + 1e-12
-        if abs(estimate - before) <= min(room, 0.7 * sigma):
-            assert steady.log_scale == before
-
-
-@given(st.floats(0.0, 1.0), st.floats(0.01, 0.5))
-def test_what_may_stay_makes_it_as_uncertain_as_it_may_be_and_no_more(sigma, bias):
-    most = MOST_SIGMA * bias
-    total = math.sqrt(sigma**2 + bias**2 + lasting(sigma, bias) ** 2)
-    assert total == pytest.approx(max(most, math.hypot(sigma, bias)))
-
-
-@pytest.mark.parametrize("bias", [0.0, math.nan])
-def test_a_source_without_a_bias_sets_no_limit(bias):
-    assert lasting(0.1, bias) == math.inf
