@@ -9,7 +9,7 @@ Index = NDArray[np.intp]
 
 CELL = 32  # pixels a side
 CROWD = 3.0  # times a cell's even share of what is wanted: no cell has more
-ENOUGH = 0.6  # of what is wanted at least: with fewer, crowds are better than nothing
+ENOUGH = 0.6  # of the least that is wanted: below it crowds are better than nothing
 
 
 def spread(
