@@ -44,12 +44,13 @@ class GlobalAdjustment:
         units_per_metre: float,
         use_depth: bool,
         parts: Iterable[set[int]] = (),
-        find_lens: bool = False,
+        said_k1: float | None = None,
     ) -> None:
         """Takes down the map as it is now; raises RuntimeError where gtsam can't begin.
 
         Of each of ``parts`` (all keyframes, by what hangs together) the first pose is held. With
-        ``find_lens`` the lens of the one camera that took all keyframes is unknown too (lens.py).
+        ``said_k1`` the lens of the one camera that took all keyframes is unknown too (lens.py); its file
+        says that.
         """
         began = time.process_time()
         self._before = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
@@ -57,9 +58,10 @@ class GlobalAdjustment:
         self._graph = graph = gtsam.NonlinearFactorGraph()
         values = gtsam.Values()
         factors = FactorFactory(config, units_per_metre)
-        self._camera = camera = lens.common(world) if find_lens else None
-        if camera is not None:
-            lens.add_variable(graph, values, camera)
+        self._said = said_k1
+        self._camera = camera = lens.common(world) if said_k1 is not None else None
+        if camera is not None and said_k1 is not None:
+            lens.add_variable(graph, values, camera, said_k1)
             # Where rays hardly cross, a point may slip behind a camera.
             firm = lens.LEAST_PARALLAX_DEG
             self._points = [p for p in self._points if world.points[p].parallax_deg >= firm]
@@ -124,7 +126,9 @@ class GlobalAdjustment:
         points = {p: np.asarray(values.atPoint3(L(p))) for p in self._points}
         if not poses or not all(np.isfinite(v).all() for v in (*poses.values(), *points.values())):
             return None
-        bent = lens.found(self._graph, values, self._camera) if self._camera is not None else None
+        bent = None
+        if self._camera is not None and self._said is not None:
+            bent = lens.found(self._graph, values, self._camera, self._said)
         if self._camera is not None and bent is None:
             return None  # places that go with a lens nobody can be sure of
         unit = self._unit_change(poses, points)

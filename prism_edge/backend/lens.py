@@ -5,6 +5,9 @@ lens bends the map: its path turns a little too far with every view, which no la
 of all keyframes sees it where points are seen in the middle as well as at the rim. One coefficient is looked
 for, r -> r (1 + k1 r^2). Focal length and principal point stay as they are: a short path says little of them,
 and their errors do little.
+
+An early map bends most and knows least. So what is found is weighed against what the file says: the most
+probable k1 if lenses are PRIOR_SIGMA off, taken once it is likely that this one is off at all.
 """
 
 from __future__ import annotations
@@ -21,26 +24,28 @@ from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array
 
 LENS = C(0)  # the variable's key
-PRIOR_SIGMA = 0.05  # of k1
+PRIOR_SIGMA = 0.03  # of k1, about what the camera file says, where it is off
+EXACT = 3.0  # times as many camera files as are off: rectified images, simulated ones
 UNIT_SIGMA = 0.01  # relative; lengths don't bend with the lens
 # A corner errs alike in keyframes that stand side by side: on recordings whose lens is exact, estimates
 # scatter by two to three times the sigma that independent errors would have.
 ALIKE = 3.0
-CERTAIN = 3.0  # sigmas: less is not taken for a lens
 LEAST_PARALLAX_DEG = 1.0  # of the points that it is looked for in
 LARGEST = 0.15  # of |k1|, all told: more is a wrong map
 WELL_KNOWN = 0.004  # sigma: half a pixel at the corner of a common image
-FIRST, GROWTH, LAST = 20, 1.25, 200  # keyframes at which it is looked for, each so many times the one before
+FIRST, GROWTH, LAST = 10, 1.2, 200  # keyframes at which it is looked for, each so many times the one before
 ROUND_TRIP_PX = 0.1
+NEWS = 0.2  # sigmas: a smaller change is not worth another map
 
 
 @dataclass(frozen=True)
 class Lens:
-    """What to add to k1 of the camera that ``was``, and one sigma of it."""
+    """What to add to k1 of the camera that ``was``, and one sigma of it; the camera file ``said`` its k1."""
 
     was: Camera
     k1: float
     sigma: float
+    said: float = 0.0
 
     @property
     def camera(self) -> Camera:
@@ -48,27 +53,41 @@ class Lens:
         return self.was.bent(self.k1)
 
     @property
-    def is_certain(self) -> bool:
-        """Whether it is taken for real: beyond chance, and a lens that shows each ray once."""
-        if not CERTAIN * self.sigma < abs(self.k1) or abs(radial(self.camera)) > LARGEST:
+    def is_off(self) -> bool:
+        """Whether the camera file's k1 is more likely wrong than right, EXACT times as many being right.
+
+        With a Gaussian prior, twice the logarithm of Bayes' factor is k1^2 / sigma^2 - 2 ln(prior / sigma).
+        """
+        if not self.sigma > 0.0:
+            return False
+        off = (radial(self.camera) - self.said) / self.sigma
+        return off * off > 2.0 * math.log(EXACT * max(PRIOR_SIGMA / self.sigma, 1.0))
+
+    @property
+    def is_possible(self) -> bool:
+        """Whether it is a lens that shows each ray once."""
+        if abs(radial(self.camera)) > LARGEST:
             return False
         right, bottom = self.was.width - 1.0, self.was.height - 1.0
         corners = np.array([[0.0, 0.0], [right, 0.0], [0.0, bottom], [right, bottom]])
         there = self.camera.distort_pixels(self.camera.undistort_pixels(corners))
         return bool(np.abs(there - corners).max() < ROUND_TRIP_PX)
 
-    def agrees(self, other: Lens | None) -> bool:
-        """Whether ``other``, found before with less to go by, is the same within its sigma."""
-        return other is not None and other.was == self.was and abs(other.k1 - self.k1) < other.sigma
+    @property
+    def is_taken(self) -> bool:
+        """Whether to go on with it: one that was off before is followed as it gets better known."""
+        news = abs(self.k1) > NEWS * self.sigma
+        return news and self.is_possible and (self.is_off or radial(self.was) != self.said)
 
 
 class LensWatch:
-    """When the lens is looked for: as a map grows, until it is known."""
+    """When the lens is looked for: as a map grows, ever more seldom."""
 
     def __init__(self, enabled: bool, known: int = 0) -> None:
         """A map that had ``known`` keyframes when it was taken up has been looked at."""
         self._enabled, self._next, self._looked_at = enabled, FIRST, known
-        self._last: Lens | None = None  # what the last search found
+        self._bent: Camera | None = None  # the camera as this watch left it
+        self._said = 0.0  # and what its file said
         if known:
             self._next = max(math.ceil(GROWTH * known), FIRST)
 
@@ -76,17 +95,25 @@ class LensWatch:
         """Whether the map has grown enough since it was looked for."""
         return self._enabled and self._next <= len(world.keyframes) <= LAST and common(world) is not None
 
+    def said(self, world: GlobalMap) -> float | None:
+        """k1 as the camera file has it; None where no lens may be looked for."""
+        camera = common(world)
+        if camera is None:
+            return None
+        return self._said if camera == self._bent else radial(camera)
+
     def looked(self, world: GlobalMap, lens: Lens | None = None) -> bool:
-        """It has been looked for, with this result; True where it is certain and was found before, too.
+        """It has been looked for, with this result; True where that is taken.
 
         What is known well need not be looked for so soon.
         """
-        found_again = lens is not None and lens.is_certain and lens.agrees(self._last)
-        self._last = None if found_again else lens
+        taken = lens is not None and lens.is_taken
+        if lens is not None and taken:
+            self._bent, self._said = lens.camera, lens.said
         self._looked_at = len(world.keyframes)
-        well_known = lens is not None and (found_again or lens.sigma < WELL_KNOWN)
+        well_known = lens is not None and lens.sigma < WELL_KNOWN
         self._next = math.ceil((2.0 if well_known else GROWTH) * self._looked_at)
-        return found_again
+        return taken
 
     def finish(self) -> None:
         """The map won't grow any more: its last keyframes count as well."""
@@ -110,12 +137,17 @@ def radial(camera: Camera) -> float:
     return camera.distortion[0] if camera.distortion else 0.0
 
 
-def add_variable(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, camera: Camera) -> None:
-    """The lens with its prior; all but k1 is held."""
-    said = gtsam.Cal3Bundler(camera.fx, radial(camera), 0.0, 0.0, 0.0)
-    sigmas = np.array([1e-6 * camera.fx, PRIOR_SIGMA, 1e-6])
-    values.insert(LENS, said)
-    graph.add(gtsam.PriorFactorCal3Bundler(LENS, said, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
+def add_variable(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, camera: Camera, said: float
+) -> None:
+    """The lens, starting as ``camera`` has it, with its prior about what was ``said``; all but k1 is held.
+
+    The prior is as much too sure of itself as the measurements are.
+    """
+    sigmas = np.array([1e-6 * camera.fx, PRIOR_SIGMA / ALIKE, 1e-6])
+    values.insert(LENS, gtsam.Cal3Bundler(camera.fx, radial(camera), 0.0, 0.0, 0.0))
+    told = gtsam.Cal3Bundler(camera.fx, said, 0.0, 0.0, 0.0)
+    graph.add(gtsam.PriorFactorCal3Bundler(LENS, told, gtsam.noiseModel.Diagonal.Sigmas(sigmas)))
 
 
 def hold_unit(graph: gtsam.NonlinearFactorGraph, poses: dict[int, Array]) -> None:
@@ -128,7 +160,9 @@ def hold_unit(graph: gtsam.NonlinearFactorGraph, poses: dict[int, Array]) -> Non
         graph.add(gtsam.RangeFactorPose3(X(first), X(far), distance[far], noise))
 
 
-def found(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, was: Camera) -> Lens | None:
+def found(
+    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, was: Camera, said: float
+) -> Lens | None:
     """The lens of a solved graph; None where it has no covariance."""
     try:
         variance = gtsam.Marginals(graph, values).marginalCovariance(LENS)[1, 1]
@@ -136,4 +170,4 @@ def found(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, was: Camera) 
         return None
     k1 = float(values.atCal3Bundler(LENS).k1()) - radial(was)
     usable = math.isfinite(k1) and math.isfinite(variance) and variance > 0.0
-    return Lens(was, k1, ALIKE * math.sqrt(variance)) if usable else None
+    return Lens(was, k1, ALIKE * math.sqrt(variance), said) if usable else None

@@ -10,7 +10,7 @@ import numpy as np
 from prism_edge.backend import global_adjustment, pose_graph
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
-from prism_edge.backend.lens import Lens, LensWatch, common
+from prism_edge.backend.lens import Lens, LensWatch, common, radial
 from prism_edge.backend.loops import Loop, Surroundings, median_depth, plausible, verify
 from prism_edge.backend.places import candidates
 from prism_edge.config import BackendConfig
@@ -264,8 +264,9 @@ class LoopCloser:
             self._wanted, self._last_begun = False, self._count
         parts = pose_graph.parts(self._world, self._pairs())
         try:
+            said = self._lens.said(self._world) if self._finds_lens else None
             self._adjustment = GlobalAdjustment(
-                self._world, self._config, units_per_metre, self._use_depth, parts, self._finds_lens
+                self._world, self._config, units_per_metre, self._use_depth, parts, said
             )
         except RuntimeError as error:
             log.warning("no global adjustment: %s", str(error).splitlines()[0][:200])
@@ -278,9 +279,9 @@ class LoopCloser:
             lens = None
         taken = self._lens.looked(self._world, lens)
         if lens is not None:
-            said = "is off, and taken out from now on" if taken else "is not certainly off"
-            number = len(self._world.keyframes)
-            log.info("lens: k1 %s (%.4f, sigma %.4f, %d keyframes)", said, lens.k1, lens.sigma, number)
+            says = "is off, and taken out from now on" if taken else "stays as it is"
+            number, off = len(self._world.keyframes), radial(lens.camera) - lens.said
+            log.info("lens: k1 %s (%+.4f, sigma %.4f, %d keyframes)", says, off, lens.sigma, number)
         if taken:
             self._wanted, self._last_begun = True, self._count - REST
         return taken

@@ -49,8 +49,8 @@ def seen_through(
     return teller, world
 
 
-def look(world: GlobalMap) -> GlobalAdjustment:
-    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=False, find_lens=True)
+def look(world: GlobalMap, said_k1: float = 0.0) -> GlobalAdjustment:
+    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=False, said_k1=said_k1)
     while not job.step():
         pass
     return job
@@ -61,7 +61,7 @@ def test_a_lens_is_found_within_its_sigma_and_taken_out(k1):
     teller, world = seen_through(k1)
     said = world.camera
     adjusted = look(world).result()
-    assert adjusted.lens.is_certain
+    assert adjusted.lens.is_taken
     assert abs(adjusted.lens.k1 - k1) < 2.0 * adjusted.lens.sigma
     apply(world, adjusted, CONFIG)
     assert world.camera == said.bent(adjusted.lens.k1)
@@ -77,7 +77,7 @@ def test_a_lens_is_found_within_its_sigma_and_taken_out(k1):
 
 def test_pixels_are_then_where_the_points_are():
     teller, world = seen_through(-0.05, noise_px=0.0)
-    apply(world, look(world).result(), CONFIG)
+    apply(world, look(world, said_k1=-0.05).result(), CONFIG)  # nothing then draws it away from the truth
     errors = []
     for k, keyframe in world.keyframes.items():
         places = np.array([teller.cloud.positions[p] for p in keyframe.observed])
@@ -92,11 +92,11 @@ def test_pixels_are_then_where_the_points_are():
 def test_a_lens_that_is_as_said_is_left_alone(seed):
     _, world = seen_through(0.0, seed=seed)
     found = look(world).result().lens
-    assert not found.is_certain
+    assert not found.is_taken
     assert abs(found.k1) < 2.0 * found.sigma
 
 
-def test_what_is_found_joins_what_was_said():
+def test_what_is_found_is_weighed_against_what_was_said():
     """A file that says -0.05 where it is -0.11: each pixel was undistorted by the wrong one."""
     said, true = CAMERA.bent(-0.05), CAMERA.bent(-0.11)
     teller, world = Teller(count=500, noise_px=0.5), GlobalMap()
@@ -105,25 +105,35 @@ def test_what_is_found_joins_what_was_said():
         pixels = said.pixels_of(true, message.pixels.astype(np.float64)).astype(np.float32)
         world.absorb(replace(message, pixels=pixels, camera=said.to_array()))
     firm(world)
-    apply(world, look(world).result(), CONFIG)
-    assert world.camera.distortion[0] == pytest.approx(-0.11, abs=0.015)
-    assert not look(world).result().lens.is_certain
+    found = look(world, -0.05).result()
+    assert found.lens.is_taken
+    apply(world, found, CONFIG)
+    first = world.camera.distortion[0]
+    assert first == pytest.approx(-0.11, abs=0.015)
+    # The same keyframes say the same again: the prior stays where the file put it.
+    again = look(world, -0.05).result().lens
+    assert abs(again.k1) < 0.1 * again.sigma
+    assert not again.is_taken
 
 
-def test_a_pure_rotation_of_far_points_says_nothing_certain_that_is_wrong():
+def test_the_less_is_known_the_more_the_file_counts():
+    few, many = (look(seen_through(-0.04, count=count)[1]).result().lens for count in (6, 22))
+    assert few.sigma > 1.5 * many.sigma
+    assert few.sigma < lens_module.PRIOR_SIGMA
+    assert few.k1 - -0.04 > many.k1 - -0.04 > -0.002  # nearer to what was said
+
+
+def test_a_pure_rotation_of_far_points_says_nothing_that_is_wrong():
     teller, world = Teller(count=500, noise_px=0.5), GlobalMap()
     for i in range(22):
         world.absorb(teller.keyframe(pose_at(0.0, 0.0, 0.0, 0.0, 0.01 * i)))
-    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=False, find_lens=True)
-    while not job.step():
-        pass
-    adjusted = job.result()
-    assert adjusted is None or adjusted.lens is None or not adjusted.lens.is_certain
+    adjusted = look(world).result()
+    assert adjusted is None or adjusted.lens is None or not adjusted.lens.is_taken
 
 
 def test_a_keyframe_from_before_is_brought_to_the_lens():
     teller, world = seen_through(-0.05, noise_px=0.0)
-    apply(world, look(world).result(), CONFIG)
+    apply(world, look(world, said_k1=-0.05).result(), CONFIG)  # nothing then draws it away from the truth
     late = teller.keyframe(pose_at(0.5, 0.1))
     raw = CAMERA.bent(-0.05).distort_pixels(late.pixels.astype(np.float64))
     added = world.absorb(replace(late, pixels=raw.astype(np.float32)))
@@ -168,22 +178,47 @@ def test_a_lens_that_is_known_is_looked_for_less():
 
 
 @pytest.mark.parametrize(
-    ("k1", "sigma", "certain"), [(0.03, 0.005, True), (0.03, 0.02, False), (0.5, 0.01, False)]
+    ("k1", "sigma", "off"),
+    [(0.02, 0.005, True), (0.012, 0.01, False), (0.022, 0.01, True), (0.03, 0.0, False)],
 )
-def test_what_is_taken_for_real(k1, sigma, certain):
-    assert Lens(CAMERA, k1, sigma).is_certain is certain
-    assert Lens(CAMERA, -k1, sigma).is_certain is certain
+def test_what_is_likely(k1, sigma, off):
+    assert Lens(CAMERA, k1, sigma).is_off is off
+    assert Lens(CAMERA, -k1, sigma).is_off is off
+    said = 0.05  # beside what was said it is the same
+    assert Lens(CAMERA.bent(0.04), k1 + 0.01, sigma, said).is_off is off
+
+
+def test_the_threshold_is_bayes_factor():
+    """Against the integral over all lenses that the prior allows, for an estimate without it."""
+    own, prior = 0.008, lens_module.PRIOR_SIGMA
+    k1 = np.linspace(-0.3, 0.3, 200_001)
+
+    def density(x: np.ndarray | float, sigma: float) -> np.ndarray:
+        return np.exp(-0.5 * (x / sigma) ** 2) / (sigma * np.sqrt(2.0 * np.pi))
+
+    for seen in np.linspace(0.005, 0.04, 36):
+        off = np.sum(density(k1 - seen, own) * density(k1, prior)) * (k1[1] - k1[0])
+        share = prior**2 / (prior**2 + own**2)
+        lens = Lens(CAMERA, float(seen * share), own * np.sqrt(share))
+        assert lens.is_off == (off > lens_module.EXACT * density(seen, own))
+
+
+def test_one_that_was_off_is_followed():
+    bent = CAMERA.bent(-0.02)
+    assert not Lens(CAMERA, -0.004, 0.004).is_taken
+    assert Lens(bent, 0.016, 0.004).is_taken
+    assert not Lens(bent, 0.0005, 0.004).is_taken  # no news
 
 
 def test_lenses_add_up_to_a_bound_only():
-    assert Lens(CAMERA.bent(0.08), 0.05, 0.01).is_certain
-    assert not Lens(CAMERA.bent(0.12), 0.05, 0.01).is_certain
+    assert Lens(CAMERA.bent(0.08), 0.05, 0.01).is_taken
+    assert not Lens(CAMERA.bent(0.12), 0.05, 0.01).is_taken
 
 
 def test_one_that_would_show_a_ray_twice_is_none():
     wide = replace(CAMERA, fx=300.0, fy=300.0)
-    assert Lens(CAMERA, -0.14, 0.01).is_certain
-    assert not Lens(wide, -0.14, 0.01).is_certain
+    assert Lens(CAMERA, -0.14, 0.01).is_taken
+    assert not Lens(wide, -0.14, 0.01).is_taken
 
 
 @pytest.mark.parametrize(
@@ -209,17 +244,21 @@ def test_a_lens_without_a_covariance_changes_nothing(monkeypatch):
     assert job.result() is None
 
 
-def test_it_has_to_be_found_twice():
+def test_what_the_file_said_is_remembered():
     _, world = seen_through(0.0, count=3)
-    watch, once = LensWatch(True), Lens(CAMERA, -0.03, 0.008)
-    assert not watch.looked(world, once)
-    assert watch.looked(world, Lens(CAMERA, -0.025, 0.006))
-    assert not watch.looked(world, once)  # what was taken over no longer counts
-    assert not watch.looked(world, Lens(CAMERA, -0.015, 0.004))  # another
+    watch = LensWatch(True)
+    assert watch.said(world) == 0.0
+    found = Lens(CAMERA, -0.03, 0.006, 0.0)
+    assert watch.looked(world, found)
+    world.take_lens(found.camera)
+    assert watch.said(world) == 0.0
     assert not watch.looked(world, None)
-    assert not watch.looked(world, once)
-    assert not watch.looked(world, Lens(CAMERA.bent(0.01), -0.03, 0.006))  # on top of something else
-    assert not watch.looked(world, Lens(CAMERA.bent(0.01), -0.03, 0.02))  # nothing certain
+    assert watch.said(world) == 0.0
+    world.take_lens(CAMERA.bent(0.05))  # somebody else's: another camera, which says so
+    assert watch.said(world) == 0.05
+    for keyframe in world.keyframes.values():
+        keyframe.camera = replace(CAMERA, model=FISHEYE)
+    assert watch.said(world) is None
 
 
 def mapper_of(k1: float, **changes: object) -> tuple[Mapper, list[Keyframe]]:
