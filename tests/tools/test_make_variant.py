@@ -1,0 +1,81 @@
+"""Recordings played otherwise: the points that are seen must be where camera and poses put them."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prism_edge.config import SourceConfig
+from prism_edge.evaluation.trajectory import read_tum
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import from_rt, inverse, so3_exp, transform
+from prism_edge.sources import open_source
+from prism_edge.sources.truth import read_truth
+from tests.synthetic.sequence import write_sequence
+from tools import make_variant
+from tools.make_variant import MIRROR, Variant, write
+
+
+def played(folder: Path, camera: bool = True) -> tuple[list[np.ndarray], list[int], Camera]:
+    config = SourceConfig(uri=str(folder), camera=str(folder / "camera.yaml") if camera else "")
+    with open_source(config) as source:
+        images = []
+        while (image := source.read()) is not None:
+            images.append(image)
+        return [i.pixels for i in images], [i.stamp_ns for i in images], source.camera
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("every", [1, 2])
+def test_images_and_poses_stay_together(tmp_path, backwards, mirrored, every):
+    source, out = write_sequence(tmp_path / "in", frames=7, width=160, height=120), tmp_path / "out"
+    truth = source / "groundtruth.txt"
+    assert write(str(source), out, Variant(backwards, mirrored, every), truth) == len(range(0, 7, every))
+    before, stamps, camera = played(source, camera=False)
+    now, new_stamps, new_camera = played(out)
+    _, poses = read_truth(str(source))
+    _, new_poses = read_truth(str(out))
+    kept = list(range(0, 7, every))[:: -1 if backwards else 1]
+    flip = MIRROR if mirrored else np.eye(4)
+    for image, pose, i in zip(now, new_poses, kept, strict=True):
+        assert np.array_equal(image, before[i][:, ::-1] if mirrored else before[i])
+        assert pose == pytest.approx(flip @ poses[i] @ flip, abs=1e-6)
+    assert (new_stamps[0], new_stamps[-1]) == (stamps[0], stamps[kept[0] if backwards else kept[-1]])
+    assert np.diff(new_stamps) == pytest.approx(np.abs(np.diff(np.array(stamps)[kept])), abs=2)
+    assert new_camera.cx == (pytest.approx(159 - camera.cx) if mirrored else camera.cx)
+    assert read_tum(out / "reference.tum").poses == pytest.approx(new_poses, abs=1e-6)
+
+
+def test_a_mirrored_camera_sees_a_mirrored_world():
+    camera = Camera(320, 240, 260.0, 250.0, 161.0, 118.0)
+    pose = from_rt(so3_exp(np.array([0.1, -0.3, 0.2])), np.array([0.4, -0.1, 0.3]))
+    points = np.array([[0.2, -0.4, 3.0], [-0.5, 0.3, 2.5]])
+    variant = Variant(mirrored=True)
+    seen = camera.project(transform(inverse(pose), points))
+    mirrored = variant.camera(camera).project(
+        transform(inverse(variant.pose(pose)), points * (-1.0, 1.0, 1.0))
+    )
+    assert mirrored[:, 0] == pytest.approx(319.0 - seen[:, 0])
+    assert mirrored[:, 1] == pytest.approx(seen[:, 1])
+    assert np.linalg.det(variant.pose(pose)[:3, :3]) == pytest.approx(1.0)
+
+
+def test_poses_of_images_left_out_are_left_out(tmp_path):
+    source = write_sequence(tmp_path / "in", frames=7, width=160, height=120)
+    write(str(source), tmp_path / "out", Variant(every=3))
+    assert len(read_truth(str(tmp_path / "out"))[0]) == 3
+
+
+@pytest.mark.parametrize(("argument", "says"), [("--every=0", "1 or more"), ("nothing", "nothing")])
+def test_what_makes_no_sense_is_one_line(tmp_path, monkeypatch, argument, says):
+    source = write_sequence(tmp_path / "in", frames=2, width=160, height=120)
+    folder = [str(source)] if argument.startswith("--") else [str(tmp_path / argument)]
+    flags = [argument] if argument.startswith("--") else []
+    monkeypatch.setattr(sys, "argv", ["make_variant.py", *folder, str(tmp_path / "out"), *flags])
+    with pytest.raises(SystemExit, match=says) as ended:
+        make_variant.main()
+    assert "\n" not in str(ended.value)

@@ -1,0 +1,128 @@
+"""A recording played otherwise: backwards, mirrored, with every so manieth image (other sequences for free).
+
+    python tools/make_variant.py FOLDER OUT [--backwards] [--mirrored] [--every N] [--poses FILE.tum]
+
+FOLDER is any folder of images that `prism-edge run` plays. OUT becomes a folder of the TUM RGB-D layout:
+images, rgb.txt and, where FOLDER has true poses, groundtruth.txt with them as this camera would have moved;
+camera.yaml describes it (`--camera`). Backwards the first stamp and the last change places, and so does all
+between; images left out leave their time free. A mirrored image is that of a mirrored world: M T M for a pose
+T, M = diag(-1, 1, 1). --poses is another reference to be carried along: OUT/reference.tum.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from prism_edge.config import SourceConfig
+from prism_edge.errors import PrismError
+from prism_edge.evaluation.trajectory import Trajectory, nearest_rows, read_tum, write_tum
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
+from prism_edge.sources import open_source
+from prism_edge.sources.base import Image
+from prism_edge.sources.truth import read_truth
+from tools.make_kidnapping import TOGETHER_NS, describe
+
+MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class Variant:
+    """How a recording is played."""
+
+    backwards: bool = False
+    mirrored: bool = False
+    every: int = 1
+
+    def stamp(self, stamp_ns: int, first_ns: int, last_ns: int) -> int:
+        """When an image comes now."""
+        return first_ns + last_ns - stamp_ns if self.backwards else stamp_ns
+
+    def pose(self, world_from_camera: Array) -> Array:
+        """Where this camera is then, (4, 4)."""
+        return MIRROR @ world_from_camera @ MIRROR if self.mirrored else world_from_camera
+
+    def camera(self, taken: Camera) -> Camera:
+        """The camera that takes these images."""
+        return replace(taken, cx=taken.width - 1.0 - taken.cx) if self.mirrored else taken
+
+
+def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -> int:
+    """Writes the recording; returns how many images it has. Raises PrismError for an unusable FOLDER."""
+    if variant.every < 1:
+        raise SystemExit("--every: a number of images, 1 or more")
+    reference = None if poses is None else read_tum(poses)
+    truth = read_truth(folder)
+    taken: list[tuple[int, str]] = []  # stamp, file
+    source = open_source(SourceConfig(uri=folder))
+    with source:
+        if not source.camera.is_ideal:
+            raise SystemExit("the camera has distortion: its images would have to be undistorted first")
+        (out / "rgb").mkdir(parents=True, exist_ok=True)
+        describe(variant.camera(source.camera), out / "camera.yaml")
+        while (image := source.read()) is not None:
+            if not isinstance(image, Image) or image.index % variant.every:
+                continue
+            pixels = np.ascontiguousarray(image.pixels[:, ::-1]) if variant.mirrored else image.pixels
+            name = f"rgb/{image.index:06d}.png"
+            if not cv2.imwrite(str(out / name), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
+                raise SystemExit(f"{out}: can't write images there")
+            taken.append((image.stamp_ns, name))
+    if not taken:
+        raise SystemExit(f"{folder}: no image could be read")
+    first, last = taken[0][0], taken[-1][0]
+    now = {old: variant.stamp(old, first, last) for old, _ in taken}
+    lines = sorted((now[old], name) for old, name in taken)
+    (out / "rgb.txt").write_text("".join(f"{ns * 1e-9:.9f} {name}\n" for ns, name in lines))
+    if truth is not None:
+        write_tum(out / "groundtruth.txt", carried(zip(*truth, strict=True), now, variant))
+    if reference is not None:
+        write_tum(
+            out / "reference.tum",
+            carried(zip(reference.stamps, reference.poses, strict=True), now, variant),
+        )
+    return len(taken)
+
+
+def carried(poses: Iterable[tuple[int, Array]], now: dict[int, int], variant: Variant) -> Trajectory:
+    """The poses of those images that are taken (``now`` by their old stamps), as they are played."""
+    known = list(poses)
+    stamps = np.array(sorted(now), np.int64)
+    nearest = stamps[nearest_rows(stamps, np.array([int(stamp) for stamp, _ in known], np.int64))]
+    rows = [
+        (now[int(old)], variant.pose(pose))
+        for old, (stamp, pose) in zip(nearest, known, strict=True)
+        if abs(int(old) - int(stamp)) <= TOGETHER_NS
+    ]
+    return Trajectory.of(sorted(rows, key=lambda row: row[0]))
+
+
+def main() -> None:
+    """Command line."""
+    parser = argparse.ArgumentParser(description="A recording played backwards, mirrored or thinned.")
+    parser.add_argument("folder", help="recording to take")
+    parser.add_argument("out", type=Path, help="folder to write")
+    parser.add_argument("--backwards", action="store_true", help="last image first")
+    parser.add_argument("--mirrored", action="store_true", help="left and right change places")
+    parser.add_argument("--every", type=int, default=1, help="keep every so manieth image (default 1)")
+    parser.add_argument("--poses", type=Path, metavar="FILE.tum", help="a reference to carry along")
+    given = parser.parse_args()
+    variant = Variant(given.backwards, given.mirrored, given.every)
+    try:
+        count = write(given.folder, given.out, variant, given.poses)
+    except PrismError as error:
+        sys.exit(str(error))
+    print(f"{count} images in {given.out}")
+
+
+if __name__ == "__main__":
+    main()
