@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -19,6 +19,7 @@ from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, trans
 
 MOST_STEPS = 12
 OBSERVATIONS = 250  # of a keyframe at most
+FAR_OFF = 3.0  # times a pixel's sigma: what is beyond its 99 % bound is no observation of that point
 
 
 @dataclass(frozen=True)
@@ -62,9 +63,7 @@ class GlobalAdjustment:
         self._camera = camera = lens.common(world) if said_k1 is not None else None
         if camera is not None and said_k1 is not None:
             lens.add_variable(graph, values, camera, said_k1)
-            # Where rays hardly cross, a point may slip behind a camera.
-            firm = lens.LEAST_PARALLAX_DEG
-            self._points = [p for p in self._points if world.points[p].parallax_deg >= firm]
+            self._points = _firm(world, self._points, config)
         seen: set[int] = set()
         for p in self._points:
             point = world.points[p]
@@ -190,6 +189,17 @@ def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[t
     for k, p in wrong:
         world.drop_observation(k, p)
     return wrong
+
+
+def _firm(world: GlobalMap, points: list[int], config: BackendConfig) -> list[int]:
+    """Those whose rays cross and are near where they should be: others may slip behind a camera."""
+    firm = {p: world.points[p] for p in points if world.points[p].parallax_deg >= lens.LEAST_PARALLAX_DEG}
+    seen = [(k, p, world.keyframes[k].observed[p]) for p, point in firm.items() for k in point.keyframes]
+    places = {p: point.position for p, point in firm.items()}
+    # A bent map is a few pixels off at its rim, and these are what tells the lens.
+    far = replace(config, pixel_sigma=FAR_OFF * config.pixel_sigma)
+    wrong = {p for _, p in outliers(world, {}, places, seen, far)}
+    return [p for p in firm if p not in wrong]
 
 
 def _choose_points(world: GlobalMap) -> list[int]:

@@ -131,6 +131,19 @@ def test_a_pure_rotation_of_far_points_says_nothing_that_is_wrong():
     assert adjusted is None or adjusted.lens is None or not adjusted.lens.is_taken
 
 
+def test_points_that_are_nowhere_near_have_no_say():
+    _, world = seen_through(-0.05)
+    astray = sorted(world.points)[::40]
+    clean = look(world).result()
+    for p in astray[::2]:
+        world.points[p].position = world.points[p].position * (1.0, 1.0, -1.0)  # behind all cameras
+    for p in astray[1::2]:
+        world.points[p].position = world.points[p].position + np.array([0.5, 0.0, 0.0])
+    found = look(world).result()
+    assert not set(astray) & set(found.points)
+    assert found.lens.k1 == pytest.approx(clean.lens.k1, abs=0.3 * clean.lens.sigma)
+
+
 def test_a_keyframe_from_before_is_brought_to_the_lens():
     teller, world = seen_through(-0.05, noise_px=0.0)
     apply(world, look(world, said_k1=-0.05).result(), CONFIG)  # nothing then draws it away from the truth
