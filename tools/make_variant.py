@@ -29,6 +29,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.sources import open_source
 from prism_edge.sources.base import Image
+from prism_edge.sources.stamps import write_seconds
 from prism_edge.sources.truth import read_truth
 from tools.make_kidnapping import TOGETHER_NS, describe
 
@@ -82,7 +83,7 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -
     first, last = taken[0][0], taken[-1][0]
     now = {old: variant.stamp(old, first, last) for old, _ in taken}
     lines = sorted((now[old], name) for old, name in taken)
-    (out / "rgb.txt").write_text("".join(f"{ns * 1e-9:.9f} {name}\n" for ns, name in lines))
+    (out / "rgb.txt").write_text("".join(f"{write_seconds(ns)} {name}\n" for ns, name in lines))
     if truth is not None:
         write_tum(out / "groundtruth.txt", carried(zip(*truth, strict=True), now, variant))
     if reference is not None:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from prism_edge.errors import EvaluationError
 from prism_edge.geometry.poses import Array, from_rt, quaternion_from_rotation, rotation_from_quaternion
+from prism_edge.sources.stamps import write_seconds
 
 NS = 1_000_000_000
 _LATEST_S = Decimal(2**63 - 1) / NS
@@ -83,9 +84,8 @@ def nearest_rows(stamps: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArra
 
 def tum_line(stamp_ns: int, pose: Array) -> str:
     """One line of a TUM file: stamp (s, nine decimals, exact), position, quaternion x y z w."""
-    sign, stamp = ("-", -stamp_ns) if stamp_ns < 0 else ("", stamp_ns)
     numbers = (*pose[:3, 3], *quaternion_from_rotation(pose[:3, :3]))
-    return f"{sign}{stamp // NS}.{stamp % NS:09d} " + " ".join(f"{value:.9f}" for value in numbers) + "\n"
+    return f"{write_seconds(stamp_ns)} " + " ".join(f"{value:.9f}" for value in numbers) + "\n"
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

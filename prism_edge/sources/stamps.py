@@ -23,6 +23,12 @@ def parse_seconds(text: str) -> int:
     return int(value.to_integral_value())
 
 
+def write_seconds(stamp_ns: int) -> str:
+    """Decimal seconds, nine decimals, exact: what :func:`parse_seconds` reads back."""
+    sign, stamp = ("-", -stamp_ns) if stamp_ns < 0 else ("", stamp_ns)
+    return f"{sign}{stamp // 10**9}.{stamp % 10**9:09d}"
+
+
 def at_rate(index: int, rate_hz: float) -> int:
     """Nanoseconds at which image ``index`` of a regular sequence was taken."""
     return round(index * 1e9 / rate_hz)

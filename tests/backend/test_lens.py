@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import lens as lens_module
+from prism_edge.backend import loop_closing
 from prism_edge.backend.global_adjustment import GlobalAdjustment, apply
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common
@@ -352,6 +353,23 @@ def test_windows_after_it_carry_the_camera_too():
     adjust_all(mapper)
     update = mapper.optimise(told[-1].id, 0.0)
     assert Camera.from_array(CAMERA.model, update.camera) == mapper.world.camera != CAMERA
+
+
+def test_the_prior_stays_where_the_file_put_it(monkeypatch):
+    """Moved along with what was found, it would count the same keyframes again and again."""
+    asked = []
+
+    class Spy(GlobalAdjustment):
+        def __init__(self, *args: object) -> None:
+            asked.append((args[0].camera, args[5]))
+            super().__init__(*args)
+
+    monkeypatch.setattr(loop_closing, "GlobalAdjustment", Spy)
+    mapper, _ = mapper_of(-0.06)
+    adjust_all(mapper)
+    searches = [(camera, said) for camera, said in asked if said is not None]
+    assert [said for _, said in searches] == [0.0] * 3
+    assert searches[0][0] == CAMERA != searches[-1][0]
 
 
 def test_a_map_that_is_taken_up_again_is_not_searched_anew():

@@ -64,6 +64,19 @@ def test_a_mirrored_camera_sees_a_mirrored_world():
     assert np.linalg.det(variant.pose(pose)[:3, :3]) == pytest.approx(1.0)
 
 
+def test_stamps_near_todays_epoch_are_kept_to_the_nanosecond(tmp_path):
+    source = write_sequence(tmp_path / "in", frames=4, width=160, height=120)
+    epoch = 1_305_031_102
+    for name in ("rgb.txt", "groundtruth.txt"):
+        rows = [line.split(" ", 1) for line in (source / name).read_text().splitlines() if line[0] != "#"]
+        later = "".join(f"{epoch + i}.{175304000 + 7 * i:09d} {rest}\n" for i, (_, rest) in enumerate(rows))
+        (source / name).write_text(later)
+    write(str(source), tmp_path / "out", Variant(every=3))
+    _, stamps, _ = played(tmp_path / "out")
+    assert stamps == [epoch * 10**9 + 175304000, (epoch + 3) * 10**9 + 175304021]
+    assert read_truth(str(tmp_path / "out"))[0].tolist() == stamps
+
+
 def test_poses_of_images_left_out_are_left_out(tmp_path):
     source = write_sequence(tmp_path / "in", frames=7, width=160, height=120)
     write(str(source), tmp_path / "out", Variant(every=3))
