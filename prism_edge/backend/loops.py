@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, rotation_angle, scaled, transform
 from prism_edge.tracking.depth_alignment import robust_sigma
-from prism_edge.tracking.features import Features
-from prism_edge.tracking.matching import match_projected
+from prism_edge.tracking.matching import match_corners, match_projected
 from prism_edge.tracking.pose_refinement import refine_pose
 
 Index = NDArray[np.intp]
 
-MATCH_DISTANCE, MATCH_RATIO, FARTHEST = 60, 0.8, 256
 MIN_MATCHES, MIN_EPIPOLAR, MIN_PNP = 20, 15, 10
 EPIPOLAR_PX, PNP_PX = 2.0, 5.0
 EPIPOLAR_TRIES = 300
@@ -52,21 +50,6 @@ class Loop:
     inliers: int
     neighbours: int  # keyframes beside the query that agree
     pairs: list[tuple[int, int]] = field(repr=False)  # keypoint of the query, point of the candidate's end
-
-
-def match_corners(a: Features, b: Features) -> tuple[Index, Index]:
-    """Mutual nearest descriptors, near enough and clearly nearer than the next; indices into each."""
-    if min(len(a), len(b)) < 2:
-        return np.zeros(0, np.intp), np.zeros(0, np.intp)
-    distance = np.zeros((len(a), len(b)), np.uint16)
-    for word in range(4):
-        distance += np.bitwise_count(a.descriptors[:, None, word] ^ b.descriptors[None, :, word])
-    rows = np.arange(len(a))
-    best, back = distance.argmin(axis=1), distance.argmin(axis=0)
-    nearest = distance[rows, best]
-    distance[rows, best] = FARTHEST
-    good = (nearest <= MATCH_DISTANCE) & (nearest < MATCH_RATIO * distance.min(axis=1)) & (back[best] == rows)
-    return rows[good], best[good]
 
 
 def verify(world: GlobalMap, query: int, candidate: int, least: int, seed: int = 0) -> Loop | None:

@@ -19,7 +19,9 @@ MIN_POINTS = 50  # triangulated at MIN_PARALLAX
 MIN_PARALLAX = np.radians(1.0)
 EPIPOLAR_PX = 1.0
 REPROJECTION_PX = 2.0
-MIN_INLIER_SHARE = 0.6
+MIN_INLIER_SHARE = 0.3
+MIN_KNOWN = 20  # given depths that the unit is the median of
+NEAR_EPIPOLAR_PX = 3.0  # a match farther than that from both motions' lines is none
 CLEARLY = 1.5  # times the cost
 
 
@@ -43,9 +45,9 @@ def reconstruct(
     Refined both from ``tracked`` (first_from_second as the depths have it) and from an essential matrix
     (RANSAC), which must fit clearly better: at little parallax rotation and translation look alike.
 
-    ``first``, ``second`` (n, 2) are matched ideal pixels, ``first_depths`` (n,) along z, above 0. The unit
-    is the median ratio of given to triangulated depth, so single wrong depths do no harm. None where
-    there is too little parallax or agreement.
+    ``first``, ``second`` (n, 2) are matched ideal pixels, ``first_depths`` (n,) along z, above 0 or NaN
+    where none is known. The unit is the median ratio of given to triangulated depth, so single wrong depths
+    do no harm. None where there is too little parallax or agreement.
     """
     if len(first) < MIN_MATCHES:
         return None
@@ -70,8 +72,10 @@ def reconstruct(
     if near_cost < CLEARLY * cost:
         first_from_second = _facing(camera, first[inlier], second[inlier], near)
     at_best, at_tracked = (
-        robust_cost(sampson_distances(camera, first, second, pose)) for pose in (first_from_second, tracked)
+        sampson_distances(camera, first, second, pose) for pose in (first_from_second, tracked)
     )
+    match = np.minimum(np.abs(at_best), np.abs(at_tracked)) < NEAR_EPIPOLAR_PX
+    contradicts = robust_cost(at_tracked[match]) > CLEARLY * robust_cost(at_best[match])
     points, depth_first, depth_second, parallax = triangulate(
         np.eye(4), first_from_second, rays(camera, first), rays(camera, second)
     )
@@ -79,15 +83,14 @@ def reconstruct(
     good &= _reprojects(camera, np.eye(4), points, first)
     good &= _reprojects(camera, first_from_second, points, second)
     wide = good & (parallax > MIN_PARALLAX)
-    if wide.sum() < MIN_POINTS:
+    known = wide & np.isfinite(first_depths)
+    if wide.sum() < MIN_POINTS or known.sum() < MIN_KNOWN:
         return None
-    ratios = np.log(first_depths[wide] / depth_first[wide])
+    ratios = np.log(first_depths[known] / depth_first[known])
     unit = float(np.exp(np.median(ratios)))
     spread = robust_sigma(ratios)
     first_from_second[:3, 3] *= unit
-    return TwoViews(
-        first_from_second, points * unit, parallax, good, spread, contradicts=at_tracked > CLEARLY * at_best
-    )
+    return TwoViews(first_from_second, points * unit, parallax, good, spread, contradicts)
 
 
 def _facing(camera: Camera, first: Array, second: Array, first_from_second: Array) -> Array:

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from prism_edge.tracking.features import CELL, Features
 
 Index = NDArray[np.intp]
+MATCH_DISTANCE, MATCH_RATIO, FARTHEST = 60, 0.8, 256
+_ROWS = 32
 _SHIFT = 40
 _FAR = np.int64(1024) << _SHIFT  # beyond any distance of 256 bits
 
@@ -121,3 +123,30 @@ def match_projected(
     # Whole rows: take() is several times as fast as an index in brackets.
     distance = hamming(descriptors.take(query, axis=0), features.descriptors.take(keypoint, axis=0))
     return best_pairs(query, keypoint, distance, max_distance, ratio, exclusive)
+
+
+def match_corners(a: Features, b: Features) -> tuple[Index, Index]:
+    """Mutual nearest descriptors, near enough and clearly nearer than the next; indices into each."""
+    if min(len(a), len(b)) < 2:
+        return np.zeros(0, np.intp), np.zeros(0, np.intp)
+    distance = all_distances(a.descriptors, b.descriptors)
+    rows = np.arange(len(a))
+    best, back = distance.argmin(axis=1), distance.argmin(axis=0)
+    nearest = distance[rows, best]
+    distance[rows, best] = FARTHEST
+    good = (nearest <= MATCH_DISTANCE) & (nearest < MATCH_RATIO * distance.min(axis=1)) & (back[best] == rows)
+    return rows[good], best[good]
+
+
+def all_distances(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> NDArray[np.uint16]:
+    """Differing bits (n, m) between all rows of (n, 4) and of (m, 4) 64-bit words."""
+    distance = np.zeros((len(a), len(b)), np.uint16)
+    columns = [np.ascontiguousarray(column) for column in b.T]
+    # A few rows at a time, which stay in the cache: a fifth of the time.
+    differing, count = np.empty((_ROWS, len(b)), np.uint64), np.empty((_ROWS, len(b)), np.uint8)
+    for start in range(0, len(a), _ROWS):
+        part = distance[start : start + _ROWS]
+        for word, column in enumerate(columns):
+            np.bitwise_xor(a[start : start + _ROWS, word, None], column, out=differing[: len(part)])
+            part += np.bitwise_count(differing[: len(part)], out=count[: len(part)])
+    return distance

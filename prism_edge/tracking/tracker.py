@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import PINHOLE, Camera
-from prism_edge.geometry.poses import Array, inverse, normalised, se3_exp, se3_log
+from prism_edge.geometry.poses import Array, inverse, normalised, scaled, se3_exp, se3_log
 from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
@@ -66,12 +67,14 @@ class Tracker:
         self._last_stamp = 0
         self._velocity = np.zeros(6)  # twist of the camera per second
         self._seen_at: int | None = None  # stamp of the last tracked frame
+        self._began_at: int | None = None  # of this map's first; None for one that was there before
         self._reference_matches = 0
         self._reference_depth = 1.0  # median, of the newest keyframe
         self._since_refresh = 0
         self._initialised = False
         self._result: FrameResult | None = None
         self._fresh: tuple[int, TrackedFrame] | None = None  # tracked, not yet judged as a keyframe
+        self._begins_at = np.eye(4)  # pose of a map's first camera, metres
         self._pending: LocalKeyframe | None = None  # the first keyframe, not yet handed out
         self._lens: Camera | None = None  # the camera as the backend has found it
 
@@ -99,8 +102,8 @@ class Tracker:
     def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
         if len(features) >= MIN_FIRST_FEATURES:
             points = np.full(len(features), -1, np.int64)
-            self._pending = self._insert(index, stamp_ns, camera, features, np.eye(4), points)
-            self._seen_at = stamp_ns
+            self._pending = self._insert(index, stamp_ns, camera, features, self._begins_at, points)
+            self._seen_at = self._began_at = stamp_ns
         return nothing(INITIALISING)
 
     def _continue(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
@@ -111,7 +114,7 @@ class Tracker:
             if not self._initialised:
                 if silent_s > (DEPTH_PATIENCE_S if self._last is None else INITIAL_PATIENCE_S):
                     log.info("the first keyframe could not be tracked: starting again")
-                    self._restart()
+                    self._restart(self._begins_at)
                 return nothing(INITIALISING)
             self._velocity[:] = 0.0
             if silent_s > self._config.lost_after_s and not self._lost:
@@ -121,6 +124,8 @@ class Tracker:
             self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES
             if self._lost and self.may_map:
                 self._look_on(index, stamp_ns, camera, features)
+            if not self._initialised:
+                return self._begin(index, stamp_ns, camera, features)
             return nothing(LOST if self._lost else DEGRADED)
         if self._lost:
             log.info("found again at frame %d, %.1f s later", index, silent_s)
@@ -138,7 +143,9 @@ class Tracker:
     def _look_on(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> None:
         """Lost: a camera that has shown something for long, but nothing known, begins a new part of the map.
 
-        It begins where the camera was last, so that `odom` goes on from there.
+        It begins where the camera was last, so that `odom` goes on from there. A map that is younger than
+        that patience knows neither its scale nor its shape: it is looked for as long as it was seen, and
+        then a new one takes its place, also from where the camera was last, in metres.
         """
         if len(features) >= MIN_FIRST_FEATURES:
             self._looked_ns += min(stamp_ns - self._looking_at, MOST_BETWEEN_NS)
@@ -147,14 +154,25 @@ class Tracker:
             if (stamp_ns - self._waiting.stamp_ns) * 1e-9 < DEPTH_PATIENCE_S:
                 return
             self._give_up_waiting()
-        if not self._config.submap_after_s or self._looked_ns * 1e-9 < self._config.submap_after_s:
-            return
+        looked_s, patience_s = self._looked_ns * 1e-9, self._config.submap_after_s
         last = self.last_pose()
         pose = self.world.newest().world_from_camera if last is None else last
+        if self._age_s() <= looked_s and self._age_s() < patience_s:
+            log.info("lost in a map of %.1f s, which is given up: a new one begins", self._age_s())
+            self._restart(scaled(pose, math.exp(self.log_scale)))
+            return
+        if not patience_s or looked_s < patience_s:
+            return
         self.parts.begin(self._next_keyframe)
         points = np.full(len(features), -1, np.int64)
         self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose, points)
         log.info("nothing is known here: a new part of the map begins at frame %d", index)
+
+    def _age_s(self) -> float:
+        """How long the map has been seen; infinite for one that was there before."""
+        if self._began_at is None or self._seen_at is None:
+            return math.inf
+        return (self._seen_at - self._began_at) * 1e-9
 
     def _give_up_waiting(self) -> None:
         if self._waiting is not None and self._waiting.id in self.world.keyframes:
@@ -349,7 +367,7 @@ class Tracker:
 
     def reset(self) -> None:
         """Begin a new map with the next frame: another epoch, at the identity."""
-        self._restart()
+        self._restart(np.eye(4))
         self._pending, self._fresh, self._result, self._seen_at = None, None, None, None
         self.may_map, self._lens = True, None
 
@@ -359,6 +377,7 @@ class Tracker:
         self.world, self.places.index, self.parts = world, index, parts
         self.epoch, self.log_scale = epoch, log_scale
         self._initialised, self._lost, self._looked_ns, self._looking_at = True, True, 0, 0
+        self._began_at = None
         self._lens = world.newest().camera
         self._announced = max(world.keyframes)
         self._next_keyframe = max(self._next_keyframe, self._announced + 1)
@@ -370,9 +389,9 @@ class Tracker:
 
     # -- ends -----------------------------------------------------------------------------------
 
-    def _restart(self) -> None:
-        """Begin a new map."""
-        self.world = LocalMap()
+    def _restart(self, at: Array) -> None:
+        """Begin a new map, its first camera at a pose (4, 4) in metres."""
+        self.world, self._begins_at = LocalMap(), at
         self.places, self.parts = Relocaliser(self._seed), Parts()
         self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1

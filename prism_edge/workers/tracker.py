@@ -148,15 +148,8 @@ class TrackerWorker:
             self._announce(keyframe, frame)
         made = -1 if keyframe is None else keyframe.id
         probe = not repeated and tracker.wants_probe and self._probe(frame)
-        self._tick(
-            frame,
-            result.odometry,
-            published,
-            made,
-            result.reference,
-            result.reference_from_camera,
-            probe,
-        )
+        carried = result.reference, result.reference_from_camera
+        self._tick(frame, result.odometry, published, made, *carried, probe)
         self._show(result.odometry, result.matched, frame.stamp_ns)
 
     def _camera_of(self, frame: Frame) -> Camera | None:
@@ -254,6 +247,8 @@ class TrackerWorker:
 
     def _announce(self, keyframe: LocalKeyframe, frame: Frame) -> None:
         self._drift.add_keyframe(self._tracker.world, keyframe, self._tracker.log_scale)
+        if len(self._tracker.world.keyframes) == 1:
+            self._scale_sigma = UNKNOWN_SCALE_SIGMA  # a new map, a new unit
         message = keyframe_message(self._tracker, keyframe, self._travelled)
         self._bus.publish("keyframe", message)
         self._show_picture(frame, keyframe.id)

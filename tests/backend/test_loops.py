@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.loops import match_corners, plausible, verify
+from prism_edge.backend.loops import plausible, verify
 from prism_edge.geometry.poses import inverse, se3_log
-from tests.backend.ring import Ring, features_of
+from tests.backend.ring import Ring
 
 DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
 
@@ -93,25 +93,3 @@ def test_two_keyframes_at_one_pose_are_a_loop_without_a_baseline():
     loop = verify(world, 41, 1, 30)
     assert loop is not None
     assert np.abs(se3_log(inverse(ring.true[1]) @ loop.world_from_query)).max() < 0.02
-
-
-def test_matches_are_mutual_and_right():
-    ring = Ring()
-    first, second = ring.keyframes(2)
-    a, b = match_corners(features_of(first), features_of(second))
-    assert len(a) > 50
-    assert len(set(a.tolist())) == len(set(b.tolist())) == len(a)
-    assert (first.points[a] == second.points[b]).mean() > 0.99
-
-
-def test_nothing_matches_nothing():
-    ring = Ring()
-    first = ring.keyframe()
-    none = replace(
-        first,
-        pixels=np.zeros((0, 2), np.float32),
-        octaves=np.zeros(0, np.uint8),
-        descriptors=np.zeros((0, 32), np.uint8),
-    )
-    a, b = match_corners(features_of(first), features_of(none))
-    assert len(a) == len(b) == 0

@@ -2,12 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.tracking.features import Features
-from prism_edge.tracking.matching import best_pairs, expand_ranges, hamming, match_projected
+from prism_edge.tracking.matching import (
+    all_distances,
+    best_pairs,
+    expand_ranges,
+    hamming,
+    match_corners,
+    match_projected,
+)
+from tests.backend.ring import Ring, features_of
 
 
 def reference_best(query, keypoint, distance, most, ratio):
@@ -97,3 +107,34 @@ def test_nothing_to_match():
             0.9,
         )
         assert len(query) == len(keypoint) == 0
+
+
+def test_matches_are_mutual_and_right():
+    ring = Ring()
+    first, second = ring.keyframes(2)
+    a, b = match_corners(features_of(first), features_of(second))
+    assert len(a) > 50
+    assert len(set(a.tolist())) == len(set(b.tolist())) == len(a)
+    assert (first.points[a] == second.points[b]).mean() > 0.99
+
+
+def test_nothing_matches_nothing():
+    ring = Ring()
+    first = ring.keyframe()
+    none = replace(
+        first,
+        pixels=np.zeros((0, 2), np.float32),
+        octaves=np.zeros(0, np.uint8),
+        descriptors=np.zeros((0, 32), np.uint8),
+    )
+    a, b = match_corners(features_of(first), features_of(none))
+    assert len(a) == len(b) == 0
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1000), rows=st.integers(0, 70), columns=st.integers(1, 9))
+def test_all_distances_are_those_of_the_pairs(seed, rows, columns):
+    rng = np.random.default_rng(seed)
+    a, b = (rng.integers(0, 2**64, (n, 4), np.uint64) for n in (rows, columns))
+    expected = [[int(hamming(one[None], other[None])[0]) for other in b] for one in a]
+    assert all_distances(a, b).tolist() == expected

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prism_edge.geometry.poses import inverse, se3_log, transform
+from prism_edge.geometry.poses import inverse, scaled, se3_log, transform
+from prism_edge.messages import INITIALISING, LOST, OK
 from prism_edge.tracking.tracker import Tracker
 from tests.synthetic.messages import map_update
 from tests.tracking.cloud import check, pose_at
@@ -115,3 +116,48 @@ def test_without_depth_no_part_is_begun_in_vain():
     assert waiting not in run.tracker.world.keyframes
     assert run.tracker.add_depth(waiting, footage().depths[0], IDENTITY, 0.1) == 0
     check(run.tracker.world)
+
+
+def test_a_map_lost_before_it_is_firm_gives_way_to_a_new_one_from_where_the_camera_was():
+    run, room = Run(), other_room()
+    run.play(range(20))
+    run.tracker.log_scale = 0.3  # as the scale process has found meanwhile
+    last = run.tracker.last_pose()
+    for i in range(20, 32):
+        run.feed(0, BLACK, at=i)
+    for i, (image, depth, _) in enumerate(room):
+        run.feed(0, image, at=32 + i)
+        for k, frame in run.keyframes.items():
+            if frame == 32 + i:
+                run.tracker.add_depth(k, depth, IDENTITY, 0.1)
+    first = next(i for i in range(32, 92) if run.results[i].world_from_camera is not None)
+    assert 19 <= first - 32 <= 22, "looked for as long as it had been seen, 19 frames"
+    assert [run.results[i].odometry for i in (31, first - 1, first)] == [LOST, INITIALISING, OK]
+    assert run.tracker.epoch == 1
+    assert run.tracker.log_scale == 0.0
+    assert all(run.results[i].in_map for i in range(first, 92))
+    begun = run.tracker.world.keyframes[min(run.tracker.world.keyframes)].world_from_camera
+    assert begun == pytest.approx(scaled(last, np.exp(0.3)), abs=1e-9), "no jump to the origin"
+    moved = inverse(begun) @ run.results[91].world_from_camera
+    true = inverse(room[first - 1 - 32][2]) @ room[91 - 32][2]
+    assert np.linalg.norm(moved[:3, 3] - true[:3, 3]) < 0.1 * np.linalg.norm(true[:3, 3]) + 0.02
+    check(run.tracker.world)
+
+
+def test_darkness_gives_no_map_up():
+    run = Run()
+    run.play(range(20))
+    for i in range(20, 80):
+        run.feed(0, BLACK, at=i)
+    found = run.until_found([(20 + i, None) for i in range(6)], at=80)
+    assert run.tracker.epoch == 0
+    assert np.linalg.norm((found.world_from_camera - footage().poses[20 + run.found_at - 80])[:3, 3]) < 0.03
+
+
+def test_one_that_never_maps_on_its_own_gives_none_up_either():
+    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.0))), other_room()
+    run.play(range(20))
+    for i, (image, _, _) in enumerate(room):
+        run.feed(0, image, at=20 + i)
+    assert run.tracker.epoch == 0
+    assert run.results[79].odometry == LOST
