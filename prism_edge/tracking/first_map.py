@@ -7,12 +7,13 @@ from enum import Enum
 
 import numpy as np
 
-from prism_edge.geometry.poses import inverse, transform
+from prism_edge.geometry.poses import transform
 from prism_edge.tracking import mapping
 from prism_edge.tracking.frame_tracking import TrackedFrame
-from prism_edge.tracking.initialisation import reconstruct
+from prism_edge.tracking.initialisation import MIN_POINTS
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_corners
+from prism_edge.tracking.second_look import two_views
 
 log = logging.getLogger("prism_edge.tracking")
 
@@ -37,20 +38,7 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
     """
     table = world.points
     before, now = match_corners(first.features, frame.features)
-    ids = first.points[before]
-    has_point = table.known(ids)
-    rows = table.rows(ids[has_point])
-    depths = np.full(len(before), np.nan)
-    from_first = table.position[rows] - first.world_from_camera[:3, 3]
-    depths[has_point] = from_first @ first.world_from_camera[:3, 2]
-    views = reconstruct(
-        frame.camera,
-        first.features.pixels[before],
-        frame.features.pixels[now],
-        np.where(depths > 0, depths, np.nan),
-        inverse(first.world_from_camera) @ frame.world_from_camera,
-        seed,
-    )
+    views, ids = two_views(world, first, frame, before, now, seed, MIN_POINTS)
     if views is None:
         misled = len(before) >= max(CAN_WAIT_MATCHES, MISLED * frame.matched)
         return SecondView.TOO_NEAR if misled or frame.matched >= CAN_WAIT_MATCHES else SecondView.AGREES
@@ -58,7 +46,7 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
         return SecondView.AGREES
     log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
     frame.world_from_camera = first.world_from_camera @ views.first_from_second
-    good = views.good & has_point
+    good = views.good & (ids != NO_POINT)
     rows = table.rows(ids[good])
     table.position[rows] = transform(first.world_from_camera, views.points[good])
     table.parallax_deg[rows] = np.degrees(views.parallax[good])

@@ -20,7 +20,7 @@ MIN_PARALLAX = np.radians(1.0)
 EPIPOLAR_PX = 1.0
 REPROJECTION_PX = 2.0
 MIN_INLIER_SHARE = 0.3
-MIN_KNOWN = 20  # given depths that the unit is the median of
+MIN_KNOWN = 10  # given depths that the unit is the median of
 NEAR_EPIPOLAR_PX = 3.0  # a match farther than that from both motions' lines is none
 CLEARLY = 1.5  # times the cost
 
@@ -38,7 +38,13 @@ class TwoViews:
 
 
 def reconstruct(
-    camera: Camera, first: Array, second: Array, first_depths: Array, tracked: Array, seed: int
+    camera: Camera,
+    first: Array,
+    second: Array,
+    first_depths: Array,
+    tracked: Array,
+    seed: int,
+    least: int = MIN_POINTS,
 ) -> TwoViews | None:
     """Relative pose from matches alone, its length from the first view's depths.
 
@@ -47,7 +53,7 @@ def reconstruct(
 
     ``first``, ``second`` (n, 2) are matched ideal pixels, ``first_depths`` (n,) along z, above 0 or NaN
     where none is known. The unit is the median ratio of given to triangulated depth, so single wrong depths
-    do no harm. None where there is too little parallax or agreement.
+    do no harm. None where there is too little agreement, or fewer than ``least`` matches with parallax.
     """
     if len(first) < MIN_MATCHES:
         return None
@@ -84,7 +90,7 @@ def reconstruct(
     good &= _reprojects(camera, first_from_second, points, second)
     wide = good & (parallax > MIN_PARALLAX)
     known = wide & np.isfinite(first_depths)
-    if wide.sum() < MIN_POINTS or known.sum() < MIN_KNOWN:
+    if wide.sum() < least or known.sum() < MIN_KNOWN:
         return None
     ratios = np.log(first_depths[known] / depth_first[known])
     unit = float(np.exp(np.median(ratios)))

@@ -25,6 +25,7 @@ from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import recover
 from prism_edge.tracking.relocalisation import Relocaliser
+from prism_edge.tracking.second_look import look_again
 from prism_edge.tracking.seeding import seed_from_depth
 from prism_edge.tracking.submaps import Parts
 
@@ -143,9 +144,8 @@ class Tracker:
     def _look_on(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> None:
         """Lost: a camera that has shown something for long, but nothing known, begins a new part of the map.
 
-        It begins where the camera was last, so that `odom` goes on from there. A map that is younger than
-        that patience knows neither its scale nor its shape: it is looked for as long as it was seen, and
-        then a new one takes its place, also from where the camera was last, in metres.
+        It begins where the camera was last, so that `odom` goes on from there. A map younger than that
+        patience knows neither scale nor shape: looked for as long as it was seen, it gives way to a new one.
         """
         if len(features) >= MIN_FIRST_FEATURES:
             self._looked_ns += min(stamp_ns - self._looking_at, MOST_BETWEEN_NS)
@@ -170,9 +170,8 @@ class Tracker:
 
     def _age_s(self) -> float:
         """How long the map has been seen; infinite for one that was there before."""
-        if self._began_at is None or self._seen_at is None:
-            return math.inf
-        return (self._seen_at - self._began_at) * 1e-9
+        began, seen = self._began_at, self._seen_at
+        return math.inf if began is None or seen is None else (seen - began) * 1e-9
 
     def _give_up_waiting(self) -> None:
         if self._waiting is not None and self._waiting.id in self.world.keyframes:
@@ -211,7 +210,9 @@ class Tracker:
             frame = recover(
                 self.world, self._frames, camera, features, newest, self._config.min_matches, self._seed
             )
-        return frame if frame is not None and frame.matched >= self._config.min_matches else None
+        if frame is None or frame.matched < self._config.min_matches:
+            return None
+        return look_again(self.world, self.parts, frame, self._seed)
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.synthetic import messages
+from tests.tracking.footage import IDENTITY, footage, other_room
 from tests.workers.list_bus import ListBus
-from tests.workers.tracker_bench import World, frame, run, scale_of
+from tests.workers.tracker_bench import World, depth_of, frame, run, scale_of
 
 
 def walked(local_sigma: float) -> tuple[float, np.ndarray]:
@@ -30,3 +32,23 @@ def test_odom_drifts_more_where_the_map_s_scale_is_in_doubt_and_stays_where_it_i
 
 def test_a_doubt_that_is_no_number_is_ignored():
     assert walked(float("nan"))[0] == pytest.approx(walked(0.0)[0], rel=0.2)
+
+
+def test_a_new_map_s_unit_is_unknown_until_the_scale_process_says_something_of_it():
+    room, film = other_room(), footage()
+    bus = ListBus("frame")
+    world = World(bus)
+    world.scale = lambda keyframe: scale_of(keyframe, epoch=0, sigma=0.1)
+    world.depth = lambda image: (
+        depth_of(image)
+        if image.epoch == 0
+        else messages.depth_of(image, room[image.index - 32][1], IDENTITY)
+    )
+    dark = [frame(i, 0, image=np.zeros_like(film.images[0])) for i in range(20, 32)]
+    elsewhere = [frame(32 + i, 0, image=image) for i, (image, _, _) in enumerate(room)]
+    run(bus, [*[frame(i) for i in range(20)], *dark, *elsewhere])
+    firsts = {keyframe.epoch: keyframe.index for keyframe in reversed(bus.of("keyframe"))}
+    assert list(firsts) == [1, 0], "the map was given up, and a new one begun"
+    sigma = {tracked.index: tracked.scale_sigma for tracked in bus.of("tracked")}
+    assert sigma[firsts[1] - 1] == pytest.approx(0.1)
+    assert sigma[91] == 1.0

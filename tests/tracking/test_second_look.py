@@ -1,0 +1,97 @@
+"""A weak frame beside the newest keyframe: put right where it is wrong, left alone where it is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
+from prism_edge.tracking.features import OrbExtractor
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.local_map import NO_POINT
+from prism_edge.tracking.second_look import WEAK_MATCHES, look_again
+from tests.tracking.film_run import BLACK, CONFIG, Run
+from tests.tracking.footage import footage
+
+AWAY = 12  # frames after the newest keyframe
+
+
+@pytest.fixture(scope="module")
+def run() -> Run:
+    run = Run()
+    run.play(range(40))
+    assert run.tracker.parts.size(run.tracker.world) > 1
+    return run
+
+
+def weak_frame(run: Run, error: np.ndarray, matched: int = 30) -> TrackedFrame:
+    """A later frame as tracking leaves it that lost its way: ``error`` off, on a few points."""
+    film = footage()
+    index = run.tracker.world.newest().index + AWAY
+    features = OrbExtractor(CONFIG).extract(film.images[index], film.camera)
+    points = np.full(len(features), NO_POINT, np.int64)
+    pose = film.poses[index] @ se3_exp(error)
+    return TrackedFrame(film.camera, features, pose, points, np.eye(6), matched, 1.0)
+
+
+def off(run: Run, frame: TrackedFrame) -> tuple[float, float]:
+    """Error of a frame's motion since the newest keyframe: rad, and of its way over the true one."""
+    film, newest = footage(), run.tracker.world.newest()
+    true = inverse(film.poses[newest.index]) @ film.poses[newest.index + AWAY]
+    found = inverse(newest.world_from_camera) @ frame.world_from_camera
+    way = float(np.linalg.norm(found[:3, 3] - true[:3, 3]) / np.linalg.norm(true[:3, 3]))
+    return rotation_angle(found[:3, :3].T @ true[:3, :3]), way
+
+
+TURN_FOR_A_WAY = np.array([-0.12, 0.0, 0.0, 0.0, np.radians(4.0), 0.0])
+
+
+def test_what_looks_alike_puts_a_wrong_motion_right(run):
+    wrong = weak_frame(run, TURN_FOR_A_WAY)
+    assert off(run, wrong)[0] > np.radians(3.5)
+    found = look_again(run.tracker.world, run.tracker.parts, wrong, seed=0)
+    angle, way = off(run, found)
+    assert angle < np.radians(0.3)
+    assert way < 0.15
+    world, newest = run.tracker.world, run.tracker.world.newest()
+    seen = np.flatnonzero(found.points != NO_POINT)
+    assert found.matched == len(seen) > 30
+    assert np.isin(found.points[seen], newest.points).all()
+    positions = world.points.position[world.points.rows(found.points[seen])]
+    pixels = footage().camera.project(transform(inverse(found.world_from_camera), positions))
+    assert np.median(np.linalg.norm(pixels - found.features.pixels[seen], axis=1)) < 3.0, "the points it saw"
+
+
+def test_a_motion_that_agrees_is_left_as_it_is(run):
+    right = weak_frame(run, np.zeros(6))
+    assert look_again(run.tracker.world, run.tracker.parts, right, seed=0) is right
+
+
+def test_a_frame_that_matches_much_is_not_looked_at_again(run):
+    strong = weak_frame(run, TURN_FOR_A_WAY, matched=WEAK_MATCHES)
+    assert look_again(run.tracker.world, run.tracker.parts, strong, seed=0) is strong
+
+
+def test_where_looks_find_no_more_than_tracking_did_tracking_is_believed(run):
+    wrong = weak_frame(run, TURN_FOR_A_WAY, matched=WEAK_MATCHES - 1)
+    sparse = OrbExtractor(replace(CONFIG, features=100, max_features=100))
+    features = sparse.extract(footage().images[run.tracker.world.newest().index + AWAY], footage().camera)
+    wrong = replace(wrong, features=features, points=wrong.points[: len(features)])
+    assert look_again(run.tracker.world, run.tracker.parts, wrong, seed=0) is wrong
+
+
+def test_nothing_to_see_changes_nothing(run):
+    wrong = weak_frame(run, TURN_FOR_A_WAY)
+    features = OrbExtractor(CONFIG).extract(BLACK, footage().camera)
+    dark = replace(wrong, features=features, points=np.zeros(0, np.int64))
+    assert look_again(run.tracker.world, run.tracker.parts, dark, seed=0) is dark
+
+
+def test_a_map_of_one_keyframe_is_not_judged_here():
+    run = Run()
+    run.play(range(3))
+    assert run.tracker.parts.size(run.tracker.world) == 1
+    wrong = weak_frame(run, TURN_FOR_A_WAY)
+    assert look_again(run.tracker.world, run.tracker.parts, wrong, seed=0) is wrong
