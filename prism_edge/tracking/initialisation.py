@@ -12,7 +12,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, inverse
 from prism_edge.tracking.depth_alignment import robust_sigma
 from prism_edge.tracking.triangulation import rays, triangulate
-from prism_edge.tracking.two_view_pose import refine_two_view_pose, robust_cost, sampson_distances
+from prism_edge.tracking.two_view_pose import refine_two_view_pose, sampson_distances
 
 MIN_MATCHES = 60
 MIN_POINTS = 50  # triangulated at MIN_PARALLAX
@@ -21,7 +21,7 @@ EPIPOLAR_PX = 1.0
 REPROJECTION_PX = 2.0
 MIN_INLIER_SHARE = 0.3
 MIN_KNOWN = 10  # given depths that the unit is the median of
-NEAR_EPIPOLAR_PX = 3.0  # a match farther than that from both motions' lines is none
+NO_MATCH_PX = 2.0  # from both motions' lines; and what moves by itself costs the true one no more than this
 CLEARLY = 1.5  # times the cost
 
 
@@ -78,10 +78,10 @@ def reconstruct(
     if near_cost < CLEARLY * cost:
         first_from_second = _facing(camera, first[inlier], second[inlier], near)
     at_best, at_tracked = (
-        sampson_distances(camera, first, second, pose) for pose in (first_from_second, tracked)
+        np.minimum(sampson_distances(camera, first, second, pose) ** 2, NO_MATCH_PX**2)
+        for pose in (first_from_second, tracked)
     )
-    match = np.minimum(np.abs(at_best), np.abs(at_tracked)) < NEAR_EPIPOLAR_PX
-    contradicts = robust_cost(at_tracked[match]) > CLEARLY * robust_cost(at_best[match])
+    contradicts = _among_matches(at_tracked, at_best) > CLEARLY * _among_matches(at_best, at_tracked)
     points, depth_first, depth_second, parallax = triangulate(
         np.eye(4), first_from_second, rays(camera, first), rays(camera, second)
     )
@@ -97,6 +97,11 @@ def reconstruct(
     spread = robust_sigma(ratios)
     first_from_second[:3, 3] *= unit
     return TwoViews(first_from_second, points * unit, parallax, good, spread, contradicts)
+
+
+def _among_matches(cost: Array, other: Array) -> float:
+    """The sum over what is a match by one motion or the other."""
+    return float(cost[np.minimum(cost, other) < NO_MATCH_PX**2].sum())
 
 
 def _facing(camera: Camera, first: Array, second: Array, first_from_second: Array) -> Array:

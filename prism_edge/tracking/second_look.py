@@ -13,6 +13,7 @@ from prism_edge.tracking.initialisation import TwoViews, reconstruct
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import Index, match_corners
 from prism_edge.tracking.point_table import Ids
+from prism_edge.tracking.point_trust import trust
 from prism_edge.tracking.submaps import Parts
 
 log = logging.getLogger("prism_edge.tracking")
@@ -20,16 +21,24 @@ log = logging.getLogger("prism_edge.tracking")
 WEAK_MATCHES = 100
 MISLED = 1.5  # times as many match by their looks as tracking finds: it looks in the wrong places
 MIN_POINTS = 30  # with parallax
+PROVEN, MIN_PROVEN = 0.5, 6  # trust in a point; what a pose needs
 
 
-def look_again(world: LocalMap, parts: Parts, frame: TrackedFrame, seed: int) -> TrackedFrame:
+def look_again(
+    world: LocalMap, parts: Parts, frame: TrackedFrame, proven_after_s: float, seed: int
+) -> TrackedFrame:
     """The frame as it is, or placed beside the newest keyframe by what looks alike where that contradicts it.
 
     Tracking looks for points where it expects them, so a few that agree with a wrong motion lead it on, away
-    from all others. The way between the two has its length from the keyframe's points. A map of one keyframe
-    is the affair of :func:`~prism_edge.tracking.first_map.begin_structure`.
+    from all others. But looks alone also follow what moves: points that have stood their time in one place
+    (point_trust.py) are believed, where a pose can rest on them. The way between the two has its length from
+    the keyframe's points. A map of one keyframe is the affair of
+    :func:`~prism_edge.tracking.first_map.begin_structure`.
     """
     if frame.matched >= WEAK_MATCHES or parts.size(world) < 2:
+        return frame
+    rows = world.points.rows(frame.points[frame.points != NO_POINT])
+    if np.sum(trust(world.points, rows, world.newest().stamp_ns, proven_after_s) > PROVEN) >= MIN_PROVEN:
         return frame
     keyframe = parts.newest(world)
     before, now = match_corners(keyframe.features, frame.features)

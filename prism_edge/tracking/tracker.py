@@ -212,7 +212,7 @@ class Tracker:
             )
         if frame is None or frame.matched < self._config.min_matches:
             return None
-        return look_again(self.world, self.parts, frame, self._seed)
+        return look_again(self.world, self.parts, frame, self.proven_after_s, self._seed)
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)

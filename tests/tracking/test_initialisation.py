@@ -102,3 +102,34 @@ def test_matches_that_fit_two_motions_follow_the_tracked_one():
     found = reconstruct(CAMERA, a, b, points[:, 2], truth, seed=0)
     assert found is not None
     assert np.linalg.norm(found.first_from_second[:3, 3] - truth[:3, 3]) < 0.03
+
+
+def test_an_object_that_moves_does_not_contradict_a_motion_that_most_matches_agree_with():
+    first, second, points = views(SECOND)
+    moving = np.arange(0, len(second), 4)
+    second[moving] += (40.0, 25.0)  # all alike, as what is carried past the camera
+    found = reconstruct(CAMERA, first, second, points[:, 2], SECOND, seed=0)
+    assert found is None or not found.contradicts
+
+
+def test_a_wrong_motion_that_few_matches_agree_with_is_contradicted_beside_one():
+    first, second, points = views(SECOND)
+    moving = np.arange(0, len(second), 4)
+    second[moving] += (40.0, 25.0)
+    wrong = se3_exp(np.array([0.1, -0.2, 0.5, 0.0, 0.03, -0.04]))
+    found = reconstruct(CAMERA, first, second, points[:, 2], wrong, seed=0)
+    assert found is not None
+    assert found.contradicts
+    assert rotation_angle(found.first_from_second[:3, :3].T @ SECOND[:3, :3]) < np.radians(0.5)
+
+
+def test_some_depths_are_enough_for_the_unit():
+    first, second, points = views(SECOND)
+    depths = np.where(np.arange(len(points)) % 10 == 0, 2.5 * points[:, 2], np.nan)
+    found = reconstruct(CAMERA, first, second, depths, SECOND, seed=0)
+    assert found is not None
+    assert np.linalg.norm(found.first_from_second[:3, 3]) == pytest.approx(
+        2.5 * np.linalg.norm(SECOND[:3, 3]), rel=0.08
+    )
+    none = reconstruct(CAMERA, first, second, np.full(len(points), np.nan), SECOND, seed=0)
+    assert none is None
