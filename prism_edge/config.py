@@ -95,7 +95,7 @@ class TrackingConfig:
     min_matches: int = limits(25, 6, 1000, "fewer inliers than this and tracking is lost")
     lost_after_s: float = limits(0.3, 0.0, 10.0, "failing for longer than this is `lost`")
     submap_after_s: float = limits(
-        3.0, 0.0, 3600.0, "a lost camera that sees nothing known for this long maps on its own; 0: never"
+        3.0, 0.0, 3600.0, "a camera lost for so long maps on its own; a younger map gives way; 0: never"
     )
     keyframe_ratio: float = limits(0.8, 0.1, 1.0, "new keyframe when matches fall below this share")
     keyframe_min_s: float = limits(0.15, 0.0, 10.0, "least time between keyframes")

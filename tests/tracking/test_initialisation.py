@@ -112,6 +112,17 @@ def test_an_object_that_moves_does_not_contradict_a_motion_that_most_matches_agr
     assert found is None or not found.contradicts
 
 
+def test_nor_does_one_that_half_of_the_matches_lie_on():
+    """However far it moves: a match that is off is off."""
+    first, second, points = views(SECOND)
+    nearest = np.argsort(np.hypot(*(first - (450.0, 200.0)).T))
+    second[nearest[: len(second) // 2]] += (60.0, 0.0)
+    found = reconstruct(CAMERA, first, second, points[:, 2], SECOND, seed=0)
+    assert found is not None
+    assert rotation_angle(found.first_from_second[:3, :3].T @ SECOND[:3, :3]) > np.radians(2), "it leads"
+    assert not found.contradicts
+
+
 def test_a_wrong_motion_that_few_matches_agree_with_is_contradicted_beside_one():
     first, second, points = views(SECOND)
     moving = np.arange(0, len(second), 4)
