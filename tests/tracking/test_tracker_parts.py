@@ -16,6 +16,15 @@ from tests.tracking.film_run import BLACK, CONFIG, Run
 from tests.tracking.footage import IDENTITY, footage, other_room
 
 
+def visit(run: Run, room: list, at: int) -> None:
+    """Feed another room from frame ``at`` on, each keyframe's depth at once."""
+    for i, (image, depth, _) in enumerate(room, start=at):
+        run.feed(0, image, at=i)
+        for k, frame in run.keyframes.items():
+            if frame == i:
+                run.tracker.add_depth(k, depth, IDENTITY, 0.1)
+
+
 @pytest.fixture(scope="module")
 def astray() -> tuple[Run, list]:
     """A camera that was carried to another room, and maps there."""
@@ -23,11 +32,7 @@ def astray() -> tuple[Run, list]:
     run.play(range(30))
     for i in range(30, 42):
         run.feed(0, BLACK, at=i)
-    for i, (image, depth, _) in enumerate(room):
-        run.feed(0, image, at=42 + i)
-        for k, frame in run.keyframes.items():
-            if frame == 42 + i:
-                run.tracker.add_depth(k, depth, IDENTITY, 0.1)
+    visit(run, room, at=42)
     return run, room
 
 
@@ -70,11 +75,7 @@ def test_a_loop_between_the_parts_brings_the_camera_home():
     run.play(range(20))
     for i in range(20, 32):
         run.feed(0, BLACK, at=i)
-    for i, (image, depth, _) in enumerate(room):
-        run.feed(0, image, at=32 + i)
-        for k, frame in run.keyframes.items():
-            if frame == 32 + i:
-                run.tracker.add_depth(k, depth, IDENTITY, 0.1)
+    visit(run, room, at=32)
     last = run.results[71]
     assert not last.in_map
     world, motion = run.tracker.world, pose_at(3.0, 0.5, -1.0, 0.2, 0.7, -0.1)
@@ -125,11 +126,7 @@ def test_a_map_lost_before_it_is_firm_gives_way_to_a_new_one_from_where_the_came
     last = run.tracker.last_pose()
     for i in range(20, 32):
         run.feed(0, BLACK, at=i)
-    for i, (image, depth, _) in enumerate(room):
-        run.feed(0, image, at=32 + i)
-        for k, frame in run.keyframes.items():
-            if frame == 32 + i:
-                run.tracker.add_depth(k, depth, IDENTITY, 0.1)
+    visit(run, room, at=32)
     first = next(i for i in range(32, 92) if run.results[i].world_from_camera is not None)
     assert 19 <= first - 32 <= 22, "looked for as long as it had been seen, 19 frames"
     assert [run.results[i].odometry for i in (31, first - 1, first)] == [LOST, INITIALISING, OK]
