@@ -147,7 +147,8 @@ class TrackerWorker:
         if keyframe is not None:
             self._announce(keyframe, frame)
         made = -1 if keyframe is None else keyframe.id
-        probe = not repeated and tracker.wants_probe and self._probe(frame)
+        # A keyframe is shown anyway, and in lockstep one picture a frame is waited for.
+        probe = made < 0 and not repeated and tracker.wants_probe and self._probe(frame)
         carried = result.reference, result.reference_from_camera
         self._tick(frame, result.odometry, published, made, *carried, probe)
         self._show(result.odometry, result.matched, frame.stamp_ns)
