@@ -18,7 +18,7 @@ from prism_edge.tracking.second_look import two_views
 log = logging.getLogger("prism_edge.tracking")
 
 CAN_WAIT_MATCHES = 100
-MISLED = 2  # times as many match by their looks as tracking finds: it looks in the wrong places
+MISLED = 2  # times as many match by their looks as tracking finds: a pure turn, rightly tracked, reaches 1.75
 
 
 class SecondView(Enum):

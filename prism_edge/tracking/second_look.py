@@ -19,7 +19,7 @@ from prism_edge.tracking.submaps import Parts
 log = logging.getLogger("prism_edge.tracking")
 
 WEAK_MATCHES = 100
-MISLED = 1.5  # times as many match by their looks as tracking finds: it looks in the wrong places
+MISLED = 1.5  # as in first_map.py, but here parallax is needed too, which no pure turn has
 MIN_POINTS = 30  # with parallax
 PROVEN, MIN_PROVEN = 0.5, 6  # trust in a point; what a pose needs
 

@@ -329,6 +329,20 @@ def test_the_network_is_shown_what_a_lost_camera_sees(bus, world):
     assert all(k.id >= 0 for k in bus.of("keyframe"))
 
 
+def test_a_lost_frame_that_begins_a_part_is_shown_once(bus, world):
+    """In lockstep the depth worker waits for one picture a frame: of a keyframe, its own."""
+    room, config = other_room(30), replace(LOCKSTEP.tracking, submap_after_s=0.3)
+    frames = [*(frame(i) for i in range(30)), *(dark(i) for i in range(30, 34))]
+    frames += [replace(frame(34 + i, of=0), image=image) for i, (image, _, _) in enumerate(room)]
+    run(bus, frames, replace(LOCKSTEP, tracking=config))
+    ticks = bus.of("tracked")
+    assert any(t.keyframe >= 0 for t in ticks if t.index >= 34), "a part has begun"
+    assert any(t.probe for t in ticks)
+    shown = [m.index for m in bus.of("keyframe_image")]
+    assert len(shown) == len(set(shown))
+    assert shown == [t.index for t in ticks if t.probe != (t.keyframe >= 0)]
+
+
 def test_where_its_place_in_the_map_is_unknown_odom_goes_out_and_pose_does_not(bus, world):
     """Carried off to another room, the camera maps there; a loop of the backend's brings it into the map."""
     room, looped_at = other_room(60), 80
