@@ -88,8 +88,10 @@ class ScaleEstimator:
                 accepted = scale.update(observation)
             elif scale.is_open:
                 scale.fix_unit()
-        # What is held depends on the filter's own belief; how far it may be off, on what has been learned.
-        self._steady.follow(scale.log_scale, scale.total_sigma(self._bias_sigma))
+        # A network that is steadier than the filter's model leaves less room to hold; a wilder one no more.
+        self._steady.follow(
+            scale.log_scale, math.hypot(min(scale.sigma, scale.learned_sigma), self._bias_sigma)
+        )
         held = self._steady.log_scale - scale.log_scale
         if observation is not None and accepted:
             elapsed_s = max(keyframe.stamp_ns - self._local_ns, 0) * 1e-9
@@ -145,9 +147,7 @@ class ScaleEstimator:
     def _new_steady(self) -> SteadyScale:
         return SteadyScale(self._config.hold_sigmas if self._kalman else 0.0)
 
-    def _observe(
-        self, keyframe: Keyframe, depth: Depth, camera: Camera, weights: F32
-    ) -> Observation | None:
+    def _observe(self, keyframe: Keyframe, depth: Depth, camera: Camera, weights: F32) -> Observation | None:
         c = self._config
         if not np.isfinite(depth.image_to_depth).all():
             return None

@@ -3,7 +3,7 @@
 Keyframe k shows  z_k = x_k + f_k + n_k  with
 
 - x: log metres per map unit as this network sees it, a slow random walk with distance and time. It includes
-  the network's mean error on this scene, which no averaging removes: `total_sigma` adds it back;
+  the network's mean error on this scene, which no averaging removes: the estimator adds it back;
 - f: the error that all pixels of a keyframe share, a stationary Gauss-Markov process (AR(1) when sampled)
   with standard deviation frame_sigma and time constant correlation_s. Because f is part of the state, a
   hundred keyframes of one place count as the few that they are worth;
@@ -59,10 +59,6 @@ class ScaleFilter:
     def sigma(self) -> float:
         """Standard deviation of ``log_scale``, without the network's bias."""
         return math.sqrt(max(float(self._covariance[0, 0]), 0.0))
-
-    def total_sigma(self, bias_sigma: float) -> float:
-        """Standard deviation with the network's bias, which never averages out."""
-        return math.hypot(self.sigma, bias_sigma if math.isfinite(bias_sigma) else 0.0)
 
     @property
     def learned_sigma(self) -> float:

@@ -11,13 +11,14 @@ from tests.scale.scene import depth_of, keyframe_of_wall
 CONFIG = ScaleConfig(hold_sigmas=0.0)  # publishes the estimate itself; holding is test_steady.py's
 
 
-def play(estimator, count, metres_per_unit=1.0, factor=1.0, start=0, epoch=0):
+def play(estimator, count, metres_per_unit=1.0, factor=1.0, start=0, epoch=0, bias=0.1):
     """Keyframes start.. of an epoch; its first knows only seeded points."""
     results = []
     for k in range(start, start + count):
         parallax = 0.0 if k == start else 3.0
         keyframe = keyframe_of_wall(k, k * 0.4, metres_per_unit, parallax_deg=parallax, epoch=epoch)
-        results.append(estimator.process(keyframe, depth_of(keyframe, factor))[0])
+        depth = replace(depth_of(keyframe, factor), bias_sigma=bias)
+        results.append(estimator.process(keyframe, depth)[0])
     return results
 
 
@@ -187,6 +188,18 @@ def test_sigma_has_the_network_s_bias_and_what_is_held_back():
         assert held.sigma == pytest.approx(expected)
         assert held.bias_sigma == 0.1
     assert held.log_scale != best.log_scale
+
+
+def test_what_is_held_back_shrinks_with_what_was_learned():
+    config = ScaleConfig()
+    held, best = (
+        play(ScaleEstimator(config), 60, 1.1, bias=0.02),
+        play(ScaleEstimator(CONFIG), 60, 1.1, bias=0.02),
+    )
+    slack = [config.hold_sigmas * np.hypot(b.filter_sigma, 0.02) for b in best]
+    away = [abs(h.log_scale - b.log_scale) for h, b in zip(held, best, strict=True)]
+    assert np.all(np.array(away) <= np.array(slack) + 1e-12)
+    assert away[-1] == pytest.approx(slack[-1]), "and no further than that"
 
 
 def test_a_network_with_less_bias_is_thought_to_spread_less():

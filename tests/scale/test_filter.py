@@ -72,8 +72,6 @@ def test_a_new_unit_is_as_uncertain_as_the_depth_that_fixed_it():
     assert not scale.is_open
     assert scale.log_scale == 0.0
     assert STILL.frame_sigma < scale.sigma < 1.2 * STILL.frame_sigma
-    assert scale.total_sigma(0.1) == pytest.approx(np.hypot(scale.sigma, 0.1))
-    assert np.isfinite(scale.total_sigma(float("nan")))
 
 
 def test_what_is_seen_at_once_tells_nothing_about_the_unit():
@@ -214,7 +212,7 @@ def test_no_stream_of_numbers_makes_it_other_than_finite(stream, correlation_s, 
         if k == 0:
             scale.fix_unit()
         scale.update(Observation(z, white, white, 20))
-        assert np.isfinite([scale.log_scale, scale.sigma, scale.total_sigma(0.1)]).all()
+        assert np.isfinite([scale.log_scale, scale.sigma, scale.learned_sigma]).all()
         assert scale.sigma >= 0.0
         assert abs(scale.log_scale) < 1e3
 
