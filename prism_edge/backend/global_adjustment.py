@@ -13,7 +13,7 @@ from gtsam.symbol_shorthand import L, X
 from prism_edge.backend import lens
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.window import CONVERGED, DEPTH_PARALLAX_DEG, damping, outliers, widest_parallax
+from prism_edge.backend.window import CONVERGED, damping, outliers, widest_parallax
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
 
@@ -36,7 +36,7 @@ class Adjusted:
 
 
 class GlobalAdjustment:
-    """All keyframes with metric depth where rays say little (paper, section 3.5), the first pose held."""
+    """All keyframes (paper, section 3.5), with depth where that was measured, the first pose held."""
 
     def __init__(
         self,
@@ -68,7 +68,6 @@ class GlobalAdjustment:
         for p in self._points:
             point = world.points[p]
             values.insert(L(p), point.position)
-            deepen = use_depth and point.parallax_deg < DEPTH_PARALLAX_DEG
             for k in sorted(point.keyframes):
                 keyframe = world.keyframes[k]
                 keypoint = keyframe.observed[p]
@@ -77,8 +76,8 @@ class GlobalAdjustment:
                     graph.add(factors.reprojection(X(k), L(p), keyframe, keypoint))
                 else:
                     graph.add(factors.reprojection_through(lens.LENS, X(k), L(p), keyframe, keypoint))
-                wanted = deepen or (use_depth and keyframe.depth_sigma > 0)
-                if wanted and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
+                measured = use_depth and keyframe.depth_sigma > 0  # a network would bend the map (window.py)
+                if measured and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
                     graph.add(factors.metric_depth(X(k), L(p), keyframe, keypoint))
         self._keyframes = sorted(seen)
         for k in self._keyframes:

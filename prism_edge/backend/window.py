@@ -130,8 +130,11 @@ def assemble(
 ) -> Problem:
     """Factors and starting values of a window.
 
-    A point that rests on depth (its rays differ by less than 3 degrees) has a metric depth factor at each
-    keyframe that has depth for it, and there a ray in place of the reprojection, which would say the same.
+    With one pose held scale rests on depth: then there is a metric depth factor wherever a keyframe has depth
+    for a point, else only where that is as good as a sensor's. A network flattens what it sees, and of the
+    points that rays hardly place, which are the far ones, all would be drawn nearer, and the map shrink on
+    its way. At a point whose rays differ by less than 3 degrees a ray is in place of the reprojection, which
+    would say the same.
     """
     graph, values, observations, rays = gtsam.NonlinearFactorGraph(), gtsam.Values(), [], []
     factors = FactorFactory(config, units_per_metre)
@@ -147,17 +150,13 @@ def assemble(
         values.insert(point_key, point.position)
         if p in placed:
             graph.add(gtsam.PriorFactorPoint3(point_key, point.position, HELD_POINT))
-        # Depth says something where rays hardly differ, and of scale where nothing else does; one that is as
-        # good as a sensor's always does.
         shallow = point.parallax_deg < DEPTH_PARALLAX_DEG
-        deepen = use_depth and (scale_is_free or shallow)
         for k in point.keyframes & members.keys():
             pose_key, keyframe = members[k]
             keypoint = keyframe.observed[p]
             observations.append((k, p, keypoint))
-            wanted = deepen or (use_depth and keyframe.depth_sigma > 0)
-            deep = wanted and keyframe.depths is not None and keyframe.depths[keypoint] > 0
-            if deep:
+            deep = use_depth and keyframe.depths is not None and keyframe.depths[keypoint] > 0
+            if deep and (scale_is_free or keyframe.depth_sigma > 0):
                 graph.add(factors.metric_depth(pose_key, point_key, keyframe, keypoint))
             if deep and shallow and use_rays:
                 rays.append(Ray(k, p, keypoint))

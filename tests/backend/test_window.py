@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalMap, GlobalPoint
 from prism_edge.backend.window import (
     Window,
@@ -293,3 +294,40 @@ def test_few_iterations_are_made_all_the_same(iterations):
     solution = solve(world, choose_window(world, 5, config), config, 1.0, True)
     assert 1 <= solution.iterations <= iterations
     assert solution.error_after < 0.5 * solution.error_before
+
+
+def flattened() -> tuple[GlobalMap, Teller]:
+    """A map without fault whose far points rays hardly place; the network says that they are near."""
+    world, teller = world_of([pose_at(0.02 * i) for i in range(8)], noise_px=0.3)
+    widest = widest_parallax(world, {p: point.position for p, point in world.points.items()})
+    for p, point in world.points.items():
+        point.parallax_deg = widest[p]
+    for keyframe in world.keyframes.values():
+        keyframe.depths = 2.0 * (keyframe.depths / 2.0) ** 0.6
+    return world, teller
+
+
+def drawn_in(found: dict[int, np.ndarray], teller: Teller) -> float:
+    """Mean log of how far away the far points are, over how far they should be."""
+    far = {p: x for p, x in found.items() if teller.cloud.positions[p][2] > 4.0}
+    assert len(far) > 50
+    return float(np.mean([np.log(x[2] / teller.cloud.positions[p][2]) for p, x in far.items()]))
+
+
+def test_a_network_that_flattens_what_it_sees_does_not_draw_far_points_in():
+    world, teller = flattened()
+    config = replace(CONFIG, window=4, fixed=3)
+    window = choose_window(world, 7, config)
+    assert len(window.held) > 1, "scale is held"
+    solution = solve(world, window, config, 1.0, use_depth=True)
+    assert abs(drawn_in(solution.points, teller)) < 0.05
+
+
+def test_nor_does_it_when_all_keyframes_are_adjusted():
+    world, teller = flattened()
+    adjustment = GlobalAdjustment(world, CONFIG, 1.0, use_depth=True)
+    while not adjustment.step():
+        pass
+    way = np.linalg.norm(adjustment.result().poses[7][:3, 3] - adjustment.result().poses[0][:3, 3])
+    points = {p: 0.14 / way * x for p, x in adjustment.result().points.items()}  # as large as the truth
+    assert abs(drawn_in(points, teller)) < 0.05
