@@ -7,7 +7,8 @@ Keyframe k shows  z_k = x_k + f_k + n_k  with
 - f: the error that all pixels of a keyframe share, a stationary Gauss-Markov process (AR(1) when sampled)
   with standard deviation frame_sigma and time constant correlation_s. Because f is part of the state, a
   hundred keyframes of one place count as the few that they are worth;
-- n: what is left of the pixels' own errors, white, with the least-squares' point variance.
+- n: what is left of the pixels' own errors, white, with the least-squares' point variance, and what an image
+  that scatters more than usual adds to f.
 
 The unit of a map that starts from network depth is that depth: z is 0 by definition at that moment, hence
 x = -f there, known as well as f is: P = frame_sigma^2 [[1, -1], [-1, 1]] (see :meth:`ScaleFilter.fix_unit`).
@@ -124,7 +125,8 @@ class ScaleFilter:
 
     def update(self, observation: Observation) -> bool:
         """Takes in a keyframe's observation; False where it was refused as an outlier."""
-        z, variance = observation.log_scale, observation.point_variance + _LEAST_VARIANCE
+        z = observation.log_scale
+        variance = observation.point_variance + observation.excess_variance + _LEAST_VARIANCE
         if not (math.isfinite(z) and math.isfinite(variance) and abs(z) <= _MAX_LOG and variance >= 0.0):
             self.rejected += 1
             return False

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array
+from prism_edge.tracking.depth_alignment import robust_sigma
 
 Floats = NDArray[np.floating[Any]]
 
@@ -21,14 +22,16 @@ _CONVERGED = 1e-6
 class Observation:
     """Log scale as one keyframe shows it.
 
-    ``point_variance`` averages out over keyframes at once; the rest of ``variance``, frame_sigma squared, is
-    shared by all pixels of the keyframe and, in part, by its neighbours in time.
+    ``point_variance`` averages out over keyframes at once; frame_sigma squared is shared by all pixels of the
+    keyframe and, in part, by its neighbours in time; ``excess_variance`` is what this image adds to that.
+    ``variance`` is their sum.
     """
 
     log_scale: float
     variance: float
     point_variance: float
     points: int
+    excess_variance: float = 0.0
 
 
 def weighted_least_squares(
@@ -44,7 +47,8 @@ def weighted_least_squares(
     ``log_ratios``, ``patches`` and ``gate_weights`` w in [0, 1] are (n,). A network errs alike over a patch
     of the image, so the pixels of one share a single sigma_0: each has Omega = w / (n_patch sigma_0^2). The
     variance is the larger of what sigma_0 and what the residuals say, over the effective number of patches
-    (Kish), plus frame_sigma^2. None where fewer than ``min_points`` have any weight.
+    (Kish), plus frame_sigma^2, and of that by as much more as the residuals scatter beyond sigma_0. None
+    where fewer than ``min_points`` have any weight.
     """
     used = np.isfinite(log_ratios) & np.isfinite(gate_weights) & (gate_weights > 0.0)
     if np.count_nonzero(used) < max(min_points, 1):
@@ -67,7 +71,11 @@ def weighted_least_squares(
     effective *= float(omega.sum() * point_sigma**2 / len(crowd))
     scatter = float(robust @ (values - mean) ** 2 / robust.sum())
     point_variance = max(point_sigma**2, scatter) / effective
-    return Observation(mean, point_variance + frame_sigma**2, point_variance, len(values))
+    # An image whose relative depth is off by twice as much as usual is as much more off in its scale.
+    spread = robust_sigma(values - mean)
+    excess = frame_sigma**2 * max((spread / point_sigma) ** 2 - 1.0, 0.0)
+    variance = point_variance + frame_sigma**2 + excess
+    return Observation(mean, variance, point_variance, len(values), excess)
 
 
 def plain_mean(

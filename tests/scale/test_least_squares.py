@@ -53,6 +53,13 @@ def test_the_variance_grows_where_residuals_exceed_sigma_0():
     assert solve(values).point_variance > 1.5 * SIGMA**2 / 200
 
 
+def test_an_image_that_scatters_twice_as_much_is_trusted_half_as_far_in_its_scale():
+    rng = np.random.default_rng(3)
+    usual, wild = rng.normal(0.0, 0.2, 2000), rng.normal(0.0, 2 * SIGMA, 2000)
+    assert solve(usual).variance == pytest.approx(FRAME**2, rel=0.01)
+    assert solve(wild).variance == pytest.approx((2 * FRAME) ** 2, rel=0.1)
+
+
 def test_the_variance_is_that_of_errors_shared_by_a_patch():
     rng = np.random.default_rng(2)
     errors, claimed = [], []
