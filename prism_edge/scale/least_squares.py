@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array
-from prism_edge.tracking.depth_alignment import robust_sigma
 
 Floats = NDArray[np.floating[Any]]
 
@@ -72,7 +71,7 @@ def weighted_least_squares(
     scatter = float(robust @ (values - mean) ** 2 / robust.sum())
     point_variance = max(point_sigma**2, scatter) / effective
     # An image whose relative depth is off by twice as much as usual is as much more off in its scale.
-    spread = robust_sigma(values - mean)
+    spread = 1.48 * float(np.median(np.abs(values - mean)))  # about what is believed, not about their middle
     excess = frame_sigma**2 * max((spread / point_sigma) ** 2 - 1.0, 0.0)
     variance = point_variance + frame_sigma**2 + excess
     return Observation(mean, variance, point_variance, len(values), excess)
