@@ -51,7 +51,7 @@ def test_a_loop_is_announced_with_its_keyframe_s_update_and_stands_in_the_snapsh
     assert whole.settled
     assert (whole.loop_queries - whole.loop_candidates > 300).all()
     assert whole.loop_queries[0] == 10 * closed[0].based_on
-    assert (whole.loop_inliers >= 25).all()
+    assert (whole.loop_inliers >= 30).all()
     plain = ListBus("tracked", patience=40)
     round_the_ring(plain, replace(LOCKSTEP, ablate=("loop",)))
     assert not any(u.loop_closed for u in plain.of("map_update"))
