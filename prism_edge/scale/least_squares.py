@@ -15,6 +15,7 @@ Floats = NDArray[np.floating[Any]]
 HUBER = 1.345  # in sigmas: 95 % efficient on a Gaussian
 _ITERATIONS = 20
 _CONVERGED = 1e-6
+_SIGMA_OF_MEDIAN = 1.48  # standard deviation of a Gaussian by its median absolute deviation
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def weighted_least_squares(
     scatter = float(robust @ (values - mean) ** 2 / robust.sum())
     point_variance = max(point_sigma**2, scatter) / effective
     # An image whose relative depth is off by twice as much as usual is as much more off in its scale.
-    spread = 1.48 * float(np.median(np.abs(values - mean)))  # about what is believed, not about their middle
+    spread = _SIGMA_OF_MEDIAN * float(np.median(np.abs(values - mean)))  # about what is believed of it
     excess = frame_sigma**2 * max((spread / point_sigma) ** 2 - 1.0, 0.0)
     variance = point_variance + frame_sigma**2 + excess
     return Observation(mean, variance, point_variance, len(values), excess)
