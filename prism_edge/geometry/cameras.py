@@ -8,6 +8,7 @@ import numpy as np
 
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.poses import Array
+from prism_edge.geometry.radial import undistort_radial
 
 PINHOLE = "pinhole"
 FISHEYE = "fisheye"
@@ -172,6 +173,9 @@ class Camera:
                 theta = np.clip(theta, 0.0, 1.55)  # tan() of a right angle is no point of a plane
             scale = np.where(radius > 1e-9, np.tan(theta) / np.maximum(radius, 1e-9), 1.0)
             return distorted * scale[:, None]
+        k1, k2, p1, p2, k3, *upper = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+        if not (p1 or p2 or any(upper)):
+            return undistort_radial(distorted, k1, k2, k3)
         xy = distorted.copy()
         for i in range(_ITERATIONS):
             error = distorted - self._distort(xy)
