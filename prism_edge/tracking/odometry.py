@@ -13,6 +13,7 @@ class MetricOdometry:
     def __init__(self) -> None:
         self.odom_from_camera = np.eye(4)
         self.twist = np.zeros(6)  # m/s and rad/s in the camera frame
+        self.interval_s = 0.0  # over which it was measured; 0: nothing is known of it
         self._stamp_ns: int | None = None
 
     def advance(self, before: Array | None, after: Array, log_scale: float, stamp_ns: int) -> Array:
@@ -26,6 +27,7 @@ class MetricOdometry:
             elapsed = (stamp_ns - (self._stamp_ns or 0)) * 1e-9
             known = self._stamp_ns is not None and elapsed > 0
             self.twist = se3_log(step) / elapsed if known else np.zeros(6)
+            self.interval_s = elapsed if known else 0.0
         self._stamp_ns = stamp_ns
         return self.odom_from_camera
 

@@ -11,6 +11,8 @@ from prism_edge.geometry.poses import Array, from_rt, inverse, rotation_from_qua
 from prism_edge.tracking.drift import NO_DRIFT, Walk
 from prism_edge.tracking.tracker import FrameResult
 
+UNKNOWN_SPEED = 100.0  # m/s and rad/s: sigma of a velocity that nothing was measured of
+
 
 class PosePublisher:
     """Publishes `odom`, `pose` and `tf` of a tracked frame."""
@@ -28,6 +30,7 @@ class PosePublisher:
         result: FrameResult,
         odom_from_camera: Array,
         twist: Array,
+        interval_s: float,
         log_scale: float,
         scale_sigma: float,
         drift: Walk = NO_DRIFT,
@@ -35,6 +38,7 @@ class PosePublisher:
     ) -> None:
         """Send the three messages of one frame; ``result`` must have a pose (map units).
 
+        ``twist`` (6) is the camera's, m/s and rad/s, as measured over ``interval_s`` (0: it isn't known).
         ``drift`` is what the map may have drifted there since its beginning, ``walk`` what `odom` has.
         Where its place in the map is not known there is no `pose`, and `tf` ends at `odom`.
         """
@@ -51,8 +55,9 @@ class PosePublisher:
         in_odom = with_scale_error(local, start @ odom_from_camera[:3, 3], scale_sigma) + walk.covariance()
         names = self._frames
         velocity = self._twist(twist)
-        # Of a step between frames at 30 Hz, along the base's own axes as the twist is.
-        velocity_covariance = self._covariance(result.covariance, metres, np.eye(4)) * 900.0
+        velocity_covariance = self._velocity_covariance(
+            self._covariance(result.covariance, metres, np.eye(4)), start @ twist[:3], interval_s, scale_sigma
+        )
         links = [
             (stamp_ns, names.odom, names.base_link, odom_from_base),
             (stamp_ns, names.base_link, names.camera, self._mount),
@@ -84,6 +89,17 @@ class PosePublisher:
         carry = carry @ unit
         covariance = carry @ (self._refinement * camera_covariance) @ carry.T
         return 0.5 * (covariance + covariance.T)
+
+    @staticmethod
+    def _velocity_covariance(of_pose: Array, velocity: Array, interval_s: float, scale_sigma: float) -> Array:
+        """Of the difference of two poses, as if both erred for themselves; what they share is scale.
+
+        ``of_pose`` (6, 6) and ``velocity`` (3), the part that scale multiplies, are along the base's axes.
+        """
+        if interval_s <= 0.0:
+            return np.eye(6) * UNKNOWN_SPEED**2
+        most = UNKNOWN_SPEED**2 / max(float(np.diag(of_pose).max()), 1e-12)
+        return with_scale_error(of_pose * min(2.0 / interval_s**2, most), velocity, scale_sigma)
 
     def _twist(self, twist: Array) -> Array:
         """Twist of the base in its own axes, of the camera's in its own."""

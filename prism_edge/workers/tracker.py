@@ -213,6 +213,7 @@ class TrackerWorker:
             result,
             self._odometry.odom_from_camera,
             self._odometry.twist,
+            self._odometry.interval_s,
             tracker.log_scale,
             self._scale_sigma,
             self._drift.here,

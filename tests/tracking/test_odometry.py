@@ -63,6 +63,7 @@ def test_twist_is_per_second_in_the_camera_s_axes():
     odometry.advance(before, before @ se3_exp(step), np.log(2.0), SECOND // 10)
     metric = se3_log(scaled(se3_exp(step), 2.0))
     assert odometry.twist == pytest.approx(10 * metric)
+    assert odometry.interval_s == pytest.approx(0.1)
 
 
 def test_no_time_no_twist():
@@ -70,6 +71,7 @@ def test_no_time_no_twist():
     odometry.advance(None, np.eye(4), 0.0, SECOND)
     odometry.advance(np.eye(4), pose_at(0.1), 0.0, SECOND)
     assert not odometry.twist.any()
+    assert odometry.interval_s == 0.0
 
 
 def test_an_exact_copy_stays_in_place():

@@ -36,13 +36,16 @@ def mount(frames: FramesConfig) -> np.ndarray:
     return from_rt(rotation, np.array(frames.base_from_camera_xyz))
 
 
-def publish(pose, frames=None, odom=None, covariance=COVARIANCE, twist=None, log_scale=0.0, sigma=0.0):
+def publish(
+    pose, frames=None, odom=None, covariance=COVARIANCE, twist=None, log_scale=0.0, sigma=0.0, interval_s=0.1
+):
     """The messages of one frame, by topic; through CDR, as they arrive."""
     sent = {}
     bus = SimpleNamespace(publish=lambda topic, message: sent.update({topic: message}))
     result = FrameResult(OK, pose, covariance, 0, np.eye(4), 100)
     odom, twist = pose if odom is None else odom, np.zeros(6) if twist is None else twist
-    PosePublisher(bus, frames or FramesConfig()).publish(STAMP, result, odom, twist, log_scale, sigma)
+    publisher = PosePublisher(bus, frames or FramesConfig())
+    publisher.publish(STAMP, result, odom, twist, interval_s, log_scale, sigma)
     return {
         topic: ros.deserialise(TOPICS[topic].type, ros.serialise(TOPICS[topic].type, message))
         for topic, message in sent.items()
@@ -200,12 +203,37 @@ def test_the_twist_s_covariance_is_along_the_base_s_axes():
     assert straight.reshape(6, 6)[0, 0] > 0
 
 
+@pytest.mark.parametrize("interval_s", [0.02, 0.1])
+def test_the_twist_s_covariance_is_that_of_two_disturbed_cameras_and_of_scale(interval_s):
+    pose, rng, sigma = pose_at(0.5, -0.2, 1.5, 0.2, 0.6, -0.1), np.random.default_rng(0), 0.1
+    twist = np.array([0.4, -0.2, 1.0, 0.3, -0.5, 0.2])
+    odom = publish(pose, MOUNTED, twist=twist, interval_s=interval_s, sigma=sigma)["odom"]
+    stated = np.asarray(odom.twist.covariance).reshape(6, 6)
+    base, after, found = mount(MOUNTED), pose @ se3_exp(interval_s * twist), []
+    for first, second in rng.multivariate_normal(np.zeros(6), COVARIANCE, (4000, 2)):
+        step = inverse(pose @ se3_exp(first)) @ after @ se3_exp(second)
+        step[:3, 3] *= np.exp(rng.normal(0.0, sigma))
+        moved = base @ step @ inverse(base)
+        found.append(np.r_[moved[:3, 3], so3_log(moved[:3, :3])] / interval_s)
+    sampled = np.cov(np.array(found).T)
+    size = np.sqrt(np.outer(np.diag(stated), np.diag(stated)))
+    assert np.abs((sampled - stated) / size).max() < 0.12
+
+
+def test_a_velocity_that_was_not_measured_says_so():
+    for message in (publish(np.eye(4), interval_s=0.0), publish(np.eye(4), interval_s=1e-9)):
+        covariance = np.asarray(message["odom"].twist.covariance).reshape(6, 6)
+        assert np.isfinite(covariance).all()
+        assert covariance[0, 0] > 10.0**2
+
+
 def test_drift_is_added_to_the_pose_and_the_walk_to_odometry():
     sent = {}
     bus = SimpleNamespace(publish=lambda topic, message: sent.update({topic: message}))
     publisher = PosePublisher(bus, MOUNTED, refinement=0.25)
     result = FrameResult(OK, np.eye(4), COVARIANCE, 0, np.eye(4), 100)
-    publisher.publish(STAMP, result, np.eye(4), np.zeros(6), 0.0, 0.1, Walk(4e-4, 9e-6), Walk(7e-4, 1e-5))
+    here, walk = Walk(4e-4, 9e-6), Walk(7e-4, 1e-5)
+    publisher.publish(STAMP, result, np.eye(4), np.zeros(6), 0.1, 0.0, 0.1, here, walk)
     own = 0.25 * matrix(publish(np.eye(4), MOUNTED)["pose"])
     assert matrix(sent["pose"]) == pytest.approx(own + np.diag([4e-4] * 3 + [9e-6] * 3), abs=1e-12)
     assert matrix(sent["odom"]) == pytest.approx(own + np.diag([7e-4] * 3 + [1e-5] * 3), abs=1e-12)
