@@ -237,6 +237,17 @@ class MapUpdate:
 
 
 @dataclass(frozen=True)
+class Solved:
+    """An adjustment that the backend has finished, and when (the host's monotonic clock): for reports."""
+
+    everything: bool  # all keyframes, beside other work; else a window, at a stretch
+    keyframes: int
+    began_ns: int
+    ended_ns: int
+    cpu_s: float  # of this work alone
+
+
+@dataclass(frozen=True)
 class MapSnapshot:
     """The backend's whole map (answer to a query)."""
 

@@ -67,6 +67,8 @@ TOPICS = {
         Topic("internal/gate", m.Gate, 3, "scale", ("backend",)),
         Topic("internal/log_scale", m.Scale, 3, "scale", ("tracker", "backend")),
         Topic("internal/map_update", m.MapUpdate, 3, "backend", ("tracker",)),
+        # for reports: what adjusting costs, and when
+        Topic("internal/solved", m.Solved, 3, "backend", priority="data_low"),
         # asked for by whoever wants the whole map: the evaluation
         Topic("internal/map_snapshot", m.MapSnapshot, 0, "backend", latched=True),
         # asked for by a tracker that was started again, or that hears of a loaded map

@@ -222,6 +222,11 @@ class LoopCloser:
         due = self._count - self._last_begun >= REST
         return self._adjustment is not None or (self._wanted and due) or self._lens.due(self._world)
 
+    @property
+    def under_way(self) -> bool:
+        """Whether a global adjustment has begun."""
+        return self._adjustment is not None
+
     def finish(self) -> None:
         """Nothing more will come: what no global adjustment has seen is to be adjusted, loop or not."""
         self._wanted = self._wanted or self._count > self._last_begun

@@ -10,6 +10,7 @@ from typing import Any
 
 import prism_edge
 from prism_edge.config import SENSOR, Config
+from prism_edge.evaluation.adjustments import cost_of_adjustments
 from prism_edge.evaluation.consistency import NO_NEES, Nees, relative_nees, scale_errors
 from prism_edge.evaluation.loops import judge_loops
 from prism_edge.evaluation.recorder import base_from_camera
@@ -61,6 +62,7 @@ def metrics(
         "timings_void": usage.foreign_cpu is None or usage.foreign_cpu > VOID_ABOVE,
         "keyframes": len(snapshot.keyframes) if snapshot is not None else None,
         "map_points": len(snapshot.points) if snapshot is not None else None,
+        "adjustments": cost_of_adjustments(recording),
         "loops": judge_loops(snapshot, recording.frames, truth),
         "log_scale": snapshot.log_scale if snapshot is not None else None,
         "scale": recording.last_scale(),

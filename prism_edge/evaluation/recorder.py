@@ -88,6 +88,7 @@ class Recorder:
         self._bias_sigma: float | None = None
         self._ends, self._heartbeats, self._scales = map(bus.queue, ("end", "heartbeat", "scale"))
         self._log_scales = bus.queue("log_scale")
+        self._solved = bus.queue("solved")
         self._threads = [
             threading.Thread(
                 target=self._listen, args=(bus.queue(topic, _QUEUE), keep), name="recorder", daemon=True
@@ -105,6 +106,7 @@ class Recorder:
             self._scale = scale
         for log_scale in self._log_scales.drain():
             self._bias_sigma = log_scale.bias_sigma
+        self._recording.solved.extend(self._solved.drain())
         beats: list[Heartbeat] = self._heartbeats.drain()
         return beats
 
@@ -142,7 +144,13 @@ class Recorder:
         self.poll()
         heard = self._recording
         return Recording(
-            heard.poses, heard.frames, heard.arrivals_ns, self._end, self._scale, self._bias_sigma
+            heard.poses,
+            heard.frames,
+            heard.arrivals_ns,
+            self._end,
+            self._scale,
+            self._bias_sigma,
+            heard.solved,
         )
 
     def _listen(self, inbox: Any, keep: Any) -> None:

@@ -7,10 +7,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prism_edge.evaluation.trajectory import NS, Trajectory
 from prism_edge.geometry.poses import Array, scaled
-from prism_edge.messages import DEGRADED, LOST, OK, EndOfStream, MapSnapshot, Tracked
+from prism_edge.messages import DEGRADED, LOST, OK, EndOfStream, MapSnapshot, Solved, Tracked
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Recording:
     end: EndOfStream | None = None
     scale: Any | None = None  # the last prism_edge_msgs/Scale
     bias_sigma: float | None = None  # of the network's log scale, as the scale process had it last
+    solved: list[Solved] = field(default_factory=list)  # what the backend has adjusted
 
     @cached_property
     def published(self) -> dict[int, Published]:
@@ -68,14 +70,14 @@ class Recording:
 
     def latencies_ms(self) -> Array:
         """From scheduled capture to the subscriber, one for each published pose whose frame is known."""
+        return self.arrivals_and_latencies()[1]
+
+    def arrivals_and_latencies(self) -> tuple[NDArray[np.int64], Array]:
+        """When those poses arrived (ns, the host's monotonic clock), and their latencies (ms)."""
         captured = {frame.stamp_ns: frame.captured_monotonic_ns for frame in self.frames}
-        return np.array(
-            [
-                (pose.arrival_ns - captured[pose.stamp_ns]) / 1e6
-                for pose in self.poses
-                if pose.stamp_ns in captured
-            ]
-        )
+        known = [pose for pose in self.poses if pose.stamp_ns in captured]
+        arrivals = np.array([pose.arrival_ns for pose in known], np.int64)
+        return arrivals, (arrivals - np.array([captured[pose.stamp_ns] for pose in known], np.int64)) / 1e6
 
     def violations(self) -> list[str]:
         """What no subscriber may ever see; each makes the run fail."""

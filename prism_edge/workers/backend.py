@@ -23,6 +23,7 @@ from prism_edge.messages import (
     MapLoaded,
     MapSnapshot,
     MapUpdate,
+    Solved,
     Tracked,
 )
 from prism_edge.processes import processes_for
@@ -65,6 +66,7 @@ class BackendWorker:
         self._scaled: set[int] = set()
         self._gated: dict[int, Gate] = {}
         self._settled = False
+        self._adjusting_since_ns = 0
         recovered = self._keeper.recover()
         if recovered is not None:
             self._scale = recovered
@@ -165,8 +167,11 @@ class BackendWorker:
             # In lockstep its result comes a fixed number of keyframes after its beginning.
             for _ in range(_LOCKSTEP_STEPS):
                 if loops.adjusting and not adjusted:
-                    adjusted = loops.adjust(float(np.exp(-self._scale.log_scale))) is not None
+                    adjusted = self._adjust_further()
+        began_ns, began_cpu = time.monotonic_ns(), time.process_time()
         update = self._mapper.optimise(keyframe.id, self._scale.log_scale)
+        if update is not None:
+            self._tell_solved(False, len(update.keyframes), began_ns, time.process_time() - began_cpu)
         closed = loops.look(keyframe.id) if self._close_loops else None
         if closed is not None or adjusted:
             update = self._mapper.whole(keyframe.id, loops.take_changes(), update, closed)
@@ -188,11 +193,24 @@ class BackendWorker:
         """One step of the global adjustment, so that keyframes are heard in between."""
         self._bus.pulse.working("global adjustment", _SOLVE_S)
         loops, world = self._mapper.loops, self._mapper.world
-        if loops.adjust(float(np.exp(-self._scale.log_scale))) is not None:
+        if self._adjust_further():
             self._bus.publish("map_update", self._mapper.whole(max(world.keyframes), loops.take_changes()))
             self._keeper.overhauled()
             self._snapshot = self._take_snapshot()
         self._bus.pulse.idle()
+
+    def _adjust_further(self) -> bool:
+        """One step of the global adjustment; whether its result is in the map."""
+        loops = self._mapper.loops
+        if not loops.under_way:
+            self._adjusting_since_ns = time.monotonic_ns()
+        adjusted = loops.adjust(float(np.exp(-self._scale.log_scale)))
+        if adjusted is not None:
+            self._tell_solved(True, len(adjusted.poses), self._adjusting_since_ns, adjusted.cpu_s)
+        return adjusted is not None
+
+    def _tell_solved(self, everything: bool, keyframes: int, began_ns: int, cpu_s: float) -> None:
+        self._bus.publish("solved", Solved(everything, keyframes, began_ns, time.monotonic_ns(), cpu_s))
 
     # -- lockstep -----------------------------------------------------------------------------------
 

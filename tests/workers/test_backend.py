@@ -49,6 +49,10 @@ def test_each_keyframe_brings_a_correction():
     for k, pose in zip(updates[-1].keyframes.tolist(), updates[-1].poses, strict=True):
         assert np.linalg.norm((inverse(teller.poses[k]) @ pose)[:3, 3]) < 0.03
     assert bus.pulse.values["keyframes"] == "4"
+    solved = bus.of("solved")
+    assert [s.everything for s in solved] == [False] * 3, "each is told, with when it was done"
+    assert all(0 < s.began_ns <= s.ended_ns for s in solved)
+    assert [s.keyframes for s in solved] == [len(u.keyframes) for u in updates]
 
 
 def test_keyframes_that_came_together_are_solved_once():
@@ -173,6 +177,10 @@ def test_at_the_end_everything_is_adjusted_together():
     (last,) = bus.of("map_update")[updates:]
     assert last.keyframes.tolist() == [k.id for k in told]
     assert off_by(snapshot(bus), teller) < 0.7 * before
+    told_last = bus.of("solved")[-1]
+    assert (told_last.everything, told_last.keyframes) == (True, len(told))
+    assert told_last.began_ns < told_last.ended_ns
+    assert 0.0 < told_last.cpu_s <= (told_last.ended_ns - told_last.began_ns) * 1e-9 + 0.02
     assert snapshot(bus).settled
     assert bus.states.count("ended") == 1
 
