@@ -32,7 +32,8 @@ def test_lockstep_acknowledges_every_frame_once_its_update_is_out():
     lockstep(bus, told, teller)
     worker.main(LOCKSTEP, bus)
     assert bus.of("acknowledged") == [Acknowledged("backend", i) for i in range(16)]
-    order = [(t, m.based_on if t == "map_update" else m.index) for t, m in bus.sent]
+    sent = [(t, m) for t, m in bus.sent if t != "solved"]  # reports, which nobody waits for
+    order = [(t, m.based_on if t == "map_update" else m.index) for t, m in sent]
     for k in range(4):
         assert order.index(("map_update", k)) == order.index(("acknowledged", 4 * k)) - 1
 
