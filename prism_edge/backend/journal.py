@@ -70,12 +70,16 @@ class Journal:
         self.append(_GENERATION.pack(generation))
 
     def append(self, record: bytes) -> None:
-        """Add a record. Raises MapError where it can't be written; the next :meth:`begin` tries afresh."""
+        """Add a record. Raises MapError where it can't be written; the next :meth:`begin` tries afresh.
+
+        Nothing is added to half a record: what follows one is never read.
+        """
         if self._file is None:
             raise MapError("the journal has no base to go on from")
         data = _HEAD.pack(_MAGIC, len(record), zlib.crc32(record)) + record
         try:
             if self._file.write(data) != len(data):
+                self.close()
                 raise MapError(f"can't write all of a record to {self._tail}")
         except OSError as error:
             self.close()

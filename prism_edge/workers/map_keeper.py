@@ -27,7 +27,7 @@ from prism_edge.workers.state_directory import kept_journal, map_names, map_path
 log = logging.getLogger("prism_edge.backend")
 
 EPOCHS_BETWEEN = 1000  # room for maps that the tracker may begin before it hears of a loaded one
-AGAIN_S = 60.0  # after a journal that could not be written (a full disk) it is tried again
+AGAIN_S, SELDOM_S = 2.0, 60.0  # a journal that could not be written is tried again after: at first, at most
 
 
 class MapKeeper:
@@ -36,7 +36,7 @@ class MapKeeper:
     def __init__(self, config: Config, bus: Bus, mapper: Mapper) -> None:
         self._config, self._bus, self._mapper = config, bus, mapper
         self._journal: Journal | None = None
-        self._failed_s = float("-inf")
+        self._failed_s, self._wait_s = float("-inf"), AGAIN_S
         self._overhauled = False
         self._run = "" if bus.run_directory is None else bus.run_directory.name
         folder = journal_folder(config, bus)
@@ -98,7 +98,7 @@ class MapKeeper:
 
     def note(self, message: Keyframe, scale: KnownScale) -> None:
         """A keyframe has been absorbed, with its depth and its place."""
-        if self._journal is None or time.monotonic() < self._failed_s + AGAIN_S:
+        if self._journal is None or time.monotonic() < self._failed_s + self._wait_s:
             return
         try:
             first = len(self._mapper.world.keyframes) == 1  # of a new map
@@ -147,7 +147,7 @@ class MapKeeper:
         self._bus.pulse.working("writing the journal", 30.0)
         journal.begin(lambda generation: self._packed(scale, generation=generation, run=self._run))
         self._bus.pulse.values.pop("journal", None)
-        self._overhauled = False
+        self._overhauled, self._failed_s, self._wait_s = False, float("-inf"), AGAIN_S
 
     def save(self, name: str, scale: KnownScale) -> str:
         """Save the map under a name; says what was saved. Raises MapError."""
@@ -198,6 +198,8 @@ class MapKeeper:
 
     def _say(self, error: MapError) -> None:
         """The map goes on without a journal, which `health` shows until it can be written again."""
+        if self._failed_s > 0.0:  # again
+            self._wait_s = min(2.0 * self._wait_s, SELDOM_S)
         self._failed_s = time.monotonic()
         if "journal" not in self._bus.pulse.values:
             log.warning("no journal for the moment: %s", error)

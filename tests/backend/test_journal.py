@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import BinaryIO, cast
 
 import numpy as np
 import pytest
@@ -129,6 +130,31 @@ def test_a_full_disk_is_an_error_and_the_next_base_tries_afresh(written: Path) -
     journal.begin(base(2))
     journal.append(b"kept")
     assert recovered(written) == (2, [b"kept"])
+
+
+class Crowded:
+    """A file on a disk with room for three bytes more: the system writes what fits, and says how much."""
+
+    def __init__(self, real: BinaryIO) -> None:
+        self._real, self.close = real, real.close
+
+    def write(self, data: bytes) -> int:
+        return self._real.write(data[:3])
+
+
+def test_nothing_is_added_to_half_a_record(written: Path) -> None:
+    journal = Journal(written)
+    journal.begin(base(1))
+    journal.append(b"kept")
+    assert journal._file is not None
+    journal._file = cast(BinaryIO, Crowded(journal._file))
+    with pytest.raises(MapError, match="all of a record"):
+        journal.append(b"half of this")
+    assert not journal.is_open, "the next record must begin a new tail"
+    assert recovered(written) == (1, [b"kept"])
+    journal.begin(base(2))
+    journal.append(b"after it")
+    assert recovered(written) == (2, [b"after it"])
 
 
 def test_clear_forgets(written: Path) -> None:

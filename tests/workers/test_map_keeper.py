@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig, StateConfig, TrackingConfig
 from prism_edge.errors import MapError
 from prism_edge.workers import backend as worker
-from prism_edge.workers import state_directory
+from prism_edge.workers import map_keeper, state_directory
 from prism_edge.workers.state_directory import map_names, map_path
 from tests.workers.backend_bench import CONFIG, depth_of, gate_of, hear, keyframes, snapshot
 from tests.workers.list_bus import ListBus
@@ -112,6 +113,34 @@ def test_a_full_disk_costs_the_journal_alone_and_health_says_so(
     assert "No space left" in bus.pulse.values["journal"]
     (reply,) = bus.desk.replies
     assert (reply.ok, reply.said) == (False, "can't write base: No space left on device")
+
+
+def test_a_disk_that_is_full_for_a_while_is_tried_again_ever_less_often(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, tried, write = [100.0], [], map_file.write
+
+    def full(path: Path, data: bytes, durable: bool = True) -> None:
+        tried.append(round(now[0] - 100.0))
+        if now[0] < 160.0:
+            raise MapError("can't write base: No space left on device")
+        write(path, data, durable=durable)
+
+    monkeypatch.setattr(map_file, "write", full)
+    monkeypatch.setattr(map_keeper, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    teller, told = keyframes(4)
+    bus = ListBus("keyframe")
+    bus.run_directory = tmp_path
+    made = worker.BackendWorker(CONFIG, bus)
+    for keyframe in told:
+        hear(made, bus, [keyframe], teller)
+    for _ in range(160):
+        made._keeper.note(told[-1], KnownScale())
+        now[0] += 1.0
+    assert tried[:6] == [0, 2, 6, 14, 30, 62], "as often as it fails, twice as long"
+    assert "journal" not in bus.pulse.values
+    kept = run(tmp_path, [], teller, life=1)
+    assert snapshot(kept).keyframes.tolist() == [0, 1, 2, 3]
 
 
 def test_no_journal_where_there_is_no_folder_for_it_or_none_is_wanted(
