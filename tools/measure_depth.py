@@ -122,6 +122,11 @@ def score_frame(
     )
 
 
+def mean_ratio(scores: list[FrameScore]) -> float:
+    """True over predicted, geometric mean of the frames: what a perfect run's scale would settle at."""
+    return float(np.exp(np.mean([score.log_ratio for score in scores])))
+
+
 def summary(scores: list[FrameScore]) -> list[str]:
     """The figures in words."""
     logs = np.array([score.log_ratio for score in scores])
@@ -130,7 +135,7 @@ def summary(scores: list[FrameScore]) -> list[str]:
         f"frames: {len(scores)} over {stamps[-1] - stamps[0]:.1f} s",
         f"AbsRel: {np.mean([score.absrel for score in scores]):.3f}",
         f"delta < 1.25: {np.mean([score.within_125 for score in scores]):.3f}",
-        f"mean ratio true / predicted: {np.exp(logs.mean()):.3f}",
+        f"mean ratio true / predicted: {mean_ratio(scores):.3f}",
         f"spread of the frames' log ratio: {logs.std():.3f}",
         f"inference: median {np.median([score.inference_ms for score in scores]):.1f} ms",
     ]
