@@ -12,6 +12,7 @@ from gtsam.symbol_shorthand import L, X
 
 from prism_edge.backend import lens
 from prism_edge.backend.factors import FactorFactory, held
+from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.window import CONVERGED, damping, outliers, widest_parallax
 from prism_edge.config import BackendConfig
@@ -158,9 +159,9 @@ def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[t
     if adjusted.lens is not None:
         world.take_lens(adjusted.lens.camera)
     motion: dict[int, Array] = {}
+    were = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
     for k in sorted(world.keyframes):
-        keyframe = world.keyframes[k]
-        before = keyframe.world_from_camera
+        keyframe, before = world.keyframes[k], were[k]
         if k in adjusted.poses:
             keyframe.world_from_camera = adjusted.poses[k]
         else:
@@ -176,6 +177,7 @@ def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[t
             moved[p] = transform(motion[min(point.keyframes)], point.position[None])[0]
     for p, place in moved.items():
         world.points[p].position = place
+    keep_frame(world, were)
     chosen = {p: world.points[p].position for p in adjusted.points if p in world.points}
     if not chosen:
         return []

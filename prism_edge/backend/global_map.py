@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.carried import Carried
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.poses import Array, inverse, normalised
+from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import Keyframe
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.pose_refinement import refine_pose
@@ -138,6 +138,15 @@ class GlobalMap:
                 keyframe.pixels = lens.pixels_of(keyframe.camera, keyframe.pixels)
                 keyframe.features = keyframe.features.through(lens, keyframe.camera)
                 keyframe.camera = lens
+
+    def move(self, motion: Array) -> None:
+        """Carry everything along by a rigid motion (4, 4), new world from old."""
+        for keyframe in self.keyframes.values():
+            keyframe.world_from_camera = motion @ keyframe.world_from_camera
+        if self.points:
+            places = transform(motion, np.array([point.position for point in self.points.values()]))
+            for point, place in zip(self.points.values(), places, strict=True):
+                point.position = place
 
     def _in_own_lens(self, message: Keyframe) -> Keyframe:
         """The message as if the tracker had known what is known here of its camera's lens."""

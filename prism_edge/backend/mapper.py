@@ -8,6 +8,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loop_closing import Accepted, LoopCloser, MapChanges
 from prism_edge.backend.map_file import Arrays, Info
@@ -151,6 +152,7 @@ class Mapper:
                     points[p].position = motion[:3, :3] @ points[p].position + motion[:3, 3]
 
     def _take_over(self, newest: int, solution: Solution, started: float) -> MapUpdate:
+        before = {k: keyframe.world_from_camera for k, keyframe in self.world.keyframes.items()}
         self._take_along(solution)
         for k, pose in solution.poses.items():
             self.world.keyframes[k].world_from_camera = pose
@@ -159,6 +161,8 @@ class Mapper:
             self.world.points[p].parallax_deg = solution.parallax_deg[p]
         for k, p in solution.outliers:
             self.world.drop_observation(k, p)
+        # Where all of the map is moved to keep its frame, all keyframes are told, and take points along.
+        moved = list(self.world.keyframes if keep_frame(self.world, before) else solution.poses)
         self.sequence += 1
         alive = [p for p in solution.points if p in self.world.points]
         outliers = np.array(solution.outliers, np.int64).reshape(-1, 2)
@@ -169,8 +173,8 @@ class Mapper:
             index=self.world.keyframes[newest].index,
             loop_closed=False,
             solve_ms=(time.perf_counter() - started) * 1e3,
-            keyframes=np.array(list(solution.poses), np.int64),
-            poses=np.array(list(solution.poses.values())).reshape(-1, 4, 4),
+            keyframes=np.array(moved, np.int64),
+            poses=np.array([self.world.keyframes[k].world_from_camera for k in moved]).reshape(-1, 4, 4),
             points=np.array(alive, np.int64),
             positions=np.array([self.world.points[p].position for p in alive]).reshape(-1, 3),
             parallax_deg=np.array([solution.parallax_deg[p] for p in alive], np.float32),

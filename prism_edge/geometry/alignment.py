@@ -26,12 +26,13 @@ class Alignment:
         return self.scale * points @ self.rotation.T + self.translation
 
 
-def align(source: Array, target: Array, with_scale: bool) -> Alignment:
+def align(source: Array, target: Array, with_scale: bool, weights: Array | None = None) -> Alignment:
     """The rigid motion (``with_scale`` False) or similarity that carries ``source`` onto ``target``.
 
     Both are (n, 3), row i of one belonging to row i of the other, n >= 3. Minimises the sum of squared
-    distances in closed form (Umeyama, IEEE PAMI 13(4), 1991, equations 34-43). Where all points lie on
-    a line, the rotation about it is arbitrary, but the residuals are still the least ones.
+    distances, each times its row's share of ``weights`` (n,), in closed form (Umeyama, IEEE PAMI 13(4),
+    1991, equations 34-43). Where all points lie on a line, the rotation about it is arbitrary, but the
+    residuals are still the least ones.
 
     Raises ValueError where shapes differ, and DegenerateAlignment where there are fewer than 3 points,
     a coordinate isn't finite, or all points of one set coincide.
@@ -43,14 +44,15 @@ def align(source: Array, target: Array, with_scale: bool) -> Alignment:
         raise DegenerateAlignment(f"an alignment needs at least 3 points, not {len(source)}")
     if not (np.isfinite(source).all() and np.isfinite(target).all()):
         raise DegenerateAlignment("points to align must be finite")
-    source_mean, target_mean = source.mean(axis=0), target.mean(axis=0)
+    share = np.full(len(source), 1.0 / len(source)) if weights is None else weights / weights.sum()
+    source_mean, target_mean = share @ source, share @ target
     source_centred, target_centred = source - source_mean, target - target_mean
-    source_variance = float((source_centred**2).sum()) / len(source)
+    source_variance = float(share @ (source_centred**2).sum(axis=1))
     for centred, mean in ((source_centred, source_mean), (target_centred, target_mean)):
         # Points closer together than rounding of their own coordinates have no direction.
         if np.abs(centred).max() <= 1e-12 * max(1.0, float(np.abs(mean).max())):
             raise DegenerateAlignment("all points coincide: they determine no rotation")
-    covariance = target_centred.T @ source_centred / len(source)
+    covariance = (target_centred.T * share) @ source_centred
     u, singular, vt = np.linalg.svd(covariance)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])  # never a reflection
     rotation = (u * signs) @ vt

@@ -12,7 +12,7 @@ from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import NO_POINT, LocalMap
 from prism_edge.tracking.mapping import MATCHING_SIGMA_PX, merge
-from prism_edge.tracking.point_table import Ids
+from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.pose_refinement import refine_pose
 
 MIN_COMMON = 15
@@ -57,8 +57,9 @@ def apply_correction(
 ) -> Array:
     """Move keyframes and points to where the backend put them.
 
-    A keyframe newer than ``based_on``, which the backend had not seen, is fitted to what it observes of
-    corrected points and of those that others took along, and takes the points along that it created.
+    Points that are not among ``point_ids`` go with the keyframe that created them or, where that was culled,
+    with the next newer one. A keyframe newer than ``based_on``, which the backend had not seen, is fitted to
+    what it observes of corrected points and of those that others took along, and takes its own along.
     Returns the rigid motion (4, 4) of the newest keyframe, new world from old.
     """
     index = {int(k): i for i, k in enumerate(keyframe_ids)}
@@ -69,27 +70,33 @@ def apply_correction(
     table.parallax_deg[rows] = np.maximum(parallax_deg[known], table.parallax_deg[rows])
     corrected = np.zeros(len(table), bool)
     corrected[rows] = True
-    motion = np.eye(4)
-    for keyframe in sorted(world.keyframes.values(), key=lambda k: k.id):
-        old = keyframe.world_from_camera
+    keyframes = [world.keyframes[k] for k in sorted(world.keyframes)]
+    owner = _owners(table.reference, [keyframe.id for keyframe in keyframes])
+    follows = table.alive & ~corrected
+    motions = np.tile(np.eye(4), (len(keyframes), 1, 1))
+    placed = np.zeros(len(keyframes), bool)
+    for i, keyframe in enumerate(keyframes):
         if keyframe.id in index:
-            keyframe.world_from_camera = poses[index[keyframe.id]]
-        elif keyframe.id > based_on:
-            # What other keyframes created is in its new place by now, corrected or taken along.
-            placed = corrected | (table.reference != keyframe.id)
-            keyframe.world_from_camera = fit(
-                world,
-                keyframe.camera,
-                keyframe.features,
-                keyframe.points,
-                motion @ old,
-                scale_factors,
-                placed,
-            )
-        else:
+            pose = poses[index[keyframe.id]]
+            motions[i], placed[i] = pose @ inverse(keyframe.world_from_camera), True
+            keyframe.world_from_camera = pose
+    mine = np.flatnonzero(follows & placed[owner])
+    motion = motions[owner[mine]]
+    turned = np.einsum("nij,nj->ni", motion[:, :3, :3], table.position[mine])
+    table.position[mine] = turned + motion[:, :3, 3]
+    told = np.flatnonzero(placed)
+    motion = motions[told[-1]] if len(told) else np.eye(4)
+    for i, keyframe in enumerate(keyframes):
+        if placed[i] or keyframe.id <= based_on:
             continue
+        old = keyframe.world_from_camera
+        # What other keyframes created is in its new place by now, corrected or taken along.
+        settled = corrected | (table.reference != keyframe.id)
+        keyframe.world_from_camera = fit(
+            world, keyframe.camera, keyframe.features, keyframe.points, motion @ old, scale_factors, settled
+        )
         motion = keyframe.world_from_camera @ inverse(old)
-        mine = np.flatnonzero((table.reference == keyframe.id) & table.alive & ~corrected)
+        mine = np.flatnonzero(follows & (owner == i))
         table.position[mine] = transform(motion, table.position[mine])
     if len(rows):
         focal = world.newest().camera.fx
@@ -98,6 +105,11 @@ def apply_correction(
             table.log_depth_sigma[rows], MATCHING_SIGMA_PX / (focal * angle)
         )
     return motion
+
+
+def _owners(references: Ids, keyframes: list[int]) -> Index:
+    """Which of the keyframes (their numbers, ascending) each point (n,) goes with."""
+    return np.minimum(np.searchsorted(keyframes, references), len(keyframes) - 1)
 
 
 def join(world: LocalMap, update: MapUpdate) -> dict[int, int]:

@@ -44,7 +44,7 @@ class PosePublisher:
         """
         assert result.world_from_camera is not None
         metres = float(np.exp(log_scale))
-        # The map's frame is where the robot's base was at the first keyframe.
+        # The map begins where the robot's base was at the first keyframe.
         map_from_camera = scaled(result.world_from_camera, metres)
         map_from_base = self._based(map_from_camera)
         odom_from_base = self._based(odom_from_camera)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend import global_adjustment as module
 from prism_edge.backend.global_adjustment import GlobalAdjustment, apply
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.config import BackendConfig
@@ -66,7 +67,7 @@ def test_the_first_pose_and_the_unit_hold():
     assert np.median(lengths) == pytest.approx(1.0, abs=0.01)
 
 
-def test_what_came_meanwhile_moves_along():
+def test_what_came_meanwhile_moves_along(monkeypatch):
     teller, world = shaken(sigma=0.0)
     job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=False)
     late = teller.keyframe(pose_at(2.0, 0.4, 0.0, 0.0, -0.32))
@@ -81,12 +82,30 @@ def test_what_came_meanwhile_moves_along():
         poses={k: motion @ pose for k, pose in adjusted.poses.items()},
         points={p: motion[:3, :3] @ x + motion[:3, 3] for p, x in adjusted.points.items()},
     )
+    monkeypatch.setattr(module, "keep_frame", lambda *_: False)  # which would bring all of it back
     apply(world, moved, CONFIG)
     off = se3_log(inverse(motion @ late.world_from_camera) @ world.keyframes[8].world_from_camera)
     assert np.abs(off).max() < 0.02
     for p in newer:
         true = motion[:3, :3] @ teller.cloud.positions[p] + motion[:3, 3]
         assert np.linalg.norm(world.points[p].position - true) < 0.1
+
+
+def test_what_turns_everything_changes_nothing():
+    """The frame is nobody's to change: an adjustment that only moved the map leaves it where it was."""
+    _, world = shaken(sigma=0.0)
+    adjusted = run(world)
+    apply(world, adjusted, CONFIG)
+    before = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
+    places = {p: point.position for p, point in world.points.items()}
+    motion = pose_at(0.5, 0.2, -0.3, 0.1, 0.2, 0.3)
+    turned = {k: motion @ pose for k, pose in before.items()}
+    points = {p: motion[:3, :3] @ place + motion[:3, 3] for p, place in places.items()}
+    apply(world, replace(adjusted, poses=turned, points=points), CONFIG)
+    for k, pose in before.items():
+        assert world.keyframes[k].world_from_camera == pytest.approx(pose, abs=1e-6)
+    for p, place in places.items():
+        assert world.points[p].position == pytest.approx(place, abs=1e-6)
 
 
 def test_a_gross_outlier_is_found_and_dropped():

@@ -41,8 +41,9 @@ def walked(frame_sigma: float) -> float:
         point.position = TOO_LARGE * point.position
     for _ in range(3):
         assert mapper.optimise(5, 0.0) is not None
-    poses = mapper.world.poses()
-    return float(np.linalg.norm(poses[5][:3, 3]) / np.linalg.norm(teller.poses[5][:3, 3]))
+    first, last = (mapper.world.poses()[k] for k in (0, 5))
+    way = np.linalg.norm(last[:3, 3] - first[:3, 3])
+    return float(way / np.linalg.norm(teller.poses[5][:3, 3] - teller.poses[0][:3, 3]))
 
 
 def test_measured_depth_brings_the_map_to_its_size() -> None:

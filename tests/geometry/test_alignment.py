@@ -56,6 +56,18 @@ def test_no_nearby_similarity_is_better(seed: int) -> None:
         assert other >= best
 
 
+@settings(max_examples=30, deadline=None)
+@given(SEEDS, st.booleans())
+def test_a_weight_counts_like_so_many_rows(seed: int, with_scale: bool) -> None:
+    rng = np.random.default_rng(seed)
+    source, target, times = rng.normal(size=(9, 3)), rng.normal(size=(9, 3)), rng.integers(1, 5, 9)
+    weighted = align(source, target, with_scale, weights=0.3 * times)
+    repeated = align(np.repeat(source, times, axis=0), np.repeat(target, times, axis=0), with_scale)
+    np.testing.assert_allclose(weighted.rotation, repeated.rotation, atol=1e-9)
+    np.testing.assert_allclose(weighted.translation, repeated.translation, atol=1e-9)
+    assert weighted.scale == pytest.approx(repeated.scale, rel=1e-9)
+
+
 def test_mirrored_points_get_a_rotation_not_a_reflection() -> None:
     source = np.random.default_rng(1).normal(size=(20, 3))
     fit = align(source, source * (1, 1, -1), with_scale=True)

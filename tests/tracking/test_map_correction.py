@@ -50,6 +50,19 @@ def test_points_the_backend_does_not_name_go_with_their_keyframe():
     assert world.points.position == pytest.approx(transform(MOTION, before), abs=1e-9)
 
 
+def test_points_of_a_culled_keyframe_go_with_the_next_newer_one():
+    cloud = Cloud(400, seed=0)
+    world, _ = cloud.mapped(POSES)
+    table, before = world.points, world.points.position.copy()
+    del world.keyframes[2]
+    named = np.zeros(0, np.int64)
+    apply(world, 5, [3], named)
+    moved = np.isin(table.reference, (2, 3))
+    assert (table.reference == 2).any()
+    assert table.position[moved] == pytest.approx(transform(MOTION, before[moved]), abs=1e-9)
+    assert np.array_equal(table.position[~moved], before[~moved])
+
+
 def test_newer_keyframes_are_fitted_to_the_corrected_points():
     """The backend had seen three of six; those it had not follow the points, and take theirs along."""
     cloud = Cloud(600, seed=1)

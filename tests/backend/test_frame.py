@@ -1,0 +1,129 @@
+"""The map's frame stays where most keyframes say: rigid motions are undone, corrections aren't."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.backend.frame import ALIKE, LEAST, keep_frame, majority
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.mapper import Mapper
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import inverse, se3_exp, se3_log, transform
+from tests.backend.world import Teller, check
+from tests.tracking.cloud import pose_at
+
+POSES = [pose_at(0.25 * i, 0.05 * i, 0.0, 0.0, -0.04 * i) for i in range(9)]
+MOTION = pose_at(0.4, -0.3, 0.2, 0.1, -0.2, 0.15)
+
+
+def mapped(poses: list[np.ndarray] = POSES) -> GlobalMap:
+    world, teller = GlobalMap(), Teller()
+    for pose in poses:
+        world.absorb(teller.keyframe(pose))
+    return world
+
+
+def poses_of(world: GlobalMap) -> dict[int, np.ndarray]:
+    return {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.floats(-0.8, 0.8), min_size=6, max_size=6))
+def test_a_rigid_motion_is_undone(twist: list[float]) -> None:
+    world = mapped(POSES[:4])
+    before, places = poses_of(world), {p: point.position for p, point in world.points.items()}
+    world.move(se3_exp(np.array(twist)))
+    keep_frame(world, before)
+    for k, pose in before.items():
+        assert world.keyframes[k].world_from_camera == pytest.approx(pose, abs=LEAST)
+    for p, place in places.items():
+        assert world.points[p].position == pytest.approx(place, abs=5 * LEAST)  # points are farther away
+    check(world)
+
+
+@pytest.mark.parametrize("few", [{8}, {1, 4, 7}])
+def test_a_few_that_moved_move_nobody_else(few: set[int]) -> None:
+    world = mapped()
+    before = poses_of(world)
+    for k in few:
+        world.keyframes[k].world_from_camera = MOTION @ before[k]
+    keep_frame(world, before)
+    for k, pose in before.items():
+        true = MOTION @ pose if k in few else pose
+        off = se3_log(inverse(true) @ world.keyframes[k].world_from_camera)
+        assert np.abs(off).max() < ALIKE
+
+
+def test_one_that_held_while_all_others_turned_gives_way() -> None:
+    """A first keyframe that is held makes the others bear its errors."""
+    world = mapped()
+    before = poses_of(world)
+    world.move(MOTION)
+    world.keyframes[0].world_from_camera = before[0]
+    assert keep_frame(world, before)
+    for k in range(1, 9):
+        assert world.keyframes[k].world_from_camera == pytest.approx(before[k], abs=ALIKE)
+    assert np.abs(world.keyframes[0].world_from_camera - before[0]).max() > 0.2
+
+
+def test_its_shape_is_not_touched() -> None:
+    world, rng = mapped(), np.random.default_rng(0)
+    before = poses_of(world)
+    for k, pose in before.items():
+        world.keyframes[k].world_from_camera = MOTION @ pose @ se3_exp(0.05 * rng.normal(size=6))
+    bent = poses_of(world)
+    assert keep_frame(world, before)
+    now = poses_of(world)
+    for k in range(1, 9):
+        assert inverse(now[0]) @ now[k] == pytest.approx(inverse(bent[0]) @ bent[k], abs=1e-9)
+
+
+def test_too_little_to_matter_is_left() -> None:
+    world = mapped()
+    before = poses_of(world)
+    world.move(pose_at(0.3 * LEAST, 0.0, 0.0, 0.0, 0.0))
+    now = poses_of(world)
+    assert not keep_frame(world, before)
+    assert all(world.keyframes[k].world_from_camera is pose for k, pose in now.items())
+
+
+@pytest.mark.parametrize("common", [0, 1])
+def test_nothing_to_compare_with_moves_nothing(common: int) -> None:
+    world = mapped(POSES[:3])
+    before = {k: pose for k, pose in poses_of(world).items() if k < common}
+    world.move(MOTION)
+    assert not keep_frame(world, before)
+
+
+def test_points_that_all_coincide_have_no_frame() -> None:
+    assert majority(np.zeros((5, 3)), np.ones((5, 3))) is None
+
+
+def test_a_window_that_moves_the_frame_tells_of_all_keyframes() -> None:
+    """A tracker that hears of it has the same map, though only the window's points are named."""
+    mapper, teller = Mapper(BackendConfig(window=4)), Teller(noise_px=0.3)
+    for pose in POSES:
+        mapper.absorb(teller.keyframe(pose))
+    for k in range(3, 9):  # most of what the window holds is off, and will come back
+        pose = mapper.world.keyframes[k].world_from_camera
+        mapper.world.keyframes[k].world_from_camera = pose @ se3_exp(np.full(6, 0.02))
+    before = poses_of(mapper.world)
+    update = mapper.optimise(8, 0.0)
+    assert update is not None and set(update.keyframes.tolist()) == before.keys()
+    now = poses_of(mapper.world)
+    for k, pose in zip(update.keyframes.tolist(), update.poses, strict=True):
+        assert now[k] == pytest.approx(pose, abs=1e-12)
+    for p, position in zip(update.points.tolist(), update.positions, strict=True):
+        assert mapper.world.points[p].position == pytest.approx(position, abs=1e-12)
+
+
+def test_moving_a_map_moves_its_points() -> None:
+    world = mapped(POSES[:3])
+    before = {p: point.position for p, point in world.points.items()}
+    world.move(MOTION)
+    for p, place in before.items():
+        assert world.points[p].position == pytest.approx(transform(MOTION, place[None])[0], abs=1e-12)
+    GlobalMap().move(MOTION)  # an empty one has nothing to move
