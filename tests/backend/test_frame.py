@@ -112,7 +112,8 @@ def test_a_window_that_moves_the_frame_tells_of_all_keyframes() -> None:
         mapper.world.keyframes[k].world_from_camera = pose @ se3_exp(np.full(6, 0.02))
     before = poses_of(mapper.world)
     update = mapper.optimise(8, 0.0)
-    assert update is not None and set(update.keyframes.tolist()) == before.keys()
+    assert update is not None
+    assert set(update.keyframes.tolist()) == before.keys()
     now = poses_of(mapper.world)
     for k, pose in zip(update.keyframes.tolist(), update.poses, strict=True):
         assert now[k] == pytest.approx(pose, abs=1e-12)
