@@ -22,14 +22,16 @@ def worker_command(process: Process, config_file: Path, life: int) -> list[str]:
 
 
 class Child:
-    """A started worker, leader of a session of its own.
+    """A started worker, leader of a process group of its own.
 
-    A terminal's Ctrl-C thus reaches only the supervisor, and the whole group can be killed. Start it from
-    a thread that lives as long as the run: the kernel kills the worker when the thread that started it ends.
+    A terminal's Ctrl-C thus reaches only the supervisor, and the whole group can be killed. Not of a session:
+    Linux shares processors out among sessions first, and workers' niceness would count for nothing (autogroup
+    in sched(7)). Start it from a thread that lives as long as the run: the kernel kills the worker when the
+    thread that started it ends.
     """
 
     def __init__(self, command: list[str]) -> None:
-        self._popen = subprocess.Popen(command, stdin=subprocess.DEVNULL, start_new_session=True)
+        self._popen = subprocess.Popen(command, stdin=subprocess.DEVNULL, process_group=0)
         self.pid = self._popen.pid
         self.exit_code: int | None = None  # negative: the signal that ended it
 

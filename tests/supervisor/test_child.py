@@ -81,9 +81,11 @@ def test_what_it_started_ends_with_it(start: Callable[..., Child], tmp_path: Pat
     until(lambda: not running(grandchild))
 
 
-def test_leads_a_session_of_its_own(start: Callable[..., Child]) -> None:
+def test_leads_a_group_of_its_own_in_the_same_session(start: Callable[..., Child]) -> None:
+    """In sessions of their own Linux would weigh workers alike, however nice they are."""
     child = start(SLEEP)
-    assert os.getsid(child.pid) == child.pid != os.getsid(0)
+    assert os.getpgid(child.pid) == child.pid != os.getpgid(0)
+    assert os.getsid(child.pid) == os.getsid(0)
 
 
 def test_worker_dies_with_the_parent_that_started_it(tmp_path: Path) -> None:
