@@ -30,30 +30,45 @@ class Inbox:
         unpack: Callable[[Any], Any | None],
         stopped: threading.Event,
         overflowed: Callable[[], None] | None = None,
+        arrived: Callable[[], None] | None = None,
     ) -> None:
-        """``unpack`` turns a sample into a message, or None for a malformed one (which it has counted)."""
+        """``unpack`` turns a sample into a message, or None for a malformed one (which it has counted).
+
+        ``arrived`` and ``overflowed`` are called in the inbox's own thread.
+        """
         self._subscriber, self._unpack = subscriber, unpack
-        self._stopped, self._overflowed = stopped, overflowed
+        self._stopped, self._overflowed, self._arrived = stopped, overflowed, arrived
+        self._roused = False
         self._samples: deque[Any] = deque(maxlen=capacity)
         self._arrival = threading.Condition(threading.Lock())
         self._thread = threading.Thread(target=self._receive, name="inbox", daemon=True)
         self._thread.start()
 
     def take(self, timeout_s: float = 0.0) -> Any | None:
-        """The next message, waiting at most ``timeout_s``; None if there is none, or the bus is stopped."""
+        """The next message, waiting at most ``timeout_s``; None if there is none, or the bus is stopped.
+
+        Or if it was roused since it last returned, by what has arrived elsewhere.
+        """
         deadline = time.monotonic() + timeout_s
         while not self._stopped.is_set():
             with self._arrival:
                 while not self._samples:
                     left = deadline - time.monotonic()
-                    if left <= 0 or self._stopped.is_set():
+                    if left <= 0 or self._roused or self._stopped.is_set():
+                        self._roused = False
                         return None
                     self._arrival.wait(min(left, _LOOK_S))
-                sample = self._samples.popleft()
+                sample, self._roused = self._samples.popleft(), False
             message = self._unpack(sample)
             if message is not None:
                 return message
         return None
+
+    def rouse(self) -> None:
+        """End a wait in :meth:`take`; from any thread."""
+        with self._arrival:
+            self._roused = True
+            self._arrival.notify()
 
     def drain(self) -> list[Any]:
         """Everything that has arrived, in order."""
@@ -82,3 +97,5 @@ class Inbox:
                 self._arrival.notify()
             if full and self._overflowed is not None:
                 self._overflowed()
+            if self._arrived is not None:
+                self._arrived()

@@ -64,7 +64,9 @@ class TrackerWorker:
         self._lockstep = config.is_lockstep
         self._peers = {process.name for process in processes_for(config)} - {"tracker"}
         self._frames = bus.queue("frame", 64) if self._lockstep else bus.latest("frame")
-        self._inboxes = {name: bus.queue(name) for name in ("depth", "log_scale", "map_update")}
+        # In real time these are taken in while there is no frame to track: none need wait for them.
+        other = None if self._lockstep else self._frames
+        self._inboxes = {name: bus.queue(name, rouses=other) for name in ("depth", "log_scale", "map_update")}
         self._maps = MapAdoption(config, bus)
         self._ends = bus.queue("end")
         self._tracker = Tracker(_tracking(config), config.seed, bus.first_id)

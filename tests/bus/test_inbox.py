@@ -41,9 +41,9 @@ def stopped():
 def open_inbox(stopped):
     opened = []
 
-    def make(capacity, unpack=lambda sample: sample, overflowed=None):
+    def make(capacity, unpack=lambda sample: sample, overflowed=None, arrived=None):
         subscriber = Subscriber()
-        inbox = Inbox(subscriber, capacity, unpack, stopped, overflowed)
+        inbox = Inbox(subscriber, capacity, unpack, stopped, overflowed, arrived)
         opened.append(inbox)
         return subscriber, inbox
 
@@ -125,3 +125,24 @@ def test_a_stopped_bus_gives_nothing_more(open_inbox, stopped, eventually):
     stopped.set()
     assert inbox.take(1.0) is None
     assert inbox.drain() == ["a"]
+
+
+def test_what_arrives_elsewhere_ends_a_wait_once(open_inbox, eventually):
+    _, waited_for = open_inbox(1)
+    elsewhere, other = open_inbox(10, arrived=waited_for.rouse)
+    threading.Timer(0.05, elsewhere.put, ["a"]).start()
+    start = time.monotonic()
+    assert waited_for.take(60.0) is None
+    assert time.monotonic() - start < 30.0
+    eventually(has_arrived(other, 1))
+    start = time.monotonic()
+    assert waited_for.take(0.05) is None  # not again for the same
+    assert time.monotonic() - start >= 0.05
+
+
+def test_a_message_comes_before_being_roused(open_inbox, eventually):
+    subscriber, inbox = open_inbox(1)
+    subscriber.put("a")
+    eventually(has_arrived(inbox, 1))
+    inbox.rouse()
+    assert inbox.take(5.0) == "a"

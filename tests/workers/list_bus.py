@@ -22,6 +22,7 @@ class ListInbox:
     def __init__(self, bus: ListBus, topic: str, newest: bool) -> None:
         self.bus, self.topic, self.newest = bus, topic, newest
         self.waiting: deque[Any] = deque()
+        self.rouses: ListInbox | None = None
 
     def take(self, timeout_s: float = 0.0) -> Any | None:
         if self.bus.stopped.is_set():
@@ -85,8 +86,10 @@ class ListBus:
         self.pulse.values[what] = str(counted)
         return counted
 
-    def queue(self, topic: str, capacity: int = 256) -> ListInbox:
-        return self.inboxes.setdefault(topic, ListInbox(self, topic, newest=False))
+    def queue(self, topic: str, capacity: int = 256, rouses: ListInbox | None = None) -> ListInbox:
+        inbox = self.inboxes.setdefault(topic, ListInbox(self, topic, newest=False))
+        inbox.rouses = rouses
+        return inbox
 
     def latest(self, topic: str) -> ListInbox:
         inbox = self.queue(topic)

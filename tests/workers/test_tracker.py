@@ -14,7 +14,7 @@ from prism_edge.messages import (
     Frame,
     probe_of,
 )
-from prism_edge.workers.tracker import _tracking
+from prism_edge.workers.tracker import TrackerWorker, _tracking
 from tests.tracking.footage import footage, other_room
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import (
@@ -41,6 +41,15 @@ def test_poses_go_out_in_metres_and_the_robot_s_axes(bus, world):
     assert len(bus.of("odom")) == len(bus.of("tf")) == 39
     odom = [ros.pose_matrix(m.pose.pose)[:3, 3] for m in bus.of("odom")]
     assert np.linalg.norm(odom[-1] - true_position(39)) < 0.05
+
+
+@pytest.mark.parametrize(("config", "rouses"), [(CONFIG, True), (LOCKSTEP, False)])
+def test_answers_are_taken_in_between_frames_in_real_time_alone(bus, config, rouses):
+    """A frame that has come need not wait for them; in lockstep each has its own frame."""
+    TrackerWorker(config, bus)
+    frames = bus.inboxes["frame"]
+    for topic in ("depth", "log_scale", "map_update"):
+        assert (bus.inboxes[topic].rouses is frames) == rouses
 
 
 def test_every_frame_is_answered(bus, world):
