@@ -23,19 +23,41 @@ ROUNDS = 10
 def keep_frame(world: GlobalMap, before: dict[int, Array]) -> bool:
     """Move a map rigidly to where its keyframes were ``before`` an adjustment, on the whole.
 
-    ``before`` has world_from_camera (4, 4) of each. Returns whether the map was moved.
+    ``before`` has world_from_camera (4, 4) of each. Parts whose place beside each other is not known are kept
+    each by its own keyframes. Returns whether any was moved.
     """
-    common = sorted(before.keys() & world.keyframes.keys())
-    if len(common) < 2:
+    common = before.keys() & world.keyframes.keys()
+    left = {k for k in common if world.keyframes[k].world_from_camera is not before[k]}
+    moved = False
+    while left:
+        part = hanging_together(world, min(left))
+        moved |= _keep(world, part, {k: before[k] for k in sorted(part & common)})
+        left -= part
+    return moved
+
+
+def hanging_together(world: GlobalMap, keyframe: int) -> set[int]:
+    """A keyframe and all that shares points with it, or with others that do."""
+    found, fresh = {keyframe}, [keyframe]
+    while fresh and len(found) < len(world.keyframes):
+        seen = (world.points[p].keyframes for p in world.keyframes[fresh.pop()].observed)
+        new = set().union(*seen) - found
+        found |= new
+        fresh += sorted(new)
+    return found
+
+
+def _keep(world: GlobalMap, part: set[int], before: dict[int, Array]) -> bool:
+    if len(before) < 2:
         return False
-    were = _arms(np.array([before[k] for k in common]))
-    are = _arms(np.array([world.keyframes[k].world_from_camera for k in common]))
+    were = _arms(np.array(list(before.values())))
+    are = _arms(np.array([world.keyframes[k].world_from_camera for k in before]))
     if np.abs(are - were).max() < LEAST:
         return False
     back = majority(are, were)
     if back is None or np.linalg.norm(back.apply(are) - are, axis=1).max() < LEAST:
         return False
-    world.move(from_rt(back.rotation, back.translation))
+    world.move(from_rt(back.rotation, back.translation), part)
     return True
 
 

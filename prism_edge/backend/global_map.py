@@ -139,13 +139,14 @@ class GlobalMap:
                 keyframe.features = keyframe.features.through(lens, keyframe.camera)
                 keyframe.camera = lens
 
-    def move(self, motion: Array) -> None:
-        """Carry everything along by a rigid motion (4, 4), new world from old."""
-        for keyframe in self.keyframes.values():
-            keyframe.world_from_camera = motion @ keyframe.world_from_camera
-        if self.points:
-            places = transform(motion, np.array([point.position for point in self.points.values()]))
-            for point, place in zip(self.points.values(), places, strict=True):
+    def move(self, motion: Array, part: set[int]) -> None:
+        """Carry keyframes, and points that they see, along by a rigid motion (4, 4), new world from old."""
+        for k in part:
+            self.keyframes[k].world_from_camera = motion @ self.keyframes[k].world_from_camera
+        points = [point for point in self.points.values() if not point.keyframes.isdisjoint(part)]
+        if points:
+            places = transform(motion, np.array([point.position for point in points]))
+            for point, place in zip(points, places, strict=True):
                 point.position = place
 
     def _in_own_lens(self, message: Keyframe) -> Keyframe:

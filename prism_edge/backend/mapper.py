@@ -47,6 +47,7 @@ class Mapper:
         self._seed = seed
         self.begin(0)
         self.sequence = first_id
+        self.window = 0  # keyframes that the last solution had
 
     def begin(self, epoch: int, world: GlobalMap | None = None, index: PlaceIndex | None = None) -> None:
         """Begin a map, empty or one that there was."""
@@ -161,6 +162,7 @@ class Mapper:
             self.world.points[p].parallax_deg = solution.parallax_deg[p]
         for k, p in solution.outliers:
             self.world.drop_observation(k, p)
+        self.window = len(solution.poses)
         # Where all of the map is moved to keep its frame, all keyframes are told, and take points along.
         moved = list(self.world.keyframes if keep_frame(self.world, before) else solution.poses)
         self.sequence += 1

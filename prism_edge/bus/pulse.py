@@ -58,9 +58,10 @@ class Pulse:
         self._stamp("idle")
 
     def ended(self) -> None:
-        """The stream has ended and all that it caused is done. Said at once."""
-        self._stamp("ended")
-        self._due.set()
+        """The stream has ended and all that it caused is done. Said at once, and once until there is more."""
+        if self._doing[0] != "ended":
+            self._stamp("ended")
+            self._due.set()
 
     def count(self, name: str) -> int:
         """Adds one to a counter among ``values`` and returns it."""

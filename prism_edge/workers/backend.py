@@ -171,7 +171,7 @@ class BackendWorker:
         began_ns, began_cpu = time.monotonic_ns(), time.process_time()
         update = self._mapper.optimise(keyframe.id, self._scale.log_scale)
         if update is not None:
-            self._tell_solved(False, len(update.keyframes), began_ns, time.process_time() - began_cpu)
+            self._tell_solved(False, self._mapper.window, began_ns, time.process_time() - began_cpu)
         closed = loops.look(keyframe.id) if self._close_loops else None
         if closed is not None or adjusted:
             update = self._mapper.whole(keyframe.id, loops.take_changes(), update, closed)

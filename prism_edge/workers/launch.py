@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import logging
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -58,6 +59,8 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
     if parent is not None:
         die_with(parent)
     bound_heap()
+    # In a terminal's background, where `stty tostop` would stop whoever writes a line.
+    signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     signals = StopSignals()
     log_to_stderr(process.name)
     log = logging.getLogger(f"prism_edge.{process.name}")

@@ -83,7 +83,7 @@ class TrackerWorker:
         self._now_ns = 0  # stamp of the newest frame
         self._localise_only = False
         # The map of a run that was cut off: the first image says whether it is this camera's.
-        self._unproven = self._recovering = False
+        self._unproven = self._recovering = self._ending = False
         self._desk = bus.commands({"reset": self._reset, "localise_only": self._switch_localise_only})
 
     def run(self) -> None:
@@ -114,7 +114,8 @@ class TrackerWorker:
                 self._note_end()
 
     def _note_end(self) -> None:
-        if self._ends.drain():
+        self._ending |= bool(self._ends.drain())
+        if self._ending:  # again after a frame that came behind it
             self._bus.pulse.ended()
 
     # -- one frame --------------------------------------------------------------------------------

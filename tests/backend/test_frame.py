@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.backend.frame import ALIKE, LEAST, keep_frame, majority
+from prism_edge.backend.frame import ALIKE, LEAST, hanging_together, keep_frame, majority
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
@@ -35,7 +37,7 @@ def poses_of(world: GlobalMap) -> dict[int, np.ndarray]:
 def test_a_rigid_motion_is_undone(twist: list[float]) -> None:
     world = mapped(POSES[:4])
     before, places = poses_of(world), {p: point.position for p, point in world.points.items()}
-    world.move(se3_exp(np.array(twist)))
+    world.move(se3_exp(np.array(twist)), set(world.keyframes))
     keep_frame(world, before)
     for k, pose in before.items():
         assert world.keyframes[k].world_from_camera == pytest.approx(pose, abs=LEAST)
@@ -61,7 +63,7 @@ def test_one_that_held_while_all_others_turned_gives_way() -> None:
     """A first keyframe that is held makes the others bear its errors."""
     world = mapped()
     before = poses_of(world)
-    world.move(MOTION)
+    world.move(MOTION, set(world.keyframes))
     world.keyframes[0].world_from_camera = before[0]
     assert keep_frame(world, before)
     for k in range(1, 9):
@@ -84,7 +86,7 @@ def test_its_shape_is_not_touched() -> None:
 def test_too_little_to_matter_is_left() -> None:
     world = mapped()
     before = poses_of(world)
-    world.move(pose_at(0.3 * LEAST, 0.0, 0.0, 0.0, 0.0))
+    world.move(pose_at(0.3 * LEAST, 0.0, 0.0, 0.0, 0.0), set(world.keyframes))
     now = poses_of(world)
     assert not keep_frame(world, before)
     assert all(world.keyframes[k].world_from_camera is pose for k, pose in now.items())
@@ -94,8 +96,30 @@ def test_too_little_to_matter_is_left() -> None:
 def test_nothing_to_compare_with_moves_nothing(common: int) -> None:
     world = mapped(POSES[:3])
     before = {k: pose for k, pose in poses_of(world).items() if k < common}
-    world.move(MOTION)
+    world.move(MOTION, set(world.keyframes))
     assert not keep_frame(world, before)
+
+
+def test_a_part_of_its_own_moves_nobody_else() -> None:
+    """Where it is beside the others is not known; its corrections, and its majority, are its own."""
+    home, apart = Teller(), Teller(seed=1, first=20)
+    world = GlobalMap()
+    for pose in POSES[:4]:
+        world.absorb(home.keyframe(pose))
+    for pose in POSES:
+        message = apart.keyframe(pose)
+        renamed = {"points": message.points + 10_000, "new_points": message.new_points + 10_000}
+        world.absorb(replace(message, **renamed))
+    assert hanging_together(world, 0) == {0, 1, 2, 3}
+    assert hanging_together(world, 25) == set(range(20, 29))
+    before = poses_of(world)
+    for k in range(21, 29):
+        world.keyframes[k].world_from_camera = MOTION @ before[k]
+    assert keep_frame(world, before)
+    assert all(world.keyframes[k].world_from_camera is before[k] for k in range(4))
+    for k in range(21, 29):
+        assert world.keyframes[k].world_from_camera == pytest.approx(before[k], abs=ALIKE)
+    check(world)
 
 
 def test_points_that_all_coincide_have_no_frame() -> None:
@@ -124,7 +148,7 @@ def test_a_window_that_moves_the_frame_tells_of_all_keyframes() -> None:
 def test_moving_a_map_moves_its_points() -> None:
     world = mapped(POSES[:3])
     before = {p: point.position for p, point in world.points.items()}
-    world.move(MOTION)
+    world.move(MOTION, set(world.keyframes))
     for p, place in before.items():
         assert world.points[p].position == pytest.approx(transform(MOTION, place[None])[0], abs=1e-12)
-    GlobalMap().move(MOTION)  # an empty one has nothing to move
+    GlobalMap().move(MOTION, set())  # an empty one has nothing to move

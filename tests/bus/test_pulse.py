@@ -45,9 +45,15 @@ def test_ready_is_announced_once_and_said_at_once(pulse, sent, announced, eventu
     eventually(lambda: sent[-1].state == "ready", 0.4)  # sooner than the next regular beat
 
 
-def test_ended_is_said_at_once(pulse, sent, eventually):
+def test_ended_is_said_at_once_and_not_again_until_there_is_more(pulse, sent, eventually):
     pulse.ended()
     eventually(lambda: sent[-1].state == "ended", 0.4)
+    since = pulse._doing
+    pulse.ended()
+    assert pulse._doing is since
+    pulse.idle()
+    pulse.ended()
+    assert pulse._doing is not since
 
 
 def test_an_activity_carries_its_start_and_budget(pulse):

@@ -64,6 +64,10 @@ def test_each_process_runs_alone_and_ends_when_told(name: str, config: Config, t
             assert os.getpriority(os.PRIO_PROCESS, process.pid) == min(
                 os.getpriority(os.PRIO_PROCESS, 0) + PROCESSES[name].nice, 19
             )
+            # What writes a line in a terminal's background under `stty tostop` would be stopped.
+            status = Path(f"/proc/{process.pid}/status").read_text()
+            ignored = int(status.split("SigIgn:")[1].split()[0], 16)
+            assert ignored >> (signal.SIGTTOU - 1) & 1
             process.send_signal(signal.SIGTERM)
             assert process.wait(DEADLINE_S) == 0
         finally:

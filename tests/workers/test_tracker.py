@@ -260,6 +260,15 @@ def test_status_says_how_it_goes(bus, world):
     assert len(bus.of("tracked")) == 35
 
 
+def test_a_frame_that_comes_behind_the_end_does_not_hide_it(bus):
+    worker = TrackerWorker(CONFIG, bus)
+    bus.give("end", EndOfStream(3, 3, 0, 0, 2))
+    worker._note_end()
+    bus.pulse.idle()  # as after a frame
+    worker._note_end()
+    assert bus.states[-1] == "ended"
+
+
 def test_it_notes_the_end_and_stays(bus, world):
     bus.give("end", EndOfStream(3, 3, 0, 0, 2))
     run(bus, [frame(i) for i in range(3)])
