@@ -10,11 +10,10 @@ import pytest
 from prism_edge.bus import ros
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import (
-    EndOfStream,
     Frame,
     probe_of,
 )
-from prism_edge.workers.tracker import TrackerWorker, _tracking
+from prism_edge.workers.tracker import _tracking
 from tests.tracking.footage import footage, other_room
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import (
@@ -41,15 +40,6 @@ def test_poses_go_out_in_metres_and_the_robot_s_axes(bus, world):
     assert len(bus.of("odom")) == len(bus.of("tf")) == 39
     odom = [ros.pose_matrix(m.pose.pose)[:3, 3] for m in bus.of("odom")]
     assert np.linalg.norm(odom[-1] - true_position(39)) < 0.05
-
-
-@pytest.mark.parametrize(("config", "rouses"), [(CONFIG, True), (LOCKSTEP, False)])
-def test_answers_are_taken_in_between_frames_in_real_time_alone(bus, config, rouses):
-    """A frame that has come need not wait for them; in lockstep each has its own frame."""
-    TrackerWorker(config, bus)
-    frames = bus.inboxes["frame"]
-    for topic in ("depth", "log_scale", "map_update"):
-        assert (bus.inboxes[topic].rouses is frames) == rouses
 
 
 def test_every_frame_is_answered(bus, world):
@@ -258,22 +248,6 @@ def test_status_says_how_it_goes(bus, world):
     assert bus.pulse.values["odometry"] == "lost"
     assert len(bus.of("pose")) == 14, "a lost tracker publishes no pose"
     assert len(bus.of("tracked")) == 35
-
-
-def test_a_frame_that_comes_behind_the_end_does_not_hide_it(bus):
-    worker = TrackerWorker(CONFIG, bus)
-    bus.give("end", EndOfStream(3, 3, 0, 0, 2))
-    worker._note_end()
-    bus.pulse.idle()  # as after a frame
-    worker._note_end()
-    assert bus.states[-1] == "ended"
-
-
-def test_it_notes_the_end_and_stays(bus, world):
-    bus.give("end", EndOfStream(3, 3, 0, 0, 2))
-    run(bus, [frame(i) for i in range(3)])
-    assert "ended" in bus.states
-    assert len(bus.of("tracked")) == 3
 
 
 @pytest.mark.parametrize(
