@@ -81,9 +81,9 @@ def apply_correction(
             motions[i], placed[i] = pose @ inverse(keyframe.world_from_camera), True
             keyframe.world_from_camera = pose
     mine = np.flatnonzero(follows & placed[owner])
-    motion = motions[owner[mine]]
-    turned = np.einsum("nij,nj->ni", motion[:, :3, :3], table.position[mine])
-    table.position[mine] = turned + motion[:, :3, 3]
+    along = motions[owner[mine]]
+    turned = np.einsum("nij,nj->ni", along[:, :3, :3], table.position[mine])
+    table.position[mine] = turned + along[:, :3, 3]
     told = np.flatnonzero(placed)
     motion = motions[told[-1]] if len(told) else np.eye(4)
     for i, keyframe in enumerate(keyframes):
