@@ -30,6 +30,7 @@ from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig, Stat
 from prism_edge.config_file import dump
 from prism_edge.evaluation.daemon import free_endpoint
 from prism_edge.evaluation.resources import pss_mb
+from prism_edge.geometry.poses import Array
 from prism_edge.messages import Keyframe
 from tests.synthetic.network import write_tiny_network
 from tests.synthetic.sequence import write_sequence
@@ -194,7 +195,8 @@ class Watcher:
 
     def __init__(self, config: Config) -> None:
         self.poses: list[float] = []  # arrival, monotonic seconds
-        self.far_poses: list[float] = []  # the same behind a router
+        self.path: list[tuple[float, Array]] = []  # stamp in seconds, world_from_camera
+        self.far_poses: list[float] = []  # arrivals behind a router
         self.not_numbers = 0
         self.latencies: list[tuple[float, float]] = []  # arrival, milliseconds from capture
         self.odometry = ""
@@ -242,7 +244,9 @@ class Watcher:
                 continue
             now = time.monotonic()
             if name == "pose":
-                numbers = (ros.pose_matrix(message.pose.pose), np.asarray(message.pose.covariance))
+                pose, stamp = ros.pose_matrix(message.pose.pose), message.header.stamp
+                self.path.append((stamp.sec + 1e-9 * stamp.nanosec, pose))
+                numbers = (pose, np.asarray(message.pose.covariance))
                 self.not_numbers += not all(np.isfinite(array).all() for array in numbers)
                 self.poses.append(now)
             elif name == "tracked":

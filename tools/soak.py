@@ -23,6 +23,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.evaluation.resources import cpu_s, machine_cpu
+from prism_edge.geometry.poses import Array, inverse, rotation_angle
 from tools.faults_service import Service, Watcher, draw_room, long_recording, service_config
 
 SETTLED_S = 600.0  # from when on memory counts
@@ -31,6 +32,8 @@ GROWTH_MB = 3.0
 FLAT = 1.2  # p99 latency of the last third by that of the first, at most
 SCALE = ("log_scale", "rejected")  # no bar: but a map whose unit has gone is worth a line
 SLACK_MS = 2.0  # a difference that small is none
+RATE = 30.0  # pictures a second
+WANDER_CM, WANDER_DEG = 2.0, 0.5  # that the place of one and the same picture may move
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -88,8 +91,12 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
         restarts = {name: row["restarts"] for name, row in watcher.health.items() if "restarts" in row}
         latencies = [(when - begun, ms) for when, ms in list(watcher.latencies) if when >= begun]
         gap = watcher.longest_gap(begun, time.monotonic() - 0.05)
+        path = watcher.path[first:]
         code = service.stop()
     settled = min(SETTLED_S, seconds / 3.0)
+    starts = path[0][0] if path else 0.0
+    wanders = wander([(at, pose) for at, pose in path if at >= starts + settled], len(room.pictures))
+    centimetres, degrees = (max((row[k] for row in wanders), default=float("nan")) for k in (0, 1))
     late = [sample for sample in samples if sample["at_s"] >= settled]
     growth, first_mb = _growth(late, "pss_mb")
     anonymous, _ = _growth(late, "anonymous_mb")
@@ -107,6 +114,9 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
             thirds[2] <= max(FLAT * thirds[0], thirds[0] + SLACK_MS),
         ),
         f"map within {max_keyframes} keyframes": (f"at most {keyframes}", 0 < keyframes <= max_keyframes),
+        f"a picture's place stays within {WANDER_CM:g} cm, {WANDER_DEG:g} degrees": (
+            f"{centimetres:.2f} cm, {degrees:.2f} degrees", centimetres <= WANDER_CM and degrees <= WANDER_DEG
+        ),
         "no process started again": (json.dumps(restarts), set(restarts.values()) == {"0"}),
         "no NaN published": (str(watcher.not_numbers), not watcher.not_numbers),
         "ends with 0": (str(code), code == 0),
@@ -125,6 +135,7 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
             name: round(_growth(late, "pss_mb", name)[0], 2) for name in late[0]["pss_mb"]
         },
         "p99_ms_by_third": thirds,
+        "wander_cm_deg": wanders,
         "samples": samples,
         "bars": {name: {"found": found, "met": bool(ok)} for name, (found, ok) in met.items()},
     }
@@ -149,6 +160,27 @@ def markdown(report: dict[str, Any]) -> str:
     lines += ["", f"Log scale from {low:.2f} to {high:.2f}, {report['scales_refused']} observations refused."]
     lines += ["", f"Growth by process (MB): {by_process}. Without files' pages: {anonymous:+.1f} MB in all."]
     return "\n".join(lines) + "\n"
+
+
+def wander(path: list[tuple[float, Array]], pictures: int) -> list[tuple[float, float]]:
+    """How far from its first round each later one of a looped recording is: centimetres and degrees.
+
+    ``path`` is (stamp in seconds, world_from_camera) of a recording of so many ``pictures``, at RATE from 0.
+    Medians over the pictures that both rounds have; a round that has less than half of them is left out.
+    """
+    rounds: dict[int, dict[int, Array]] = {}
+    for stamp, pose in path:
+        number, picture = divmod(round(RATE * stamp), pictures)
+        rounds.setdefault(number, {})[picture] = pose
+    found = []
+    whole = [poses for _, poses in sorted(rounds.items()) if 2 * len(poses) >= pictures]
+    for poses in whole[1:]:
+        both = [(whole[0][k], pose) for k, pose in poses.items() if k in whole[0]]
+        if both:
+            moved = [np.linalg.norm(now[:3, 3] - then[:3, 3]) for then, now in both]
+            turned = [rotation_angle((inverse(then) @ now)[:3, :3]) for then, now in both]
+            found.append((100.0 * float(np.median(moved)), float(np.degrees(np.median(turned)))))
+    return found
 
 
 def _bounded(config: Any, max_keyframes: int) -> Any:

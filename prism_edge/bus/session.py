@@ -5,7 +5,6 @@ from __future__ import annotations
 import atexit
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType, TracebackType
@@ -18,6 +17,7 @@ from prism_edge.bus.answer import Answer
 from prism_edge.bus.commands import CommandDesk, Handler, Reply, send
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.links import encoding, open_session, quality
+from prism_edge.bus.presence import Presence
 from prism_edge.bus.pulse import Pulse
 from prism_edge.config import Config
 from prism_edge.errors import BusError
@@ -48,6 +48,7 @@ class Bus:
         self._last: dict[str, Any] = {}
         self._inboxes: list[Inbox] = []
         self._desks: list[CommandDesk] = []
+        self._presence: Presence | None = None
         self._tokens = [session.liveliness().declare_token(keys.alive_key(robot, process))]
         self._closed = False
         for name, topic in TOPICS.items():
@@ -152,23 +153,11 @@ class Bus:
 
         Messages published before that may not reach them. Ends early when the bus is stopped.
         """
+        with self._lock:
+            if self._presence is None and not self._closed:
+                self._presence = Presence(self._session, self.robot, self.stopped)
         wanted = set(processes) - {self.process}
-        everybody = self._session.liveliness().declare_subscriber(
-            keys.ready_key(self.robot, "*"), zenoh.handlers.FifoChannel(64), history=True
-        )
-        inbox = Inbox(everybody, 64, lambda sample: sample, self.stopped)
-        deadline = time.monotonic() + timeout_s
-        present: set[str] = set()
-        try:
-            while not wanted <= present:
-                token = inbox.take(max(deadline - time.monotonic(), 0.0))
-                if token is None:
-                    break
-                name = str(token.key_expr).rsplit("/", 1)[1]
-                (present.add if token.kind == zenoh.SampleKind.PUT else present.discard)(name)
-        finally:
-            inbox.close()
-        return wanted - present
+        return wanted if self._presence is None else self._presence.missing(wanted, timeout_s)
 
     def close(self) -> None:
         """Leaves the bus: ends the threads, undeclares everything, closes the session. Twice is no error."""
@@ -184,6 +173,8 @@ class Bus:
             answer.close()
         for desk in self._desks:
             desk.close()
+        if self._presence is not None:
+            self._presence.close()
         for declared in (*self._tokens, *self._publishers.values()):
             declared.undeclare()
         self._session.close()

@@ -1,0 +1,94 @@
+"""Who is ready: tokens that come and go, and waits for them, on a session whose tokens the tests make."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zenoh
+
+from prism_edge.bus.presence import Presence
+
+
+class Session:
+    """As much of a Zenoh session as liveliness takes; counts subscriptions."""
+
+    def __init__(self) -> None:
+        self.subscriptions = 0
+        self._tokens: queue.Queue[Any] = queue.Queue()
+        self.handler = self
+
+    def liveliness(self) -> Session:
+        return self
+
+    def declare_subscriber(self, key: str, channel: object, history: bool) -> Session:
+        assert key == "prism/robot/internal/ready/*"
+        assert history  # those that were ready before
+        self.subscriptions += 1
+        return self
+
+    def recv(self) -> Any:
+        token = self._tokens.get()
+        if token is None:
+            raise zenoh.ZError("undeclared")
+        return token
+
+    def undeclare(self) -> None:
+        self._tokens.put(None)
+
+    def says(self, name: str, ready: bool) -> None:
+        kind = zenoh.SampleKind.PUT if ready else zenoh.SampleKind.DELETE
+        self._tokens.put(SimpleNamespace(key_expr=f"prism/robot/internal/ready/{name}", kind=kind))
+
+
+@pytest.fixture
+def session() -> Session:
+    return Session()
+
+
+@pytest.fixture
+def stopped() -> threading.Event:
+    return threading.Event()
+
+
+@pytest.fixture
+def presence(session: Session, stopped: threading.Event) -> Iterator[Presence]:
+    present = Presence(session, "robot", stopped)
+    yield present
+    present.close()
+    assert not any(thread.name == "presence" and thread.is_alive() for thread in threading.enumerate())
+
+
+def test_a_wait_ends_when_all_are_there(session: Session, presence: Presence) -> None:
+    assert presence.missing(set(), 0.0) == set()
+    session.says("source", True)
+    assert presence.missing({"source", "depth"}, 0.05) == {"depth"}
+    found: list[set[str]] = []
+    waiting = threading.Thread(target=lambda: found.append(presence.missing({"source", "depth"}, 60.0)))
+    waiting.start()
+    session.says("depth", True)
+    waiting.join(10.0)
+    assert found == [set()]
+
+
+def test_who_goes_is_missing_until_a_successor_comes(session: Session, presence: Presence) -> None:
+    for ready in (True, False):
+        session.says("source", ready)
+    session.says("depth", True)  # once it is seen, so was all before it
+    assert presence.missing({"depth"}, 10.0) == set()
+    assert presence.missing({"source"}, 0.0) == {"source"}
+    session.says("source", True)
+    assert presence.missing({"source"}, 10.0) == set()
+    assert session.subscriptions == 1
+
+
+def test_a_stop_ends_a_wait(presence: Presence, stopped: threading.Event) -> None:
+    threading.Timer(0.05, stopped.set).start()
+    began = time.monotonic()
+    assert presence.missing({"source"}, 60.0) == {"source"}
+    assert time.monotonic() - began < 30.0

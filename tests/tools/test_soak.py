@@ -1,0 +1,32 @@
+"""What the long run says about the map's place, against motions that are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.poses import Array, from_rt, so3_exp
+from tools.soak import RATE, wander
+
+
+def looped(pictures: int, rounds: int, motion: Array) -> list[tuple[float, Array]]:
+    """A path that each round repeats, moved by ``motion`` once more than the round before."""
+    rng = np.random.default_rng(0)
+    once = [from_rt(so3_exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(pictures)]
+    moved = [np.linalg.matrix_power(motion, k) for k in range(rounds)]
+    return [((k * pictures + i) / RATE, moved[k] @ once[i]) for k in range(rounds) for i in range(pictures)]
+
+
+def test_a_map_that_stays_does_not_wander_and_one_that_moves_does_so_by_its_motion() -> None:
+    assert wander(looped(20, 3, np.eye(4)), 20) == [(0.0, pytest.approx(0.0, abs=1e-5))] * 2
+    shifted = wander(looped(20, 4, from_rt(np.eye(3), np.array([0.03, 0.0, 0.04]))), 20)
+    assert shifted == [(pytest.approx(5.0 * k), pytest.approx(0.0, abs=1e-5)) for k in (1, 2, 3)]
+    turned = wander(looped(20, 3, from_rt(so3_exp(np.radians([0.0, 0.0, 0.7])), np.zeros(3))), 20)
+    assert [degrees for _, degrees in turned] == pytest.approx([0.7, 1.4])
+
+
+def test_rounds_that_are_not_whole_are_left_out_and_none_says_nothing() -> None:
+    path = looped(20, 3, from_rt(np.eye(3), np.array([0.01, 0.0, 0.0])))
+    assert [cm for cm, _ in wander(path[11:], 20)] == pytest.approx([1.0])  # nine pictures of the first
+    assert [cm for cm, _ in wander(path[3:33], 20)] == pytest.approx([1.0])
+    assert wander(path[:29], 20) == wander([], 20) == []
