@@ -3,15 +3,18 @@
 Nothing in images says where the world's origin is, so an adjustment holds some pose, the first keyframe's
 while the map is young. But that one is as doubtful as any other: held, its errors turn and shift all the
 rest, and so every pose published from then on beside those published before.
+
+What is too little to be undone is owed: each keyframe has a reference, where it would be if the frame had
+been kept to the last digit. Else the map of a room that is seen for days would creep.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.alignment import Alignment, DegenerateAlignment, align
-from prism_edge.geometry.poses import Array, from_rt
+from prism_edge.geometry.poses import Array, from_rt, transform
 
 # Map units, which are about metres.
 ARM = 2.0  # a keyframe counts with its centre and six points so far from it, as what it sees is
@@ -20,20 +23,25 @@ LEAST = 0.001  # a frame that has moved less, anywhere in the map, is left: most
 ROUNDS = 10
 
 
-def keep_frame(world: GlobalMap, before: dict[int, Array]) -> bool:
-    """Move a map rigidly to where its keyframes were ``before`` an adjustment, on the whole.
+def keep_frame(world: GlobalMap) -> bool:
+    """Move a map rigidly to where its keyframes' references are, on the whole.
 
-    ``before`` has world_from_camera (4, 4) of each. Parts whose place beside each other is not known are kept
-    each by its own keyframes. Returns whether any was moved.
+    Parts whose place beside each other is not known are kept each by its own keyframes. Returns whether any
+    was moved.
     """
-    common = before.keys() & world.keyframes.keys()
-    left = {k for k in common if world.keyframes[k].world_from_camera is not before[k]}
+    left = {k for k, keyframe in world.keyframes.items() if _is_off(keyframe)}
     moved = False
     while left:
         part = hanging_together(world, min(left))
-        moved |= _keep(world, part, {k: before[k] for k in sorted(part & common)})
+        moved |= _keep(world, sorted(part))
         left -= part
     return moved
+
+
+def take_references(world: GlobalMap) -> None:
+    """Where keyframes are is where they belong: a loop has put them there."""
+    for keyframe in world.keyframes.values():
+        keyframe.reference = keyframe.world_from_camera
 
 
 def hanging_together(world: GlobalMap, keyframe: int) -> set[int]:
@@ -47,18 +55,22 @@ def hanging_together(world: GlobalMap, keyframe: int) -> set[int]:
     return found
 
 
-def _keep(world: GlobalMap, part: set[int], before: dict[int, Array]) -> bool:
-    if len(before) < 2:
-        return False
-    were = _arms(np.array(list(before.values())))
-    are = _arms(np.array([world.keyframes[k].world_from_camera for k in before]))
-    if np.abs(are - were).max() < LEAST:
-        return False
-    back = majority(are, were)
-    if back is None or np.linalg.norm(back.apply(are) - are, axis=1).max() < LEAST:
-        return False
-    world.move(from_rt(back.rotation, back.translation), part)
-    return True
+def _is_off(keyframe: GlobalKeyframe) -> bool:
+    return keyframe.world_from_camera is not keyframe.reference
+
+
+def _keep(world: GlobalMap, part: list[int]) -> bool:
+    keyframes = [world.keyframes[k] for k in part]
+    poses = np.array([keyframe.world_from_camera for keyframe in keyframes])
+    are, were = _arms(poses), _arms(np.array([keyframe.reference for keyframe in keyframes]))
+    back = majority(are, were) if len(part) > 1 else None  # one has nothing that it could be compared with
+    motion = np.eye(4) if back is None else from_rt(back.rotation, back.translation)
+    moved = bool(np.linalg.norm(transform(motion, are) - are, axis=1).max() >= LEAST)
+    if moved:
+        world.move(motion, set(part))
+    for keyframe, pose in zip(keyframes, motion @ poses, strict=True):
+        keyframe.reference = keyframe.world_from_camera if moved else pose
+    return moved
 
 
 def majority(source: Array, target: Array) -> Alignment | None:
@@ -66,14 +78,17 @@ def majority(source: Array, target: Array) -> Alignment | None:
 
     It minimises the sum of distances (squared below ALIKE) by least squares with ever new weights.
     """
-    weights = np.ones(len(source))
+    weights = np.full(len(source), 1.0 / ALIKE)
     found = None
     for _ in range(ROUNDS):
         try:
             found = align(source, target, with_scale=False, weights=weights)
         except DegenerateAlignment:
             return None
-        weights = 1.0 / np.maximum(np.linalg.norm(found.apply(source) - target, axis=1), ALIKE)
+        off = np.linalg.norm(found.apply(source) - target, axis=1)
+        before, weights = weights, 1.0 / np.maximum(off, ALIKE)
+        if np.array_equal(weights, before):  # all are alike, as after most windows
+            break
     return found
 
 

@@ -177,7 +177,7 @@ def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[t
             moved[p] = transform(motion[min(point.keyframes)], point.position[None])[0]
     for p, place in moved.items():
         world.points[p].position = place
-    keep_frame(world, were)
+    keep_frame(world)
     chosen = {p: world.points[p].position for p in adjusted.points if p in world.points}
     if not chosen:
         return []

@@ -19,6 +19,7 @@ from prism_edge.tracking.features import Features
 from prism_edge.tracking.pose_refinement import refine_pose
 
 MIN_COMMON = 15
+LONG_AGO = -(1 << 62)  # a stamp before all others, of a keyframe that an earlier run made
 MAX_RENAMED = 20_000  # points that became others, remembered for a while
 
 
@@ -47,6 +48,12 @@ class GlobalKeyframe:
     travelled: float = 0.0  # path length to here, map units as the tracker had them
     # The gate's weight of each keypoint in [0, 1], nan where nothing is known of it.
     weights: NDArray[np.float64] | None = None
+    stamp_ns: int = LONG_AGO  # of its image, by this run's clock
+    # world_from_camera, were the map's frame kept to the last digit (frame.py).
+    reference: Array = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.reference = self.world_from_camera
 
     def gate_weight(self, keypoint: int) -> float:
         """The gate's weight of a keypoint; 1 where nothing is held against it."""
@@ -117,6 +124,7 @@ class GlobalMap:
             features=_features(message, camera),
             scale_factor=message.scale_factor,
             travelled=message.travelled,
+            stamp_ns=message.stamp_ns,
         )
         self.keyframes[message.id] = added
         for keypoint in keypoints.tolist():

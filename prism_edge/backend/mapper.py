@@ -153,7 +153,6 @@ class Mapper:
                     points[p].position = motion[:3, :3] @ points[p].position + motion[:3, 3]
 
     def _take_over(self, newest: int, solution: Solution, started: float) -> MapUpdate:
-        before = {k: keyframe.world_from_camera for k, keyframe in self.world.keyframes.items()}
         self._take_along(solution)
         for k, pose in solution.poses.items():
             self.world.keyframes[k].world_from_camera = pose
@@ -164,7 +163,7 @@ class Mapper:
             self.world.drop_observation(k, p)
         self.window = len(solution.poses)
         # Where all of the map is moved to keep its frame, all keyframes are told, and take points along.
-        moved = list(self.world.keyframes if keep_frame(self.world, before) else solution.poses)
+        moved = list(self.world.keyframes if keep_frame(self.world) else solution.poses)
         self.sequence += 1
         alive = [p for p in solution.points if p in self.world.points]
         outliers = np.array(solution.outliers, np.int64).reshape(-1, 2)

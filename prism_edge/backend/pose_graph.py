@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
+from prism_edge.backend.frame import take_references
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop, median_depth
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised
@@ -119,6 +120,7 @@ def apply(world: GlobalMap, moved: dict[int, Similarity]) -> None:
         keyframe.world_from_camera = similarity.world_from_camera
         if keyframe.depths is not None:
             keyframe.depths = keyframe.depths * similarity.scale
+    take_references(world)
 
 
 def parts(world: GlobalMap, earlier: list[tuple[int, int]]) -> list[set[int]]:

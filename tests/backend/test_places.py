@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+
 import numpy as np
 import pytest
 
-from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.places import FEW_SHARED, RECENT, candidates
+from prism_edge.backend.global_map import LONG_AGO, GlobalMap
+from prism_edge.backend.places import FEW_SHARED, RECENT, RECENT_S, candidates
 from prism_edge.tracking.place_index import PlaceIndex
 from tests.backend.ring import Ring
 
@@ -35,6 +37,24 @@ def test_neither_the_latest_nor_what_shares_points_is_a_place_before(walked):
             assert k < query - RECENT
             assert shared.get(k, 0) < FEW_SHARED
     assert candidates(world, index, RECENT, 100) == []
+
+
+@pytest.mark.parametrize("clock_s", [0.0, 1e6, -1e6], ids=["on", "fast", "slow"])
+def test_what_was_seen_a_moment_ago_is_no_place_before(walked, clock_s):
+    """Many keyframes in little time: a thing that has moved on looks as it did. However the clock is set."""
+    world, index = copy.deepcopy(walked)
+    for k, keyframe in world.keyframes.items():
+        keyframe.stamp_ns = int(1e9 * (0.1 * k + (clock_s if k >= 10 else 0.0)))
+    found = candidates(world, index, 41, 100)
+    assert found
+    for k in found:
+        assert abs(world.keyframes[41].stamp_ns - world.keyframes[k].stamp_ns) >= 1e9 * RECENT_S
+        assert k <= 41 - 10 * RECENT_S
+    for keyframe in world.keyframes.values():
+        keyframe.stamp_ns = 0
+    assert candidates(world, index, 41, 100) == []
+    world.keyframes[3].stamp_ns = LONG_AGO  # of an earlier run
+    assert candidates(world, index, 41, 100) == [3]
 
 
 def test_one_keyframe_stands_for_its_place(walked):
