@@ -1,4 +1,4 @@
-"""When a tracked frame becomes a keyframe."""
+"""When a tracked frame becomes a keyframe, and when an older keyframe does as well."""
 
 from __future__ import annotations
 
@@ -9,12 +9,15 @@ import numpy as np
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.poses import inverse, rotation_angle
 from prism_edge.tracking.frame_tracking import TrackedFrame
-from prism_edge.tracking.local_map import LocalKeyframe
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
 BASELINE = 0.08  # of the median depth: new rays are worth adding
 UNCOVERED = 0.4  # share of the image with corners but no points: new ground
 MOVED_BASELINE, MOVED_ANGLE = 0.01, np.radians(2.0)
 WEAK_MATCHES, WEAK_GAP_S = 120, 0.05  # so few points must be added to at once
+# How near an older keyframe must be to show the same: of the median depth, and of its points in sight.
+SAME_BASELINE, SAME_ANGLE, SAME_SHARE = 0.04, np.radians(5.0), 0.4
+RECENT = 12  # the newest keyframes are no place that was left
 _CELL = 64
 
 
@@ -34,9 +37,10 @@ def decide(
     reference_matches: int,
     median_depth: float,
 ) -> Decision:
-    """Judge a tracked frame against the newest keyframe.
+    """Judge a tracked frame against the keyframe that the camera is at.
 
-    ``reference_matches`` is how many points the frame right after that keyframe matched.
+    ``seconds_since`` counts from when it came there, ``reference_matches`` is how many points the frame right
+    after matched.
     """
     if seconds_since < (config.keyframe_min_s if frame.matched >= WEAK_MATCHES else WEAK_GAP_S):
         return Decision(False)
@@ -54,6 +58,22 @@ def decide(
     if uncovered_share(frame) > UNCOVERED:
         return Decision(True, "new ground")
     return Decision(False)
+
+
+def shown_before(world: LocalMap, frame: TrackedFrame, median_depth: float) -> LocalKeyframe | None:
+    """The nearest keyframe that shows what a frame does, from as good as the same place; None without one."""
+    if frame.matched < WEAK_MATCHES or len(world.keyframes) <= RECENT:
+        return None
+    older = [world.keyframes[k] for k in sorted(world.keyframes)[:-RECENT]]
+    poses, here = np.array([keyframe.world_from_camera for keyframe in older]), frame.world_from_camera
+    away = np.linalg.norm(poses[:, :3, 3] - here[:3, 3], axis=1) / max(median_depth, 1e-9)
+    cosine = (np.einsum("ij,nij->n", here[:3, :3], poses[:, :3, :3]) - 1.0) / 2.0
+    near = np.flatnonzero((away < SAME_BASELINE) & (cosine > np.cos(SAME_ANGLE)))
+    for i in near[np.argsort(away[near])].tolist():
+        points = older[i].points[older[i].observed()]
+        if len(points) and np.isin(points, frame.points).mean() >= SAME_SHARE:
+            return older[i]
+    return None
 
 
 def uncovered_share(frame: TrackedFrame) -> float:

@@ -17,6 +17,24 @@ MIN_PARALLAX = np.radians(1.0)
 MIN_BASELINE = 0.015  # of the median depth
 FUSE_DISTANCE, FUSE_RATIO, FUSE_RADIUS = 50, 0.9, 3.0
 MATCHING_SIGMA_PX = 1.4  # of a disparity: two keypoints of one pixel each
+NEIGHBOURS, SHARING, TRIANGULATING = 10, 10, 4  # covisible keyframes, best first
+
+
+def extend(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> None:
+    """All that a keyframe that has just come into the map gives it."""
+    neighbours = world.covisible(keyframe, NEIGHBOURS)
+    keyframe.neighbours = [k.id for k in neighbours]
+    for k in neighbours:
+        k.neighbours = [keyframe.id, *k.neighbours[: NEIGHBOURS - 1]]
+    mature(world, keyframe, scale_factors)
+    # Known points first, so that fewer corners are triangulated a second time.
+    near = neighbours[:SHARING]
+    doubles = [share_points(world, near, keyframe, scale_factors)]
+    triangulate_with_neighbours(world, keyframe, neighbours[:TRIANGULATING], scale_factors)
+    doubles += [share_points(world, [keyframe], k, scale_factors) for k in near]
+    first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
+    fuse(world, first, second)
+    cull_recent_points(world, keyframe.id)
 
 
 def triangulate_with_neighbours(

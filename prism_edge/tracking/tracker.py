@@ -18,7 +18,7 @@ from prism_edge.tracking.first_map import SecondView, begin_structure
 from prism_edge.tracking.frame_result import FrameResult, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.keyframe_culling import cull_keyframes, drop_keyframe
-from prism_edge.tracking.keyframe_decision import decide
+from prism_edge.tracking.keyframe_decision import decide, shown_before
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import apply_correction, fit, join
 from prism_edge.tracking.place_index import PlaceIndex
@@ -34,7 +34,6 @@ log = logging.getLogger("prism_edge.tracking")
 MIN_FIRST_FEATURES = 80
 INITIAL_PATIENCE_S = 1.0  # a first keyframe that can't be tracked for longer is replaced
 DEPTH_PATIENCE_S = 10.0  # and so is one that no depth has come for in this time
-NEIGHBOURS, SHARING, TRIANGULATING = 10, 10, 4  # covisible keyframes, best first
 DEGRADED_MATCHES = 50
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
 MOST_BETWEEN_NS = 200_000_000  # what one frame adds to how long a lost camera has looked about
@@ -69,8 +68,10 @@ class Tracker:
         self._velocity = np.zeros(6)  # twist of the camera per second
         self._seen_at: int | None = None  # stamp of the last tracked frame
         self._began_at: int | None = None  # of this map's first; None for one that was there before
+        self._back_at = -1  # the older keyframe that the camera has come back to; -1: it is at the newest
+        self._reference_since = 0  # stamp since when it is at that keyframe
         self._reference_matches = 0
-        self._reference_depth = 1.0  # median, of the newest keyframe
+        self._reference_depth = 1.0  # median, of that keyframe
         self._since_refresh = 0
         self._initialised = False
         self._result: FrameResult | None = None
@@ -134,7 +135,7 @@ class Tracker:
         self._update_motion(frame, stamp_ns)
         self._initialised = True
         self._fresh = (index, frame)
-        reference = self.parts.newest(self.world)
+        reference = self._reference()
         pose, odometry = frame.world_from_camera, OK if frame.matched >= DEGRADED_MATCHES else DEGRADED
         offset = inverse(reference.world_from_camera) @ pose
         return FrameResult(
@@ -184,33 +185,29 @@ class Tracker:
         self._give_up_waiting()
         self.parts.enter(self.world, frame.points[frame.points >= 0])
         self._lost = self.wants_probe = False
+        self._back_at = -1
 
     def _track(self, stamp_ns: int, camera: Camera, features: Features) -> TrackedFrame | None:
-        if not (self.world.points.alive.any() and len(features) >= self._config.min_matches):
+        previous, frame, enough = self._last, None, self._config.min_matches
+        if not (self.world.points.alive.any() and len(features) >= enough):
             return None
-        previous, frame = self._last, None
         if self._lost:
-            return self.places.attempt(
-                self.world, self._frames, camera, features, previous, self._config.min_matches
-            )
+            return self.places.attempt(self.world, self._frames, camera, features, previous, enough)
         if previous is not None:
             elapsed = (stamp_ns - self._last_stamp) * 1e-9
             moving = previous.world_from_camera @ se3_exp(self._velocity * elapsed)
             # A frame that suddenly matches far less may have followed a wrong prediction: try another.
             for predicted in (moving, previous.world_from_camera):
-                tried = self._frames.track(
-                    self.world, camera, features, predicted, previous, self._config.min_matches
-                )
+                tried = self._frames.track(self.world, camera, features, predicted, previous, enough)
                 if tried is not None and (frame is None or tried.matched > frame.matched):
                     frame = tried
                 if frame is not None and frame.matched > SUDDEN_LOSS * previous.matched:
                     break
-        if frame is None or frame.matched < self._config.min_matches:
-            newest = self.parts.newest(self.world)
+        if frame is None or frame.matched < enough:
             frame = recover(
-                self.world, self._frames, camera, features, newest, self._config.min_matches, self._seed
+                self.world, self._frames, camera, features, self._reference(), enough, self._seed
             )
-        if frame is None or frame.matched < self._config.min_matches:
+        if frame is None or frame.matched < enough:
             return None
         return look_again(self.world, self.parts, frame, self.proven_after_s, self._seed)
 
@@ -241,12 +238,16 @@ class Tracker:
             return pending
         index, frame = self._fresh
         self._fresh = None
-        stamp_ns, reference = self._last_stamp, self.parts.newest(self.world)
+        stamp_ns, reference = self._last_stamp, self._reference()
         self._reference_matches = max(self._reference_matches, frame.matched)
-        since_s = (stamp_ns - reference.stamp_ns) * 1e-9
+        since_s = (stamp_ns - self._reference_since) * 1e-9
         matches, depth = self._reference_matches, self._reference_depth
         decision = decide(self._config, frame, reference, since_s, matches, depth)
         if not decision.wanted:
+            return None
+        known = shown_before(self.world, frame, depth)
+        if known is not None:
+            self._refer_to(known, stamp_ns)
             return None
         alone = self._config.two_views and self.parts.size(self.world) == 1
         if alone:
@@ -258,27 +259,13 @@ class Tracker:
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
         )
-        neighbours = self.world.covisible(keyframe, NEIGHBOURS)
-        keyframe.neighbours = [k.id for k in neighbours]
-        for k in neighbours:
-            k.neighbours = [keyframe.id, *k.neighbours[: NEIGHBOURS - 1]]
-        mapping.mature(self.world, keyframe, self._factors)
-        # Known points first, so that fewer corners are triangulated a second time.
-        near = neighbours[:SHARING]
-        doubles = [mapping.share_points(self.world, near, keyframe, self._factors)]
-        mapping.triangulate_with_neighbours(self.world, keyframe, neighbours[:TRIANGULATING], self._factors)
-        doubles += [mapping.share_points(self.world, [keyframe], k, self._factors) for k in near]
-        if doubles:
-            first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
-            mapping.fuse(self.world, first, second)
-        mapping.cull_recent_points(self.world, keyframe.id)
+        mapping.extend(self.world, keyframe, self._factors)
         culled = cull_keyframes(self.world, self._config.max_keyframes, self._config.redundant_keyframes)
         self.places.forget(culled)
         self.parts.forget(culled)
         self.world.points.squeeze()
         frame.points = keyframe.points.copy()
-        self._reference_matches = 0
-        self._reference_depth = self.world.median_depth(keyframe)
+        self._refer_to(keyframe, stamp_ns)
         self._refresh(frame)
         log.debug("keyframe %d at frame %d: %s", keyframe.id, index, decision.reason)
         return keyframe
@@ -292,7 +279,17 @@ class Tracker:
         self._next_keyframe += 1
         self.world.add_keyframe(keyframe)
         self.parts.add(keyframe.id)
+        self._back_at, self._reference_since = -1, stamp_ns
         return keyframe
+
+    def _reference(self) -> LocalKeyframe:
+        """The keyframe that the camera is at: the newest, or an older one that it has come back to."""
+        return self.world.keyframes.get(self._back_at) or self.parts.newest(self.world)
+
+    def _refer_to(self, keyframe: LocalKeyframe, stamp_ns: int) -> None:
+        self._back_at = -1 if keyframe is self.parts.newest(self.world) else keyframe.id
+        self._reference_since, self._reference_matches = stamp_ns, 0
+        self._reference_depth = self.world.median_depth(keyframe)
 
     def announced(self, keyframe: LocalKeyframe) -> None:
         """Its message has gone out: what it gains later must be told apart."""
@@ -326,7 +323,7 @@ class Tracker:
             self._refresh(self._last)
             self._last_stamp = keyframe.stamp_ns
         self._since_refresh = REFRESH_FRAMES
-        self._reference_depth = self.world.median_depth(self.parts.newest(self.world))
+        self._reference_depth = self.world.median_depth(self._reference())
         return len(ids)
 
     def recognise(self, keyframe: int, descriptor: F32) -> None:
@@ -382,7 +379,7 @@ class Tracker:
         self._lens = world.newest().camera
         self._announced = max(world.keyframes)
         self._next_keyframe = max(self._next_keyframe, self._announced + 1)
-        self._reference_matches, self._reference_depth = 0, world.median_depth(world.newest())
+        self._refer_to(world.newest(), world.newest().stamp_ns)
 
     def last_pose(self) -> Array | None:
         """world_from_camera of the last tracked frame as the map has it now."""

@@ -1,4 +1,4 @@
-"""When a frame becomes a keyframe."""
+"""When a frame becomes a keyframe, and when an older one does as well."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import pytest
 from prism_edge.config import TrackingConfig
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import TrackedFrame
-from prism_edge.tracking.keyframe_decision import decide, uncovered_share
+from prism_edge.tracking.keyframe_decision import RECENT, decide, shown_before, uncovered_share
+from prism_edge.tracking.local_map import LocalMap
 from tests.tracking.cloud import CAMERA, Cloud, pose_at
 
 CONFIG = TrackingConfig()
@@ -107,3 +108,62 @@ def test_an_image_without_corners_is_not_new_ground():
     frame = frame_at(np.eye(4))
     none = Features.build(np.zeros((0, 2)), np.zeros(0, np.intp), np.zeros((0, 4), np.uint64), 640, 480)
     assert uncovered_share(replace(frame, features=none, points=np.zeros(0, np.int64))) == 0.0
+
+
+PLACES = [pose_at(0.3 * i, 0.0, 0.0, 0.0, -0.05 * i) for i in range(4)]
+
+
+@pytest.fixture(scope="module")
+def returned() -> tuple[Cloud, LocalMap]:
+    """A map of four places and of the newest keyframes, which are all elsewhere."""
+    cloud = Cloud(600)
+    world, _ = cloud.mapped(PLACES + [pose_at(-0.5, -0.02 * i) for i in range(RECENT)])
+    return cloud, world
+
+
+def placed(cloud: Cloud, world: LocalMap, pose: np.ndarray, share: float = 1.0) -> TrackedFrame:
+    """A frame that has found a share of the points that it sees."""
+    features, shown = cloud.view(pose)
+    of_cloud = {tuple(words): i for i, words in enumerate(cloud.descriptors.tolist())}
+    table = world.points
+    ids = {of_cloud[tuple(w)]: i for i, w in zip(table.ids.tolist(), table.descriptor.tolist(), strict=True)}
+    points = np.array([ids.get(i, -1) for i in shown.tolist()])
+    points[int(share * len(points)) :] = -1
+    return TrackedFrame(CAMERA, features, pose, points, np.zeros((6, 6)), int((points >= 0).sum()), 1.0)
+
+
+@pytest.mark.parametrize("place", range(4))
+def test_a_known_place_is_the_nearest_keyframe_s(returned, place):
+    cloud, world = returned
+    frame = placed(cloud, world, PLACES[place] @ pose_at(0.05, 0.03, 0.0, 0.0, 0.03))
+    known = shown_before(world, frame, 4.0)
+    assert known is world.keyframes[place]
+    assert shown_before(world, frame, 1.0) is None  # 6 cm are far where all is near
+
+
+@pytest.mark.parametrize(
+    ("motion", "share"),
+    [
+        (pose_at(0.15, 0.15), 1.0),  # between two places
+        (pose_at(0.0, 0.0, 0.0, 0.0, 0.1), 1.0),  # the same place, another view
+        (pose_at(0.01), 0.3),  # what was seen there is no longer
+    ],
+)
+def test_what_no_keyframe_shows_is_no_known_place(returned, motion, share):
+    cloud, world = returned
+    frame = placed(cloud, world, PLACES[1] @ motion, share)
+    assert shown_before(world, frame, 4.0) is None
+
+
+def test_a_frame_that_matches_little_needs_a_keyframe_of_its_own(returned):
+    cloud, world = returned
+    frame = placed(cloud, world, PLACES[1])
+    assert shown_before(world, replace(frame, matched=119), 4.0) is None
+
+
+def test_the_newest_are_no_known_place(returned):
+    cloud, world = returned
+    frame = placed(cloud, world, world.newest().world_from_camera)
+    assert frame.matched >= 120
+    assert shown_before(world, frame, 4.0) is None
+    assert shown_before(LocalMap(), frame, 4.0) is None

@@ -1,0 +1,70 @@
+"""In a known place the tracker goes by the keyframes that there are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.tracking.keyframe_culling import drop_keyframe
+from prism_edge.tracking.tracker import Tracker
+from tests.tracking.cloud import check
+from tests.tracking.film_run import CONFIG, Run
+from tests.tracking.footage import footage
+
+QUICK = replace(CONFIG, keyframe_min_s=0.05, keyframe_max_s=0.2)
+FRAMES = 75
+THERE, BACK = list(range(FRAMES)), list(range(FRAMES - 2, -1, -1))
+
+
+def there_and_back() -> tuple[Run, list[int]]:
+    """The film there and back twice; how many keyframes there were after each way."""
+    run = Run(Tracker(QUICK))
+    counts, at = [], 0
+    for way in (THERE, BACK, THERE[1:], BACK):
+        for i in way:
+            known = set(run.keyframes)
+            run.feed(i, at=at)
+            at += 1
+            for k in set(run.keyframes) - known:
+                run.depth(k, of=i)
+        counts.append(len(run.keyframes))
+    return run, counts
+
+
+@pytest.fixture(scope="module")
+def known() -> tuple[Run, list[int]]:
+    return there_and_back()
+
+
+def test_a_known_place_makes_few_new_keyframes(known, monkeypatch):
+    run, counts = known
+    check(run.tracker.world)
+    monkeypatch.setattr("prism_edge.tracking.tracker.shown_before", lambda *_: None)
+    _, otherwise = there_and_back()
+    assert counts[0] == otherwise[0]  # all of it was new
+    assert counts[3] - counts[1] <= 0.7 * (otherwise[3] - otherwise[1])
+
+
+def test_poses_are_as_good_and_hang_on_older_keyframes(known):
+    run, _ = known
+    world, last = run.tracker.world, max(run.results)
+    assert run.results[last].reference < world.newest().id - 5
+    for at, of in ((last, BACK[-1]), (last - 30, BACK[-31])):
+        result = run.results[at]
+        assert np.linalg.norm((result.world_from_camera - footage().poses[of])[:3, 3]) < 0.04
+    result = run.results[last]
+    carried = world.keyframes[result.reference].world_from_camera @ result.reference_from_camera
+    assert carried == pytest.approx(result.world_from_camera, abs=1e-9)
+
+
+def test_the_keyframe_that_frames_hang_on_may_go() -> None:
+    run, _ = there_and_back()
+    last = max(run.results)
+    gone = run.results[last].reference
+    drop_keyframe(run.tracker.world, run.tracker.world.keyframes[gone])
+    newest = run.tracker.world.newest().id
+    result = run.feed(BACK[-1], at=last + 1)
+    assert result.reference == newest
+    assert result.world_from_camera == pytest.approx(run.results[last].world_from_camera, abs=0.01)
