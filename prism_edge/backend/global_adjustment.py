@@ -11,10 +11,11 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from prism_edge.backend import lens
+from prism_edge.backend.elimination import points_first, solver
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.window import CONVERGED, damping, outliers, widest_parallax
+from prism_edge.backend.window import CONVERGED, outliers, widest_parallax
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
 
@@ -89,7 +90,10 @@ class GlobalAdjustment:
         if camera is not None:
             for part in hanging:
                 lens.hold_unit(graph, {k: self._before[k] for k in part})
-        self._optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, damping())
+        last = [] if camera is None else [lens.LENS]
+        self._ordering = points_first(self._points, self._keyframes, last)
+        parameters = solver(self._ordering, len(self._keyframes))
+        self._optimiser = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters)
         self._error_before = self._error = self._optimiser.error()
         self._steps = 0
         self.done = len(self._keyframes) < 3
@@ -127,7 +131,7 @@ class GlobalAdjustment:
             return None
         bent = None
         if self._camera is not None and self._said is not None:
-            bent = lens.found(self._graph, values, self._camera, self._said)
+            bent = lens.found(self._graph, values, self._ordering, self._camera, self._said)
         if self._camera is not None and bent is None:
             return None  # places that go with a lens nobody can be sure of
         unit = self._unit_change(poses, points)

@@ -19,6 +19,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import C, X
 
+from prism_edge.backend.elimination import covariance_of_last
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array
@@ -161,12 +162,16 @@ def hold_unit(graph: gtsam.NonlinearFactorGraph, poses: dict[int, Array]) -> Non
 
 
 def found(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, was: Camera, said: float
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    ordering: gtsam.Ordering,
+    was: Camera,
+    said: float,
 ) -> Lens | None:
-    """The lens of a solved graph; None where it has no covariance."""
+    """The lens of a solved graph, in whose ordering it comes last; None where it has no covariance."""
     try:
-        variance = gtsam.Marginals(graph, values).marginalCovariance(LENS)[1, 1]
-    except RuntimeError:
+        variance = covariance_of_last(graph, values, ordering)[1, 1]
+    except (RuntimeError, np.linalg.LinAlgError):
         return None
     k1 = float(values.atCal3Bundler(LENS).k1()) - radial(was)
     usable = math.isfinite(k1) and math.isfinite(variance) and variance > 0.0

@@ -8,6 +8,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from prism_edge.backend.elimination import points_first, solver
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.config import BackendConfig
@@ -20,7 +21,6 @@ RANGE_CHANGE = 0.05
 BESIDE = 0.02  # of the depth of the scene: from one spot, for its points
 UNPLACED = 0.25  # of a point's parallax: a window that has less of it can't say how far the point is
 HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
-MOST_DAMPING = 1e10
 CONVERGED = 1e-4  # relative decrease of the cost that is not worth another iteration
 
 
@@ -214,7 +214,8 @@ def solve(
     if not window.free or len(window.points) < 10:
         return None
     problem = assemble(world, window, config, units_per_metre, use_depth, use_rays)
-    parameters = damping()
+    members = [*window.free, *window.held]
+    parameters = solver(points_first(window.points, sorted(members)), len(members))
     parameters.setRelativeErrorTol(1e-4)
     observations, result, iterations, before, error = problem.observations, problem.values, 0, None, 0.0
     first = max(config.iterations - REFINING, 1) if problem.rays else config.iterations
@@ -247,15 +248,6 @@ def solve(
     wrong = outliers(world, poses, points, observations, config)
     parallax = widest_parallax(world, points)
     return Solution(poses, points, parallax, wrong, iterations, before or 0.0, error)
-
-
-def damping() -> gtsam.LevenbergMarquardtParams:
-    """How a bundle adjustment of the map is damped."""
-    parameters = gtsam.LevenbergMarquardtParams()
-    parameters.setlambdaInitial(1e-4)
-    # gtsam's own limit, 1e5, is less than a pixel's weight: it would give up where steps have to be small.
-    parameters.setlambdaUpperBound(MOST_DAMPING)
-    return parameters
 
 
 def widest_parallax(

@@ -254,7 +254,7 @@ def test_a_lens_without_a_covariance_changes_nothing(monkeypatch):
     def unknown(*_: object) -> None:
         raise RuntimeError("indeterminate")
 
-    monkeypatch.setattr(lens_module.gtsam, "Marginals", unknown)
+    monkeypatch.setattr(lens_module, "covariance_of_last", unknown)
     assert job.result() is None
 
 
