@@ -1,12 +1,13 @@
-"""A recording played otherwise: backwards, mirrored, with every so manieth image (other sequences for free).
+"""A recording played otherwise: backwards, mirrored, thinned, there and back (other sequences for free).
 
-    python tools/make_variant.py FOLDER OUT [--backwards] [--mirrored] [--every N] [--poses FILE.tum]
+    python tools/make_variant.py FOLDER OUT [--backwards] [--mirrored] [--every N] [--ways N] [--poses TUM]
 
 FOLDER is any folder of images that `prism-edge run` plays. OUT becomes a folder of the TUM RGB-D layout:
 images, rgb.txt and, where FOLDER has true poses, groundtruth.txt with them as this camera would have moved;
 camera.yaml describes it (`--camera`). Backwards the first stamp and the last change places, and so does all
-between; images left out leave their time free. A mirrored image is that of a mirrored world: M T M for a pose
-T, M = diag(-1, 1, 1). --poses is another reference to be carried along: OUT/reference.tum.
+between; images left out leave their time free. With several ways it turns back at each end, so that the
+camera is in a known place from the second way on. A mirrored image is that of a mirrored world: M T M for a
+pose T, M = diag(-1, 1, 1). --poses is another reference to be carried along: OUT/reference.tum.
 """
 
 from __future__ import annotations
@@ -43,10 +44,14 @@ class Variant:
     backwards: bool = False
     mirrored: bool = False
     every: int = 1
+    ways: int = 1
 
-    def stamp(self, stamp_ns: int, first_ns: int, last_ns: int) -> int:
-        """When an image comes now."""
-        return first_ns + last_ns - stamp_ns if self.backwards else stamp_ns
+    def stamps(self, stamp_ns: int, first_ns: int, last_ns: int) -> list[int]:
+        """When an image comes now: once on each way, and once where one way becomes the next."""
+        there, back = stamp_ns - first_ns, last_ns - stamp_ns
+        into = [back if (way % 2 == 1) != self.backwards else there for way in range(self.ways)]
+        length = last_ns - first_ns
+        return [first_ns + way * length + ns for way, ns in enumerate(into) if way == 0 or ns > 0]
 
     def pose(self, world_from_camera: Array) -> Array:
         """Where this camera is then, (4, 4)."""
@@ -59,8 +64,8 @@ class Variant:
 
 def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -> int:
     """Writes the recording; returns how many images it has. Raises PrismError for an unusable FOLDER."""
-    if variant.every < 1:
-        raise SystemExit("--every: a number of images, 1 or more")
+    if variant.every < 1 or variant.ways < 1:
+        raise SystemExit("--every, --ways: a number, 1 or more")
     reference = None if poses is None else read_tum(poses)
     truth = read_truth(folder)
     taken: list[tuple[int, str]] = []  # stamp, file
@@ -81,8 +86,8 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -
     if not taken:
         raise SystemExit(f"{folder}: no image could be read")
     first, last = taken[0][0], taken[-1][0]
-    now = {old: variant.stamp(old, first, last) for old, _ in taken}
-    lines = sorted((now[old], name) for old, name in taken)
+    now = {old: variant.stamps(old, first, last) for old, _ in taken}
+    lines = sorted((stamp, name) for old, name in taken for stamp in now[old])
     (out / "rgb.txt").write_text("".join(f"{write_seconds(ns)} {name}\n" for ns, name in lines))
     if truth is not None:
         write_tum(out / "groundtruth.txt", carried(zip(*truth, strict=True), now, variant))
@@ -91,33 +96,35 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -
             out / "reference.tum",
             carried(zip(reference.stamps, reference.poses, strict=True), now, variant),
         )
-    return len(taken)
+    return len(lines)
 
 
-def carried(poses: Iterable[tuple[int, Array]], now: dict[int, int], variant: Variant) -> Trajectory:
+def carried(poses: Iterable[tuple[int, Array]], now: dict[int, list[int]], variant: Variant) -> Trajectory:
     """The poses of those images that are taken (``now`` by their old stamps), as they are played."""
     known = list(poses)
     stamps = np.array(sorted(now), np.int64)
     nearest = stamps[nearest_rows(stamps, np.array([int(stamp) for stamp, _ in known], np.int64))]
     rows = [
-        (now[int(old)], variant.pose(pose))
+        (then, variant.pose(pose))
         for old, (stamp, pose) in zip(nearest, known, strict=True)
         if abs(int(old) - int(stamp)) <= TOGETHER_NS
+        for then in now[int(old)]
     ]
     return Trajectory.of(sorted(rows, key=lambda row: row[0]))
 
 
 def main() -> None:
     """Command line."""
-    parser = argparse.ArgumentParser(description="A recording played backwards, mirrored or thinned.")
+    parser = argparse.ArgumentParser(description="A recording played otherwise.")
     parser.add_argument("folder", help="recording to take")
     parser.add_argument("out", type=Path, help="folder to write")
     parser.add_argument("--backwards", action="store_true", help="last image first")
     parser.add_argument("--mirrored", action="store_true", help="left and right change places")
     parser.add_argument("--every", type=int, default=1, help="keep every so manieth image (default 1)")
-    parser.add_argument("--poses", type=Path, metavar="FILE.tum", help="a reference to carry along")
+    parser.add_argument("--ways", type=int, default=1, help="2: there and back; 3: there again")
+    parser.add_argument("--poses", type=Path, metavar="TUM", help="a reference to carry along")
     given = parser.parse_args()
-    variant = Variant(given.backwards, given.mirrored, given.every)
+    variant = Variant(given.backwards, given.mirrored, given.every, given.ways)
     try:
         count = write(given.folder, given.out, variant, given.poses)
     except PrismError as error:

@@ -50,6 +50,24 @@ def test_images_and_poses_stay_together(tmp_path, backwards, mirrored, every):
     assert read_tum(out / "reference.tum").poses == pytest.approx(new_poses, abs=1e-6)
 
 
+@pytest.mark.parametrize("backwards", [False, True])
+def test_there_and_back_turns_at_the_ends(tmp_path, backwards):
+    source, out = write_sequence(tmp_path / "in", frames=4, width=160, height=120), tmp_path / "out"
+    variant = Variant(backwards, ways=3)
+    assert write(str(source), out, variant, source / "groundtruth.txt") == 10
+    before, stamps, _ = played(source, camera=False)
+    now, new_stamps, _ = played(out)
+    order = [0, 1, 2, 3, 2, 1, 0, 1, 2, 3]
+    order = [3 - i for i in order] if backwards else order
+    _, poses = read_truth(str(source))
+    _, new_poses = read_truth(str(out))
+    for image, pose, i in zip(now, new_poses, order, strict=True):
+        assert np.array_equal(image, before[i])
+        assert pose == pytest.approx(poses[i], abs=1e-6)
+    assert np.diff(new_stamps) == pytest.approx(np.full(9, stamps[1] - stamps[0]), abs=2000)  # microseconds
+    assert len(read_tum(out / "reference.tum").poses) == 10
+
+
 def test_a_mirrored_camera_sees_a_mirrored_world():
     camera = Camera(320, 240, 260.0, 250.0, 161.0, 118.0)
     pose = from_rt(so3_exp(np.array([0.1, -0.3, 0.2])), np.array([0.4, -0.1, 0.3]))
@@ -83,7 +101,9 @@ def test_poses_of_images_left_out_are_left_out(tmp_path):
     assert len(read_truth(str(tmp_path / "out"))[0]) == 3
 
 
-@pytest.mark.parametrize(("argument", "says"), [("--every=0", "1 or more"), ("nothing", "nothing")])
+@pytest.mark.parametrize(
+    ("argument", "says"), [("--every=0", "1 or more"), ("--ways=0", "1 or more"), ("nothing", "nothing")]
+)
 def test_what_makes_no_sense_is_one_line(tmp_path, monkeypatch, argument, says):
     source = write_sequence(tmp_path / "in", frames=2, width=160, height=120)
     folder = [str(source)] if argument.startswith("--") else [str(tmp_path / argument)]
