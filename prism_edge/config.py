@@ -99,7 +99,9 @@ class TrackingConfig:
     )
     keyframe_ratio: float = limits(0.8, 0.1, 1.0, "new keyframe when matches fall below this share")
     keyframe_min_s: float = limits(0.15, 0.0, 10.0, "least time between keyframes")
-    keyframe_max_s: float = limits(1.5, 0.0, 60.0, "a moving camera makes a keyframe at least this often")
+    keyframe_max_s: float = limits(
+        1.5, 0.0, 60.0, "a moving camera makes a keyframe at least this often; not in a known place"
+    )
     max_local_points: int = limits(5000, 100, 50_000, "map points projected into a frame at most")
     proven_after_s: float = limits(1.5, 0.0, 60.0, "age at which a point weighs fully; 0: all weigh alike")
     two_views: bool = field(
