@@ -19,7 +19,7 @@ from prism_edge.tracking.features import Features
 from prism_edge.tracking.pose_refinement import refine_pose
 
 MIN_COMMON = 15
-LONG_AGO = -(1 << 62)  # a stamp before all others, of a keyframe that an earlier run made
+LONG_AGO = -(1 << 62)  # a stamp before all others, of what comes from a file
 MAX_RENAMED = 20_000  # points that became others, remembered for a while
 
 
@@ -48,7 +48,7 @@ class GlobalKeyframe:
     travelled: float = 0.0  # path length to here, map units as the tracker had them
     # The gate's weight of each keypoint in [0, 1], nan where nothing is known of it.
     weights: NDArray[np.float64] | None = None
-    stamp_ns: int = LONG_AGO  # of its image, by this run's clock
+    stamp_ns: int = LONG_AGO  # of its image
     # world_from_camera, were the map's frame kept to the last digit (frame.py).
     reference: Array = field(init=False, repr=False)
 

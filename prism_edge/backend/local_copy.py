@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.backend.global_map import LONG_AGO, GlobalKeyframe, GlobalMap
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
@@ -19,7 +19,7 @@ def local_copy(world: GlobalMap) -> LocalMap:
     """Keyframes, points and who sees what, with the backend's numbers; nothing of it is news to the backend.
 
     What the backend does not keep is put as cautiously as need be: points count as seen in as many frames
-    as there are keyframes that see them, and stamps are 0, long ago.
+    as there are keyframes that see them; they were made long ago, and keyframes' stamps are 0.
     """
     copy = LocalMap()
     order = sorted(world.keyframes)
@@ -41,6 +41,7 @@ def local_copy(world: GlobalMap) -> LocalMap:
                 world.keyframes[k].observed[p] for k, p in zip(first, ids.tolist(), strict=True)
             ],
             observations=0,
+            born_ns=LONG_AGO,
         )
     near = _neighbours(world, order, ids)
     # In their order, so that points look as the newest keyframe saw them.

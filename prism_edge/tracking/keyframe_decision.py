@@ -18,6 +18,7 @@ WEAK_MATCHES, WEAK_GAP_S = 120, 0.05  # so few points must be added to at once
 # How near an older keyframe must be to show the same: of the median depth, and of its points in sight.
 SAME_BASELINE, SAME_ANGLE, SAME_SHARE = 0.04, np.radians(5.0), 0.4
 RECENT = 12  # the newest keyframes are no place that was left
+KNOWN_S = 10.0  # even so one is made that often: depth, scale, loops and the journal go by keyframes
 _CELL = 64
 
 
@@ -60,9 +61,16 @@ def decide(
     return Decision(False)
 
 
-def shown_before(world: LocalMap, frame: TrackedFrame, median_depth: float) -> LocalKeyframe | None:
-    """The nearest keyframe that shows what a frame does, from as good as the same place; None without one."""
+def shown_before(
+    world: LocalMap, frame: TrackedFrame, median_depth: float, stamp_ns: int
+) -> LocalKeyframe | None:
+    """The nearest keyframe that shows what a frame does, from as good as the same place; None without one.
+
+    None, too, where no keyframe was made for KNOWN_S before ``stamp_ns``, as in a map of an earlier run.
+    """
     if frame.matched < WEAK_MATCHES or len(world.keyframes) <= RECENT:
+        return None
+    if abs(stamp_ns - world.newest().stamp_ns) > 1e9 * KNOWN_S:
         return None
     older = [world.keyframes[k] for k in sorted(world.keyframes)[:-RECENT]]
     poses, here = np.array([keyframe.world_from_camera for keyframe in older]), frame.world_from_camera

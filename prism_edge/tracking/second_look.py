@@ -25,9 +25,16 @@ PROVEN, MIN_PROVEN = 0.5, 6  # trust in a point; what a pose needs
 
 
 def look_again(
-    world: LocalMap, parts: Parts, frame: TrackedFrame, proven_after_s: float, seed: int
+    world: LocalMap,
+    parts: Parts,
+    frame: TrackedFrame,
+    keyframe: LocalKeyframe,
+    proven_after_s: float,
+    seed: int,
 ) -> TrackedFrame:
-    """The frame as it is, or placed beside the newest keyframe by what looks alike where that contradicts it.
+    """The frame as it is, or placed beside a keyframe by what looks alike where that contradicts it.
+
+    ``keyframe`` is the one that the camera is at.
 
     Tracking looks for points where it expects them, so a few that agree with a wrong motion lead it on, away
     from all others. But looks alone also follow what moves: points that have stood their time in one place
@@ -40,7 +47,6 @@ def look_again(
     rows = world.points.rows(frame.points[frame.points != NO_POINT])
     if np.sum(trust(world.points, rows, world.newest().stamp_ns, proven_after_s) > PROVEN) >= MIN_PROVEN:
         return frame
-    keyframe = parts.newest(world)
     before, now = match_corners(keyframe.features, frame.features)
     if len(before) < MISLED * frame.matched:
         return frame

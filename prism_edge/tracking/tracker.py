@@ -209,7 +209,9 @@ class Tracker:
             )
         if frame is None or frame.matched < enough:
             return None
-        return look_again(self.world, self.parts, frame, self.proven_after_s, self._seed)
+        return look_again(
+            self.world, self.parts, frame, self._reference(), self.proven_after_s, self._seed
+        )
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)
@@ -245,7 +247,7 @@ class Tracker:
         decision = decide(self._config, frame, reference, since_s, matches, depth)
         if not decision.wanted:
             return None
-        known = shown_before(self.world, frame, depth)
+        known = shown_before(self.world, frame, depth, stamp_ns)
         if known is not None:
             self._refer_to(known, stamp_ns)
             return None

@@ -112,6 +112,15 @@ def test_keyframes_of_an_earlier_life_drifted_as_the_crow_flies():
     assert world.drift_at(4).metres2 == pytest.approx(0.02**2 * 10.0)
 
 
+def test_a_frame_at_a_keyframe_of_an_earlier_life_is_as_sure_however_long_the_way_was():
+    drift, offset = Drift(CONFIG), pose_at(0.5)
+    for way in (3.0, 300.0):
+        drift.advance(np.eye(4), result(pose_at(way), 1, np.eye(4)), 0.0)
+        drift.advance(None, result(pose_at(4.0) @ offset, 7, offset), 0.0)
+        assert drift.here.metres2 == pytest.approx(0.02**2 * 4.5)
+    assert drift.total.metres2 == pytest.approx(0.02**2 * 303.0)
+
+
 def test_culled_keyframes_are_forgotten():
     drift = Drift(CONFIG)
     world = World(drift)

@@ -37,7 +37,8 @@ def weak_frame(run: Run, error: np.ndarray, matched: int = 30) -> TrackedFrame:
 
 
 def look(run: Run, frame: TrackedFrame) -> TrackedFrame:
-    return look_again(run.tracker.world, run.tracker.parts, frame, proven_after_s=1.5, seed=0)
+    world, parts = run.tracker.world, run.tracker.parts
+    return look_again(world, parts, frame, parts.newest(world), proven_after_s=1.5, seed=0)
 
 
 def off(run: Run, frame: TrackedFrame) -> tuple[float, float]:
