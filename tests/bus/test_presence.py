@@ -13,6 +13,8 @@ import pytest
 import zenoh
 
 from prism_edge.bus.presence import Presence
+from prism_edge.bus.session import Bus
+from prism_edge.config import Config
 
 
 class Session:
@@ -92,3 +94,21 @@ def test_a_stop_ends_a_wait(presence: Presence, stopped: threading.Event) -> Non
     began = time.monotonic()
     assert presence.missing({"source"}, 60.0) == {"source"}
     assert time.monotonic() - began < 30.0
+
+
+def test_all_questions_of_a_bus_share_one_subscription(
+    config: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With one for each a killed process can stay ready for good."""
+    made = []
+
+    def make(*arguments: Any) -> Presence:
+        made.append(Presence(*arguments))
+        return made[-1]
+
+    monkeypatch.setattr("prism_edge.bus.session.Presence", make)
+    with Bus.open(config, "supervisor", listen=True) as bus:
+        for _ in range(3):
+            assert bus.await_ready(["source"], 0.0) == {"source"}
+        assert len(made) == 1
+    assert bus.await_ready(["source"], 0.0) == {"source"}

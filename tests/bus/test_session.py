@@ -16,7 +16,6 @@ import zenoh
 from prism_edge import messages as m
 from prism_edge.bus import links, ros
 from prism_edge.bus.codec import pack
-from prism_edge.bus.presence import Presence
 from prism_edge.bus.session import Bus
 from prism_edge.errors import BusError, ConfigError
 from tests.bus.examples import frame, same, tracked
@@ -367,23 +366,6 @@ def test_a_killed_process_is_noticed_and_its_successor_is_linked(join, config, e
         process.wait()
         process.stdout.close()
         eventually(lambda: tracker.await_ready(["source"], 0.02) == {"source"})
-
-
-def test_all_questions_who_is_ready_share_one_subscription(join, monkeypatch):
-    """A subscription of its own for each can leave a killed process ready for good (bus/presence.py)."""
-    made = []
-
-    def make(*arguments):
-        made.append(Presence(*arguments))
-        return made[-1]
-
-    monkeypatch.setattr("prism_edge.bus.session.Presence", make)
-    bus = join("supervisor", listen=True)
-    for _ in range(3):
-        assert bus.await_ready(["source"], 0.0) == {"source"}
-    assert len(made) == 1
-    bus.close()
-    assert bus.await_ready(["source"], 0.0) == {"source"}
 
 
 def test_a_receiver_that_hangs_does_not_hold_up_the_publisher(join, config):
