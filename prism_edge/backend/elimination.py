@@ -40,7 +40,8 @@ def covariance_of_last(
 ) -> Array:
     """The marginal covariance (n, n) of the variable that an ordering ends with, at a solution.
 
-    gtsam's own ``Marginals`` takes no ordering. Raises RuntimeError where the system is indeterminate.
+    gtsam's own ``Marginals`` takes no ordering. Raises RuntimeError or LinAlgError where the system is
+    indeterminate.
     """
     solved = graph.linearize(values).eliminateSequential(ordering)
     last = solved.back()  # a view into what was solved, which must live as long

@@ -70,11 +70,12 @@ class Drift:
             self._pace(motion, log_scale, stamp_ns)
             self.total += self._of(motion, log_scale)
         self._stamp_ns = stamp_ns
-        keyframe = self._keyframes.get(result.reference, self.total)
-        if result.reference not in self._keyframes and result.world_from_camera is not None:
+        keyframe = self._keyframes.get(result.reference)
+        if keyframe is None and result.world_from_camera is not None:
             # Of an earlier life, as for _until(): else it would grow with `odom`'s walk.
             there = result.world_from_camera @ inverse(result.reference_from_camera)
             keyframe = self._of(there, log_scale)
+        keyframe = self.total if keyframe is None else keyframe
         self.here = keyframe + self._of(result.reference_from_camera, log_scale)
 
     def add_keyframe(self, world: LocalMap, keyframe: LocalKeyframe, log_scale: float) -> None:
