@@ -29,6 +29,7 @@ SAME_RETURN = 5  # keyframes within which coming back to one place is one return
 FUSED_NEIGHBOURS, FUSE_RADIUS = 5, 5.0
 MOST_ACCEPTED = 1000  # remembered; the map itself has had what an older one had to say
 REST = 8  # keyframes between the beginnings of two global adjustments
+REST_NS = 10_000_000_000  # or so long: a camera in a known place makes hardly any
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class MapChanges:
 
 
 class LoopCloser:
-    """Watches one map for returns. Every call works on the newest keyframe; nothing here knows time."""
+    """Watches one map for returns. Every call works on the newest keyframe; nothing here reads a clock."""
 
     def __init__(self, world: GlobalMap, config: BackendConfig, use_depth: bool, seed: int = 0) -> None:
         """``world`` may be a map that was there before."""
@@ -66,6 +67,7 @@ class LoopCloser:
         self._wanted = False  # there is something that no global adjustment has seen
         self._last_begun = -REST
         self._count = 0  # keyframes looked at
+        self._now_ns = self._begun_ns = 0  # stamps of the last of them, and of that when one was last begun
         self._lens = LensWatch(config.lens, len(world.keyframes))
         self._finds_lens = False  # the adjustment under way
         self.changes = MapChanges()
@@ -78,6 +80,8 @@ class LoopCloser:
     def look(self, query: int) -> Accepted | None:
         """Look for a return to an earlier place; what is accepted is in the map when this returns."""
         self._count += 1
+        if query in self._world.keyframes:
+            self._now_ns = self._world.keyframes[query].stamp_ns
         self._part = None
         for loop in self._verified(query):
             if self._confirmed(loop) and self._close(loop):
@@ -219,7 +223,7 @@ class LoopCloser:
     @property
     def adjusting(self) -> bool:
         """Whether a global adjustment has begun, or should."""
-        due = self._count - self._last_begun >= REST
+        due = self._count - self._last_begun >= REST or self._now_ns - self._begun_ns >= REST_NS
         return self._adjustment is not None or (self._wanted and due) or self._lens.due(self._world)
 
     @property
@@ -266,7 +270,7 @@ class LoopCloser:
         """A lens is looked for first: what else is wanted then begins with it."""
         self._finds_lens = self._lens.due(self._world)
         if not self._finds_lens:
-            self._wanted, self._last_begun = False, self._count
+            self._wanted, self._last_begun, self._begun_ns = False, self._count, self._now_ns
         parts = pose_graph.parts(self._world, self._pairs())
         try:
             said = self._lens.said(self._world) if self._finds_lens else None

@@ -163,6 +163,24 @@ def test_too_few_agreeing_points_are_no_loop():
     assert not walk(ring, 44, mapper=strict).loops.accepted
 
 
+@pytest.mark.parametrize(("apart_s", "due"), [(0.3, False), (10.0, True)])
+def test_the_next_adjustment_waits_for_eight_keyframes_or_ten_seconds(apart_s, due):
+    """In a known place eight keyframes take more than a minute."""
+    ring = Ring(drift=DRIFT, stretch=1.004)
+    mapper = walk(ring, 46)
+    finish(mapper)
+    first = len(mapper.loops.accepted)
+    assert not mapper.loops.adjusting
+    stamp_ns, heard = max(k.stamp_ns for k in mapper.world.keyframes.values()), 0
+    while len(mapper.loops.accepted) == first:
+        message, heard = ring.keyframe(), heard + 1
+        later = replace(message, stamp_ns=stamp_ns + int(heard * apart_s * 1e9))
+        hear(mapper, ring, later, ring.looks_like(message.id))
+    assert heard < module.REST
+    assert mapper.loops.unfinished
+    assert mapper.loops.adjusting == due
+
+
 def test_two_walks_are_the_same_to_the_last_bit():
     found = []
     for _ in range(2):
