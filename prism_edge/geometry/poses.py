@@ -11,6 +11,8 @@ Array = NDArray[np.float64]
 
 # Below this angle (rad) sin(x)/x and its kin come from their series, which is exact to rounding there.
 _SMALL_ANGLE = 1e-4
+_IDENTITY = np.eye(3)
+_NEARLY_RIGID = 1e-8
 
 
 def skew(v: Array) -> Array:
@@ -41,12 +43,14 @@ def so3_exp(rotation_vector: Array) -> Array:
 
 def so3_log(rotation: Array) -> Array:
     """Rotation vector (3,), of length at most pi, of a rotation matrix (3, 3)."""
-    x, y, z, w = quaternion_from_rotation(rotation)
-    v = np.array([x, y, z])
-    n = float(np.linalg.norm(v))
-    if n < 1e-9:
-        return 2.0 * v
-    return v * (2.0 * np.arctan2(n, w) / n)
+    return np.array(_rotation_vector(rotation))
+
+
+def _rotation_vector(rotation: Array) -> tuple[float, float, float]:
+    x, y, z, w = _quaternion(rotation)
+    n = math.sqrt(x * x + y * y + z * z)
+    k = 2.0 if n < 1e-9 else 2.0 * math.atan2(n, w) / n
+    return k * x, k * y, k * z
 
 
 def se3_exp(twist: Array) -> Array:
@@ -71,16 +75,18 @@ def se3_exp(twist: Array) -> Array:
 
 def se3_log(pose: Array) -> Array:
     """Twist (6,) of a pose (4, 4), the inverse of :func:`se3_exp`."""
-    phi = so3_log(pose[:3, :3])
-    angle2 = float(phi @ phi)
-    angle = np.sqrt(angle2)
+    px, py, pz = _rotation_vector(pose[:3, :3])
+    x, y, z = pose[:3, 3].tolist()
+    angle2 = px * px + py * py + pz * pz
+    angle = math.sqrt(angle2)
     if angle < _SMALL_ANGLE:
         c = 1.0 / 12.0 + angle2 / 720.0
     else:
-        c = 1.0 / angle2 - (1.0 + np.cos(angle)) / (2.0 * angle * np.sin(angle))
-    k = skew(phi)
-    t = pose[:3, 3]
-    return np.concatenate([t - 0.5 * (k @ t) + c * (k @ (k @ t)), phi])
+        c = 1.0 / angle2 - (1.0 + math.cos(angle)) / (2.0 * angle * math.sin(angle))
+    # cross(phi, t) and cross(phi, cross(phi, t))
+    ux, uy, uz = py * z - pz * y, pz * x - px * z, px * y - py * x
+    vx, vy, vz = py * uz - pz * uy, pz * ux - px * uz, px * uy - py * ux
+    return np.array([x - 0.5 * ux + c * vx, y - 0.5 * uy + c * vy, z - 0.5 * uz + c * vz, px, py, pz])
 
 
 def from_rt(rotation: Array, translation: Array) -> Array:
@@ -115,33 +121,35 @@ def scaled(pose: Array, factor: float) -> Array:
 
 def normalised(pose: Array) -> Array:
     """The nearest rigid pose: long products of rotations drift off the group by rounding."""
-    u, _, vt = np.linalg.svd(pose[:3, :3])
+    rotation = pose[:3, :3]
+    excess = rotation.T @ rotation - _IDENTITY
+    if np.abs(excess).max() < _NEARLY_RIGID:
+        # Newton's step of the polar decomposition: its error is the square of what is small already.
+        return from_rt(rotation - 0.5 * (rotation @ excess), pose[:3, 3])
+    u, _, vt = np.linalg.svd(rotation)
     return from_rt(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt, pose[:3, 3])
 
 
 def quaternion_from_rotation(rotation: Array) -> Array:
     """Unit quaternion (x, y, z, w) with w >= 0 of a rotation matrix (3, 3); stable at every angle."""
-    m = rotation
+    return np.array(_quaternion(rotation))
+
+
+def _quaternion(rotation: Array) -> tuple[float, float, float, float]:
+    (a, b, c), (d, e, f), (g, h, i) = rotation.tolist()
     # The largest of the four squared components is the safe one to divide by (Shepperd's method).
-    squares = np.array(
-        [
-            1.0 + m[0, 0] - m[1, 1] - m[2, 2],
-            1.0 - m[0, 0] + m[1, 1] - m[2, 2],
-            1.0 - m[0, 0] - m[1, 1] + m[2, 2],
-            1.0 + m[0, 0] + m[1, 1] + m[2, 2],
-        ]
-    )
-    i = int(np.argmax(squares))
-    if i == 3:
-        q = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]])
-    elif i == 0:
-        q = np.array([squares[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0], m[2, 1] - m[1, 2]])
-    elif i == 1:
-        q = np.array([m[0, 1] + m[1, 0], squares[1], m[1, 2] + m[2, 1], m[0, 2] - m[2, 0]])
+    xx, yy, zz, ww = 1.0 + a - e - i, 1.0 - a + e - i, 1.0 - a - e + i, 1.0 + a + e + i
+    largest = max(xx, yy, zz, ww)
+    if largest == ww:
+        x, y, z, w = h - f, c - g, d - b, ww
+    elif largest == xx:
+        x, y, z, w = xx, b + d, c + g, h - f
+    elif largest == yy:
+        x, y, z, w = b + d, yy, f + h, c - g
     else:
-        q = np.array([m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], squares[2], m[1, 0] - m[0, 1]])
-    q /= np.linalg.norm(q)
-    return q if q[3] >= 0.0 else -q
+        x, y, z, w = c + g, f + h, zz, d - b
+    n = math.copysign(math.sqrt(x * x + y * y + z * z + w * w), w)
+    return x / n, y / n, z / n, w / n
 
 
 def rotation_from_quaternion(quaternion: Array) -> Array:

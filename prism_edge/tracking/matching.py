@@ -20,12 +20,14 @@ def hamming(a: NDArray[np.uint64], b: NDArray[np.uint64]) -> NDArray[np.int64]:
     return bits
 
 
-def expand_ranges(starts: Index, stops: Index) -> tuple[Index, Index]:
-    """Concatenated ranges [start, stop): (which range, value), ordered by range."""
+def expand_ranges(starts: Index, stops: Index, owners: Index) -> tuple[Index, Index]:
+    """Concatenated ranges [start, stop): (whose range it is, value), ordered by range."""
     lengths = stops - starts
-    offset = np.cumsum(lengths) - lengths
-    owner = np.repeat(np.arange(len(starts)), lengths)
-    return owner, np.arange(len(owner)) + (starts - offset)[owner]
+    offset = np.cumsum(lengths)
+    value = np.arange(offset[-1] if len(offset) else 0)
+    offset -= lengths
+    value += np.repeat(starts - offset, lengths)
+    return np.repeat(owners, lengths), value
 
 
 def candidate_pairs(
@@ -39,18 +41,18 @@ def candidate_pairs(
     low_x, high_x = _cells(x, radii, features.columns)
     low_y, high_y = _cells(y, radii, features.rows)
     # Cells of one row lie side by side in ``order``, so each row of a square is a single range.
-    tallest = int((high_y - low_y).max()) + 1
-    rows = low_y[:, None] + np.arange(tallest)
-    wanted = rows <= high_y[:, None]
-    first = np.where(wanted, rows, 0) * features.columns
-    starts = features.cell_start[first + low_x[:, None]]
-    stops = np.where(wanted, features.cell_start[first + (high_x + 1)[:, None]], starts)
-    square, position = expand_ranges(starts.ravel(), stops.ravel())
-    query, keypoint = square // tallest, features.order[position]
+    owners, rows = expand_ranges(low_y, high_y + 1, np.arange(len(centres)))
+    rows *= features.columns
+    starts = features.cell_start.take(rows + low_x.take(owners))
+    stops = features.cell_start.take(rows + (high_x + 1).take(owners))
+    query, position = expand_ranges(starts, stops, owners)
+    keypoint = features.order.take(position)
     column_x, column_y = np.ascontiguousarray(features.pixels.T)
-    offset = np.maximum(np.abs(column_x[keypoint] - x[query]), np.abs(column_y[keypoint] - y[query]))
-    inside = offset <= radii[query]
-    return query[inside], keypoint[inside]
+    right = column_x.take(keypoint) - x.take(query)
+    down = column_y.take(keypoint) - y.take(query)
+    offset = np.maximum(np.abs(right, out=right), np.abs(down, out=down), out=right)
+    inside = np.flatnonzero(offset <= radii.take(query))
+    return query.take(inside), keypoint.take(inside)
 
 
 def _cells(centres: NDArray[np.float64], radii: NDArray[np.float64], count: int) -> tuple[Index, Index]:
@@ -91,12 +93,16 @@ def best_pairs(
     position = position[good]
     # Of several queries that want one keypoint the nearest gets it.
     order = np.argsort(distance[position], kind="stable")
-    position = position[order]
-    if not exclusive:
-        return query[position], keypoint[position]
-    _, unique = np.unique(keypoint[position], return_index=True)
-    position = position[np.sort(unique)]
-    return query[position], keypoint[position]
+    position = position.take(order)
+    query, keypoint = query.take(position), keypoint.take(position)
+    if not exclusive or len(position) == 0:
+        return query, keypoint
+    # Backwards, so that of several the first is written last.
+    places = np.arange(len(position))
+    first_at = np.empty(int(keypoint.max()) + 1, np.intp)
+    first_at[keypoint[::-1]] = places[::-1]
+    mine = np.flatnonzero(first_at.take(keypoint) == places)
+    return query.take(mine), keypoint.take(mine)
 
 
 def match_projected(
@@ -116,10 +122,11 @@ def match_projected(
     ``free`` (n,) masks keypoints that may be matched. Returns (query, keypoint) index arrays.
     """
     query, keypoint = candidate_pairs(features, centres, radii)
-    keep = np.abs(features.octaves[keypoint] - octaves[query]) <= octave_slack
+    keep = np.abs(features.octaves.take(keypoint) - octaves.take(query)) <= octave_slack
     if free is not None:
-        keep &= free[keypoint]
-    query, keypoint = query[keep], keypoint[keep]
+        keep &= free.take(keypoint)
+    kept = np.flatnonzero(keep)
+    query, keypoint = query.take(kept), keypoint.take(kept)
     # Whole rows: take() is several times as fast as an index in brackets.
     distance = hamming(descriptors.take(query, axis=0), features.descriptors.take(keypoint, axis=0))
     return best_pairs(query, keypoint, distance, max_distance, ratio, exclusive)

@@ -88,8 +88,9 @@ def test_hamming_counts_bits(words):
 def test_expand_ranges_lists_every_value(ranges):
     starts = np.array([s for s, _ in ranges], np.intp)
     stops = starts + np.array([n for _, n in ranges], np.intp)
-    owner, value = expand_ranges(starts, stops)
-    expected = [(i, v) for i, (s, n) in enumerate(ranges) for v in range(s, s + n)]
+    owners = 7 * np.arange(len(ranges))
+    owner, value = expand_ranges(starts, stops, owners)
+    expected = [(7 * i, v) for i, (s, n) in enumerate(ranges) for v in range(s, s + n)]
     assert list(zip(owner.tolist(), value.tolist(), strict=True)) == expected
 
 
