@@ -32,8 +32,9 @@ def are_corners(
     along_x, along_y = cv2.spatialGradient(grey)
     width = grey.shape[1]
     nearest = np.rint(pixels).astype(np.intp)
-    at = (nearest[:, 1] * width + nearest[:, 0])[:, None] + _window(width, tuple(factors))[octaves]
-    gx, gy = along_x.ravel()[at].astype(np.float32), along_y.ravel()[at].astype(np.float32)
+    at = _window(width, tuple(factors)).take(octaves, axis=0)
+    at += (nearest[:, 1] * width + nearest[:, 0])[:, None]
+    gx, gy = along_x.ravel().take(at).astype(np.float32), along_y.ravel().take(at).astype(np.float32)
     xx, yy, xy = (np.einsum("ij,ij->i", a, b) for a, b in ((gx, gx), (gy, gy), (gx, gy)))
     corners: NDArray[np.bool_] = xx * yy - xy * xy > FLATTEST * (xx + yy) ** 2
     return corners

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
-from operator import attrgetter
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,13 +11,12 @@ from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.corners import are_corners
+from prism_edge.tracking.orb_pyramid import OrbPyramid
 from prism_edge.tracking.spreading import spread
 
 Index = NDArray[np.intp]
-HIGHEST_THRESHOLD = 25  # of FAST
 CELL = 16  # pixels; about the radius of a search, so that one touches few cells
 FEW_MATCHES, MANY_MATCHES, GROWTH = 170, 200, 1.2
-_octave, _response = attrgetter("octave"), attrgetter("response")  # of a keypoint, faster than a loop
 VGA, MOST_AREA = (640, 480), 3.0  # what the configured numbers are for; the most that area counts
 
 
@@ -50,7 +46,9 @@ class Features:
     ) -> Features:
         """Index keypoints; those outside the image are filed in its border cells."""
         columns, rows = width // CELL + 1, height // CELL + 1
-        column, row = np.clip(pixels / CELL, 0, (columns - 1, rows - 1)).astype(np.intp).T
+        # Not np.clip, which takes several times as long on so few numbers.
+        at = np.minimum(np.maximum(pixels * (1.0 / CELL), 0.0), (columns - 1.0, rows - 1.0))
+        column, row = at.astype(np.intp).T
         cell = row * columns + column
         order = np.argsort(cell, kind="stable")
         cell_start = np.searchsorted(cell[order], np.arange(columns * rows + 1))
@@ -78,32 +76,24 @@ class OrbExtractor:
         self._least, self._most = config.features, max(config.features, config.max_features)
         self._wanted = self._most  # a first map can't have too many
         self.scale_factors: Array = config.scale_factor ** np.arange(config.levels, dtype=np.float64)
-        self._lowest = self._threshold = config.fast_threshold
-        self._orb = cv2.ORB.create(
-            nfeatures=int(self._wanted * self.surplus),
-            scaleFactor=config.scale_factor,
-            nlevels=config.levels,
-            edgeThreshold=19,  # more than corners.py's margin
-            scoreType=cv2.ORB_FAST_SCORE,
-            patchSize=31,
-            fastThreshold=config.fast_threshold,
-        )
+        most = int(self._wanted * self.surplus)
+        self._orb = OrbPyramid(self.scale_factors, config.fast_threshold, most)
 
     def extract(self, grey: NDArray[np.uint8], camera: Camera) -> Features:
         """Features of a grey image (height, width); an image without corners gives none."""
         if (grey.shape[1], grey.shape[0]) != self._size:
             self._fit((grey.shape[1], grey.shape[0]))
-        found = self._orb.detect(grey, None)
-        self._adapt(len(found))
-        pixels = np.asarray(cv2.KeyPoint.convert(found), dtype=np.float32).reshape(-1, 2)
-        octaves = np.fromiter(map(_octave, found), np.intp, len(found))
-        strength = np.fromiter(map(_response, found), np.float64, len(found))
+        pixels, octaves, strength = self._orb.detect(grey)
         corners = np.flatnonzero(are_corners(grey, pixels, octaves, self.scale_factors))
         chosen = corners[spread(pixels[corners], strength[corners], grey.shape, self._wanted, self._least)]
-        descriptors = self._describe(grey, found, octaves, chosen)
+        # Half of those found are thrown away; the others come in the order of levels, as they were found.
+        by_level = np.argsort(chosen)
+        described = self._orb.describe(chosen[by_level])
+        descriptors = np.empty_like(described)
+        descriptors[by_level] = described
         pixels, octaves = pixels[chosen], octaves[chosen]
         raw = _in_full_image(pixels.astype(np.float64), octaves, self.scale_factors, grey.shape)
-        packed = np.ascontiguousarray(descriptors).view(np.uint64)
+        packed = descriptors.view(np.uint64)
         ideal = camera.undistort_pixels(raw)
         # A fisheye's rim has no pinhole pixel.
         inside = np.all(np.abs(ideal - raw) < 2.0 * max(grey.shape), axis=1)
@@ -116,7 +106,7 @@ class OrbExtractor:
         self._least = int(share * self._config.features)
         self._most = int(share * max(self._config.features, self._config.max_features))
         self._wanted = self._most
-        self._orb.setMaxFeatures(int(self._wanted * self.surplus))
+        self._orb.limit(int(self._wanted * self.surplus))
 
     def want(self, matched: int) -> None:
         """Follow the matches: a scene that changes fast between frames needs more corners to hold on to."""
@@ -128,26 +118,7 @@ class OrbExtractor:
             return
         if wanted != self._wanted:
             self._wanted = wanted
-            self._orb.setMaxFeatures(int(wanted * self.surplus))
-
-    def _adapt(self, found: int) -> None:
-        """Follow the texture: FAST's time goes into corners that are thrown away afterwards."""
-        enough = found > 0.95 * self.surplus * self._wanted
-        threshold = min(self._threshold + 1, HIGHEST_THRESHOLD) if enough else self._threshold - 2
-        self._threshold = max(threshold, self._lowest)
-        self._orb.setFastThreshold(self._threshold)
-
-    def _describe(
-        self, grey: NDArray[np.uint8], found: Sequence[cv2.KeyPoint], octaves: Index, chosen: Index
-    ) -> NDArray[np.uint8]:
-        """Descriptors (n, 32) of the chosen keypoints alone: half of those found are thrown away."""
-        # OpenCV answers in the order of levels.
-        by_level = np.argsort(octaves[chosen], kind="stable")
-        _, answered = self._orb.compute(grey, [found[i] for i in chosen[by_level]])
-        descriptors = np.empty((len(chosen), 32), np.uint8)
-        if len(chosen):
-            descriptors[by_level] = answered
-        return descriptors
+            self._orb.limit(int(wanted * self.surplus))
 
 
 def _in_full_image(pixels: Array, octaves: Index, factors: Array, shape: tuple[int, ...]) -> Array:

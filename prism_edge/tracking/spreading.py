@@ -34,7 +34,9 @@ def spread(
     # One number to sort by: two take twice as long.
     step = float(strength.max()) + 1.0
     order = np.argsort(step * cell - strength, kind="stable")
-    begins = np.diff(cell[order], prepend=-1) > 0
+    cell = cell[order]
+    begins = np.ones(len(cell), bool)
+    np.not_equal(cell[1:], cell[:-1], out=begins[1:])
     rank = np.arange(len(order)) - np.flatnonzero(begins)[np.cumsum(begins) - 1]
     ranked = np.argsort(step * rank - strength[order], kind="stable")
     uncrowded = int(np.count_nonzero(rank < CROWD * wanted / (columns * rows)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from prism_edge.geometry.poses import inverse, rotation_angle
 from tests.tracking.film_run import Run
@@ -23,7 +22,10 @@ def slanted(depth: np.ndarray) -> np.ndarray:
 
 
 def until_the_second_keyframe(start: int, depth: np.ndarray) -> tuple[Run, int]:
-    """The film from a frame on, with a depth for the first image alone; and the second keyframe's frame."""
+    """The film from a frame on, with a depth for the first image alone; and the second keyframe's frame.
+
+    -1 where a second is still waited for after 30 frames.
+    """
     run = Run()
     run.feed(start, at=0)
     run.tracker.add_depth(0, depth, IDENTITY, 0.1)
@@ -31,36 +33,60 @@ def until_the_second_keyframe(start: int, depth: np.ndarray) -> tuple[Run, int]:
         run.feed(start + i, at=i)
         if len(run.keyframes) == 2:
             return run, start + i
-    raise AssertionError("there was no second keyframe")
+    return run, -1
 
 
-@pytest.mark.parametrize(
-    ("start", "wrong"),
-    [
-        (0, lambda depth: np.full_like(depth, np.median(depth))),
-        (15, reversed_depth),
-        (45, reversed_depth),
-        (45, lambda depth: reversed_depth(depth, 2.0)),
-        (45, slanted),
-    ],
-    ids=["flat", "reversed", "reversed, a turn", "twice so", "slanted"],
-)
-def test_matches_by_looks_alone_free_the_map_from_wrong_depths(start, wrong):
-    """What tracking found at wrong depths agrees with the wrong motion they led to: a turn for a way."""
-    film = footage()
-    run, index = until_the_second_keyframe(start, wrong(film.depths[start]))
-    found = run.tracker.world.newest().world_from_camera
+def flat(depth: np.ndarray) -> np.ndarray:
+    return np.full_like(depth, np.median(depth))
+
+
+def twice_reversed(depth: np.ndarray) -> np.ndarray:
+    return reversed_depth(depth, 2.0)
+
+
+def off(run: Run, start: int, index: int) -> tuple[float, float]:
+    """How far the first motion is turned, and how far it points aside; degrees."""
+    film, found = footage(), run.tracker.world.newest().world_from_camera
     true = inverse(film.poses[start]) @ film.poses[index]
-    assert rotation_angle(found[:3, :3].T @ true[:3, :3]) < np.radians(0.3)
-    cosine = found[:3, 3] @ true[:3, 3] / np.linalg.norm(found[:3, 3]) / np.linalg.norm(true[:3, 3])
-    assert np.degrees(np.arccos(cosine)) < 8.0
-    world = run.tracker.world
+    lengths = np.linalg.norm(found[:3, 3]) * np.linalg.norm(true[:3, 3])
+    cosine = found[:3, 3] @ true[:3, 3] / max(lengths, 1e-9)
+    angle = rotation_angle(found[:3, :3].T @ true[:3, :3])
+    return float(np.degrees(angle)), float(np.degrees(np.arccos(min(cosine, 1.0))))
+
+
+def structure(run: Run, index: int) -> tuple[int, float]:
+    """Points that the second keyframe sees from two sides; and how far their depths scatter."""
+    film, world = footage(), run.tracker.world
     keypoints, depths = world.depths_in(world.newest())
-    x, y = np.rint(world.newest().features.pixels[keypoints]).astype(int).T
-    ratios = np.log(depths / film.depths[index][y, x])
     firm = world.points.parallax_deg[world.points.rows(world.newest().points[keypoints])] > 1.0
-    assert firm.sum() >= 50
-    assert np.median(np.abs(ratios[firm] - np.median(ratios[firm]))) < 0.1
+    x, y = np.rint(world.newest().features.pixels[keypoints[firm]]).astype(int).T
+    ratios = np.log(depths[firm] / film.depths[index][y, x])
+    return len(ratios), float(np.median(np.abs(ratios - np.median(ratios)))) if len(ratios) else np.inf
+
+
+def test_matches_by_looks_alone_free_the_map_from_wrong_depths():
+    """What tracking found at wrong depths agrees with the wrong motion they led to: a turn for a way.
+
+    One start alone is luck: a pixel's difference moves it by as much as the median. Judged by what tracking
+    found, motions point 6.8 degrees aside (median of these), and nine maps of sixty are good for nothing.
+    """
+    film = footage()
+    motions, scatter, useless = [], [], 0
+    for wrong in (flat, reversed_depth, twice_reversed, slanted):
+        for start in range(0, 45, 3):
+            run, index = until_the_second_keyframe(start, wrong(film.depths[start]))
+            if index < 0:
+                useless += 1
+                continue
+            turned, aside = off(run, start, index)
+            firm, scattered = structure(run, index)
+            useless += turned > 5.0 or aside > 30.0 or firm < 50
+            motions.append((turned, aside))
+            scatter.append(scattered)
+    assert np.median(motions, axis=0)[0] < 0.4
+    assert np.median(motions, axis=0)[1] < 5.5
+    assert np.median(scatter) < 0.1
+    assert useless <= 6
 
 
 def test_depths_that_agree_with_the_matches_stay():

@@ -1,0 +1,109 @@
+"""OpenCV's ORB, level by level: what it finds over all levels, with the image scaled only once.
+
+cv2.ORB scales the image to detect and scales it again to describe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import chain
+from operator import attrgetter
+from typing import TypeAlias
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.geometry.poses import Array
+
+Grey: TypeAlias = NDArray[np.uint8]
+Index = NDArray[np.intp]
+
+PATCH = 31  # pixels of a level that a descriptor looks at
+BORDER = 19  # what a keypoint is away from its level's: more than corners.py's margin
+HIGHEST_THRESHOLD = 25  # of FAST
+ENOUGH = 0.95  # of what is wanted; from there on weaker corners would only be thrown away
+_response = attrgetter("response")  # faster than a loop
+
+
+class OrbPyramid:
+    """Corners of one image at every level, and descriptors of those among them that are wanted."""
+
+    def __init__(self, factors: Array, lowest_threshold: int, most: int) -> None:
+        """``factors`` (levels,) are the levels' scales, the first one 1; ``most`` corners of all together."""
+        self._factors = factors
+        # In single precision and from a ratio in single precision, to be OpenCV's to the last digit.
+        ratio = np.float64(np.float32(factors[1])) if len(factors) > 1 else 1.0
+        self._enlarged = (ratio ** np.arange(len(factors))).astype(np.float32)
+        self._lowest = self._threshold = lowest_threshold
+        self._detectors = [
+            cv2.ORB.create(
+                nlevels=1,
+                edgeThreshold=BORDER,
+                scoreType=cv2.ORB_FAST_SCORE,
+                patchSize=PATCH,
+                fastThreshold=lowest_threshold,
+            )
+            for _ in factors
+        ]
+        self.limit(most)
+        self._images: list[Grey] = []
+        self._found: list[Sequence[cv2.KeyPoint]] = []
+
+    def limit(self, most: int) -> None:
+        """Share ``most`` corners out, each level as many for its length as any other."""
+        self._most = most
+        shares = np.rint(most / self._factors / (1.0 / self._factors).sum()).astype(int)
+        shares[-1] = most - shares[:-1].sum()
+        for detector, share in zip(self._detectors, shares.tolist(), strict=True):
+            detector.setMaxFeatures(max(share, 1))
+
+    def detect(self, grey: Grey) -> tuple[NDArray[np.float32], Index, Array]:
+        """Strongest corners of a grey image: pixels (n, 2), levels (n,), ascending, and strengths (n,).
+
+        Pixels are a level's times its factor (OpenCV's way, features.py has the other).
+        """
+        self._images = self._scaled(grey)
+        self._found = [d.detect(image, None) for d, image in zip(self._detectors, self._images, strict=False)]
+        counts = [len(found) for found in self._found]
+        levels = np.repeat(np.arange(len(counts)), counts)
+        pixels = np.concatenate([_pixels(found) for found in self._found])
+        pixels *= self._enlarged[levels, None]
+        strengths = map(_response, chain.from_iterable(self._found))
+        self._adapt(len(pixels))
+        return pixels, levels, np.fromiter(strengths, np.float64, len(pixels))
+
+    def describe(self, chosen: Index) -> NDArray[np.uint8]:
+        """Descriptors (n, 32) of some of what :meth:`detect` last found, by its index, ascending."""
+        described = []
+        ends = np.cumsum([len(found) for found in self._found])
+        parts = np.split(chosen, np.searchsorted(chosen, ends[:-1]))
+        for level, part in enumerate(parts):
+            if len(part):
+                found, first = self._found[level], int(ends[level]) - len(self._found[level])
+                wanted = list(map(found.__getitem__, (part - first).tolist()))
+                described.append(self._detectors[level].compute(self._images[level], wanted)[1])
+        return np.concatenate(described) if described else np.zeros((0, 32), np.uint8)
+
+    def _scaled(self, grey: Grey) -> list[Grey]:
+        """The image at each level; the first always, a later one only where a keypoint has room."""
+        images = [grey]
+        for factor in self._factors[1:]:
+            size = round(grey.shape[1] / factor), round(grey.shape[0] / factor)
+            if min(size) <= 2 * BORDER:
+                break
+            smaller = cv2.resize(images[-1], size, interpolation=cv2.INTER_LINEAR_EXACT)
+            images.append(np.asarray(smaller, np.uint8))
+        return images
+
+    def _adapt(self, found: int) -> None:
+        """Follow the texture: FAST's time goes into corners that are thrown away afterwards."""
+        enough = found > ENOUGH * self._most
+        threshold = min(self._threshold + 1, HIGHEST_THRESHOLD) if enough else self._threshold - 2
+        self._threshold = max(threshold, self._lowest)
+        for detector in self._detectors:
+            detector.setFastThreshold(self._threshold)
+
+
+def _pixels(found: Sequence[cv2.KeyPoint]) -> NDArray[np.float32]:
+    return np.asarray(cv2.KeyPoint.convert(found), dtype=np.float32).reshape(-1, 2)

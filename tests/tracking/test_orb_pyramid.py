@@ -1,0 +1,112 @@
+"""ORB level by level: against OpenCV's own; the threshold; images with hardly a level."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from prism_edge.tracking.orb_pyramid import BORDER, HIGHEST_THRESHOLD, OrbPyramid
+from tests.synthetic.scene import block_texture
+
+FACTORS = 1.3 ** np.arange(6)
+
+
+def blocks(seed: int = 0) -> np.ndarray:
+    return block_texture(np.random.default_rng(seed), 640, 480)
+
+
+def level_images(image: np.ndarray) -> list[np.ndarray]:
+    """The image halved and halved again, each pixel the mean of four."""
+    images = [image]
+    for _ in range(2):
+        a = images[-1].astype(float)
+        mean = (a[::2, ::2] + a[1::2, ::2] + a[::2, 1::2] + a[1::2, 1::2]) / 4
+        images.append(np.floor(mean + 0.5).astype(np.uint8))
+    return images
+
+
+def test_corners_and_descriptors_are_opencvs_of_each_levels_image():
+    image = blocks(1)
+    pyramid = OrbPyramid(np.array([1.0, 2.0, 4.0]), 10, 100_000)
+    pixels, levels, strengths = pyramid.detect(image)
+    described = pyramid.describe(np.arange(len(pixels)))
+    assert np.all(np.diff(levels) >= 0)
+    plain = cv2.ORB.create(nfeatures=100_000, nlevels=1, edgeThreshold=BORDER, fastThreshold=10, scoreType=1)
+    for level, scaled in enumerate(level_images(image)):
+        keypoints, expected = plain.detectAndCompute(scaled, None)
+        at = {k.pt: (k.response, d.tobytes()) for k, d in zip(keypoints, expected, strict=True)}
+        mine = np.flatnonzero(levels == level)
+        assert len(mine) == len(keypoints) > 50
+        for i in mine:
+            x, y = pixels[i] / 2.0**level
+            assert at[float(x), float(y)] == (strengths[i], described[i].tobytes())
+
+
+def test_only_the_chosen_are_described_each_as_among_all():
+    pyramid = OrbPyramid(FACTORS, 10, 600)
+    pixels, levels, _ = pyramid.detect(blocks(2))
+    everything = pyramid.describe(np.arange(len(pixels)))
+    few = np.flatnonzero((levels != 1) & (np.arange(len(pixels)) % 3 == 0))
+    assert np.array_equal(pyramid.describe(few), everything[few])
+    assert pyramid.describe(few[:0]).shape == (0, 32)
+
+
+def test_every_level_has_its_share_of_the_strongest():
+    image = blocks(3)
+    everything, some = OrbPyramid(FACTORS, 10, 100_000), OrbPyramid(FACTORS, 10, 400)
+    _, all_levels, all_strengths = everything.detect(image)
+    _, levels, strengths = some.detect(image)
+    counts = np.bincount(levels)
+    # a level 1.3 times as large has 1.3 times as many, but for rounding and for equals at the end
+    expected = 400 / FACTORS / (1 / FACTORS).sum()
+    assert np.all(counts >= np.floor(expected))
+    assert counts.sum() < 1.2 * 400
+    for level in range(6):
+        best = np.sort(all_strengths[all_levels == level])[::-1]
+        mine = np.sort(strengths[levels == level])[::-1]
+        assert np.array_equal(mine, best[: len(mine)])
+
+
+def test_all_levels_together_are_what_opencv_finds_and_describes():
+    """But for a grey value here and there, as its levels are scaled another way."""
+    image = blocks(6)
+    plain = cv2.ORB.create(1000, 1.3, 6, edgeThreshold=BORDER, scoreType=1, fastThreshold=10)
+    keypoints, expected = plain.detectAndCompute(image, None)
+    theirs = {(round(k.pt[0]), round(k.pt[1]), k.octave): d for k, d in zip(keypoints, expected, strict=True)}
+    pyramid = OrbPyramid(FACTORS, 10, 1000)
+    pixels, levels, _ = pyramid.detect(image)
+    described = pyramid.describe(np.arange(len(pixels)))
+    mine = {
+        (round(float(x)), round(float(y)), int(level)): d
+        for (x, y), level, d in zip(pixels, levels, described, strict=True)
+    }
+    both = mine.keys() & theirs.keys()
+    assert len(both) > 0.9 * len(theirs)
+    assert len(both) > 0.9 * len(mine)
+    differing = [np.unpackbits(mine[k] ^ theirs[k]).sum() for k in both]
+    assert np.mean(differing) < 8.0  # of 256; those of two corners differ by 128
+
+
+def test_where_texture_goes_the_faint_corners_are_found_again():
+    rich, pyramid = blocks(5), OrbPyramid(FACTORS, 10, 500)
+    for _ in range(HIGHEST_THRESHOLD):
+        pyramid.detect(rich)
+    faint = (128 + (rich.astype(float) - 128) * 0.2).astype(np.uint8)
+    expected = len(OrbPyramid(FACTORS, 10, 500).detect(faint)[0])
+    at_first = len(pyramid.detect(faint)[0])
+    for _ in range(HIGHEST_THRESHOLD):
+        found = len(pyramid.detect(faint)[0])
+    assert found == expected > 1.2 * at_first
+
+
+@pytest.mark.parametrize("size", [(480, 640), (64, 48), (24, 32), (3, 2), (1, 1)])
+def test_levels_that_a_keypoint_has_no_room_in_are_left_out(size):
+    image = np.random.default_rng(0).integers(0, 255, size, dtype=np.uint8)
+    pyramid = OrbPyramid(2.0 ** np.arange(12), 10, 500)
+    pixels, levels, strengths = pyramid.detect(image)
+    assert len(pixels) == len(levels) == len(strengths)
+    assert len(pyramid.describe(np.arange(len(pixels)))) == len(pixels)
+    inside = (pixels > 0) & (pixels < (size[1], size[0]))
+    assert inside.all()
+    assert (len(pixels) > 0) == (min(size) > 2 * BORDER)
