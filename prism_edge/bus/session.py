@@ -45,7 +45,7 @@ class Bus:
         self._lock = threading.RLock()
         self._publishers: dict[str, Any] = {}
         self._answers: dict[str, Answer] = {}
-        self._last: dict[str, Any] = {}
+        self._last: dict[str, bytes | Callable[[], bytes]] = {}  # payloads of latched topics
         self._inboxes: list[Inbox] = []
         self._desks: list[CommandDesk] = []
         self._presence: Presence | None = None
@@ -95,6 +95,22 @@ class Bus:
         except zenoh.ZError as error:
             if not self._closed:
                 raise BusError(f"can't publish {topic}: {error}") from None
+
+    def publish_if_heard(self, topic: str, make: Callable[[], Any]) -> None:
+        """As :meth:`publish`, of a message that is only made if somebody subscribes, or asks for it later.
+
+        So ``make`` may be called in another thread, and must give the same whenever it is.
+        """
+        publisher = self._publishers.get(topic) or self._declare(topic)
+        try:
+            heard = publisher.matching_status.matching
+        except zenoh.ZError:  # closed meanwhile
+            return
+        if heard:
+            self.publish(topic, make())
+        elif TOPICS[topic].latched:
+            self._last[topic] = lambda: _payload(TOPICS[topic], make())
+            self._answer_with_last(topic)
 
     def latest(self, topic: str) -> Inbox:
         """An inbox that keeps only the newest message."""
@@ -196,7 +212,11 @@ class Bus:
     def _answer_with_last(self, topic: str) -> None:
         with self._lock:
             if topic not in self._answers:
-                self._answers[topic] = self._reply_with(topic, lambda: self._last.get(topic))
+                self._answers[topic] = self._reply_with(topic, lambda: self._last_payload(topic))
+
+    def _last_payload(self, topic: str) -> bytes | None:
+        last = self._last.get(topic)
+        return last() if callable(last) else last
 
     def _reply_with(self, topic: str, payload: Callable[[], bytes | None]) -> Answer:
         return Answer(self._session, keys.key(self.robot, TOPICS[topic]), payload, encoding(TOPICS[topic]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,7 +45,7 @@ class Camera:
                 f"distortion coefficients, not {len(self.distortion)}"
             )
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
-        if not np.all(np.isfinite(values)):
+        if not all(map(math.isfinite, values)):
             raise ConfigError("camera intrinsics must be finite numbers")
         if self.fx <= 0 or self.fy <= 0:
             raise ConfigError(f"focal lengths must be above zero (fx {self.fx:g}, fy {self.fy:g})")
@@ -71,7 +72,7 @@ class Camera:
     def from_array(cls, model: str, values: Array) -> Camera:
         """The camera that :meth:`to_array` described; raises ConfigError where no camera is like that."""
         numbers = [float(v) for v in values]
-        if len(numbers) < 6 or not np.all(np.isfinite(numbers)):
+        if len(numbers) < 6 or not all(map(math.isfinite, numbers)):
             raise ConfigError("a camera takes at least six finite numbers: width height fx fy cx cy")
         width, height, fx, fy, cx, cy, *distortion = numbers
         if not (width.is_integer() and height.is_integer()):
@@ -91,9 +92,13 @@ class Camera:
         """Whether one may be the other with its lens found anew (:meth:`bent`): a pinhole, else the same."""
         if self == other or self.model != PINHOLE:
             return self == other
-        mine, its = (np.array([*c.distortion, *(0.0,) * (8 - len(c.distortion))]) for c in (self, other))
-        same = self.ideal() == other.ideal() and other.model == PINHOLE and bool((mine[1:] == its[1:]).all())
-        return same and abs(float(mine[0] - its[0])) <= MOST_BENT
+        mine, its = ((*c.distortion, *(0.0,) * (8 - len(c.distortion))) for c in (self, other))
+        same = self._matrix_and_size == other._matrix_and_size and other.model == PINHOLE
+        return same and mine[1:] == its[1:] and abs(mine[0] - its[0]) <= MOST_BENT
+
+    @property
+    def _matrix_and_size(self) -> tuple[float, ...]:
+        return self.width, self.height, self.fx, self.fy, self.cx, self.cy
 
     def pixels_of(self, other: Camera, pixels: Array) -> Array:
         """Ideal pixels (n, 2) as this camera has them, of ``other``'s of the same image."""

@@ -9,6 +9,7 @@ import numpy as np
 from prism_edge.geometry.poses import Array
 
 ITERATIONS = 20
+SETTLED = 1e-8  # of a step: what is left is about its square
 FLAT = 0.01  # least slope of a step: at the fold itself there is none
 
 
@@ -27,7 +28,7 @@ def undistort_radial(distorted: Array, k1: float, k2: float, k3: float) -> Array
         error = scale * (1.0 + t * (k1 + t * (k2 + t * k3))) - 1.0
         slope = 1.0 + t * (3.0 * k1 + t * (5.0 * k2 + t * 7.0 * k3))
         before, scale = scale, np.minimum(scale - error / np.maximum(slope, FLAT), farthest)
-        if np.abs(scale - before).max(initial=0.0) < 1e-13:
+        if np.abs(scale - before).max(initial=0.0) < SETTLED:
             break
     return distorted * scale[:, None]
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from prism_edge.bus import ros
@@ -58,12 +60,7 @@ class PosePublisher:
         velocity_covariance = self._velocity_covariance(
             self._covariance(result.covariance, metres, np.eye(4)), start @ twist[:3], interval_s, scale_sigma
         )
-        links = [
-            (stamp_ns, names.odom, names.base_link, odom_from_base),
-            (stamp_ns, names.base_link, names.camera, self._mount),
-        ]
         if result.in_map:
-            links.insert(0, (stamp_ns, names.map, names.odom, map_from_base @ inverse(odom_from_base)))
             pose = ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map)
             self._bus.publish("pose", pose)
         self._bus.publish(
@@ -72,7 +69,19 @@ class PosePublisher:
                 stamp_ns, names.odom, names.base_link, odom_from_base, in_odom, velocity, velocity_covariance
             ),
         )
-        self._bus.publish("tf", ros.transforms(links))
+        # Most robots have the same from `odom` and `pose`.
+        map_there = map_from_base if result.in_map else None
+        self._bus.publish_if_heard("tf", lambda: self._tree(stamp_ns, map_there, odom_from_base))
+
+    def _tree(self, stamp_ns: int, map_from_base: Array | None, odom_from_base: Array) -> Any:
+        names = self._frames
+        links = [
+            (stamp_ns, names.odom, names.base_link, odom_from_base),
+            (stamp_ns, names.base_link, names.camera, self._mount),
+        ]
+        if map_from_base is not None:
+            links.insert(0, (stamp_ns, names.map, names.odom, map_from_base @ inverse(odom_from_base)))
+        return ros.transforms(links)
 
     def _based(self, start_from_camera: Array) -> Array:
         """From a camera's pose relative to its start to the base's relative to the base's start."""

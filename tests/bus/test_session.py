@@ -216,6 +216,29 @@ def test_a_latched_topic_answers_with_its_last_value(join, outside):
     assert [reply.ok.payload.to_bytes() for reply in replies] == [pack(end(4))]
 
 
+def test_what_nobody_hears_is_made_when_it_is_asked_for(join, eventually):
+    join("supervisor", listen=True)
+    source, tracker = join("source"), join("tracker")
+    linked(source, tracker)
+    made: list[int] = []
+
+    def make(count: int) -> m.EndOfStream:
+        made.append(count)
+        return end(count)
+
+    for count in (3, 4):
+        source.publish_if_heard("end", lambda count=count: make(count))
+    assert made == []
+    assert tracker.ask("end", 5.0) == end(4)
+    assert made == [4]
+    inbox = tracker.queue("end")
+    eventually(lambda: source.publish_if_heard("end", lambda: make(5)) or end(5) in inbox.drain())
+    assert tracker.ask("end", 5.0) == end(5)
+    source.close()
+    source.publish_if_heard("end", lambda: make(6))
+    assert 6 not in made
+
+
 def test_nobody_answers_for_a_process_that_is_not_there(join):
     assert join("tracker").ask("map_snapshot", 0.2) is None
 

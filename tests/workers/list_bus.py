@@ -117,6 +117,9 @@ class ListBus:
             self._said.notify_all()
         self.hear(topic, message)
 
+    def publish_if_heard(self, topic: str, make: Callable[[], Any]) -> None:
+        self.publish(topic, make())
+
     def give(self, topic: str, *messages: Any) -> None:
         """Puts messages where the worker finds them."""
         self.idle_looks = 0

@@ -41,7 +41,10 @@ def publish(
 ):
     """The messages of one frame, by topic; through CDR, as they arrive."""
     sent = {}
-    bus = SimpleNamespace(publish=lambda topic, message: sent.update({topic: message}))
+    bus = SimpleNamespace(
+        publish=lambda topic, message: sent.update({topic: message}),
+        publish_if_heard=lambda topic, make: sent.update({topic: make()}),
+    )
     result = FrameResult(OK, pose, covariance, 0, np.eye(4), 100)
     odom, twist = pose if odom is None else odom, np.zeros(6) if twist is None else twist
     publisher = PosePublisher(bus, frames or FramesConfig())
@@ -229,7 +232,10 @@ def test_a_velocity_that_was_not_measured_says_so():
 
 def test_drift_is_added_to_the_pose_and_the_walk_to_odometry():
     sent = {}
-    bus = SimpleNamespace(publish=lambda topic, message: sent.update({topic: message}))
+    bus = SimpleNamespace(
+        publish=lambda topic, message: sent.update({topic: message}),
+        publish_if_heard=lambda topic, make: sent.update({topic: make()}),
+    )
     publisher = PosePublisher(bus, MOUNTED, refinement=0.25)
     result = FrameResult(OK, np.eye(4), COVARIANCE, 0, np.eye(4), 100)
     here, walk = Walk(4e-4, 9e-6), Walk(7e-4, 1e-5)
