@@ -51,7 +51,8 @@ class Features:
         column, row = at.astype(np.intp).T
         cell = row * columns + column
         order = np.argsort(cell, kind="stable")
-        cell_start = np.searchsorted(cell[order], np.arange(columns * rows + 1))
+        cell_start = np.zeros(columns * rows + 1, np.intp)
+        np.cumsum(np.bincount(cell, minlength=columns * rows), out=cell_start[1:])
         return cls(pixels, octaves, descriptors, order, cell_start, columns, rows)
 
     def through(self, lens: Camera, was: Camera) -> Features:

@@ -195,13 +195,13 @@ class FrameTracker:
         centres, inside = _project(camera, pose, positions)
         rows, centres = rows[inside], centres.compress(inside, axis=0)
         offset = pose[:3, 3] - positions.compress(inside, axis=0)
-        distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
+        distance = np.maximum(np.sqrt(np.einsum("ij,ij->i", offset, offset)), 1e-9)
         octave = table.octave[rows] + np.rint(np.log(table.distance[rows] / distance) / self._log_factor)
         inside = (octave >= -1) & (octave <= len(self._factors))
         along = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0))
         inside &= along > MIN_VIEW_COSINE * distance
         rows, centres = rows[inside], centres.compress(inside, axis=0)
-        octave = np.clip(octave[inside], 0, len(self._factors) - 1).astype(np.intp)
+        octave = np.minimum(np.maximum(octave[inside], 0), len(self._factors) - 1).astype(np.intp)
         table.visible[rows] += 1
         seen = points[points >= 0]
         table.visible[table.rows(seen)] += 1

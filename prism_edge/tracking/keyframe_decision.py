@@ -88,8 +88,8 @@ def uncovered_share(frame: TrackedFrame) -> float:
     """Share of the image cells with at least 3 keypoints in which none has a point."""
     pixels = frame.features.pixels
     columns = frame.camera.width // _CELL + 1
-    cell = np.clip(pixels[:, 1] // _CELL, 0, None).astype(int) * columns
-    cell += np.clip(pixels[:, 0] // _CELL, 0, columns - 1).astype(int)
+    cell = np.maximum(pixels[:, 1] // _CELL, 0).astype(int) * columns
+    cell += np.minimum(np.maximum(pixels[:, 0] // _CELL, 0), columns - 1).astype(int)
     count = np.bincount(cell)
     matched = np.bincount(cell[frame.points >= 0], minlength=len(count))
     textured = count >= 3

@@ -21,6 +21,7 @@ def trust(table: PointTable, rows: Index, now_ns: int, proven_after_s: float) ->
     """Weight (n,) in (0, 1] of each point at a time; with ``proven_after_s`` 0 age says nothing."""
     if proven_after_s <= 0.0:
         return np.maximum(table.weight[rows], LEAST_WEIGHT)
-    share = np.clip((now_ns - table.born_ns[rows]) * (1e-9 / proven_after_s), 0.0, 1.0)
+    age = (now_ns - table.born_ns[rows]) * (1e-9 / proven_after_s)
+    share = np.minimum(np.maximum(age, 0.0), 1.0)  # a third of np.clip's time
     gate = table.weight[rows]
     return np.maximum((gate + (1.0 - gate) * share) * share * share, LEAST_WEIGHT)

@@ -74,6 +74,9 @@ def refine_pose(
 
 def _inverse_information(information: Array) -> Array:
     """Covariance (6, 6); a direction that nothing measures gets a huge variance (a pseudo-inverse: none)."""
+    inverted, inverse = cv2.invert(information, flags=cv2.DECOMP_CHOLESKY)
+    if inverted and np.trace(inverse) < 1e6:  # far from where eigenvalues would have to be bounded
+        return np.asarray(0.5 * (inverse + inverse.T), np.float64)
     values, vectors = np.linalg.eigh(information)
     covariance: Array = np.asarray((vectors / np.maximum(values, 1e-9)) @ vectors.T, np.float64)
     return covariance

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, se3_exp, se3_log, transform
-from prism_edge.tracking.pose_refinement import refine_pose
+from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
 from tests.tracking.cloud import CAMERA
 
 TRUE = se3_exp(np.array([0.3, -0.2, 0.1, 0.1, -0.2, 0.05]))
@@ -196,3 +196,16 @@ def test_absurd_points_and_starts_give_finite_numbers(seed, size):
         estimate = refine_pose(CAMERA, start, points, rng.uniform(0, 400, (20, 2)), np.ones(20))
     assert np.isfinite(estimate.world_from_camera).all()
     assert np.isfinite(estimate.covariance).all()
+
+
+@pytest.mark.parametrize("weakest", [1e5, 1.0, 1e-3, 1e-8, 1e-12, 0.0])
+def test_the_covariance_is_the_inverse_or_a_huge_variance_where_nothing_measures(weakest):
+    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(6, 6)))
+    measured = np.array([1e7, 1e6, 1e5, 1e4, 1e3, weakest])
+    estimate = PoseEstimate(np.eye(4), np.ones(8, bool), (turn * measured) @ turn.T, 1.0)
+    expected = (turn / np.maximum(measured, 1e-9)) @ turn.T
+    np.testing.assert_allclose(estimate.covariance, estimate.covariance.T, rtol=1e-6)
+    if weakest >= 1e-3:
+        np.testing.assert_allclose(estimate.covariance, expected, rtol=1e-5, atol=1e-12)
+    else:  # of rounding's size: at least it is said to be huge
+        assert np.linalg.eigvalsh(estimate.covariance).max() > 1e6
