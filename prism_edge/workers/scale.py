@@ -40,7 +40,7 @@ class ScaleWorker:
         self._waiting = Rendezvous()
         self._served: deque[int] = deque(maxlen=256)  # keyframes; a later frame's may come with an earlier's
         self._estimator = ScaleEstimator(config.scale, config.ablate, config.gate)
-        self._paired_s = time.monotonic()  # when a keyframe last met its depth
+        self._unanswered_s: float | None = None  # since when no keyframe has met its depth, though some came
         self._shows_images, self._camera_frame = config.gate.images, config.frames.camera
 
     def run(self) -> None:
@@ -86,9 +86,13 @@ class ScaleWorker:
             self._waiting.add_keyframe(keyframe)
         pairs = self._waiting.complete()
         for keyframe, depth in pairs:
-            self._paired_s = time.monotonic()
             self._handle(keyframe, depth)
-        silent = not pairs and time.monotonic() - self._paired_s > _SILENT_S
+        now = time.monotonic()
+        if pairs:
+            self._unanswered_s = None
+        elif keyframes and self._unanswered_s is None:
+            self._unanswered_s = now
+        silent = self._unanswered_s is not None and now - self._unanswered_s > _SILENT_S
         if keyframes and silent and self._ticks is None and self._estimator.metric:
             self._grow(keyframes[-1])
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -126,6 +128,26 @@ def test_the_uncertainty_grows_while_no_depth_comes_and_late_depth_still_counts(
     bus.give("depth", depth_of(keyframes[3]))
     bus.wait_for("scale", 5)
     assert bus.of("scale")[-1].points > 0
+
+
+def test_a_keyframe_after_a_long_time_is_not_answered_before_its_depth(bus, start, monkeypatch):
+    """In a known place there is one every ten seconds, and none of them was too late."""
+    clock = SimpleNamespace(monotonic=lambda: clock.now_s, now_s=100.0)
+    monkeypatch.setattr("prism_edge.workers.scale.time", clock)
+    keyframes = [keyframe_of_wall(k, 10.0 * k) for k in range(3)]
+    start()
+    for count, keyframe in enumerate(keyframes, 1):
+        clock.now_s += 10.0
+        bus.give("keyframe", keyframe)
+        deadline = time.monotonic() + DEADLINE_S
+        while bus.inboxes["keyframe"].waiting:
+            assert time.monotonic() < deadline
+            bus.stopped.wait(0.001)
+        bus.give("depth", depth_of(keyframe))
+        bus.wait_for("scale", count)
+    assert [(message.keyframe, message.points > 0) for message in bus.of("scale")] == [
+        (keyframe.id, True) for keyframe in keyframes
+    ]
 
 
 def test_without_any_depth_there_is_no_scale_to_speak_of(bus, start, monkeypatch):
