@@ -87,7 +87,7 @@ class OrbExtractor:
         pixels, octaves, strength = self._orb.detect(grey)
         corners = np.flatnonzero(are_corners(grey, pixels, octaves, self.scale_factors))
         chosen = corners[spread(pixels[corners], strength[corners], grey.shape, self._wanted, self._least)]
-        # Half of those found are thrown away; the others come in the order of levels, as they were found.
+        # Only what is kept is described: in the order of levels, and then back in that of its worth.
         by_level = np.argsort(chosen)
         described = self._orb.describe(chosen[by_level])
         descriptors = np.empty_like(described)
