@@ -8,7 +8,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
+import zenoh
 
+from prism_edge.bus.session import Bus
 from prism_edge.config import BusConfig, Config
 
 
@@ -36,3 +38,32 @@ def eventually() -> Callable[..., None]:
             time.sleep(0.01)
 
     return wait
+
+
+@pytest.fixture
+def join(config):
+    """Opens buses that are closed, newest first, at the end."""
+    opened = []
+
+    def open_bus(process, listen=False, config=config):
+        opened.append(Bus.open(config, process, listen))
+        return opened[-1]
+
+    yield open_bus
+    for bus in reversed(opened):
+        bus.close()
+
+
+@pytest.fixture
+def outside(config):
+    """A plain Zenoh client that knows nothing but the endpoint."""
+    settings = f'{{mode: "client", connect: {{endpoints: ["{config.bus.endpoint}"]}}}}'
+    opened = []
+
+    def connect():
+        opened.append(zenoh.open(zenoh.Config.from_json5(settings)))
+        return opened[-1]
+
+    yield connect
+    for session in opened:
+        session.close()

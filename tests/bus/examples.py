@@ -62,3 +62,15 @@ def frame(index: int = 0) -> m.Frame:
 def tracked(index: int = 0) -> m.Tracked:
     """A frame that was tracked."""
     return m.Tracked(index, index * 33, 7, m.OK, True, -1, 0, np.eye(4))
+
+
+def linked(*buses):
+    """Every one is ready and linked to all the others."""
+    for bus in buses:
+        bus.pulse.ready()
+    for bus in buses:
+        assert bus.await_ready([other.process for other in buses], 10.0) == set()
+
+
+def end(index):
+    return m.EndOfStream(index + 1, index + 1, 0, 0, index)

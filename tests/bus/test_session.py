@@ -18,50 +18,9 @@ from prism_edge.bus import links, ros
 from prism_edge.bus.codec import pack
 from prism_edge.bus.session import Bus
 from prism_edge.errors import BusError, ConfigError
-from tests.bus.examples import frame, same, tracked
+from tests.bus.examples import end, frame, linked, same, tracked
 
 CHECKOUT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture
-def join(config):
-    """Opens buses that are closed, newest first, at the end."""
-    opened = []
-
-    def open_bus(process, listen=False, config=config):
-        opened.append(Bus.open(config, process, listen))
-        return opened[-1]
-
-    yield open_bus
-    for bus in reversed(opened):
-        bus.close()
-
-
-@pytest.fixture
-def outside(config):
-    """A plain Zenoh client that knows nothing but the endpoint."""
-    settings = f'{{mode: "client", connect: {{endpoints: ["{config.bus.endpoint}"]}}}}'
-    opened = []
-
-    def connect():
-        opened.append(zenoh.open(zenoh.Config.from_json5(settings)))
-        return opened[-1]
-
-    yield connect
-    for session in opened:
-        session.close()
-
-
-def linked(*buses):
-    """Every one is ready and linked to all the others."""
-    for bus in buses:
-        bus.pulse.ready()
-    for bus in buses:
-        assert bus.await_ready([other.process for other in buses], 10.0) == set()
-
-
-def end(index):
-    return m.EndOfStream(index + 1, index + 1, 0, 0, index)
 
 
 def test_the_first_message_after_await_ready_arrives(join):
@@ -202,72 +161,6 @@ def test_a_session_on_another_host_is_relayed(join, monkeypatch):
     assert images.take(10.0).index == 4
     remote.publish("heartbeat", remote.pulse.beat())
     assert inbox.take() is None
-
-
-def test_a_latched_topic_answers_with_its_last_value(join, outside):
-    join("supervisor", listen=True)
-    source, tracker = join("source"), join("tracker")
-    linked(source, tracker)
-    assert tracker.ask("end", 5.0) is None
-    source.publish("end", end(3))
-    source.publish("end", end(4))
-    assert tracker.ask("end", 5.0) == end(4)
-    replies = list(outside().get("prism/robot/internal/end", timeout=5.0))
-    assert [reply.ok.payload.to_bytes() for reply in replies] == [pack(end(4))]
-
-
-def test_what_nobody_hears_is_made_when_it_is_asked_for(join, eventually):
-    join("supervisor", listen=True)
-    source, tracker = join("source"), join("tracker")
-    linked(source, tracker)
-    made: list[int] = []
-
-    def make(count: int) -> m.EndOfStream:
-        made.append(count)
-        return end(count)
-
-    for count in (3, 4):
-        source.publish_if_heard("end", lambda count=count: make(count))
-    assert made == []
-    assert tracker.ask("end", 5.0) == end(4)
-    assert made == [4]
-    inbox = tracker.queue("end")
-    eventually(lambda: source.publish_if_heard("end", lambda: make(5)) or end(5) in inbox.drain())
-    assert tracker.ask("end", 5.0) == end(5)
-    source.close()
-    source.publish_if_heard("end", lambda: make(6))
-    assert 6 not in made
-
-
-def test_nobody_answers_for_a_process_that_is_not_there(join):
-    assert join("tracker").ask("map_snapshot", 0.2) is None
-
-
-def test_a_function_answers_from_its_own_thread(join):
-    join("supervisor", listen=True)
-    source, tracker = join("source"), join("tracker")
-    callers = []
-    answers = [end(1), None]
-
-    def function():
-        callers.append(threading.get_ident())
-        return answers.pop(0)
-
-    source.publish("end", end(0))
-    source.answer("end", function)  # takes the place of the last value
-    linked(source, tracker)
-    assert tracker.ask("end", 5.0) == end(1)
-    assert tracker.ask("end", 5.0) is None
-    assert threading.get_ident() not in callers
-
-
-def test_a_function_that_fails_is_logged_and_answers_nothing(join, caplog):
-    join("supervisor", listen=True)
-    source, tracker = join("source"), join("tracker")
-    source.answer("end", lambda: 1 / 0)
-    linked(source, tracker)
-    assert tracker.ask("end", 5.0) is None
-    assert "internal/end: ZeroDivisionError: division by zero" in caplog.text
 
 
 @pytest.mark.parametrize("payload", [b"", b"PRSM garbage", pack(tracked(1))])

@@ -1,0 +1,75 @@
+"""Answers to get()s: the last value of a topic, a function's, one that is only made when it is asked for."""
+
+from __future__ import annotations
+
+import threading
+
+from prism_edge import messages as m
+from prism_edge.bus.codec import pack
+from tests.bus.examples import end, linked
+
+
+def test_a_latched_topic_answers_with_its_last_value(join, outside):
+    join("supervisor", listen=True)
+    source, tracker = join("source"), join("tracker")
+    linked(source, tracker)
+    assert tracker.ask("end", 5.0) is None
+    source.publish("end", end(3))
+    source.publish("end", end(4))
+    assert tracker.ask("end", 5.0) == end(4)
+    replies = list(outside().get("prism/robot/internal/end", timeout=5.0))
+    assert [reply.ok.payload.to_bytes() for reply in replies] == [pack(end(4))]
+
+
+def test_what_nobody_hears_is_made_when_it_is_asked_for(join, eventually):
+    join("supervisor", listen=True)
+    source, tracker = join("source"), join("tracker")
+    linked(source, tracker)
+    made: list[int] = []
+
+    def make(count: int) -> m.EndOfStream:
+        made.append(count)
+        return end(count)
+
+    for count in (3, 4):
+        source.publish_if_heard("end", lambda count=count: make(count))
+    assert made == []
+    assert tracker.ask("end", 5.0) == end(4)
+    assert made == [4]
+    inbox = tracker.queue("end")
+    eventually(lambda: source.publish_if_heard("end", lambda: make(5)) or end(5) in inbox.drain())
+    assert tracker.ask("end", 5.0) == end(5)
+    source.close()
+    source.publish_if_heard("end", lambda: make(6))
+    assert 6 not in made
+
+
+def test_nobody_answers_for_a_process_that_is_not_there(join):
+    assert join("tracker").ask("map_snapshot", 0.2) is None
+
+
+def test_a_function_answers_from_its_own_thread(join):
+    join("supervisor", listen=True)
+    source, tracker = join("source"), join("tracker")
+    callers = []
+    answers = [end(1), None]
+
+    def function():
+        callers.append(threading.get_ident())
+        return answers.pop(0)
+
+    source.publish("end", end(0))
+    source.answer("end", function)  # takes the place of the last value
+    linked(source, tracker)
+    assert tracker.ask("end", 5.0) == end(1)
+    assert tracker.ask("end", 5.0) is None
+    assert threading.get_ident() not in callers
+
+
+def test_a_function_that_fails_is_logged_and_answers_nothing(join, caplog):
+    join("supervisor", listen=True)
+    source, tracker = join("source"), join("tracker")
+    source.answer("end", lambda: 1 / 0)
+    linked(source, tracker)
+    assert tracker.ask("end", 5.0) is None
+    assert "internal/end: ZeroDivisionError: division by zero" in caplog.text
