@@ -57,7 +57,9 @@ def test_what_looks_alike_puts_a_wrong_motion_right(run):
     wrong = weak_frame(run, TURN_FOR_A_WAY)
     assert off(run, wrong)[0] > np.radians(3.5)
     found = look(run, wrong)
-    assert off(run, found)[0] < np.radians(1.0)
+    angle, way = off(run, found)
+    assert angle < np.radians(0.3)
+    assert way < 0.15
     world, newest = run.tracker.world, run.tracker.world.newest()
     seen = np.flatnonzero(found.points != NO_POINT)
     assert found.matched == len(seen) > 30
