@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import os
 import re
 import socket
 from typing import Any
@@ -15,8 +17,9 @@ from prism_edge.config import BusConfig, NetworkConfig
 from prism_edge.errors import BusError
 from prism_edge.topics import Topic
 
-# Where a worker accepts the others' direct links: loopback alone, so that internal messages stay on the host.
 _DIRECT = "tcp/127.0.0.1:0"
+_SOCKET = "unixsock-stream"
+_sessions = itertools.count()
 # How long a publisher waits, once, for a receiver that is megabytes behind, before it drops what is for it.
 _PATIENCE_US = 50_000
 
@@ -44,7 +47,7 @@ def open_session(
     elif on_this_host(endpoint) and not client:
         links = {
             "mode": "peer",
-            "listen/endpoints": [_DIRECT],
+            "listen/endpoints": [_direct(endpoint)],
             "connect/endpoints": [endpoint],
             "connect/timeout_ms": -1,
             "connect/exit_on_failure": False,
@@ -60,10 +63,19 @@ def open_session(
         raise BusError(_why_not(opened, str(error))) from None
 
 
+def _direct(endpoint: str) -> str:
+    """Where a session accepts the others' direct links: this host alone, as internal messages stay there.
+
+    Who keeps the endpoint in a folder of his own would find loopback open to every account: beside it, then.
+    """
+    protocol, _, path = endpoint.partition("/")
+    return f"{_SOCKET}/{path}.{os.getpid()}.{next(_sessions)}" if protocol == _SOCKET else _DIRECT
+
+
 def on_this_host(endpoint: str) -> bool:
     """Whether the endpoint's address is one of this host's own: one that a socket can be bound to."""
     protocol, _, address = endpoint.partition("/")
-    if protocol == "unixsock-stream":
+    if protocol == _SOCKET:
         return True
     host = address.rpartition(":")[0].strip("[]")
     try:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import psutil
 import pytest
 import zenoh
 
@@ -55,6 +56,24 @@ def test_from_another_host_an_absent_listener_is_an_error(monkeypatch):
 )
 def test_this_host_is_told_from_others(endpoint, here):
     assert on_this_host(endpoint) is here
+
+
+def test_behind_a_socket_in_a_private_folder_nothing_listens_on_loopback(tmp_path, eventually):
+    config = BusConfig(endpoint=f"unixsock-stream/{tmp_path}/bus")
+    heard: list[bytes] = []
+    with open_session(config, listen=False) as speaker, open_session(config, listen=False) as hearer:
+        subscriber = hearer.declare_subscriber("said", lambda sample: heard.append(sample.payload.to_bytes()))
+        with open_session(config, listen=True):
+            eventually(lambda: len(list(hearer.info.peers_zid())) == 2)
+            states = [connection.status for connection in psutil.Process().net_connections("inet")]
+            assert psutil.CONN_LISTEN not in states
+        # The listener has gone: what is heard now came by the link that the two have with each other.
+        publisher = speaker.declare_publisher("said")
+        eventually(lambda: publisher.matching_status.matching)
+        publisher.put(b"direct")
+        eventually(lambda: heard == [b"direct"])
+        subscriber.undeclare()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_in_real_time_nothing_blocks_and_in_lockstep_nothing_is_dropped():
