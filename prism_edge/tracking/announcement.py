@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from prism_edge.messages import Keyframe
+from prism_edge.messages import Frame, Keyframe, KeyframeImage
 from prism_edge.tracking.local_map import Changes, LocalKeyframe
 from prism_edge.tracking.point_trust import trust
 from prism_edge.tracking.tracker import Tracker
+
+
+def picture_message(frame: Frame, number: int, epoch: int) -> KeyframeImage:
+    """What the depth network is shown: a frame, as keyframe ``number`` or below 0 as a probe."""
+    lens = frame.camera_model, frame.camera
+    return KeyframeImage(number, frame.index, frame.stamp_ns, epoch, frame.colour, *lens, frame.image)
 
 
 def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float = 0.0) -> Keyframe:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,12 +12,20 @@ from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
-from prism_edge.tracking.local_map import NO_POINT, LocalMap
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.mapping import MATCHING_SIGMA_PX, merge
 from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.pose_refinement import refine_pose
 
 MIN_COMMON = 15
+
+
+def see_through(lens: Camera, views: Iterable[LocalKeyframe | TrackedFrame]) -> None:
+    """Move keypoints to where a lens that was found anew has them, in views that are by that camera."""
+    for view in views:
+        if view.camera != lens and view.camera.like(lens):
+            view.features, view.camera = view.features.through(lens, view.camera), lens
 
 
 def flaw(update: MapUpdate) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.keyframe_culling import cull_keyframes, drop_keyframe
 from prism_edge.tracking.keyframe_decision import decide, shown_before
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.map_correction import apply_correction, fit, join
+from prism_edge.tracking.map_correction import apply_correction, fit, join, see_through
 from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import recover
@@ -96,8 +97,11 @@ class Tracker:
 
     @property
     def last_result(self) -> FrameResult | None:
-        """The result of the last frame: also that of an exact copy of it."""
-        return self._result
+        """The result of the last frame, also that of an exact copy of it: where the map has it now."""
+        result, pose = self._result, self.last_pose()
+        if result is None or result.world_from_camera is None or pose is None:
+            return result
+        return replace(result, world_from_camera=pose)
 
     # -- frames ---------------------------------------------------------------------------------
 
@@ -360,10 +364,7 @@ class Tracker:
 
     def _take_lens(self, lens: Camera) -> None:
         self._lens = lens
-        views: list[LocalKeyframe | TrackedFrame] = list(self.world.keyframes.values())
-        for view in views if self._last is None else [*views, self._last]:
-            if view.camera != lens and view.camera.like(lens):
-                view.features, view.camera = view.features.through(lens, view.camera), lens
+        see_through(lens, [*self.world.keyframes.values(), *([] if self._last is None else [self._last])])
 
     def reset(self) -> None:
         """Begin a new map with the next frame: another epoch, at the identity."""

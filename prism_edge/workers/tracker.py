@@ -27,7 +27,6 @@ from prism_edge.messages import (
     Acknowledged,
     Depth,
     Frame,
-    KeyframeImage,
     MapUpdate,
     Scale,
     Tracked,
@@ -35,7 +34,7 @@ from prism_edge.messages import (
     probe_of,
 )
 from prism_edge.processes import processes_for
-from prism_edge.tracking.announcement import keyframe_message
+from prism_edge.tracking.announcement import keyframe_message, picture_message
 from prism_edge.tracking.drift import Drift
 from prism_edge.tracking.local_map import LocalKeyframe
 from prism_edge.tracking.map_correction import flaw
@@ -121,6 +120,8 @@ class TrackerWorker:
     # -- one frame --------------------------------------------------------------------------------
 
     def _track(self, frame: Frame) -> None:
+        # A copy of what was released before it, which may have been dropped: then it is news.
+        follows = frame.index == self._last_index + 1
         if self._last_index >= 0 or not self._bus.life:  # what came while we were down was not dropped by us
             self._dropped += max(frame.index - self._last_index - 1, 0)
         self._last_index, self._now_ns = frame.index, frame.stamp_ns
@@ -134,7 +135,7 @@ class TrackerWorker:
         tracker, before = self._tracker, self._tracker.last_pose()
         last = tracker.last_result
         # A camera that shows the same darkness over and over is lost like any other.
-        repeated = frame.duplicate and last is not None and (
+        repeated = frame.duplicate and follows and last is not None and (
             last.world_from_camera is not None or last.odometry == INITIALISING
         )
         result = last if repeated else None
@@ -236,19 +237,7 @@ class TrackerWorker:
         return True
 
     def _show_picture(self, frame: Frame, number: int) -> None:
-        self._bus.publish(
-            "keyframe_image",
-            KeyframeImage(
-                number,
-                frame.index,
-                frame.stamp_ns,
-                self._tracker.epoch,
-                frame.colour,
-                frame.camera_model,
-                frame.camera,
-                frame.image,
-            ),
-        )
+        self._bus.publish("keyframe_image", picture_message(frame, number, self._tracker.epoch))
 
     def _announce(self, keyframe: LocalKeyframe, frame: Frame) -> None:
         self._drift.add_keyframe(self._tracker.world, keyframe, self._tracker.log_scale)
