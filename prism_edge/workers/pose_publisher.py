@@ -50,25 +50,22 @@ class PosePublisher:
         map_from_camera = scaled(result.world_from_camera, metres)
         map_from_base = self._based(map_from_camera)
         odom_from_base = self._based(odom_from_camera)
-        local = self._covariance(result.covariance, metres, map_from_base)
+        own = self._covariance(result.covariance, metres)
         # Scale multiplies the camera's path since the start; where it sits on the robot is known in metres.
         start = self._mount[:3, :3]
-        in_map = with_scale_error(local, start @ map_from_camera[:3, 3], scale_sigma) + drift.covariance()
-        in_odom = with_scale_error(local, start @ odom_from_camera[:3, 3], scale_sigma) + walk.covariance()
+        in_map = with_scale_error(turned(own, map_from_base), start @ map_from_camera[:3, 3], scale_sigma)
+        in_odom = with_scale_error(turned(own, odom_from_base), start @ odom_from_camera[:3, 3], scale_sigma)
         names = self._frames
         velocity = self._twist(twist)
-        velocity_covariance = self._velocity_covariance(
-            self._covariance(result.covariance, metres, np.eye(4)), start @ twist[:3], interval_s, scale_sigma
-        )
+        velocity_covariance = self._velocity_covariance(own, start @ twist[:3], interval_s, scale_sigma)
         if result.in_map:
-            pose = ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map)
+            pose = ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map + drift.covariance())
             self._bus.publish("pose", pose)
-        self._bus.publish(
-            "odom",
-            ros.odometry(
-                stamp_ns, names.odom, names.base_link, odom_from_base, in_odom, velocity, velocity_covariance
-            ),
+        in_odom = in_odom + walk.covariance()
+        moved = ros.odometry(
+            stamp_ns, names.odom, names.base_link, odom_from_base, in_odom, velocity, velocity_covariance
         )
+        self._bus.publish("odom", moved)
         # Most robots have the same from `odom` and `pose`.
         map_there = map_from_base if result.in_map else None
         self._bus.publish_if_heard("tf", lambda: self._tree(stamp_ns, map_there, odom_from_base))
@@ -87,17 +84,13 @@ class PosePublisher:
         """From a camera's pose relative to its start to the base's relative to the base's start."""
         return self._mount @ start_from_camera @ self._camera_from_base
 
-    def _covariance(self, camera_covariance: Array, metres: float, map_from_base: Array) -> Array:
-        """Covariance of the base in the map's axes, of a camera-frame covariance in map units."""
-        unit = np.diag([metres] * 3 + [1.0] * 3)
-        rotation = map_from_base[:3, :3] @ self._mount[:3, :3]
-        lever = skew(map_from_base[:3, :3] @ self._mount[:3, 3])
+    def _covariance(self, camera_covariance: Array, metres: float) -> Array:
+        """Covariance of the base along its own axes, of a camera-frame covariance in map units."""
+        rotation = self._mount[:3, :3]
         carry = np.zeros((6, 6))
-        carry[:3, :3], carry[3:, 3:] = rotation, rotation
-        carry[:3, 3:] = lever @ rotation  # a turn of the camera swings the base about it
-        carry = carry @ unit
-        covariance = carry @ (self._refinement * camera_covariance) @ carry.T
-        return 0.5 * (covariance + covariance.T)
+        carry[:3, :3], carry[3:, 3:] = metres * rotation, rotation
+        carry[:3, 3:] = skew(self._mount[:3, 3]) @ rotation  # a turn of the camera swings the base about it
+        return carry @ (self._refinement * camera_covariance) @ carry.T
 
     @staticmethod
     def _velocity_covariance(of_pose: Array, velocity: Array, interval_s: float, scale_sigma: float) -> Array:
@@ -115,6 +108,14 @@ class PosePublisher:
         rotation = self._mount[:3, :3]
         angular = rotation @ twist[3:]
         return np.concatenate([rotation @ twist[:3] - skew(angular) @ self._mount[:3, 3], angular])
+
+
+def turned(covariance: Array, axes_from_base: Array) -> Array:
+    """A covariance (6, 6) along the base's axes, along those that the base's pose (4, 4) is in."""
+    both = np.zeros((6, 6))
+    both[:3, :3] = both[3:, 3:] = axes_from_base[:3, :3]
+    there = both @ covariance @ both.T
+    return 0.5 * (there + there.T)
 
 
 def with_scale_error(covariance: Array, displacement: Array, sigma: float) -> Array:

@@ -115,11 +115,13 @@ def test_the_tree_of_frames_joins_pose_and_odometry():
 
 
 @pytest.mark.parametrize("frames", [FramesConfig(), MOUNTED])
-@pytest.mark.parametrize("log_scale", [0.0, np.log(1.7)])
-def test_covariance_is_that_of_many_disturbed_cameras(frames, log_scale):
+@pytest.mark.parametrize(("topic", "log_scale"), [("pose", 0.0), ("pose", np.log(1.7)), ("odom", 0.0)])
+def test_covariance_is_that_of_many_disturbed_cameras(frames, topic, log_scale):
     """The camera errs by a small twist in its own frame; ROS wants the base's error along fixed axes."""
-    pose = pose_at(0.5, -0.2, 1.5, 0.2, 0.6, -0.1)
-    stated = matrix(publish(pose, frames, log_scale=log_scale)["pose"])
+    pose, elsewhere = pose_at(0.5, -0.2, 1.5, 0.2, 0.6, -0.1), pose_at(-1.0, 0.3, 0.4, 1.2, -0.5, 0.8)
+    # As after a restart or a loop: `map` and `odom` are turned against each other.
+    there = {"pose": (pose, elsewhere), "odom": (elsewhere, pose)}[topic]
+    stated = matrix(publish(there[0], frames, odom=there[1], log_scale=log_scale)[topic])
     rng, metres, base = np.random.default_rng(0), np.exp(log_scale), mount(frames)
 
     def base_pose(camera):
