@@ -29,7 +29,9 @@ LOCAL_KEYFRAMES = 60
 SHARED_SEED_ERROR = 5.0
 # Points of the previous frame that give the first pose; keypoints come best of each cell first.
 FIRST_POSE_POINTS = 150
-STEPS = 2  # of the solver in a round: from one frame to the next it starts near the end
+# Rounds of the solver, and steps in each. The second pose starts so near its end that a step is enough, and
+# one more choice of inliers brings it nearer to where many rounds would than further steps do.
+FIRST_POSE_ROUNDS, POSE_ROUNDS = (1, 2), (3, 1)
 
 
 @dataclass
@@ -59,12 +61,12 @@ def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
 def reference_origins(world: LocalMap, rows: Index) -> Array:
     """Where the camera was that created each point; a culled keyframe's points use their last viewer."""
     table = world.points
-    references, inverse = np.unique(table.reference[rows], return_inverse=True)
-    known = [world.keyframes.get(int(k)) for k in references]
-    centres = np.array([k.world_from_camera[:3, 3] if k else (np.nan,) * 3 for k in known]).reshape(-1, 3)
-    origins = centres[inverse]
-    lost = np.isnan(origins[:, 0])
-    if lost.any():
+    numbers, centres = world.centres()
+    references = table.reference.take(rows)
+    at = np.minimum(np.searchsorted(numbers, references), len(numbers) - 1)
+    origins: Array = centres.take(at, axis=0)
+    lost = np.flatnonzero(numbers.take(at) != references)
+    if len(lost):
         gone = rows[lost]
         origins[lost] = table.position[gone] + table.direction[gone] * table.distance[gone, None]
     return origins
@@ -106,7 +108,7 @@ class FrameTracker:
         table = world.points
         wanted = table.alive.copy()
         wanted[table.rows(points[points >= 0])] = False
-        local = table.rows(self._local_ids[table.known(self._local_ids)])
+        local = table.live_rows(self._local_ids)
         self._extend(world, camera, features, estimate.world_from_camera, local[wanted[local]], points)
         final = self._solve(world, camera, features, estimate.world_from_camera, points)
         if final is None:
@@ -165,7 +167,7 @@ class FrameTracker:
             if len(query) >= enough:
                 points[keypoint] = ids[inside][query]
                 solved = self._solve(
-                    world, camera, features, predicted, points, rounds=1, most=FIRST_POSE_POINTS
+                    world, camera, features, predicted, points, FIRST_POSE_ROUNDS, FIRST_POSE_POINTS
                 )
                 if solved is not None:
                     estimate, used = solved
@@ -239,7 +241,7 @@ class FrameTracker:
         features: Features,
         start: Array,
         points: Ids,
-        rounds: int = 2,
+        rounds: tuple[int, int] = POSE_ROUNDS,
         most: int | None = None,
     ) -> tuple[PoseEstimate, Index] | None:
         """Refine a pose on (at ``most`` so many of) the points of a frame; and the keypoints used."""
@@ -256,8 +258,8 @@ class FrameTracker:
             self._factors[features.octaves[keypoints]],
             self._depth_error(world, rows),
             trust(table, rows, world.newest().stamp_ns, self._proven_after_s),
-            rounds=rounds,
-            iterations=STEPS,
+            rounds=rounds[0],
+            iterations=rounds[1],
         )
         return estimate, keypoints
 

@@ -61,6 +61,13 @@ class LocalMap:
         """The latest keyframe; the map must have one."""
         return self.keyframes[max(self.keyframes)]
 
+    def centres(self) -> tuple[Ids, Array]:
+        """All keyframes' ids (n,), ascending, and where their cameras stand (n, 3)."""
+        numbers = sorted(self.keyframes)
+        # One call for all: an array made of many small ones takes several times as long.
+        poses = np.concatenate([self.keyframes[number].world_from_camera for number in numbers])
+        return np.array(numbers, np.int64), poses.reshape(-1, 4, 4)[:, :3, 3]
+
     def add_keyframe(self, keyframe: LocalKeyframe) -> None:
         """Insert a keyframe whose ``points`` are ids of the table; refreshes what its points look like."""
         self.keyframes[keyframe.id] = keyframe

@@ -29,9 +29,10 @@ def extend(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> No
     mature(world, keyframe, scale_factors)
     # Known points first, so that fewer corners are triangulated a second time.
     near = neighbours[:SHARING]
-    doubles = [share_points(world, near, keyframe, scale_factors)]
+    doubles = [share_points(world, shareable(world, near), keyframe, scale_factors)]
     triangulate_with_neighbours(world, keyframe, neighbours[:TRIANGULATING], scale_factors)
-    doubles += [share_points(world, [keyframe], k, scale_factors) for k in near]
+    mine = shareable(world, [keyframe])
+    doubles += [share_points(world, mine, k, scale_factors) for k in near]
     first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
     fuse(world, first, second)
     cull_recent_points(world, keyframe.id)
@@ -138,34 +139,38 @@ def mature(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> in
     return improved
 
 
-def share_points(
-    world: LocalMap, sources: list[LocalKeyframe], target: LocalKeyframe, factors: Array
-) -> tuple[Ids, Ids]:
-    """Let ``target`` observe the points of ``sources`` where they project onto a like keypoint.
+def shareable(world: LocalMap, keyframes: list[LocalKeyframe]) -> Index:
+    """Rows of the points that some keyframes see and whose depth is known well."""
+    rows = world.rows_seen_by(keyframes, len(world.points))
+    return rows[world.points.log_depth_sigma.take(rows) < 0.1]
+
+
+def share_points(world: LocalMap, rows: Index, target: LocalKeyframe, factors: Array) -> tuple[Ids, Ids]:
+    """Let ``target`` observe points (:func:`shareable`) where they project onto a like keypoint.
 
     A keypoint that already has another point shows that both are one: such pairs are returned, to be
     fused.
     """
     table = world.points
-    rows = world.rows_seen_by(sources, len(table))
     there = np.zeros(len(table), bool)
     there[table.rows(target.points[target.points >= 0])] = True
-    rows = rows[~there[rows] & (table.log_depth_sigma[rows] < 0.1)]
-    centres, inside = _project(target.camera, target.world_from_camera, table.position[rows])
-    rows, centres = rows[inside], centres[inside]
-    offset = target.world_from_camera[:3, 3] - table.position[rows]
+    rows = rows[~there.take(rows)]
+    positions = table.position.take(rows, axis=0)
+    centres, inside = _project(target.camera, target.world_from_camera, positions)
+    rows, centres = rows[inside], centres.compress(inside, axis=0)
+    offset = target.world_from_camera[:3, 3] - positions.compress(inside, axis=0)
     distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
     log_factor = np.log(factors[1]) if len(factors) > 1 else 1.0
-    octave = table.octave[rows] + np.rint(np.log(table.distance[rows] / distance) / log_factor)
-    good = np.einsum("ij,ij->i", offset, table.direction[rows]) > 0.5 * distance
+    octave = table.octave.take(rows) + np.rint(np.log(table.distance.take(rows) / distance) / log_factor)
+    good = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0)) > 0.5 * distance
     good &= (octave >= 0) & (octave < len(factors))
-    rows, centres, octave = rows[good], centres[good], octave[good].astype(np.intp)
+    rows, centres, octave = rows[good], centres.compress(good, axis=0), octave[good].astype(np.intp)
     query, keypoint = match_projected(
         target.features,
         centres,
         FUSE_RADIUS * factors[octave],
         octave,
-        table.descriptor[rows],
+        table.descriptor.take(rows, axis=0),
         FUSE_DISTANCE,
         FUSE_RATIO,
         exclusive=True,

@@ -123,6 +123,13 @@ class PointTable:
             rows[elsewhere] = np.minimum(np.searchsorted(self.ids, ids[elsewhere]), self._size - 1)
         return (self.ids[rows] == ids) & self.alive[rows]
 
+    def live_rows(self, ids: Ids) -> Index:
+        """Rows of those among the ids that are present and alive."""
+        if self._shared or self._size == 0:
+            return self.rows(ids[self.known(ids)])
+        rows = self._slots[ids & self._mask]
+        return rows[(self.ids.take(rows) == ids) & self.alive.take(rows)]
+
     def _index(self) -> None:
         """Rebuild the direct index, a search's fivefold speed.
 

@@ -129,6 +129,13 @@ def test_covisible_ranks_by_shared_points(world):
     assert world.covisible(newest, 10, least_shared=401) == []
 
 
+def test_centres_are_where_the_cameras_stand_in_the_order_of_their_numbers(world):
+    world.keyframes = {k: world.keyframes[k] for k in (2, 0, 3, 1)}
+    numbers, centres = world.centres()
+    assert numbers.tolist() == [0, 1, 2, 3]
+    assert centres.tolist() == [world.keyframes[k].world_from_camera[:3, 3].tolist() for k in range(4)]
+
+
 def test_votes_count_the_points_a_keyframe_sees(world):
     ids = world.points.ids[::3].copy()
     expected = {k: int(np.isin(keyframe.points, ids).sum()) for k, keyframe in world.keyframes.items()}

@@ -59,7 +59,7 @@ def test_new_points_are_where_the_corners_are():
 
 def share(world: LocalMap, source: LocalKeyframe, target: LocalKeyframe) -> tuple[np.ndarray, np.ndarray]:
     """Let one keyframe observe another's points; returns the doubles."""
-    return mapping.share_points(world, [source], target, FACTORS)
+    return mapping.share_points(world, mapping.shareable(world, [source]), target, FACTORS)
 
 
 @pytest.mark.parametrize(

@@ -48,6 +48,7 @@ class TableModel(RuleBasedStateMachine):
         assert table.position[table.alive, 1].tolist() == [alive[p] for p in sorted(alive)]
         ids = np.arange(-2, self.issued + 2)
         assert table.known(ids).tolist() == [p in alive for p in ids.tolist()]
+        assert table.ids[table.live_rows(ids)].tolist() == sorted(alive)
         some = np.array(sorted(alive)[::7], np.int64)
         assert table.ids[table.rows(some)].tolist() == some.tolist()
         assert len(table) >= len(alive)
@@ -113,3 +114,4 @@ def test_the_index_stays_as_large_as_the_table_asks_for():
     assert table._shared, "else this tries nothing: ids far apart with a slot in common"
     anything = np.concatenate([alive, rng.integers(0, 60 * 70_000, 5000)])
     assert (table.known(anything) == np.isin(anything, alive)).all()
+    assert table.ids[table.live_rows(anything)].tolist() == anything[np.isin(anything, alive)].tolist()
