@@ -107,8 +107,7 @@ class Tracker:
 
     def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
         if len(features) >= MIN_FIRST_FEATURES:
-            points = np.full(len(features), -1, np.int64)
-            self._pending = self._insert(index, stamp_ns, camera, features, self._begins_at, points)
+            self._pending = self._insert(index, stamp_ns, camera, features, self._begins_at)
             self._seen_at = self._began_at = stamp_ns
         return nothing(INITIALISING)
 
@@ -169,8 +168,8 @@ class Tracker:
         if not patience_s or looked_s < patience_s:
             return
         self.parts.begin(self._next_keyframe)
-        points = np.full(len(features), -1, np.int64)
-        self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose, points)
+        self.world.has_baseline = False  # it rests on one view's depth, as the first map did
+        self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose)
         log.info("nothing is known here: a new part of the map begins at frame %d", index)
 
     def _age_s(self) -> float:
@@ -277,11 +276,11 @@ class Tracker:
         return keyframe
 
     def _insert(
-        self, index: int, stamp_ns: int, camera: Camera, features: Features, pose: Array, points: Ids
+        self, index: int, stamp_ns: int, camera: Camera, features: Features, pose: Array,
+        points: Ids | None = None,
     ) -> LocalKeyframe:
-        keyframe = LocalKeyframe(
-            self._next_keyframe, index, stamp_ns, pose.copy(), camera, features, points.copy()
-        )
+        points = np.full(len(features), -1, np.int64) if points is None else points.copy()
+        keyframe = LocalKeyframe(self._next_keyframe, index, stamp_ns, pose.copy(), camera, features, points)
         self._next_keyframe += 1
         self.world.add_keyframe(keyframe)
         self.parts.add(keyframe.id)

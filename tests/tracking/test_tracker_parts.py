@@ -25,6 +25,11 @@ def visit(run: Run, room: list, at: int) -> None:
                 run.tracker.add_depth(k, depth, IDENTITY, 0.1)
 
 
+def place_sigma(run: Run, frame: int) -> float:
+    """Of the frame's position along the worst axis."""
+    return float(np.sqrt(np.linalg.eigvalsh(run.results[frame].covariance[:3, :3])[-1]))
+
+
 @pytest.fixture(scope="module")
 def astray() -> tuple[Run, list]:
     """A camera that was carried to another room, and maps there."""
@@ -54,6 +59,8 @@ def test_a_camera_lost_in_the_unknown_maps_on_its_own(astray):
     assert len(apart) >= 3
     for k in apart:
         assert not np.isin(world.keyframes[k].points[world.keyframes[k].observed()], known).any()
+    # Until two of its views have had parallax its depth is the network's word, as a first map's is.
+    assert place_sigma(run, first) > 0.5 * place_sigma(run, 1) > 20 * place_sigma(run, 101)
     jump = run.results[first].world_from_camera[:3, 3] - run.results[29].world_from_camera[:3, 3]
     assert np.linalg.norm(jump) < 0.1, "odom goes on from where it was"
     check(run.tracker.world)
