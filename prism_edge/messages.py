@@ -274,7 +274,7 @@ class WholeMap:
     epoch: int
     sequence: int  # of the newest update that is in it
     log_scale: float
-    scale_sigma: float  # of log_scale, the network's bias left out
+    scale_sigma: float  # of log_scale, the network's bias included
     data: U8 = array("uint8", -1)  # as in a file: backend/map_file.py, backend/stored_map.py
 
 
@@ -284,7 +284,8 @@ class MapLoaded:
 
     epoch: int
     log_scale: float
-    scale_sigma: float
+    scale_sigma: float  # the network's bias left out
+    bias_sigma: float = 0.0
 
 
 @dataclass(frozen=True)

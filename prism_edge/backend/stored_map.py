@@ -77,25 +77,32 @@ _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
 
 @dataclass(frozen=True)
 class KnownScale:
-    """What is known of a map's unit: the logarithm of its metres, and its standard deviation."""
+    """What is known of a map's unit: the logarithm of its metres, and its standard deviation.
+
+    The bias of the network that it was learned from is told apart: a scale filter goes on from the rest.
+    """
 
     log_scale: float = 0.0
     sigma: float = UNKNOWN_SCALE_SIGMA
+    bias_sigma: float = 0.0
 
     @classmethod
     def of(cls, info: Info) -> KnownScale:
         """As a stored map says. Raises MapError where it says nothing that can be."""
         log_scale, sigma = info.get("log_scale"), info.get("scale_sigma")
+        bias = info.get("bias_sigma", 0.0)  # maps of earlier builds don't say
         if not isinstance(log_scale, (int, float)) or not abs(log_scale) < LARGEST_LOG_SCALE:
             raise MapError("the map's log scale is none")
         if not isinstance(sigma, (int, float)) or not 0.0 <= sigma < LARGEST_LOG_SCALE:
             raise MapError("the map's log scale has no standard deviation")
-        return cls(float(log_scale), float(sigma))
+        if not isinstance(bias, (int, float)) or not 0.0 <= bias < LARGEST_LOG_SCALE:
+            raise MapError("the bias of the map's log scale is none")
+        return cls(float(log_scale), float(sigma), float(bias))
 
     @property
     def info(self) -> Info:
         """For a stored map."""
-        return {"log_scale": self.log_scale, "scale_sigma": self.sigma}
+        return {"log_scale": self.log_scale, "scale_sigma": self.sigma, "bias_sigma": self.bias_sigma}
 
 
 def to_arrays(world: GlobalMap, index: PlaceIndex) -> tuple[Info, Arrays]:

@@ -86,7 +86,7 @@ class ScaleEstimator:
             observation = self._observe(keyframe, depth, camera, weights * _relative_trust(keyframe))
             if observation is not None:
                 accepted = scale.update(observation)
-            elif scale.is_open:
+            elif scale.is_open and not (keyframe.parallax_deg > 0.0).any():
                 scale.fix_unit()
         # A network that is steadier than the filter's model leaves less room to hold; a wilder one no more.
         self._steady.follow(
@@ -114,9 +114,10 @@ class ScaleEstimator:
         )
         return message, Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, uncertainty)
 
-    def take_over(self, epoch: int, log_scale: float, sigma: float) -> None:
-        """A map that was stored is gone on with, as ``epoch``: its unit is known."""
+    def take_over(self, epoch: int, log_scale: float, sigma: float, bias_sigma: float = 0.0) -> None:
+        """A map that was stored is gone on with, as ``epoch``: its unit is known, to a network's bias."""
         self._begin(epoch)
+        self._bias_sigma = bias_sigma or self._bias_sigma
         self._filter.take_over(log_scale, sigma)
         self._steady.log_scale = log_scale
 

@@ -7,6 +7,7 @@ import math
 SILENT_NS = 5_000_000_000  # a keyframe without depth for this long; a slow network takes 2 s
 REFUSED = 3  # more observations of the scale refused than accepted lately; one is an outlier like any other
 MOST_REFUSED = 10  # that count
+MOST_WAITING = 64  # keyframes remembered: the oldest tells how long it has been, also for days
 
 
 class DepthWatch:
@@ -19,7 +20,8 @@ class DepthWatch:
 
     def keyframe(self, number: int, stamp_ns: int) -> None:
         """A keyframe's picture has gone to the network."""
-        self._waiting[number] = stamp_ns
+        if len(self._waiting) < MOST_WAITING:
+            self._waiting[number] = stamp_ns
 
     def depth(self, keyframe: int, valid: bool, reason: str) -> None:
         """A keyframe's depth has come; those before it won't, since the newest picture wins."""

@@ -61,6 +61,10 @@ class Drift:
         self.total = self.here = NO_DRIFT
         self._keyframes: dict[int, Walk] = {}
 
+    def forget(self) -> None:
+        """Another map, whose keyframes have numbers of this one's; `odom` goes on."""
+        self._keyframes, self.local_sigma = {}, 0.0
+
     def advance(
         self, before: Array | None, result: FrameResult, log_scale: float, stamp_ns: int | None = None
     ) -> None:

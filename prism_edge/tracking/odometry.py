@@ -21,13 +21,13 @@ class MetricOdometry:
 
         ``before`` is where the *present* map has the last tracked frame: a correction moves both alike.
         """
+        self.twist, self.interval_s = np.zeros(6), 0.0
         if before is not None:
             step = scaled(inverse(before) @ after, float(np.exp(log_scale)))
             self.odom_from_camera = normalised(self.odom_from_camera @ step)
             elapsed = (stamp_ns - (self._stamp_ns or 0)) * 1e-9
-            known = self._stamp_ns is not None and elapsed > 0
-            self.twist = se3_log(step) / elapsed if known else np.zeros(6)
-            self.interval_s = elapsed if known else 0.0
+            if self._stamp_ns is not None and elapsed > 0:
+                self.twist, self.interval_s = se3_log(step) / elapsed, elapsed
         self._stamp_ns = stamp_ns
         return self.odom_from_camera
 

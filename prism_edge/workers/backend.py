@@ -139,7 +139,7 @@ class BackendWorker:
         for scale in self._scales.drain():
             self._scaled.add(scale.keyframe)
             if scale.epoch == self._mapper.epoch and np.isfinite(scale.log_scale):
-                self._scale = KnownScale(scale.log_scale, scale.filter_sigma)
+                self._scale = KnownScale(scale.log_scale, scale.filter_sigma, scale.bias_sigma)
 
     def _absorb(self, keyframe: Keyframe) -> None:
         if keyframe.epoch != self._mapper.epoch:
@@ -265,7 +265,8 @@ class BackendWorker:
         return Reply(True, f"{said}; looking for the camera in it")
 
     def _tell_loaded(self) -> None:
-        loaded = MapLoaded(self._mapper.epoch, self._scale.log_scale, self._scale.sigma)
+        known = self._scale
+        loaded = MapLoaded(self._mapper.epoch, known.log_scale, known.sigma, known.bias_sigma)
         self._bus.publish("map_loaded", loaded)
 
     # -- the map for others -------------------------------------------------------------------------

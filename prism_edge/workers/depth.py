@@ -24,6 +24,7 @@ from prism_edge.workers.sensor_network import SensorNetwork, open_depth
 log = logging.getLogger("prism_edge.depth")
 
 _WAIT_S = 0.2
+_ONE_LIFE = 100_000  # no tracker gives so many keyframes between two that are seen here
 _LOADING_S = 120.0
 _INFERENCE_S = 20.0  # the slowest network in use takes a tenth of that on a small computer
 # Lockstep: a picture that takes longer isn't coming (the tracker died with it), and all wait for us.
@@ -86,7 +87,8 @@ class DepthWorker:
         if image is None:
             return False
         passed_over = image.keyframe - self._last - 1
-        if self._last >= 0 and passed_over > 0:  # ids are given in order; a restarted tracker goes back
+        # Ids are given in order; a restarted tracker's begin far above.
+        if self._last >= 0 and 0 < passed_over < _ONE_LIFE:
             values = self._bus.pulse.values
             values["dropped"] = str(int(values["dropped"]) + passed_over)
         self._last = max(image.keyframe, self._last) if image.keyframe < 0 else image.keyframe

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -141,7 +142,8 @@ class MapKeeper:
         if not mapper.world.points:
             return None
         data = np.frombuffer(self._packed(scale), np.uint8)
-        return WholeMap(mapper.epoch, mapper.sequence, scale.log_scale, scale.sigma, data)
+        sigma = math.hypot(scale.sigma, scale.bias_sigma)
+        return WholeMap(mapper.epoch, mapper.sequence, scale.log_scale, sigma, data)
 
     def _begin_journal(self, journal: Journal, scale: KnownScale) -> None:
         self._bus.pulse.working("writing the journal", 30.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections import deque
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
-from prism_edge.messages import Acknowledged, Depth, Keyframe, Scale, Tracked
+from prism_edge.messages import Acknowledged, Depth, Keyframe, MapLoaded, Scale, Tracked
 from prism_edge.processes import processes_for
 from prism_edge.scale.estimator import ScaleEstimator
 from prism_edge.scale.rendezvous import Rendezvous
@@ -40,6 +41,7 @@ class ScaleWorker:
         self._waiting = Rendezvous()
         self._served: deque[int] = deque(maxlen=256)  # keyframes; a later frame's may come with an earlier's
         self._estimator = ScaleEstimator(config.scale, config.ablate, config.gate)
+        self._stamp_ns = 0  # of the newest keyframe
         self._unanswered_s: float | None = None  # since when no keyframe has met its depth, though some came
         self._shows_images, self._camera_frame = config.gate.images, config.frames.camera
 
@@ -80,9 +82,10 @@ class ScaleWorker:
             if come.keyframe >= 0:  # else a probe's, which is for the tracker
                 self._waiting.add_depth(come)
         for loaded in self._loaded.drain():
-            self._estimator.take_over(loaded.epoch, loaded.log_scale, loaded.scale_sigma)
+            self._take_over(loaded)
         keyframes = self._keyframes.drain()
         for keyframe in keyframes:
+            self._stamp_ns = keyframe.stamp_ns
             self._waiting.add_keyframe(keyframe)
         pairs = self._waiting.complete()
         for keyframe, depth in pairs:
@@ -95,6 +98,13 @@ class ScaleWorker:
         silent = self._unanswered_s is not None and now - self._unanswered_s > _SILENT_S
         if keyframes and silent and self._ticks is None and self._estimator.metric:
             self._grow(keyframes[-1])
+
+    def _take_over(self, loaded: MapLoaded) -> None:
+        """Said at once: where the map is left as it is, no keyframe will."""
+        log_scale, sigma, bias_sigma = loaded.log_scale, loaded.scale_sigma, loaded.bias_sigma
+        self._estimator.take_over(loaded.epoch, log_scale, sigma, bias_sigma)
+        known = log_scale, math.hypot(sigma, bias_sigma), sigma
+        self._bus.publish("scale", ros.scale(self._stamp_ns, self._map_frame, *known, metric=True))
 
     def _do_without_depth(self, keyframe_id: int) -> None:
         log.warning("keyframe %d has no depth after %.0f s: going on without", keyframe_id, self._patience_s)

@@ -333,6 +333,7 @@ class TrackerWorker:
             return False
         self._scale_sigma, self._update_sequence = whole.scale_sigma, whole.sequence
         self._travelled, self._localise_only = self._maps.travelled, False
+        self._drift.forget()
         self._expected.clear()
         return True
 

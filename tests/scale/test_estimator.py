@@ -54,14 +54,27 @@ def test_a_new_epoch_has_a_new_unit():
     assert abs(again[-1].log_scale) < 1e-3
 
 
+def test_a_map_that_was_triangulated_has_a_unit_before_the_first_depth():
+    """As for a scale process that was started again: twelve points can't say which."""
+    estimator = ScaleEstimator(CONFIG)
+    few = keyframe_of_wall(0, 0.0, 1.5, points=12)
+    said = estimator.process(few, depth_of(few))[0]
+    assert not estimator.metric
+    assert said.sigma >= CONFIG.initial_sigma
+    many = keyframe_of_wall(1, 0.4, 1.5)
+    assert 0.7 * np.log(1.5) < estimator.process(many, depth_of(many))[0].log_scale < np.log(1.5)
+    assert estimator.metric
+
+
 def test_a_stored_map_is_gone_on_with_in_its_own_unit():
     estimator = ScaleEstimator(CONFIG)
     play(estimator, 3)
-    estimator.take_over(1000, np.log(1.2), 0.02)
+    estimator.take_over(1000, np.log(1.2), 0.02, bias_sigma=0.1)
     later = keyframe_of_wall(50, 20.0, 1.2, epoch=1000)
     first = estimator.process(later, None)[0]
     assert first.log_scale == pytest.approx(np.log(1.2))
     assert first.filter_sigma == pytest.approx(0.02, abs=0.005)
+    assert first.sigma == pytest.approx(np.hypot(first.filter_sigma, 0.1), rel=1e-3)
     results = play(estimator, 10, metres_per_unit=1.2, start=51, epoch=1000)
     assert all(abs(r.log_scale - np.log(1.2)) < 0.03 for r in results)
     assert estimator.process(keyframe_of_wall(9, 3.0, epoch=0), None) is None  # of the map before

@@ -27,6 +27,16 @@ def test_silence_is_told_once_it_is_long_and_forgotten_with_the_next_depth() -> 
     assert watch.trouble(9_000_000_000) == ""
 
 
+def test_days_without_depth_cost_nothing_and_are_told_from_their_beginning() -> None:
+    watch = DepthWatch()
+    for number in range(5000):
+        watch.keyframe(number, number * 1_000_000_000)
+    assert len(watch._waiting) <= 64
+    assert watch.trouble(5000 * 1_000_000_000) == "no depth for 5000 s"
+    watch.depth(4999, True, "")
+    assert watch.trouble(5000 * 1_000_000_000) == ""
+
+
 def test_a_later_keyframe_is_not_answered_by_an_earlier_depth() -> None:
     watch = DepthWatch()
     watch.keyframe(3, 0)

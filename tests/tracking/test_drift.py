@@ -121,6 +121,17 @@ def test_a_frame_at_a_keyframe_of_an_earlier_life_is_as_sure_however_long_the_wa
     assert drift.total.metres2 == pytest.approx(0.02**2 * 303.0)
 
 
+def test_another_map_s_keyframes_are_not_taken_for_those_of_the_same_number():
+    drift = Drift(CONFIG)
+    world = World(drift)
+    for number in range(3):
+        world.walk_to(number, pose_at(0.1 * number), [number - 1] if number else [])
+    drift.forget()
+    drift.advance(None, result(pose_at(60.0), 2, np.eye(4)), 0.0)
+    assert drift.here.metres2 == pytest.approx(0.02**2 * 60.0)
+    assert drift.total.metres2 == pytest.approx(0.02**2 * 0.2)
+
+
 def test_culled_keyframes_are_forgotten():
     drift = Drift(CONFIG)
     world = World(drift)

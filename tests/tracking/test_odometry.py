@@ -54,6 +54,18 @@ def test_a_new_scale_changes_only_what_is_to_come():
     assert odometry.odom_from_camera[:3, 3] == pytest.approx([1.0 + 3 * 0.5, 0, 0])
 
 
+def test_the_first_frame_in_another_map_goes_on_where_it_was_and_knows_no_velocity():
+    odometry = MetricOdometry()
+    odometry.advance(None, np.eye(4), 0.0, 0)
+    odometry.advance(np.eye(4), pose_at(1.0), 0.0, SECOND)
+    assert odometry.interval_s == 1.0
+    here = odometry.odom_from_camera.copy()
+    odometry.advance(None, pose_at(9.0), 0.0, 2 * SECOND)
+    assert odometry.odom_from_camera.tolist() == here.tolist()
+    assert odometry.interval_s == 0.0
+    assert not odometry.twist.any()
+
+
 def test_twist_is_per_second_in_the_camera_s_axes():
     odometry = MetricOdometry()
     odometry.advance(None, pose_at(0, 0, 0, 0, 1.0), 0.0, 0)

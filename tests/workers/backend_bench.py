@@ -57,7 +57,7 @@ def hear(
     for keyframe in told:
         bus.give("depth", depth_of(keyframe, teller))
         bus.give("gate", gate_of(keyframe))
-        bus.give("log_scale", scale_of(keyframe, log_scale))
+        bus.give("log_scale", scale_of(keyframe, log_scale, bias_sigma=0.07))
         bus.give("keyframe", keyframe)
         made._realtime()
 

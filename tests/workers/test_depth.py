@@ -73,10 +73,11 @@ def test_a_keyframes_picture_becomes_its_metric_depth(tiny: str):
 
 def test_the_newest_keyframe_wins_and_those_passed_over_are_counted(tiny: str):
     bus, config = live(tiny)
-    bus.give("keyframe_image", picture(0), picture(1), picture(5), picture(2), picture(3))
-    main(config, bus)  # 2 after 5: a tracker that started again
+    numbers = [0, 1, 5, 10_000_000_000, 10_000_000_001]
+    bus.give("keyframe_image", *(picture(number) for number in numbers))
+    main(config, bus)  # a tracker that started again numbers from far above
     assert bus.inboxes["keyframe_image"].newest
-    assert [depth.keyframe for depth in bus.of("depth")] == [0, 1, 5, 2, 3]
+    assert [depth.keyframe for depth in bus.of("depth")] == numbers
     assert bus.pulse.values["dropped"] == "3"
 
 

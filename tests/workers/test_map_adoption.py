@@ -10,6 +10,7 @@ from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig
 from prism_edge.messages import MapLoaded, WholeMap
+from prism_edge.tracking.drift import Drift
 from tests.tracking.footage import footage
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import World, depth_of, frame, positions, run, true_position
@@ -77,6 +78,30 @@ def test_the_same_map_loaded_in_the_first_life(whole: WholeMap) -> None:
     newest_before = max(k.id for k in run_of.bus.of("keyframe"))
     assert newest_before < 1_000_000
     assert len({k.id for k in run_of.bus.of("keyframe")}) == len(run_of.bus.of("keyframe"))
+
+
+def test_the_drift_of_the_map_before_is_forgotten(
+    whole: WholeMap, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bus, forgotten = Asked(whole, life=0).bus, []
+    forget = Drift.forget
+
+    def forget_and_say(drift: Drift) -> None:
+        forgotten.append(sorted(drift._keyframes))
+        forget(drift)
+
+    monkeypatch.setattr(Drift, "forget", forget_and_say)
+    depths = World(bus)
+
+    def heard(topic: str, message: object) -> None:
+        depths.heard(topic, message)
+        if topic == "tracked" and message.index == 20:  # type: ignore[attr-defined]
+            bus.give("map_loaded", MapLoaded(EPOCH, LOG_SCALE, 0.05))
+
+    bus.hear = heard
+    run(bus, [frame(i) for i in range(21)] + [frame(i) for i in AFTER])
+    before = [k.id for k in bus.of("keyframe") if k.epoch != EPOCH]
+    assert forgotten == [before], "which the loaded map numbers alike"
 
 
 def test_without_an_answer_a_new_map_begins() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -168,7 +169,7 @@ class TestSaving:
         assert map_names(CONFIG.state) == ["lab"]
         info, arrays = map_file.unpack(map_file.read(map_path(CONFIG.state, "lab")))
         mapper = Mapper(BackendConfig())
-        assert mapper.restore(info, arrays).log_scale == pytest.approx(0.25)
+        assert mapper.restore(info, arrays) == KnownScale(0.25, 0.1, 0.07)
         np.testing.assert_allclose(list(mapper.world.poses().values()), snapshot(bus).poses, atol=1e-12)
         assert info["robot"] == CONFIG.robot
         assert info["model"] == CONFIG.depth.model
@@ -191,6 +192,8 @@ class TestSaving:
         whole = made._keeper.whole(made._scale)
         assert whole is not None
         assert (whole.epoch, whole.log_scale) == (loaded.epoch, loaded.log_scale)
+        assert (loaded.scale_sigma, loaded.bias_sigma) == (0.1, 0.07)
+        assert whole.scale_sigma == pytest.approx(math.hypot(0.1, 0.07)), "what is published with it"
         # the tracker goes on in it, and what it still says of the map before is not heard
         bus.give("keyframe", told[5])
         bus.give("keyframe", replace(told[5], epoch=loaded.epoch))
@@ -252,6 +255,8 @@ def test_a_stored_map_with_wrong_plain_values_is_refused() -> None:
     info, arrays = mapper.stored()
     good = {**info, **KnownScale(0.1, 0.2).info}
     assert Mapper(BackendConfig()).restore(good, arrays) == KnownScale(0.1, 0.2)
+    old = {name: value for name, value in good.items() if name != "bias_sigma"}
+    assert Mapper(BackendConfig()).restore(old, arrays) == KnownScale(0.1, 0.2, 0.0)
     for wrong in (
         {"epoch": "x"},
         {"epoch": -1},
@@ -260,6 +265,7 @@ def test_a_stored_map_with_wrong_plain_values_is_refused() -> None:
         {"log_scale": 1e9},
         {"scale_sigma": -1.0},
         {"scale_sigma": "x"},
+        {"bias_sigma": -0.1},
     ):
         with pytest.raises(MapError):
             Mapper(BackendConfig()).restore({**good, **wrong}, arrays)

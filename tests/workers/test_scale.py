@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import Config, GateConfig, ScaleConfig
-from prism_edge.messages import Acknowledged, EndOfStream, Gate, Scale
+from prism_edge.messages import Acknowledged, EndOfStream, Gate, MapLoaded, Scale
 from prism_edge.workers.scale import ScaleWorker, main
 from tests.scale.scene import depth_of, keyframe_of_wall
 from tests.synthetic.messages import tick
@@ -41,6 +41,18 @@ def start(bus):
     for thread in threads:
         thread.join(DEADLINE_S)
         assert not thread.is_alive()
+
+
+def test_a_loaded_map_s_scale_is_said_at_once(bus, start):
+    """A map that is only localised in makes no keyframes, whose scales would say it."""
+    bus.give("map_loaded", MapLoaded(1000, np.log(1.3), 0.03, 0.1))
+    start()
+    bus.wait_for("scale", 1)
+    (said,) = bus.of("scale")
+    assert said.scale == pytest.approx(1.3)
+    assert (said.sigma_log, said.filter_sigma_log) == (pytest.approx(np.hypot(0.03, 0.1)), 0.03)
+    assert said.metric
+    assert said.keyframe == -1
 
 
 def test_each_pair_gives_scale_gate_and_the_public_scale(bus, start):
