@@ -2,6 +2,7 @@
 # Installs prism_edge as a service, or upgrades it. Twice is the same as once; configuration and maps are kept;
 # whatever fails, what ran before runs again. docs/DEPLOYMENT.md tells what goes where.
 set -euo pipefail
+umask 022  # the service's user must read what root writes here, however careful root is otherwise
 
 usage() {
     cat <<'EOF'
@@ -47,13 +48,14 @@ if [[ $EUID -ne 0 && -z $destdir ]]; then
     exit 1
 fi
 # Two at once would each take the other's half for its own.
-mkdir -p "$root/releases"
+install -d -m 755 "$root" "$root/releases"
 exec 9> "$root/.lock"
 flock --nonblock 9 || { echo "install.sh: error: another installation is under way" >&2; exit 1; }
 
 old=$(readlink "$root/current" || true)
 new=releases/$(date -u +%Y%m%dT%H%M%S)-$$
 saved=$(mktemp -d)
+sources=$(mktemp -d)
 files=("$units/prism-edge.service" "$units/prism-edge@.service" "$rules/60-prism-edge-oak.rules" "$command")
 
 service() { [[ $systemctl == no ]] || systemctl "$@"; }
@@ -81,7 +83,7 @@ undo() {
         service daemon-reload || true
         for unit in "${running[@]}"; do service restart "$unit" || true; done
     fi
-    rm -rf "$saved"
+    rm -rf "$saved" "$sources"
     exit "$code"
 }
 
@@ -89,6 +91,13 @@ undo() {
 point_at() {
     ln -sfn "$1" "$root/.current.new"
     mv -T "$root/.current.new" "$root/current"
+}
+
+# pip builds where the sources lie: a copy of them leaves nothing of root's in the checkout, and takes nothing
+# along that an earlier build has left there.
+copy_sources() {
+    tar c -C "$checkout" --exclude=__pycache__ pyproject.toml setup.py README.md LICENSE prism_edge models |
+        tar x -C "$sources" --no-same-owner
 }
 
 for file in "${files[@]}"; do
@@ -100,11 +109,13 @@ trap 'exit 130' INT TERM HUP
 echo "installing into $root/$new"
 "$python" -m venv "$root/$new"
 pip=("$root/$new/bin/python" -m pip --quiet --disable-pip-version-check install)
+copy_sources
 [[ -z $wheels ]] || pip+=(--no-index --find-links "$wheels")
-"${pip[@]}" --constraint "$checkout/requirements.lock" "$checkout${extras:+[$extras]}"
+"${pip[@]}" --constraint "$checkout/requirements.lock" "$sources${extras:+[$extras]}"
 "$root/$new/bin/python" -m prism_edge.cli --version
 
-mkdir -p "$units" "$rules" "$settings" "${command%/*}"
+mkdir -p "$units" "$rules" "${command%/*}"
+install -d -m 755 "$settings"
 install -m 644 "$checkout/deploy/60-prism-edge-oak.rules" "$rules/"
 for unit in prism-edge.service prism-edge@.service; do
     sed "s#/opt/prism-edge/#$prefix/#g" "$checkout/systemd/$unit" > "$units/.$unit.new"

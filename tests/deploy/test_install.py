@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,14 +15,18 @@ PYTHON = Path(__file__).with_name("fake_python.sh")
 UNITS = ("prism-edge.service", "prism-edge@.service")
 
 
-def script(name: str, root: Path, *options: str, fail: str = "") -> subprocess.CompletedProcess[str]:
-    command = [str(CHECKOUT / "deploy" / name), "--destdir", str(root), *options]
+def script(
+    name: str, root: Path, *options: str, fail: str = "", checkout: Path = CHECKOUT, umask: int = 0o022
+) -> subprocess.CompletedProcess[str]:
+    command = [str(checkout / "deploy" / name), "--destdir", str(root), *options]
     environment = {**os.environ, "FAIL": fail}
-    return subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
+    return subprocess.run(
+        command, capture_output=True, text=True, env=environment, timeout=60, umask=umask
+    )
 
 
-def install(root: Path, *options: str, fail: str = "") -> subprocess.CompletedProcess[str]:
-    return script("install.sh", root, "--python", str(PYTHON), *options, fail=fail)
+def install(root: Path, *options: str, **given: Any) -> subprocess.CompletedProcess[str]:
+    return script("install.sh", root, "--python", str(PYTHON), *options, **given)
 
 
 def tree(root: Path) -> dict[str, str]:
@@ -93,6 +99,42 @@ def test_another_prefix_reaches_the_units(tmp_path: Path) -> None:
     unit = (tmp_path / "etc/systemd/system" / UNITS[0]).read_text()
     assert "ExecStart=/srv/pose/current/bin/python" in unit
     assert "/opt/prism-edge" not in unit
+
+
+@pytest.mark.parametrize("umask", [0o027, 0o077])
+@pytest.mark.parametrize("earlier", [False, True], ids=["at first", "as an upgrade"])
+def test_a_careful_root_installs_what_the_service_can_read(umask: int, earlier: bool, tmp_path: Path) -> None:
+    """Its user belongs to nobody's group: everything must be open to others."""
+    if earlier:  # as installers before this one left it
+        for folder in ("opt/prism-edge/releases", "etc/prism-edge"):
+            (tmp_path / folder).mkdir(parents=True)
+            (tmp_path / folder).chmod(0o750)
+    done = install(tmp_path, umask=umask)
+    assert done.returncode == 0, done.stderr
+    modes = {path: path.stat().st_mode for path in tmp_path.rglob("*") if path.exists()}
+    assert modes
+    assert [path for path, mode in modes.items() if not mode & 0o004] == []
+    assert [path for path, mode in modes.items() if path.is_dir() and not mode & 0o001] == []
+
+
+def test_a_checkout_stays_as_it_is_and_nothing_stale_is_taken_along(tmp_path: Path) -> None:
+    checkout, root = tmp_path / "checkout", tmp_path / "root"
+    skip = shutil.ignore_patterns("__pycache__")
+    for name in ("deploy", "models", "prism_edge", "systemd", "tools"):
+        shutil.copytree(CHECKOUT / name, checkout / name, ignore=skip)
+    for name in ("LICENSE", "README.md", "pyproject.toml", "requirements.lock", "setup.py"):
+        shutil.copy(CHECKOUT / name, checkout)
+    stale = ("build/lib/gone.py", "prism_edge.egg-info/SOURCES.txt", "prism_edge/__pycache__/a.pyc")
+    for name in stale:
+        (checkout / name).parent.mkdir(parents=True, exist_ok=True)
+        (checkout / name).write_text("stale")
+    before = sorted(checkout.rglob("*"))
+    done = install(root, "--extra", "oak", checkout=checkout)
+    assert done.returncode == 0, done.stderr
+    assert sorted(checkout.rglob("*")) == before
+    given = (root / "opt/prism-edge/current/bin/sources").read_text().splitlines()
+    assert {"./setup.py", "./prism_edge/__init__.py", "./models/registry.yaml"} <= set(given)
+    assert [name for name in given if name.removeprefix("./") in stale] == []
 
 
 @pytest.mark.parametrize("prefix", ["relative", "/", "/a b", "/a&b", "/a#b"])
