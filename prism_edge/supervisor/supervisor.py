@@ -109,17 +109,21 @@ class Supervisor:
     def start(self) -> None:
         """Open the bus's listener and start every process.
 
-        Raises ConfigError for the robot's name and BusError for the endpoint, with nothing left behind.
+        Raises ConfigError for the robot's name or the metrics' port, and BusError for the endpoint, with
+        nothing left behind.
         """
         check_robot_name(self._config.robot)
         check_loopback(self._config.bus.endpoint)
         check_network(self._config.network)
-        self._directory = RunDirectory()
-        self._cleanup.callback(self._directory.remove)
-        self._file = self._directory.write("config.yaml", dump(self._config))
-        if self._mark is not None and self._mark.begin(self._config.state.recover_s):
-            self._directory.write(TOLD, "")
         try:
+            if self._config.metrics.port:  # before any process: where the port is taken, none need be ended
+                metrics = MetricsServer(self._config.metrics.port, lambda: self._rows)
+                self._cleanup.callback(metrics.close)
+            self._directory = RunDirectory()
+            self._cleanup.callback(self._directory.remove)
+            self._file = self._directory.write("config.yaml", dump(self._config))
+            if self._mark is not None and self._mark.begin(self._config.state.recover_s):
+                self._directory.write(TOLD, "")
             # Workers load their libraries while we load ours; but none may join a stranger's listener.
             early = can_listen(self._config.bus.endpoint)
             if early:
@@ -184,9 +188,6 @@ class Supervisor:
         self._cleanup.callback(self._bus.close)
         self._heartbeats = self._bus.queue("heartbeat", capacity=1024)
         self._diagnostics = ros.diagnostics
-        if self._config.metrics.port:
-            metrics = MetricsServer(self._config.metrics.port, lambda: self._rows)
-            self._cleanup.callback(metrics.close)
         self._desk = self._bus.commands({"info": self._info})
         self._bus.pulse.ready()
 

@@ -9,15 +9,17 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from prism_edge.bus.session import Bus
-from prism_edge.config import BusConfig, Config, SupervisorConfig
+from prism_edge.config import BusConfig, Config, MetricsConfig, SupervisorConfig
 from prism_edge.config_file import dump
-from prism_edge.errors import BusError, SupervisionError
+from prism_edge.errors import BusError, ConfigError, SupervisionError
+from prism_edge.processes import Process
 from prism_edge.supervisor.health import ERROR, OK
 from prism_edge.supervisor.run_directory import PREFIX
 from prism_edge.supervisor.supervisor import Supervisor
@@ -178,6 +180,22 @@ class TestSupervisor:
             with pytest.raises(BusError):
                 run.start()
             assert run.processes == {}
+
+    def test_a_port_of_metrics_in_use_is_said_before_any_process_is_started(self, config: Config) -> None:
+        launched: list[str] = []
+
+        def command(process: Process, config_file: Path, life: int) -> list[str]:
+            launched.append(process.name)
+            return [sys.executable, "-c", ""]
+
+        with socket.socket() as other:
+            other.bind(("127.0.0.1", 0))
+            other.listen()
+            taken = replace(config, metrics=MetricsConfig(other.getsockname()[1]))
+            run = Supervisor(taken, cast(["source:steady"])[0], command)
+            with pytest.raises(ConfigError, match=r"metrics\.port: can't listen"):
+                run.start()
+        assert launched == []
 
     def test_ended_when_every_process_has(self, config: Config) -> None:
         with supervisor(config, "source:ends", "tracker:ends") as run:
