@@ -59,7 +59,7 @@ exporter: ## make the environment of tools/export_da3 in .venv-export (PyTorch; 
 docs: $(STAMP) ## write the table of docs/CONFIGURATION.md anew
 	$(BIN)/python tools/document_config.py
 
-lock: $(STAMP) ## resolve the dependencies anew into requirements.lock
+lock: $(STAMP) ## resolve the dependencies anew into requirements.lock and requirements-extras.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-tools
 	tools/lock.sh $(BIN)
 

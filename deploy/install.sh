@@ -111,7 +111,8 @@ echo "installing into $root/$new"
 pip=("$root/$new/bin/python" -m pip --quiet --disable-pip-version-check install)
 copy_sources
 [[ -z $wheels ]] || pip+=(--no-index --find-links "$wheels")
-"${pip[@]}" --constraint "$checkout/requirements.lock" "$sources${extras:+[$extras]}"
+"${pip[@]}" --constraint "$checkout/requirements.lock" --constraint "$checkout/requirements-extras.lock" \
+    "$sources${extras:+[$extras]}"
 "$root/$new/bin/python" -m prism_edge.cli --version
 
 mkdir -p "$units" "$rules" "${command%/*}"

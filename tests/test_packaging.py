@@ -20,24 +20,39 @@ from prism_edge import __version__
 
 CHECKOUT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-LOCK = (CHECKOUT / "requirements.lock").read_text(encoding="utf-8").splitlines()
+LOCK, EXTRAS = (
+    (CHECKOUT / name).read_text(encoding="utf-8").splitlines()
+    for name in ("requirements.lock", "requirements-extras.lock")
+)
+OPTIONAL = PROJECT["optional-dependencies"]
 
 
 def normal(name: str) -> str:
     return re.sub(r"[-_.]+", "-", name).lower()
 
 
-def test_lock_holds_exact_versions_and_names_no_host() -> None:
-    lines = [line for line in LOCK if not line.startswith("#")]
+def name_of(wanted: str) -> str:
+    found = re.match(r"[A-Za-z0-9._-]+", wanted)
+    assert found is not None
+    return normal(found.group())
+
+
+@pytest.mark.parametrize("lock", [LOCK, EXTRAS], ids=["lock", "extras"])
+def test_lock_holds_exact_versions_and_names_no_host(lock: list[str]) -> None:
+    lines = [line for line in lock if not line.startswith("#")]
     assert lines
     assert all(re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*", line) for line in lines)
 
 
-@pytest.mark.parametrize("wanted", PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"])
+@pytest.mark.parametrize("wanted", PROJECT["dependencies"] + OPTIONAL["dev"])
 def test_lock_covers_every_dependency(wanted: str) -> None:
-    name = re.match(r"[A-Za-z0-9._-]+", wanted)
-    assert name is not None
-    assert any(line.startswith(f"{normal(name.group())}==") for line in LOCK), "run `make lock`"
+    assert any(line.startswith(f"{name_of(wanted)}==") for line in LOCK), "run `make lock`"
+
+
+@pytest.mark.parametrize("wanted", sorted({item for extra in OPTIONAL.values() for item in extra}))
+def test_what_is_optional_is_locked_once(wanted: str) -> None:
+    found = [line for line in LOCK + EXTRAS if line.startswith(f"{name_of(wanted)}==")]
+    assert len(found) == 1, "run `make lock`"
 
 
 def test_version_is_said_once() -> None:

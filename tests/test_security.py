@@ -86,8 +86,9 @@ def test_the_search_finds(code: str, tmp_path: Path) -> None:
     assert list(flaws(file))
 
 
-def test_every_dependency_is_pinned() -> None:
-    lock = (CHECKOUT / "requirements.lock").read_text().splitlines()
+@pytest.mark.parametrize("name", ["requirements.lock", "requirements-extras.lock"])
+def test_every_dependency_is_pinned(name: str) -> None:
+    lock = (CHECKOUT / name).read_text().splitlines()
     lines = [line for line in (text.partition("#")[0].strip() for text in lock) if line]
     assert lines
     assert all("==" in line for line in lines)

@@ -4,7 +4,8 @@
 set -euo pipefail
 "$1/python" -m pip install --quiet --disable-pip-version-check pip-audit
 code=0
-said=$("$1/python" -m pip_audit --strict --requirement requirements.lock --no-deps --disable-pip --progress-spinner off 2>&1) ||
+said=$("$1/python" -m pip_audit --strict --requirement requirements.lock \
+    --requirement requirements-extras.lock --no-deps --disable-pip --progress-spinner off 2>&1) ||
     code=$?
 echo "$said"
 if ((code)) && ! grep -qE 'Found [0-9]+ known vulnerabilit' <<< "$said"; then

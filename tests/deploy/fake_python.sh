@@ -10,6 +10,7 @@ case "$*" in
     "-m pip "*)
         [[ ${FAIL:-} != pip ]]
         # pip builds where the sources lie; what it was given is kept for the test to see.
+        printf '%s\n' "$@" > "${0%/*}/asked"
         sources=${!#}
         sources=${sources%[*}
         (cd "$sources" && find . -type f) > "${0%/*}/sources"

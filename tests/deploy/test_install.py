@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -122,7 +123,7 @@ def test_a_checkout_stays_as_it_is_and_nothing_stale_is_taken_along(tmp_path: Pa
     skip = shutil.ignore_patterns("__pycache__")
     for name in ("deploy", "models", "prism_edge", "systemd", "tools"):
         shutil.copytree(CHECKOUT / name, checkout / name, ignore=skip)
-    for name in ("LICENSE", "README.md", "pyproject.toml", "requirements.lock", "setup.py"):
+    for name in ("LICENSE", "README.md", "pyproject.toml", "setup.py"):
         shutil.copy(CHECKOUT / name, checkout)
     stale = ("build/lib/gone.py", "prism_edge.egg-info/SOURCES.txt", "prism_edge/__pycache__/a.pyc")
     for name in stale:
@@ -135,6 +136,15 @@ def test_a_checkout_stays_as_it_is_and_nothing_stale_is_taken_along(tmp_path: Pa
     given = (root / "opt/prism-edge/current/bin/sources").read_text().splitlines()
     assert {"./setup.py", "./prism_edge/__init__.py", "./models/registry.yaml"} <= set(given)
     assert [name for name in given if name.removeprefix("./") in stale] == []
+
+
+def test_optional_dependencies_are_held_to_their_versions_too(tmp_path: Path) -> None:
+    done = install(tmp_path, "--extra", "oak", "--extra", "metrics")
+    assert done.returncode == 0, done.stderr
+    asked = (tmp_path / "opt/prism-edge/current/bin/asked").read_text().splitlines()
+    held = {Path(value).name for option, value in pairwise(asked) if option == "--constraint"}
+    assert held == {"requirements.lock", "requirements-extras.lock"}
+    assert asked[-1].endswith("[oak,metrics]")
 
 
 @pytest.mark.parametrize("prefix", ["relative", "/", "/a b", "/a&b", "/a#b"])
