@@ -33,7 +33,24 @@ _EVERYTHING = sorted({message for kind in _KINDS for messages in kind.values() f
 
 
 def check_network(network: NetworkConfig) -> None:
-    """Whether the settings can be: ConfigError names the one that can't, BusError a malformed endpoint."""
+    """Whether the settings can be here: ConfigError names what can't, BusError a malformed endpoint."""
+    check_settings(network)
+    for problem in unreadable(network):
+        raise ConfigError(problem)
+
+
+def unreadable(network: NetworkConfig) -> list[str]:
+    """A line for each file that is named and can't be read by this process."""
+    files = {key: getattr(network, key) for key in ("ca", "certificate", "key")}
+    return [
+        f"network.{key}: can't read {path}"
+        for key, path in files.items()
+        if path and not os.access(path, os.R_OK)
+    ]
+
+
+def check_settings(network: NetworkConfig) -> None:
+    """Whether the settings can be, whatever files are there; raises as :func:`check_network` does."""
     if network.endpoint:
         check_endpoint(network.endpoint, "network.endpoint")
     secure = protocol_of(network.endpoint) in _SECURE
@@ -49,10 +66,6 @@ def check_network(network: NetworkConfig) -> None:
         raise ConfigError("network.certificate and network.key belong together: set both or none")
     if secure and not (network.certificate and network.ca):
         raise ConfigError("network.endpoint: TLS needs network.ca, network.certificate and network.key")
-    for key in ("ca", "certificate", "key"):
-        path = getattr(network, key)
-        if path and not os.access(path, os.R_OK):
-            raise ConfigError(f"network.{key}: can't read {path}")
 
 
 def tls(network: NetworkConfig) -> dict[str, Any]:

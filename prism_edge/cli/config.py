@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 from prism_edge.cli.settings import add_common, add_input, config_from
@@ -15,7 +16,8 @@ def add_parser(subparsers: Any) -> None:
         "config",
         help="print the effective configuration, or check a file",
         description="Print the whole configuration as it results from defaults, --config and options: YAML "
-        "that --config takes back. With --check, only say whether a file is right.",
+        "that --config takes back. With --check, only say whether a file is right, and warn "
+        "of what `run` would miss on this machine.",
     )
     add_input(parser)
     add_common(parser)
@@ -24,15 +26,12 @@ def add_parser(subparsers: Any) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print or check; returns the exit code. Raises ConfigError for anything wrong."""
+    """Print or check; returns the exit code. Raises PrismError for anything wrong."""
     if args.check is not None:
-        from prism_edge.bus.access import check_network
-        from prism_edge.bus.keys import check_endpoint, check_robot_name
+        from prism_edge.cli.check import check_config
 
-        config = load(args.check)
-        check_robot_name(config.robot)
-        check_endpoint(config.bus.endpoint)
-        check_network(config.network)
+        for warning in check_config(load(args.check)):
+            print(f"{args.check}: warning: {warning}", file=sys.stderr)
         print(f"{args.check}: ok")
     else:
         print(dump(config_from(args), args.explain), end="")

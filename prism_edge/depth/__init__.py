@@ -40,10 +40,8 @@ def open_network(spec: str, config: DepthConfig) -> DepthNetwork:
 
     Raises ModelError, in one line, where it can't be found or run, or has no metres.
     """
-    if spec.startswith(NESTED):
-        parts = [part.strip() for part in spec.removeprefix(NESTED).split(",")]
-        if len(parts) != 2 or not all(parts):
-            raise ModelError(f"model {spec!r}: nested takes two networks, nested:RELATIVE,METRIC")
+    parts = networks_of(spec)
+    if len(parts) == 2:
         return PairedNetwork(open_onnx(parts[0], config), open_onnx(parts[1], config))
     network = open_onnx(spec, config)
     if not network.card.has_metres:
@@ -52,6 +50,16 @@ def open_network(spec: str, config: DepthConfig) -> DepthNetwork:
             f"metres; pair it with a metric network: --model nested:{spec},METRIC (such as fastdepth_nyu)"
         )
     return network
+
+
+def networks_of(spec: str) -> list[str]:
+    """The files or names that ``spec`` is made of: one, or the two of nested:. Raises ModelError."""
+    if not spec.startswith(NESTED):
+        return [spec] if spec else []
+    parts = [part.strip() for part in spec.removeprefix(NESTED).split(",")]
+    if len(parts) != 2 or not all(parts):
+        raise ModelError(f"model {spec!r}: nested takes two networks, nested:RELATIVE,METRIC")
+    return parts
 
 
 def open_onnx(spec: str, config: DepthConfig) -> OnnxNetwork:

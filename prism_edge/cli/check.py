@@ -1,0 +1,71 @@
+"""What `run` would refuse of a configuration: what is wrong in it, and what this machine lacks for it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from prism_edge.bus.access import check_settings, unreadable
+from prism_edge.bus.keys import check_loopback, check_robot_name
+from prism_edge.cli.settings import with_network
+from prism_edge.config import SENSOR, Config, SourceConfig
+from prism_edge.depth import locate, networks_of
+from prism_edge.errors import ConfigError, ModelError, SourceError
+from prism_edge.sources.camera_file import read_camera
+from prism_edge.sources.live.open import is_live
+from prism_edge.sources.open import AUTO, open_source
+from prism_edge.sources.sim import is_simulated
+
+
+def check_config(config: Config) -> list[str]:
+    """What is missing on this machine, or left to the command line: a line for each thing.
+
+    Raises PrismError for what is wrong in the configuration itself, whichever machine it is for.
+    """
+    check_robot_name(config.robot)
+    check_settings(config.network)
+    missing = _endpoint(config) + unreadable(config.network)  # the service's key is there only while it runs
+    return missing + _source(config.source) + _model(with_network(config))
+
+
+def _endpoint(config: Config) -> list[str]:
+    """A file that names a source is one for `run`; another may be a client's, or a worker's elsewhere."""
+    try:
+        check_loopback(config.bus.endpoint)
+    except ConfigError as error:
+        if config.source.uri:
+            raise
+        return [f"{error}; `run` refuses it, for `watch`, `ctl` and `worker` it is right"]
+    return []
+
+
+def _source(source: SourceConfig) -> list[str]:
+    if not source.uri:
+        return []
+    if is_live(source.uri) or is_simulated(source.uri):
+        open_source(source, calibrated=False)  # nothing is connected yet: only the address is read
+    if source.camera != AUTO and Path(source.camera).expanduser().is_file():
+        read_camera(Path(source.camera).expanduser())
+    try:
+        open_source(source)
+    except (ConfigError, SourceError) as error:
+        return [str(error)]
+    return []
+
+
+def _model(config: Config) -> list[str]:
+    model = config.depth.model
+    if "depth" in config.network.remote:
+        return []
+    missing = []
+    if model == SENSOR:
+        if is_live(config.source.uri) or is_simulated(config.source.uri):
+            raise ConfigError(f"depth.model: {SENSOR} is for recordings with depth images")
+        return []
+    if config.source.uri and not model:
+        missing.append("depth.model: no network is named, and without one there are no poses")
+    for network in networks_of(model):
+        try:
+            locate(network)
+        except ModelError as error:
+            missing.append(str(error))
+    return missing

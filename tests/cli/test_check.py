@@ -1,0 +1,126 @@
+"""`prism-edge config --check` beside `run`: what one refuses, the other does not pass unsaid."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from prism_edge.cli.main import main
+from prism_edge.cli.run import check
+from prism_edge.config_file import load
+from prism_edge.errors import PrismError
+
+CAMERA = "width: 640\nheight: 480\nfx: 525\nfy: 525\ncx: 319.5\ncy: 239.5\n"
+USB = "source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\ndepth: {model: prism_nano}\n"
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.delenv("PRISM_EDGE_MODELS", raising=False)
+    monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "cache"))
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    return tmp_path / "given.yaml"
+
+
+def write(file: Path, text: str) -> None:
+    file.write_text(text.replace("CAMERA", str(file.with_name("camera.yaml"))))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        USB,
+        "source: {uri: 'sim:room'}\n",
+        "source: {uri: 'oak:'}\ndepth: {model: prism_nano}\n",
+        "source: {uri: 'v4l2:/dev/video7', camera: auto}\ndepth: {model: prism_nano}\n",
+        "network: {endpoint: tls/0.0.0.0:7448, ca: CAMERA, certificate: CAMERA, key: CAMERA, "
+        "remote: [depth]}\n"
+        "source: {uri: 'oak:'}\ndepth: {model: /elsewhere/net.onnx}\n",
+    ],
+)
+def test_what_runs_is_passed_without_a_word(
+    text: str, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(file, text)
+    assert main(["config", "--check", str(file)]) == 0
+    said = capsys.readouterr()
+    assert said.out == f"{file}: ok\n"
+    assert said.err == ""
+
+
+@pytest.mark.parametrize(
+    ("text", "code", "why"),
+    [
+        ("bus: {endpoint: tcp/0.0.0.0:7447}\n" + USB, 3, "is not of this host alone"),
+        ("bus: {endpoint: nonsense}\n", 6, "must start with one of"),
+        ("source: {uri: 'v4l2:/dev/video7?nonsense=1', camera: CAMERA}\n", 4, "nonsense"),
+        ("source: {uri: 'v4l2:/dev/video7', loop: true, camera: CAMERA}\n", 3, "is for recordings"),
+        ("source: {uri: 'sim:nowhere'}\n", 4, "nowhere"),
+        ("source: {uri: 'sim:room', camera: CAMERA}\n", 3, "a simulated camera"),
+        ("source: {uri: 'oak:'}\ndepth: {model: sensor}\n", 3, "is for recordings with depth"),
+        ("network: {operators: [anna]}\n", 3, "network.operators"),
+        ("depth: {model: 'nested:one'}\n", 5, "nested takes two networks"),
+    ],
+)
+def test_what_is_wrong_in_the_file_is_an_error(
+    text: str, code: int, why: str, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(file, text)
+    assert main(["config", "--check", str(file)]) == code
+    said = capsys.readouterr()
+    assert why in said.err
+    assert "ok" not in said.out
+
+
+def test_a_camera_file_that_is_wrong_is_an_error(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(file, USB)
+    file.with_name("camera.yaml").write_text("width: wide\n")
+    assert main(["config", "--check", str(file)]) == 3
+    assert "camera.yaml" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("source: {uri: 'v4l2:/dev/video7'}\ndepth: {model: prism_nano}\n", "needs a camera file"),
+        (USB.replace("CAMERA", "/nowhere/camera.yaml"), "/nowhere/camera.yaml"),
+        ("source: {uri: /nowhere/recording}\ndepth: {model: prism_nano}\n", "does not exist"),
+        (USB.replace("prism_nano", "fastdepth_nyu"), "model fastdepth_nyu: its file"),
+        (USB.replace("prism_nano", "/nowhere/net.onnx"), "there is no such file"),
+        (USB.replace("prism_nano", "'nested:/nowhere/net.onnx,prism_nano'"), "there is no such file"),
+        ("source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\n", "depth.model: no network is named"),
+        ("bus: {endpoint: tls/rover1.local:7448}\n", "`run` refuses it"),
+        ("network: {ca: CAMERA, certificate: CAMERA, key: /run/no/a.key}\n", "network.key: can't read"),
+    ],
+)
+def test_what_may_only_be_missing_here_is_one_warning(
+    text: str, why: str, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(file, text)
+    assert main(["config", "--check", str(file)]) == 0
+    said = capsys.readouterr()
+    assert said.out == f"{file}: ok\n"
+    (line,) = said.err.splitlines()
+    assert line.startswith(f"{file}: warning: ")
+    assert why in line
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "source: {uri: 'v4l2:/dev/video7'}\n",
+        "source: {uri: 'v4l2:/dev/video7', camera: auto}\n",
+        "bus: {endpoint: tcp/10.0.0.1:7447}\n",
+        "robot: a/b\n",
+        "source: {uri: 'rtsp://'}\n",
+    ],
+)
+def test_what_run_refuses_is_never_passed_in_silence(
+    text: str, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(file, text)
+    with pytest.raises(PrismError):
+        check(load(file))
+    main(["config", "--check", str(file)])
+    assert capsys.readouterr().err
