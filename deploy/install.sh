@@ -115,7 +115,7 @@ copy_sources
     "$sources${extras:+[$extras]}"
 "$root/$new/bin/python" -m prism_edge.cli --version
 
-mkdir -p "$units" "$rules" "${command%/*}"
+mkdir -p "$units" "$rules" "${command%/*}" "$destdir/srv/prism-edge/models"
 install -d -m 755 "$settings"
 install -m 644 "$checkout/deploy/60-prism-edge-oak.rules" "$rules/"
 for unit in prism-edge.service prism-edge@.service; do

@@ -33,6 +33,8 @@ rm -f "$destdir/etc/prism-edge/config.yaml.example"
 # Only what an installation made: a prefix may be a folder that others use.
 rm -rf "$destdir$prefix/releases" "$destdir$prefix/current" "$destdir$prefix/.lock"
 rmdir "$destdir$prefix" 2> /dev/null || true
+# Camera files and networks are the operator's, and stay.
+rmdir "$destdir/srv/prism-edge/models" "$destdir/srv/prism-edge" 2> /dev/null || true
 if [[ $purge == yes ]]; then
     rm -rf "$destdir/etc/prism-edge" "$destdir"/var/{lib,cache}/{,private/}prism-edge{,-*}
 fi

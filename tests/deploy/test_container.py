@@ -1,9 +1,16 @@
-"""What the image is built from, read from its files: no container engine is needed."""
+"""Image and compose file as they are written, and the configuration that they ship: no engine is needed."""
 
 from __future__ import annotations
 
 import re
+import tomllib
 from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from prism_edge.cli.main import main
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 DOCKERFILE = (CHECKOUT / "deploy" / "Dockerfile").read_text(encoding="utf-8")
@@ -26,3 +33,36 @@ def test_the_image_is_built_from_what_the_installer_builds_from() -> None:
 def test_leavings_of_a_checkout_stay_out_of_the_build() -> None:
     ignored = (CHECKOUT / ".dockerignore").read_text(encoding="utf-8").splitlines()
     assert {".git", ".venv*", "build", "runs", "*.egg-info", "**/__pycache__"} <= set(ignored)
+
+
+def daemon() -> dict[str, Any]:
+    compose = yaml.safe_load((CHECKOUT / "deploy" / "compose.yaml").read_text(encoding="utf-8"))
+    service: dict[str, Any] = compose["services"]["prism-edge"]
+    return service
+
+
+def test_every_path_of_the_configuration_is_in_the_container() -> None:
+    text = (CHECKOUT / "deploy" / "config.yaml").read_text(encoding="utf-8")
+    mounted = [Path(volume.split(":")[1]) for volume in daemon()["volumes"] if volume.startswith("/")]
+    named = re.findall(r"(?:camera|model): (/\S+)", text)
+    assert len(named) == 2  # one of them in a comment
+    assert all(any(Path(path).is_relative_to(folder) for folder in mounted) for path in named)
+
+
+def test_folders_of_the_host_are_read_only() -> None:
+    assert all(volume.endswith(":ro") for volume in daemon()["volumes"] if volume[0] in "./")
+
+
+def test_the_shipped_configuration_lacks_nothing_but_a_camera_file(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["config", "--check", str(CHECKOUT / "deploy" / "config.yaml")]) == 0
+    said = capsys.readouterr().err.splitlines()
+    assert [line for line in said if "camera file /srv/prism-edge/camera.yaml" not in line] == []
+
+
+def test_the_image_takes_every_optional_dependency() -> None:
+    assert "EXTRAS" in daemon()["build"]["args"]
+    project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    (said,) = re.findall(r"# (.*)\nARG EXTRAS=", DOCKERFILE)
+    assert all(re.search(rf"\b{name}\b", said) for name in set(project["optional-dependencies"]) - {"dev"})

@@ -56,6 +56,7 @@ def test_everything_is_in_its_place(installed: Path) -> None:
         ).read_text()
     assert (installed / "etc/udev/rules.d/60-prism-edge-oak.rules").is_file()
     assert (installed / "etc/prism-edge/config.yaml").is_file()
+    assert (installed / "srv/prism-edge/models").is_dir()
     assert os.readlink(installed / "usr/local/bin/prism-edge") == "/opt/prism-edge/current/bin/prism-edge"
 
 
@@ -164,5 +165,13 @@ def test_removal_keeps_configuration_and_maps_unless_told(installed: Path) -> No
         done = script("uninstall.sh", installed)
         assert done.returncode == 0, done.stderr
     assert set(tree(installed)) == {"etc/prism-edge/config.yaml", "var/lib/private/prism-edge/maps/lab.map"}
+    assert not (installed / "srv/prism-edge").exists()
     assert script("uninstall.sh", installed, "--purge").returncode == 0
     assert tree(installed) == {}
+
+
+def test_removal_leaves_the_operators_networks(installed: Path) -> None:
+    network = installed / "srv/prism-edge/models/net.onnx"
+    network.write_text("a network")
+    assert script("uninstall.sh", installed, "--purge").returncode == 0
+    assert list(tree(installed)) == ["srv/prism-edge/models/net.onnx"]
