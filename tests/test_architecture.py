@@ -26,7 +26,7 @@ BELOW = {
     "calibration": {"geometry"},
     "bus": {"geometry"},
     "workers": {"geometry", "tracking", "depth", "scale", "backend", "sources", "bus"},
-    "supervisor": {"bus", "workers"},
+    "supervisor": {"bus", "sources", "workers"},
     "evaluation": {"geometry", "bus", "sources", "workers"},
 }
 

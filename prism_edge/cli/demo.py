@@ -46,11 +46,13 @@ def add_parser(subparsers: Any) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play, show, sum up; returns the exit code. Raises PrismError."""
+    from prism_edge.sources.address import shown_address
     from prism_edge.sources.sim import is_simulated
 
     config = config_from(args)
     if not is_simulated(config.source.uri):
-        raise SourceError(f"{config.source.uri}: the demo plays simulated worlds; use `prism-edge eval`")
+        shown = shown_address(config.source.uri)
+        raise SourceError(f"{shown}: the demo plays simulated worlds; use `prism-edge eval`")
     # SystemExit passes through the blocks that end the daemon.
     before = signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:

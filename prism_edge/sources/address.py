@@ -1,13 +1,46 @@
-"""Options of an address, ``name=value&name=value``, read into a dataclass whose fields say what they take."""
+"""Addresses of sources: how they may be shown, and their options, ``name=value&name=value``, checked."""
 
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import fields
 from difflib import get_close_matches
 from typing import Any
+from urllib.parse import SplitResult, urlsplit
 
 from prism_edge.errors import SourceError
+
+_SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]*):/+")
+_OF_THIS_HOST = ("sim:", "v4l2:", "oak:")  # no password stands in these
+
+
+def shown_address(uri: str) -> str:
+    """A source's address as logs, errors and replies may show it: without user, password, query and options.
+
+    A misspelt address is taken for a network camera's too; files and what is of this host stay as they are.
+    """
+    if uri.startswith(_OF_THIS_HOST):
+        return uri
+    scheme = _SCHEME.match(uri)
+    if scheme is None:
+        user, at, host = uri.rpartition("@")  # an address whose scheme was forgotten, or a file
+        is_file = ":" not in user or user.startswith(("/", ".", "~"))
+        return uri if not at or is_file else f"...@{host.partition('?')[0]}"
+    try:
+        return shown_parts(urlsplit(f"{scheme[1]}://{uri[scheme.end():]}"))
+    except ValueError:
+        return f"{scheme[1]}://..."
+
+
+def shown_parts(parts: SplitResult) -> str:
+    """The same of an address that is taken apart already."""
+    _, at, host = parts.netloc.rpartition("@")
+    rest = parts.path + parts.query + parts.fragment
+    if not at and ":" in host and "@" in rest:  # a / ? or # in the password: this is no host
+        return f"{parts.scheme}://..."
+    path = "/..." if "@" in parts.path else parts.path
+    return f"{parts.scheme}://{host}{path}" + ("?..." if parts.query else "")
 
 
 def parse_options(shown: str, query: str, options: Any, without: tuple[str, ...] = ()) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from prism_edge.config import SourceConfig
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.sources import image_folder, kitti, seven_scenes, tum
+from prism_edge.sources.address import shown_address
 from prism_edge.sources.base import Source
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
@@ -62,7 +63,7 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
     elif path.exists():
         raise SourceError(f"{path} is neither a folder nor a file; recognised are: {RECOGNISED}")
     else:
-        raise SourceError(f"{path} does not exist; give one of: {RECOGNISED}")
+        raise SourceError(f"{shown_address(str(path))} does not exist; give one of: {RECOGNISED}")
     return Looped(source) if config.loop else source
 
 

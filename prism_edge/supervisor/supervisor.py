@@ -254,13 +254,14 @@ class Supervisor:
         """The command `info`: refused, so to say, where all is not well."""
         from prism_edge import __version__
         from prism_edge.bus.commands import Reply
+        from prism_edge.sources.address import shown_address
 
         now = time.monotonic()
         values = {
             "version": __version__,
             "robot": self._config.robot,
             "mode": self._config.mode,
-            "input": self._config.source.uri,
+            "input": shown_address(self._config.source.uri),
             "model": self._config.depth.model,
             "up_s": f"{now - self.started_s:.0f}",
         }

@@ -14,6 +14,7 @@ from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor
 from prism_edge.errors import ModelError, SourceError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.address import shown_address
 from prism_edge.sources.sensor_depth import SensorDepth
 
 log = logging.getLogger("prism_edge.depth")
@@ -35,7 +36,7 @@ class SensorNetwork:
         folder = Path(source.uri).expanduser()
         needs = "--model sensor needs a recording with depth images (TUM RGB-D, BONN or 7-Scenes)"
         if not folder.is_dir():
-            raise ModelError(f"{source.uri or 'no source'}: {needs}")
+            raise ModelError(f"{shown_address(source.uri) or 'no source'}: {needs}")
         try:
             self._sensor = SensorDepth(folder)
         except SourceError as error:

@@ -18,6 +18,7 @@ from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import U8
 from prism_edge.sources import Image, open_source
+from prism_edge.sources.address import shown_address
 
 log = logging.getLogger("prism_edge.source")
 
@@ -44,8 +45,8 @@ def estimated_camera(config: Config, stopped: threading.Event) -> tuple[str, Cam
             size = (pixels.shape[1], pixels.shape[0])
     if not estimates:
         raise SourceError(
-            f"camera auto: {network.name} found no intrinsics in the first images of {config.source.uri}; "
-            "give a camera file (--camera FILE)"
+            f"camera auto: {network.name} found no intrinsics in the first images of "
+            f"{shown_address(config.source.uri)}; give a camera file (--camera FILE)"
         )
     camera, spread = median_camera(np.array(estimates), *size)
     if spread > _WORST_SPREAD:

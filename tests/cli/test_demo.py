@@ -25,6 +25,7 @@ REPORT = {
     ("arguments", "words"),
     [
         (["/somewhere/else"], "the demo plays simulated worlds"),
+        (["rtsp://me:secret@camera/live"], "rtsp://camera/live: the demo plays simulated worlds"),
         (["sim:moon"], "no simulated world is called 'moon'"),
         (["sim:room?seed=x"], "seed must be a whole number"),
     ],
@@ -34,6 +35,7 @@ def test_what_it_can_not_play_is_said_in_one_line(arguments, words, tmp_path, ca
     said = capsys.readouterr()
     assert words in said.err
     assert said.err.count("\n") == 1
+    assert "secret" not in said.err
     assert not (tmp_path / "out").exists()
 
 

@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -15,8 +16,10 @@ from typing import Any
 
 import pytest
 
+from prism_edge.bus.commands import Reply, send
+from prism_edge.bus.links import open_session
 from prism_edge.bus.session import Bus
-from prism_edge.config import BusConfig, Config, MetricsConfig, SupervisorConfig
+from prism_edge.config import BusConfig, Config, MetricsConfig, SourceConfig, SupervisorConfig
 from prism_edge.config_file import dump
 from prism_edge.errors import BusError, ConfigError, SupervisionError
 from prism_edge.processes import Process
@@ -24,6 +27,7 @@ from prism_edge.supervisor.health import ERROR, OK
 from prism_edge.supervisor.run_directory import PREFIX
 from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.supervisor.watch import StartRefusedError
+from prism_edge.topics import COMMANDS
 from tests.supervisor.fake_daemon import cast
 
 DAEMON = Path(__file__).with_name("fake_daemon.py")
@@ -128,6 +132,16 @@ class TestSupervisor:
             assert levels(lost[0])["supervisor"] == ERROR
             assert levels(lost[0])["source"] == OK
 
+    def test_what_it_says_of_itself_holds_no_password(self, config: Config) -> None:
+        camera = SourceConfig(uri="rtsp://me:secret@cam/live?key=secret#timeout=3")
+        config = replace(config, source=camera)
+        with supervisor(config, "source:steady", "tracker:steady") as run, Bus.open(config, "test") as bus:
+            run.run(in_time(lambda: run.ready_s is not None))
+            reply, health = told(run, config), bus.ask("health", 5.0)
+        assert reply.ok
+        assert reply.values["input"] == "rtsp://cam/live?..."
+        assert "secret" not in f"{reply} {health}"
+
     def test_gives_up_on_what_keeps_dying(self, config: Config) -> None:
         run = supervisor(config, "source:steady", "tracker:dies")
         with pytest.raises(SupervisionError, match="tracker died more than 2 times"), run:
@@ -200,6 +214,20 @@ class TestSupervisor:
     def test_ended_when_every_process_has(self, config: Config) -> None:
         with supervisor(config, "source:ends", "tracker:ends") as run:
             run.run(in_time(lambda: run.ended))
+
+
+def told(run: Supervisor, config: Config) -> Reply:
+    """What `ctl info` gets."""
+    heard: list[Reply] = []
+
+    def ask() -> None:
+        with open_session(config.bus, listen=False, client=True) as session:
+            heard.append(send(session, config.robot, COMMANDS["info"], None, DEADLINE_S))
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    run.run(in_time(lambda: not asking.is_alive()))
+    return heard[0]
 
 
 def mended(health: Any) -> bool:

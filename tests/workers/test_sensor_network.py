@@ -83,10 +83,12 @@ def test_a_recording_played_again_counts_on(folder: Path) -> None:
 def test_what_has_no_depth_images_is_refused_in_one_line(tmp_path: Path) -> None:
     plain = tiny.write_images(tmp_path / "plain")
     video = tiny.write_video(tmp_path / "video" / "v.avi")
-    for uri in (plain, video, tmp_path / "none", "sim:room", "v4l2:/dev/video0", ""):
+    network = "rtsp://me:secret@camera/live"
+    for uri in (plain, video, tmp_path / "none", "sim:room", "v4l2:/dev/video0", network, ""):
         with pytest.raises(ModelError, match="needs a recording with depth images") as error:
             open_sensor(uri)
         assert "\n" not in str(error.value)
+        assert "secret" not in str(error.value)
 
 
 def test_seven_scenes_depth_is_put_where_the_colour_camera_sees_it() -> None:

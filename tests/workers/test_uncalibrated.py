@@ -14,6 +14,7 @@ from prism_edge.config import Config, DepthConfig, SourceConfig
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.sources import open_source
 from prism_edge.sources.checks import UNCALIBRATED
+from prism_edge.workers import uncalibrated
 from prism_edge.workers.uncalibrated import estimated_camera, median_camera
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
 
@@ -69,6 +70,16 @@ def test_without_intrinsics_it_is_said_what_to_do(tiny_sequence: Path, tmp_path:
     silent = network(tmp_path / "silent.onnx", [0.0] * 9)
     with pytest.raises(SourceError, match="found no intrinsics"):
         estimated_camera(config(tiny_sequence, str(silent)), threading.Event())
+
+
+def test_the_error_of_a_network_camera_holds_no_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    path = network(tmp_path / "net.onnx")
+    monkeypatch.setattr(uncalibrated, "_first_images", lambda config, stopped: iter(()))
+    address = config(Path(), str(path))
+    address = replace(address, source=SourceConfig("rtsp://me:secret@cam/live?key=secret", "auto"))
+    with pytest.raises(SourceError, match="rtsp://cam/live") as error:
+        estimated_camera(address, threading.Event())
+    assert "secret" not in str(error.value)
 
 
 def test_auto_goes_before_a_camera_file_beside_the_images(tiny_sequence: Path):

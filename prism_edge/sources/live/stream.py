@@ -15,7 +15,7 @@ from prism_edge.config import limits, one_of
 from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import U8
-from prism_edge.sources.address import parse_options
+from prism_edge.sources.address import parse_options, shown_parts
 from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import decode
 from prism_edge.sources.live.arrival_clock import ArrivalClock
@@ -49,7 +49,7 @@ class StreamDriver:
 
     def __init__(self, uri: str) -> None:
         parts = _split(uri)
-        self.name = shown(parts)
+        self.name = shown_parts(parts)
         self.options = Options(**parse_options(self.name, parts.fragment, Options))
         self.url = parts._replace(fragment="").geturl()
         self.is_mjpeg = parts.scheme.lower().startswith("http")
@@ -162,13 +162,6 @@ class StreamConnection:
         return round(self._options.delay_ms * 1e6)
 
 
-def shown(parts: SplitResult) -> str:
-    """An address without what may be secret in it: user, password, query."""
-    host = parts.netloc.rpartition("@")[2]
-    path = "/..." if "@" in parts.path else parts.path  # a / in a password ends the host too early
-    return f"{parts.scheme}://{host}{path}" + ("?..." if parts.query else "")
-
-
 def reason_of(error: Exception, is_late: bool, timeout_s: float) -> str:
     """FFmpeg's error in a few words, without the address, which may hold a password.
 
@@ -189,9 +182,9 @@ def _split(uri: str) -> SplitResult:
     if any(c in parts.fragment for c in "@/?"):
         raise SourceError(f"the source's address goes on behind its options (#); {_ESCAPES}")
     if not host:
-        raise SourceError(f"{shown(parts)}: the address names no host")
+        raise SourceError(f"{shown_parts(parts)}: the address names no host")
     if any(ord(c) <= 32 or ord(c) == 127 for c in uri):
-        raise SourceError(f"{shown(parts)!r}: an address has no spaces; write %20")
+        raise SourceError(f"{shown_parts(parts)!r}: an address has no spaces; write %20")
     return parts
 
 
