@@ -21,6 +21,11 @@ def text(default: str, help: str) -> Any:
     return field(default=default, metadata={"help": help})
 
 
+def named(default: str, help: str) -> Any:
+    """A dataclass field of a name: not empty, and no two of its section alike."""
+    return field(default=default, metadata={"name": True, "help": help})
+
+
 def section(tree: type, *reload: str) -> Any:
     """A section of the tree; ``reload``: who takes its keys up when the daemon is told to reload (SIGHUP).
 
@@ -269,16 +274,16 @@ class MetricsConfig:
 class FramesConfig:
     """Names and placement of published frames (REP 103 and 105)."""
 
-    map: str = text("map", "global frame")
-    odom: str = text("odom", "continuous frame")
-    base_link: str = text("base_link", "the robot (x forward, y left, z up)")
-    camera: str = text("camera_optical", "the camera (x right, y down, z forward)")
+    map: str = named("map", "global frame")
+    odom: str = named("odom", "continuous frame")
+    base_link: str = named("base_link", "the robot (x forward, y left, z up)")
+    camera: str = named("camera_optical", "the camera (x right, y down, z forward)")
     base_from_camera_xyz: tuple[float, ...] = field(
         default=(0.0, 0.0, 0.0), metadata={"length": 3, "help": "camera position on the robot (m)"}
     )
     base_from_camera_xyzw: tuple[float, ...] = field(
         default=(-0.5, 0.5, -0.5, 0.5),
-        metadata={"length": 4, "help": "camera orientation on the robot (quaternion x y z w)"},
+        metadata={"length": 4, "unit": True, "help": "camera orientation on the robot (quaternion x y z w)"},
     )
 
 

@@ -35,7 +35,9 @@ def load(path: str | os.PathLike[str] | None = None, overrides: Mapping[str, Any
     given: dict[str, Any] = {} if path is None else _read_file(os.fspath(path))
     for key, value in (overrides or {}).items():
         given[key] = _override(key, value)
-    return _build(Config, given)
+    config: Config = _build(Config, given)
+    _check_names(config, "" if path is None else f"{os.fspath(path)}: ")
+    return config
 
 
 def dump(config: Config, explain: bool = False) -> str:
@@ -66,6 +68,8 @@ class Leaf:
     high: float | None = None
     choices: tuple[str, ...] = ()
     length: int | None = None  # of a list
+    unit: bool = False  # a list whose Euclidean norm is 1, within a per cent
+    name: bool = False  # text that is not blank, and differs from its section's other names
     help: str = ""
     reload: tuple[str, ...] = ()  # who takes it up on SIGHUP; nobody: only a restart will do
 
@@ -73,11 +77,14 @@ class Leaf:
     def expects(self) -> str:
         """What belongs here, in words."""
         one = {bool: "true or false", int: "a whole number", float: "a number", str: "text"}
+        if self.name:
+            return "a name"
         if self.type in one:
             return " or ".join(self.choices) if self.choices else one[self.type] + self._range()
         item = "numbers" if typing.get_args(self.type)[0] is float else "words"
         some = f" (of: {', '.join(self.choices)})" if self.choices else ""
-        return f"a list of {'' if self.length is None else f'{self.length} '}{item}{some}"
+        norm = " of norm 1" if self.unit else ""
+        return f"a list of {'' if self.length is None else f'{self.length} '}{item}{some}{norm}"
 
     def _range(self) -> str:
         if self.low is not None and self.high is not None:
@@ -96,7 +103,7 @@ def leaves(tree: type = Config, prefix: str = "", reload: tuple[str, ...] = ()) 
             yield from leaves(kind, key + ".", field.metadata.get("reload", reload))
             continue
         default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        known = ("low", "high", "choices", "length", "help", "reload")
+        known = ("low", "high", "choices", "length", "unit", "name", "help", "reload")
         meta = {k: v for k, v in field.metadata.items() if k in known}
         yield Leaf(key, kind, default, **{"reload": reload, **meta})
 
@@ -115,6 +122,19 @@ def _build(tree: Any, given: Mapping[str, Any], prefix: str = "") -> Any:
         elif key in given:
             values[field.name] = given[key]
     return tree(**values)
+
+
+def _check_names(config: Config, place: str) -> None:
+    """Raises ConfigError where two names of one section are the same."""
+    first: dict[tuple[str, str], str] = {}
+    for leaf in _LEAVES.values():
+        if not leaf.name:
+            continue
+        section, _, key = leaf.key.rpartition(".")
+        name = getattr(getattr(config, section), key)
+        other = first.setdefault((section, name), leaf.key)
+        if other != leaf.key:
+            raise ConfigError(f"{place}{leaf.key}: is {name!r} like {other}; each needs a name of its own")
 
 
 def _read_file(path: str) -> dict[str, Any]:
@@ -224,9 +244,12 @@ def _checked(leaf: Leaf, value: Any, place: str, node: yaml.Node | None = None) 
         for one, given in zip(values, value, strict=True):
             if one is None or (leaf.choices and one not in leaf.choices):
                 raise refuse(given)
+        if leaf.unit and abs(math.hypot(*values) - 1.0) > 0.01:
+            norm = f", of norm {math.hypot(*values):.3g}"
+            raise ConfigError(f"{place}: expected {leaf.expects}, got {list(values)}{norm}")
         return tuple(values)
     result = _typed(leaf.type, value)
-    if result is None or (leaf.choices and result not in leaf.choices):
+    if result is None or (leaf.choices and result not in leaf.choices) or (leaf.name and not result.strip()):
         raise refuse(value)
     if (leaf.low is not None and result < leaf.low) or (leaf.high is not None and result > leaf.high):
         raise refuse(value)

@@ -22,7 +22,11 @@ TEXT = st.text(st.characters(exclude_characters="\0"), max_size=12)
 def value_of(kind: Any, leaf: Leaf) -> st.SearchStrategy[Any]:
     if typing.get_origin(kind) is tuple:
         item, size = value_of(typing.get_args(kind)[0], leaf), leaf.length
+        if leaf.unit:
+            return st.permutations([0.6, -0.8, *[0.0] * ((size or 2) - 2)]).map(tuple)
         return st.lists(item, min_size=size or 0, max_size=4 if size is None else size).map(tuple)
+    if leaf.name:  # no two alike
+        return TEXT.map(lambda text: leaf.key + text)
     if kind is str:
         return st.sampled_from(leaf.choices) if leaf.choices else TEXT
     if kind is int:
@@ -208,6 +212,12 @@ def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
         ("source.rate_hz", float("nan"), "a number"),
         ("source.rate_hz", 10**400, "a number"),
         ("frames.base_from_camera_xyz", (1.0, 2.0), "3 numbers"),
+        ("frames.base_from_camera_xyzw", (0.0, 0.0, 0.0, 0.0), "4 numbers of norm 1"),
+        ("frames.base_from_camera_xyzw", "[0, 0, 0, 0.98]", "of norm 0.98"),
+        ("frames.base_from_camera_xyzw", "[1e200, 0, 0, 1e200]", "of norm 1"),
+        ("frames.base_from_camera_xyzw", "[1, 0, 0, .nan]", "a list of 4 numbers"),
+        ("frames.odom", "", "expected a name, got ''"),
+        ("frames.camera", " ", "expected a name"),
         ("depth.providers", "CPU", "a list of words"),
         ("ablate", "[wls, wheels]", "got 'wheels'"),
     ],
@@ -218,3 +228,13 @@ def test_wrong_override_is_one_line(key: str, value: Any, words: str) -> None:
     assert str(caught.value).startswith(f"setting {key}")
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_mount_is_a_rotation_and_frames_differ(file: Path) -> None:
+    line = refusal(file, "frames:\n  odom: o\n  base_from_camera_xyzw: [0, 0, 0, 0]\n")
+    assert line.startswith(":3: frames.base_from_camera_xyzw: expected a list of 4 numbers of norm 1")
+    assert "frames.odom: is 'world' like frames.map" in refusal(file, "frames: {map: world, odom: world}\n")
+    assert "frames.camera: is 'odom' like frames.odom" in refusal(file, "frames: {camera: odom}\n")
+    assert refusal(file, "frames:\n  map: ''\n").startswith(":2: frames.map: expected a name")
+    file.write_text("frames: {base_from_camera_xyzw: [-0.502, 0.5, -0.5, 0.5]}\n")  # rounded by hand
+    assert load(file).frames.base_from_camera_xyzw[0] == -0.502

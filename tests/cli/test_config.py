@@ -36,6 +36,8 @@ def test_check_says_ok_or_what_is_wrong(capsys: pytest.CaptureFixture[str], tmp_
     assert f"{file}:3: source.rate: unknown key" in capsys.readouterr().err
     file.write_text("robot: a/b\n")
     assert main(["config", "--check", str(file)]) == 3
+    file.write_text("frames: {base_from_camera_xyzw: [0, 0, 0, 0]}\n")
+    assert main(["config", "--check", str(file)]) == 3
 
 
 @pytest.mark.parametrize("file", sorted((CHECKOUT / "configs").glob("*.yaml")), ids=lambda file: file.name)
