@@ -35,6 +35,7 @@ def section(tree: type, *reload: str) -> Any:
     return field(default_factory=tree, metadata={"reload": reload})
 
 
+NO_NETWORK = "none"  # depth.model: no depth network, also where one would be taken by default
 SENSOR = "sensor"  # depth.model: the recording's own depth images in a network's place
 
 # Parts that can be switched off to see what they are worth.
@@ -168,6 +169,11 @@ class DepthConfig:
     arena: bool = field(
         default=True, metadata={"help": "keep an inference's memory for the next: faster, takes more"}
     )
+
+    @property
+    def network(self) -> str:
+        """What ``model`` names; empty where that is no network."""
+        return "" if self.model == NO_NETWORK else self.model
 
 
 @dataclass(frozen=True)

@@ -36,6 +36,6 @@ _NEED_DEPTH = ("depth", "scale")
 def processes_for(config: Config) -> tuple[Process, ...]:
     """The processes that a run with this configuration consists of, in the order they start.
 
-    depth and scale run only where a depth model is configured.
+    depth and scale run only where a depth network is configured.
     """
-    return tuple(p for p in PROCESSES.values() if config.depth.model or p.name not in _NEED_DEPTH)
+    return tuple(p for p in PROCESSES.values() if config.depth.network or p.name not in _NEED_DEPTH)

@@ -101,7 +101,7 @@ def check_providers(config: Config) -> Iterator[Finding]:
 
 def check_model(config: Config) -> Iterator[Finding]:
     """Whether the configured network loads, keeps its contract and runs."""
-    if not config.depth.model:
+    if not config.depth.network:
         yield Finding(WARN, "model", "none given", "without --model there are no poses: depth begins the map")
         return
     try:

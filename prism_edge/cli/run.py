@@ -49,5 +49,5 @@ def check(config: Config) -> None:
     check_loopback(config.bus.endpoint)
     check_network(config.network)
     open_source(config.source)
-    if config.source.camera == AUTO and not config.depth.model:
+    if config.source.camera == AUTO and not config.depth.network:
         raise ConfigError("camera auto needs a depth network that predicts intrinsics (--model)")

@@ -6,7 +6,7 @@ import argparse
 from dataclasses import replace
 from typing import Any
 
-from prism_edge.config import SENSOR, Config
+from prism_edge.config import NO_NETWORK, SENSOR, Config
 from prism_edge.config_file import load
 from prism_edge.errors import ConfigError
 
@@ -17,7 +17,6 @@ SOURCE_HELP = (
 )
 
 BUNDLED = "prism_nano"  # the network that comes with prism_edge (docs/PRISM_NANO.md)
-NO_NETWORK = "none"
 
 
 def whole_above_zero(text: str) -> int:
@@ -108,9 +107,9 @@ def with_network(config: Config) -> Config:
 
     A real camera gets none by default: the bundled one has only ever seen simulated rooms.
     """
-    model = config.depth.model
-    if not model:
-        from prism_edge.sources.sim import is_simulated
+    if config.depth.model:
+        return config
+    from prism_edge.sources.sim import is_simulated
 
-        model = BUNDLED if is_simulated(config.source.uri) else ""
-    return replace(config, depth=replace(config.depth, model="" if model == NO_NETWORK else model))
+    model = BUNDLED if is_simulated(config.source.uri) else ""
+    return replace(config, depth=replace(config.depth, model=model))

@@ -24,6 +24,12 @@ class Row:
         return self.name, self.level, self.values.get("pid", ""), self.values.get("restarts", "")
 
 
+def no_network() -> Row:
+    """The row of `depth` in a run that has no depth network: its depth would begin the map."""
+    said = "has no network (--model, depth.model): no map begins, so no pose comes unless one is loaded"
+    return Row("depth", WARN, said, {"state": "none"})
+
+
 def summary(rows: Sequence[Row], pid: int, ready_s: float | None) -> Row:
     """The supervisor's own row: the worst of the others, and seconds from start to ready (None: not yet)."""
     troubled = [f"{row.name} {row.message}" for row in rows if row.level != OK]

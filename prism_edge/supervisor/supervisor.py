@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 from prism_edge.bus.access import check_network
 from prism_edge.bus.keys import check_loopback, check_robot_name
-from prism_edge.config import Config
+from prism_edge.config import NO_NETWORK, Config
 from prism_edge.config_file import dump
 from prism_edge.errors import SupervisionError
 from prism_edge.processes import Process, processes_for
 from prism_edge.supervisor.child import Child, Command, worker_command
-from prism_edge.supervisor.health import Row, status_line, summary
+from prism_edge.supervisor.health import Row, no_network, status_line, summary
 from prism_edge.supervisor.liveness import OVERDUE, QUIET_S
 from prism_edge.supervisor.metrics import MetricsServer
 from prism_edge.supervisor.reload import difference
@@ -115,6 +115,13 @@ class Supervisor:
         check_robot_name(self._config.robot)
         check_loopback(self._config.bus.endpoint)
         check_network(self._config.network)
+        if not self._config.depth.network:
+            log.warning("depth %s", no_network().message)
+        self._directory = RunDirectory()
+        self._cleanup.callback(self._directory.remove)
+        self._file = self._directory.write("config.yaml", dump(self._config))
+        if self._mark is not None and self._mark.begin(self._config.state.recover_s):
+            self._directory.write(TOLD, "")
         try:
             if self._config.metrics.port:  # before any process: where the port is taken, none need be ended
                 metrics = MetricsServer(self._config.metrics.port, lambda: self._rows)
@@ -251,7 +258,7 @@ class Supervisor:
                 log.error("%s ended with %s; starting it again", name, how)
 
     def _info(self, argument: str) -> Reply:
-        """The command `info`: refused, so to say, where all is not well."""
+        """The command `info`: refused, so to say, where no poses can flow."""
         from prism_edge import __version__
         from prism_edge.bus.commands import Reply
         from prism_edge.sources.address import shown_address
@@ -262,16 +269,28 @@ class Supervisor:
             "robot": self._config.robot,
             "mode": self._config.mode,
             "input": shown_address(self._config.source.uri),
-            "model": self._config.depth.model,
+            "model": self._config.depth.network or NO_NETWORK,
             "up_s": f"{now - self.started_s:.0f}",
         }
         values |= {name: watch.row(now).message for name, watch in self._watches.items()}
         values |= {name: remote.row(now).message for name, remote in self._remote.items()}
-        return Reply(self.ready_s is not None and self.healthy, self._status, values)
+        if not self._config.depth.network:
+            values["depth"] = no_network().message
+        return Reply(self.ready_s is not None and self.healthy and self._has_map(now), self._status, values)
+
+    def _has_map(self, now_s: float) -> bool:
+        """Whether there is a map for poses, or a network to begin one; a loaded map needs none."""
+        from prism_edge.messages import INITIALISING
+
+        if self._config.depth.network or "tracker" not in self._watches:
+            return True
+        return self._watches["tracker"].row(now_s).values.get("odometry", INITIALISING) != INITIALISING
 
     def _publish(self, now: float) -> None:
         rows: list[Row] = [watch.row(now) for watch in self._watches.values()]
         rows += [remote.row(now) for remote in self._remote.values()]
+        if not self._config.depth.network:
+            rows.append(no_network())
         rows.insert(0, summary(rows, os.getpid(), self.ready_s))
         self._status, self._rows = status_line(rows), rows
         essence = [row.essence for row in rows]

@@ -49,14 +49,14 @@ class DepthWorker:
         self._last = -1
         self._recent: deque[float] = deque(maxlen=100)
         self._network: DepthNetwork | SensorNetwork | None = None
-        if config.depth.model:
+        if config.depth.network:
             bus.pulse.working("loading the network", _LOADING_S)
             self._network = open_depth(config)
             bus.pulse.values.update(model=self._network.name, provider=self._network.provider)
             self._show_counters()
             log.info("%s runs on %s", self._network.name, self._network.provider)
         else:
-            log.warning("no depth network is configured: poses will have no metres of their own")
+            log.warning("no depth network is configured: keyframes get no depth, and no map begins")
 
     def run(self) -> None:
         """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""

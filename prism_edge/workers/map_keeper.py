@@ -87,7 +87,7 @@ class MapKeeper:
 
     def _foreign_flaw(self, info: Info, arrays: Arrays) -> str:
         """Why another run's map can't be gone on in; empty where it can, by the camera that made it."""
-        for what, ours in (("robot", self._config.robot), ("model", self._config.depth.model)):
+        for what, ours in (("robot", self._config.robot), ("model", self._config.depth.network)):
             if info.get(what) != ours:
                 return f"it has another {what}, {info.get(what)!r:.60}"
         return self._pyramid_flaw(arrays)
@@ -170,7 +170,7 @@ class MapKeeper:
     def _packed(self, scale: KnownScale, **info: str | int) -> bytes:
         own = {"program": f"prism_edge {__version__}", "robot": self._config.robot}
         stored, arrays = self._mapper.stored()
-        known = {**stored, **own, **scale.info, "model": self._config.depth.model, **info}
+        known = {**stored, **own, **scale.info, "model": self._config.depth.network, **info}
         return map_file.pack(known, arrays)
 
     def _record(self, message: Keyframe, scale: KnownScale) -> bytes:

@@ -70,7 +70,7 @@ def median_camera(estimates: NDArray[np.float64], width: int, height: int) -> tu
 
 def _network_with_intrinsics(config: Config) -> OnnxNetwork:
     """The configured network, or the part of a pair, that predicts intrinsics."""
-    spec = config.depth.model
+    spec = config.depth.network
     if not spec:
         raise ConfigError("camera auto needs a depth network that predicts intrinsics (--model)")
     parts = spec.removeprefix(NESTED).split(",") if spec.startswith(NESTED) else [spec]

@@ -3,7 +3,7 @@
 Behaviours, joined by ``+``: steady, ends, dies, raises, refuses, fails_once=FILE (dies the first time),
 hangs (declared work that never ends), picky (refuses depth.threads = 13), stubborn (does not stop),
 breeds=FILE (starts a process of its own
-and writes its id).
+and writes its id), tracks=WORD (a tracker's odometry).
 """
 
 from __future__ import annotations
@@ -32,6 +32,8 @@ def main(config: Config, bus: Bus) -> None:
             raise ModelError("13 threads are too many; give fewer")
         if word == "raises":
             raise RuntimeError("a defect")
+        if word == "tracks":
+            bus.pulse.values["odometry"] = value
         bus.pulse.ready()
         if word == "dies":
             os._exit(9)

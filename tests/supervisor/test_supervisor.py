@@ -19,11 +19,7 @@ import pytest
 from prism_edge.bus.commands import Reply, send
 from prism_edge.bus.links import open_session
 from prism_edge.bus.session import Bus
-from prism_edge.config import BusConfig, Config, MetricsConfig, SourceConfig, SupervisorConfig
-from prism_edge.config_file import dump
-from prism_edge.errors import BusError, ConfigError, SupervisionError
-from prism_edge.processes import Process
-from prism_edge.supervisor.health import ERROR, OK
+from prism_edge.config import BusConfig, Config, DepthConfig, MetricsConfig, SourceConfig, SupervisorConfig, config_file, from, prism_edge
 from prism_edge.supervisor.run_directory import PREFIX
 from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.supervisor.watch import StartRefusedError
@@ -68,7 +64,7 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
         free.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     supervisor = SupervisorConfig(stop_s=1.5, max_restarts=2, backoff_s=0.05)
-    return Config(robot="fake", bus=BusConfig(endpoint), supervisor=supervisor)
+    return Config(robot="fake", bus=BusConfig(endpoint), supervisor=supervisor, depth=DepthConfig("net.onnx"))
 
 
 @pytest.fixture
@@ -141,6 +137,27 @@ class TestSupervisor:
         assert reply.ok
         assert reply.values["input"] == "rtsp://cam/live?..."
         assert "secret" not in f"{reply} {health}"
+
+    @pytest.mark.parametrize("model", ["", "none"])
+    def test_without_a_depth_network_it_says_that_no_pose_comes(
+        self, config: Config, model: str, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        config = replace(config, depth=DepthConfig(model))
+        workers = ("source:steady", "tracker:tracks=initialising")
+        with supervisor(config, *workers) as run, Bus.open(config, "test") as bus:
+            assert "no pose comes" in caplog.text
+            run.run(in_time(lambda: run.ready_s is not None))
+            reply, health = told(run, config), bus.ask("health", 5.0)
+            assert run.healthy  # no reason for a watchdog to bite
+        assert not reply.ok
+        assert "no pose comes" in reply.said
+        assert (reply.values["model"], "no network" in reply.values["depth"]) == ("none", True)
+        assert levels(health) == {"supervisor": WARN, "source": OK, "tracker": OK, "depth": WARN}
+
+    def test_a_loaded_map_needs_no_depth_network(self, config: Config) -> None:
+        with supervisor(replace(config, depth=DepthConfig()), "source:steady", "tracker:tracks=ok") as run:
+            run.run(in_time(lambda: run.ready_s is not None))
+            assert told(run, config).ok
 
     def test_gives_up_on_what_keeps_dying(self, config: Config) -> None:
         run = supervisor(config, "source:steady", "tracker:dies")

@@ -158,9 +158,10 @@ def test_two_lockstep_runs_are_identical(tiny: str):
     assert np.array_equal(*runs)
 
 
+@pytest.mark.parametrize("model", ["", "none"])
 @pytest.mark.parametrize("mode", [live, lockstep])
-def test_without_a_network_nobody_waits_for_depth(mode):
-    bus, config = mode("")
+def test_without_a_network_nobody_waits_for_depth(mode, model):
+    bus, config = mode(model)
     bus.give("keyframe_image", picture(0))
     bus.give("tracked", tick(0, keyframe=0))
     main(config, bus)
