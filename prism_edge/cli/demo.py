@@ -12,8 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prism_edge.cli.settings import add_common, add_playing, config_from
-from prism_edge.errors import SourceError
+from prism_edge.cli.settings import BUNDLED, add_common, add_order, config_from, endpoint_given
+from prism_edge.errors import ConfigError, SourceError
 
 if TYPE_CHECKING:
     from prism_edge.config import Config
@@ -40,12 +40,18 @@ def add_parser(subparsers: Any) -> None:
     parser.add_argument(
         "--out", metavar="DIR", type=Path, default=OUT, help=f"where results go (default: {OUT})"
     )
-    add_playing(parser)
+    parser.add_argument(
+        "--model",
+        metavar="MODEL",
+        help=f"depth network: ONNX file, known name or nested:RELATIVE,METRIC (default: {BUNDLED})",
+    )
+    add_order(parser)
     add_common(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Play, show, sum up; returns the exit code. Raises PrismError."""
+    from prism_edge.evaluation.run import on_free_endpoint
     from prism_edge.sources.address import shown_address
     from prism_edge.sources.sim import is_simulated
 
@@ -54,9 +60,11 @@ def run(args: argparse.Namespace) -> int:
         shown = shown_address(config.source.uri)
         raise SourceError(f"{shown}: the demo plays simulated worlds; use `prism-edge eval`")
     # SystemExit passes through the blocks that end the daemon.
+    if not config.depth.network:
+        raise ConfigError("the demo needs a depth network: without one no pose comes; leave --model out")
     before = signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
-        report = play(config, args.out)
+        report = play(config if endpoint_given(args) else on_free_endpoint(config), args.out)
     finally:
         signal.signal(signal.SIGTERM, before)
     sum_up(report, args.out, draw(config.source.uri, args.out, report), extent_m(config.source.uri))
@@ -65,20 +73,16 @@ def run(args: argparse.Namespace) -> int:
 
 def play(config: Config, out: Path) -> dict[str, Any]:
     """The walk through the real daemon, its poses on the screen; returns the metrics."""
-    from prism_edge.config import BusConfig
-    from prism_edge.evaluation.daemon import free_endpoint
     from prism_edge.evaluation.run import evaluate, extent
 
     _, frames = extent(config.source)
-    if config.bus.endpoint == BusConfig().endpoint:
-        config = replace(config, bus=replace(config.bus, endpoint=free_endpoint()))
     print(f"playing {config.source.uri} ({frames} frames) with the depth network {config.depth.model}")
     print(f"subscribing to prism/{config.robot}/pose at {config.bus.endpoint}", flush=True)
     over = threading.Event()
     screen = threading.Thread(target=show, args=(config, over), name="screen", daemon=True)
     screen.start()
     try:
-        return evaluate(config, out, quiet=True)
+        return evaluate(config, out, quiet=True, keep_endpoint=True)
     finally:
         over.set()
         screen.join(timeout=5.0)

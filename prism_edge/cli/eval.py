@@ -8,7 +8,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from prism_edge.cli.settings import SOURCE_HELP, add_common, add_playing, config_from
+from prism_edge.cli.settings import RECORDING_HELP, add_common, add_playing, config_from, endpoint_given
 from prism_edge.config import ABLATIONS
 from prism_edge.errors import ConfigError
 
@@ -23,7 +23,7 @@ def add_parser(subparsers: Any) -> None:
         "(docs/EVALUATION.md). Ground truth is read after the run, for scores only. Unless --endpoint is "
         "given, a free loopback port is taken, so that several evaluations can run side by side.",
     )
-    parser.add_argument("source", metavar="SEQUENCE", help=SOURCE_HELP)
+    parser.add_argument("source", metavar="SEQUENCE", help=RECORDING_HELP)
     parser.add_argument(
         "--out", metavar="DIR", type=Path, required=True, help="where results go (created; overwritten)"
     )
@@ -53,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
 
     before = signal.signal(signal.SIGTERM, _terminated)
     try:
-        show(evaluate(config, args.out, args.truth), args.out)
+        report = evaluate(config, args.out, args.truth, keep_endpoint=endpoint_given(args))
+        show(report, args.out)
     finally:
         signal.signal(signal.SIGTERM, before)
     return 0

@@ -10,9 +10,10 @@ from prism_edge.config import NO_NETWORK, SENSOR, Config
 from prism_edge.config_file import load
 from prism_edge.errors import ConfigError
 
+_RECORDED = "folder of a dataset (TUM RGB-D, BONN, 7-Scenes, KITTI odometry) or of images, a video file"
+RECORDING_HELP = f"{_RECORDED}, or a simulated world such as sim:room"
 SOURCE_HELP = (
-    "folder of a dataset (TUM RGB-D, BONN, 7-Scenes, KITTI odometry) or of images, a video file, "
-    "a camera (v4l2:/dev/video0, oak:, rtsp://HOST/PATH, http://HOST/PATH), "
+    f"{_RECORDED}, a camera (v4l2:/dev/video0, oak:, rtsp://HOST/PATH, http://HOST/PATH), "
     "or a simulated world such as sim:room"
 )
 
@@ -61,7 +62,7 @@ def add_input(parser: argparse.ArgumentParser) -> None:
 
 
 def add_playing(parser: argparse.ArgumentParser) -> None:
-    """--model, --camera, --lockstep and --seed."""
+    """--model, --camera, and what :func:`add_order` adds."""
     parser.add_argument(
         "--model",
         metavar="MODEL",
@@ -72,6 +73,11 @@ def add_playing(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--camera", metavar="FILE", help="camera file (YAML or ROS camera_info); auto: as the network sees it"
     )
+    add_order(parser)
+
+
+def add_order(parser: argparse.ArgumentParser) -> None:
+    """--lockstep and --seed."""
     parser.add_argument(
         "--lockstep", action="store_true", help="drop no frame: the next waits until all have done the last"
     )
@@ -100,6 +106,11 @@ def config_from(args: argparse.Namespace) -> Config:
     if getattr(args, "loop", False):
         overrides["source.loop"] = True
     return with_network(load(args.config, overrides))
+
+
+def endpoint_given(args: argparse.Namespace) -> bool:
+    """Whether the command line names an endpoint, be it the default one."""
+    return args.endpoint is not None or any(s.partition("=")[0].strip() == "bus.endpoint" for s in args.set)
 
 
 def with_network(config: Config) -> Config:

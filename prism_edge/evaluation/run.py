@@ -54,11 +54,13 @@ def evaluate(
     settle_s: float = 60.0,
     command: Sequence[str] = SUPERVISOR,
     quiet: bool = False,
+    keep_endpoint: bool = False,
 ) -> dict[str, Any]:
     """Runs ``config`` through the daemon and writes live.tum, final.tum, metrics.json and more to ``out``.
 
     ``truth`` is a TUM file to score against instead of the sequence's own; either is read only after the
-    run. ``settle_s`` is how long the last optimisation may take; ``quiet`` shows no progress on stderr.
+    run. ``settle_s`` is how long the last optimisation may take; ``quiet`` shows no progress on stderr;
+    without ``keep_endpoint`` the default endpoint gives way to a free one, for runs side by side.
     Returns the metrics. Call it from the main thread. Raises SourceError or ConfigError for an unusable
     sequence, DaemonError with the daemon's own exit code where it fails, and EvaluationError where the run
     broke a rule (the files are written then too).
@@ -66,7 +68,7 @@ def evaluate(
     first, frame_count = extent(config.source)
     if truth is not None and not truth.is_file():
         raise EvaluationError(f"{truth}: no such file: nothing to score against")
-    config = _prepared(config, out)
+    config = _prepared(config if keep_endpoint else on_free_endpoint(config), out)
     heard = _run(config, out, settle_s, Progress(frame_count, quiet), command)
 
     live = heard.recording.live()
@@ -108,12 +110,17 @@ def extent(config: SourceConfig) -> tuple[Slot | None, int | None]:
         return source.peek(), source.frame_count
 
 
+def on_free_endpoint(config: Config) -> Config:
+    """The configuration with a free loopback port in place of the default endpoint; another is kept."""
+    if config.bus.endpoint != BusConfig().endpoint:
+        return config
+    return dataclasses.replace(config, bus=dataclasses.replace(config.bus, endpoint=free_endpoint()))
+
+
 def _prepared(config: Config, out: Path) -> Config:
     """The configuration as it runs, written to ``out``, from which an earlier run's files are removed."""
     source = dataclasses.replace(config.source, wait_s=max(config.source.wait_s, _WAIT_S), loop=False)
     config = dataclasses.replace(config, source=source)
-    if config.bus.endpoint == BusConfig().endpoint:  # nobody chose one
-        config = dataclasses.replace(config, bus=dataclasses.replace(config.bus, endpoint=free_endpoint()))
     check_robot_name(config.robot)
     check_endpoint(config.bus.endpoint)
     try:

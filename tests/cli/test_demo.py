@@ -44,6 +44,24 @@ def test_an_unknown_network_is_said_in_one_line(tmp_path, capsys) -> None:
     assert "no_such_network" in capsys.readouterr().err
 
 
+def test_without_a_network_there_is_nothing_to_see(tmp_path, capsys) -> None:
+    for given in (["--model", "none"], ["--set", "depth.model=none"]):
+        assert main(["demo", *given, "--out", str(tmp_path / "out")]) == 3
+        assert "needs a depth network" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_options_that_no_simulated_world_takes_are_not_offered(capsys) -> None:
+    with pytest.raises(SystemExit):
+        main(["demo", "--help"])
+    shown = capsys.readouterr().out
+    assert "--camera" not in shown
+    assert "none" not in shown.replace("\n", " ").lower()
+    with pytest.raises(SystemExit) as ended:
+        main(["demo", "--camera", "camera.yaml"])
+    assert ended.value.code == 2
+
+
 def test_the_summary_gives_errors_scale_rate_and_latency(tmp_path, capsys) -> None:
     sum_up(REPORT, tmp_path, tmp_path / "path.png", 2.56)
     said = capsys.readouterr().out

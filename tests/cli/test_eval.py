@@ -6,8 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from prism_edge.cli import demo
 from prism_edge.cli.main import main
+from prism_edge.config import BusConfig
+from prism_edge.config_file import load
 from prism_edge.errors import ConfigError, EvaluationError, SourceError
+from prism_edge.evaluation import run
 
 
 def one_line(capsys: pytest.CaptureFixture[str]) -> str:
@@ -25,6 +29,7 @@ def test_help_names_every_option_of_the_contract(capsys: pytest.CaptureFixture[s
     shown = capsys.readouterr().out
     for option in ("SEQUENCE", "--model", "--camera", "--lockstep", "--ablate", "--seed", "--truth", "--out"):
         assert option in shown
+    assert "rtsp:" not in shown  # it has neither an end nor truth
 
 
 def test_out_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
@@ -80,3 +85,30 @@ def test_results_that_cannot_be_written_are_one_line(
     code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "file" / "o")])
     assert code == EvaluationError.exit_code
     assert "can't write" in one_line(capsys)
+
+
+DEFAULT = BusConfig().endpoint
+
+
+@pytest.mark.parametrize("command", ["eval", "demo"])
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        (["--endpoint", DEFAULT], True),
+        (["--set", f"bus.endpoint={DEFAULT}"], True),
+        (["--endpoint", "tcp/127.0.0.1:7999"], True),
+        ([], False),
+    ],
+)
+def test_an_endpoint_that_is_given_is_kept_be_it_the_default(
+    command: str, given: list[str], kept: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise EvaluationError("far enough")
+
+    monkeypatch.setattr(run, "_run", refused)
+    monkeypatch.setattr(demo, "show", lambda config, over: None)
+    out = tmp_path / "out"
+    assert main([command, "sim:room?frames=9", "--out", str(out), *given]) == EvaluationError.exit_code
+    endpoint = load(out / "effective.yaml").bus.endpoint
+    assert (endpoint == (given[-1].rpartition("=")[2] if given else DEFAULT)) is kept
