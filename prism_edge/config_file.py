@@ -192,7 +192,7 @@ def _override(key: str, value: Any) -> Any:
     if leaf is None:
         if key in _SECTIONS:
             raise ConfigError(f"setting {key}: this is a section; set one of its keys, such as {_first(key)}")
-        raise ConfigError(f"setting {_unknown(key)}")
+        raise ConfigError(f"setting {_unknown(key, sections=False)}")
     place = f"setting {key}"
     if isinstance(value, str) and leaf.type is not str:
         node = _compose(value, place)
@@ -208,7 +208,9 @@ def _from_node(leaf: Leaf, node: yaml.Node, place: str) -> Any:
     if item is None:
         return _checked(leaf, _scalar(leaf.type, node), place, node)
     if not isinstance(node, yaml.SequenceNode):
-        raise ConfigError(f"{place}: expected {leaf.expects}, got {_describe(node)}")
+        alone = isinstance(node, yaml.ScalarNode) and node.value and leaf.length is None
+        hint = f"; write [{node.value}]" if alone and len(node.value) <= 60 else ""
+        raise ConfigError(f"{place}: expected {leaf.expects}, got {_describe(node)}{hint}")
     return _checked(leaf, tuple(_scalar(item, child) for child in node.value), place, node)
 
 
@@ -249,7 +251,8 @@ def _checked(leaf: Leaf, value: Any, place: str, node: yaml.Node | None = None) 
             raise ConfigError(f"{place}: expected {leaf.expects}, got {list(values)}{norm}")
         return tuple(values)
     result = _typed(leaf.type, value)
-    if result is None or (leaf.choices and result not in leaf.choices) or (leaf.name and not result.strip()):
+    blank = leaf.name and isinstance(result, str) and not result.strip()
+    if result is None or blank or (leaf.choices and result not in leaf.choices):
         raise refuse(value)
     if (leaf.low is not None and result < leaf.low) or (leaf.high is not None and result > leaf.high):
         raise refuse(value)
@@ -268,11 +271,16 @@ def _typed(kind: type, value: Any) -> Any:
     return None if isinstance(value, str) and "\0" in value else value
 
 
-def _unknown(key: str) -> str:
-    names = sorted(_LEAVES.keys() | _SECTIONS)
-    near = difflib.get_close_matches(key, names, 1, 0.6)
-    last = key.rpartition(".")[2]  # a right name in the wrong section
-    near = near or [name for name in names if name.rpartition(".")[2] == last]
+def _unknown(key: str, sections: bool = True) -> str:
+    """``sections``: whether one of them may stand where ``key`` does, as at the beginning of a file's line."""
+    section, _, last = key.rpartition(".")
+    if section in _SECTIONS:  # that part is right: only the rest is to be like another
+        own = {name.rpartition(".")[2]: name for name in _LEAVES if name.startswith(section + ".")}
+        near = [own[name] for name in difflib.get_close_matches(last, own, 1, 0.6)]
+    else:
+        top = {name for name in _LEAVES if "." not in name} | (_SECTIONS if sections else set())
+        near = difflib.get_close_matches(key, sorted(_LEAVES if section else top), 1, 0.6)
+    near = near or [name for name in _LEAVES if name.rpartition(".")[2] == last]  # in the wrong section
     return f"{key}: unknown key" + (f"; did you mean {near[0]}?" if near else "; see docs/CONFIGURATION.md")
 
 

@@ -200,6 +200,10 @@ def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
     ("key", "value", "words"),
     [
         ("sorce.uri", "x", "did you mean source.uri?"),
+        ("tracking.feature", "7", "did you mean tracking.features?"),
+        ("tracking.threads", "7", "did you mean depth.threads?"),
+        ("tracking.foo", "7", "unknown key; see docs/CONFIGURATION.md"),
+        ("trackin", "7", "unknown key; see docs/CONFIGURATION.md"),
         ("source", "x", "section"),
         ("seed", 5.0, "a whole number"),
         ("seed", True, "a whole number"),
@@ -218,7 +222,9 @@ def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
         ("frames.base_from_camera_xyzw", "[1, 0, 0, .nan]", "a list of 4 numbers"),
         ("frames.odom", "", "expected a name, got ''"),
         ("frames.camera", " ", "expected a name"),
-        ("depth.providers", "CPU", "a list of words"),
+        ("depth.providers", "CPU", "expected a list of words, got the text 'CPU'; write [CPU]"),
+        ("depth.providers", "cuda, cpu", "write [cuda, cpu]"),
+        ("frames.base_from_camera_xyz", "1", "expected a list of 3 numbers, got 1"),
         ("ablate", "[wls, wheels]", "got 'wheels'"),
     ],
 )
@@ -238,3 +244,9 @@ def test_a_mount_is_a_rotation_and_frames_differ(file: Path) -> None:
     assert refusal(file, "frames:\n  map: ''\n").startswith(":2: frames.map: expected a name")
     file.write_text("frames: {base_from_camera_xyzw: [-0.502, 0.5, -0.5, 0.5]}\n")  # rounded by hand
     assert load(file).frames.base_from_camera_xyzw[0] == -0.502
+
+
+def test_a_list_of_one_is_shown_and_a_section_of_a_file_is_suggested(file: Path) -> None:
+    assert refusal(file, "depth:\n  providers: cpu\n").endswith("got the text 'cpu'; write [cpu]")
+    assert refusal(file, "depth:\n  providers:\n").endswith("got nothing")
+    assert refusal(file, "trackin: {features: 300}\n").endswith("did you mean tracking?")

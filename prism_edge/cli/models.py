@@ -6,6 +6,8 @@ import argparse
 import importlib
 from typing import Any
 
+from prism_edge.cli.settings import seconds_above_zero, whole_from_one_to
+
 DESCRIPTION = (
     "Depth networks. A network is named to `run` and `eval` by its file, by its name once its file is at "
     "hand, or as nested:RELATIVE,METRIC. docs/MODELS.md says how a file of your own describes itself."
@@ -48,20 +50,33 @@ def _add_pull(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--name", default="", help="for a URL's file (default: the file's own)")
     parser.add_argument("--into", metavar="FOLDER", help="where to keep it (default: see docs/MODELS.md)")
     parser.add_argument(
-        "--stall", type=float, default=30.0, metavar="S", help="seconds without data before trying again"
+        "--stall", type=_stall_s, default=30.0, metavar="S", help="seconds without data before trying again"
     )
 
 
 def _add_bench(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="NAME_OR_PATH", help="registered name, ONNX file or nested:...")
     parser.add_argument(
-        "--threads", type=int, nargs="+", metavar="N", help="thread counts (default: 1, 2, 4 ... all cores)"
+        "--threads",
+        type=whole_from_one_to(64),
+        nargs="+",
+        metavar="N",
+        help="thread counts (default: 1, 2, 4 ... all cores)",
     )
     parser.add_argument(
         "--providers", nargs="+", metavar="NAME", help="execution providers (default: all that are here)"
     )
     parser.add_argument("--config", metavar="FILE", help="take what else depth.* says from this file")
-    parser.add_argument("--runs", type=int, default=30, metavar="N", help="inferences each (default 30)")
+    parser.add_argument(
+        "--runs", type=whole_from_one_to(10_000), default=30, metavar="N", help="inferences each (default 30)"
+    )
+
+
+def _stall_s(text: str) -> float:
+    seconds = seconds_above_zero(text)
+    if not 0.1 <= seconds <= 3600.0:
+        raise argparse.ArgumentTypeError(f"expected 0.1 to 3600 seconds, got {text!r}")
+    return seconds
 
 
 def run(args: argparse.Namespace) -> int:

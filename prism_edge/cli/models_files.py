@@ -38,8 +38,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _pull(console: Console, args: argparse.Namespace) -> int:
     into = Path(args.into).expanduser() if args.into else download_folder()
-    if not 0.1 <= args.stall <= 3600.0:
-        raise ModelError("--stall: between 0.1 and 3600 seconds")
+    entry = find(args.model)
+    here = entry.located() if entry and not entry.can_be_pulled else None
+    if here is not None:
+        said = f"{args.model} is here already, as {here}: use it with --model {args.model}"
+        console.print(said, markup=False)
+        return 0
     plan = _plan(args, into)
     console.print(f"{plan.name} from {plan.files[0].url.rpartition('/')[0]}", markup=False)
 

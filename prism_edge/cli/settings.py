@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -25,6 +26,17 @@ def whole_above_zero(text: str) -> int:
     if not (text.isascii() and text.isdigit() and 0 < int(text) < 2**31):
         raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
     return int(text)
+
+
+def whole_from_one_to(most: int) -> Callable[[str], int]:
+    """What takes an option's whole number from 1 to ``most``, as :func:`whole_above_zero` does."""
+
+    def taken(text: str) -> int:
+        if whole_above_zero(text) > most:
+            raise argparse.ArgumentTypeError(f"expected a whole number from 1 to {most}, got {text!r}")
+        return int(text)
+
+    return taken
 
 
 def seconds_above_zero(text: str) -> float:

@@ -167,13 +167,10 @@ def test_what_was_not_pulled_is_not_deleted(server: WebServer, plain: Path, caps
     [
         ["pull", "nothing"],
         ["pull", "tiny_tint", "--sha256", "abc"],
-        ["pull", "tiny_tint", "--stall", "0"],
         ["pull", "ftp://example.org/x.onnx"],
         ["remove", "../models", "--yes"],
         ["remove", "nothing", "--yes"],
         ["bench", "nothing"],
-        ["bench", "tiny_tint", "--runs", "0"],
-        ["bench", "tiny_tint", "--threads", "0"],
         ["bench", "tiny_tint", "--providers", "abacus"],
     ],
 )
@@ -182,6 +179,30 @@ def test_what_can_not_be_done_is_one_line(server: WebServer, capsys, arguments: 
     captured = capsys.readouterr()
     assert captured.err.count("\n") == 1
     assert captured.err.startswith("prism-edge: error: ")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["pull", "tiny_tint", "--stall", "0"],
+        ["pull", "tiny_tint", "--stall", "3601"],
+        ["bench", "tiny_tint", "--runs", "0"],
+        ["bench", "tiny_tint", "--runs", "10001"],
+        ["bench", "tiny_tint", "--threads", "0"],
+        ["bench", "tiny_tint", "--threads", "1", "65"],
+    ],
+)
+def test_a_number_that_can_not_be_is_a_wrong_command_line(server: WebServer, capsys, arguments: list[str]):
+    with pytest.raises(SystemExit) as ended:
+        main(["models", *arguments])
+    assert ended.value.code == 2
+    assert f"argument {arguments[2]}: expected" in capsys.readouterr().err
+
+
+def test_what_comes_along_need_not_be_pulled(capsys):
+    out = said(capsys, "pull", "prism_nano")
+    assert "prism_nano is here already" in out
+    assert "--model prism_nano" in out
 
 
 def test_verify_says_what_is_wrong_with_a_file(tmp_path: Path, capsys):
