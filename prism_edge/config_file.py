@@ -272,7 +272,7 @@ def _typed(kind: type, value: Any) -> Any:
 
 
 def _unknown(key: str, sections: bool = True) -> str:
-    """``sections``: whether one of them may stand where ``key`` does, as at the beginning of a file's line."""
+    """``sections``: whether one of them may stand where ``key`` does, as at the start of a file's line."""
     section, _, last = key.rpartition(".")
     if section in _SECTIONS:  # that part is right: only the rest is to be like another
         own = {name.rpartition(".")[2]: name for name in _LEAVES if name.startswith(section + ".")}

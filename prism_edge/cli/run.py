@@ -17,8 +17,8 @@ def add_parser(subparsers: Any) -> None:
         help="run the daemon on a recording",
         description="Start the five processes on SOURCE and publish poses on Zenoh below prism/<robot>/ "
         "until the recording ends, or until Ctrl-C or SIGTERM. Without a network there are no poses, as "
-        "depth begins the map. SIGHUP reads --config again and takes up what can change "
-        "(docs/OPERATIONS.md).",
+        "depth begins the map. SIGHUP reads --config again and takes up what can change, but under a "
+        "terminal it ends the run (docs/OPERATIONS.md).",
     )
     add_input(parser)
     add_common(parser)

@@ -32,6 +32,12 @@ def test_help_of_each_command(command: str, capsys: pytest.CaptureFixture[str]) 
     assert f"prism-edge {command}" in capsys.readouterr().out
 
 
+def test_help_of_run_says_what_a_hangup_does_under_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["run", "--help"])
+    assert "under a terminal it ends the run" in " ".join(capsys.readouterr().out.split())
+
+
 def test_help_names_every_command_and_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--help"])
