@@ -53,7 +53,7 @@ def _source(source: SourceConfig) -> list[str]:
 
 
 def _model(config: Config) -> list[str]:
-    model = config.depth.model
+    model = config.depth.network
     if "depth" in config.network.remote:
         return []
     missing = []

@@ -117,11 +117,6 @@ class Supervisor:
         check_network(self._config.network)
         if not self._config.depth.network:
             log.warning("depth %s", no_network().message)
-        self._directory = RunDirectory()
-        self._cleanup.callback(self._directory.remove)
-        self._file = self._directory.write("config.yaml", dump(self._config))
-        if self._mark is not None and self._mark.begin(self._config.state.recover_s):
-            self._directory.write(TOLD, "")
         try:
             if self._config.metrics.port:  # before any process: where the port is taken, none need be ended
                 metrics = MetricsServer(self._config.metrics.port, lambda: self._rows)

@@ -19,7 +19,18 @@ import pytest
 from prism_edge.bus.commands import Reply, send
 from prism_edge.bus.links import open_session
 from prism_edge.bus.session import Bus
-from prism_edge.config import BusConfig, Config, DepthConfig, MetricsConfig, SourceConfig, SupervisorConfig, config_file, from, prism_edge
+from prism_edge.config import (
+    BusConfig,
+    Config,
+    DepthConfig,
+    MetricsConfig,
+    SourceConfig,
+    SupervisorConfig,
+)
+from prism_edge.config_file import dump
+from prism_edge.errors import BusError, ConfigError, SupervisionError
+from prism_edge.processes import Process
+from prism_edge.supervisor.health import ERROR, OK, WARN
 from prism_edge.supervisor.run_directory import PREFIX
 from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.supervisor.watch import StartRefusedError
