@@ -24,6 +24,10 @@ INITIALISING, OK, DEGRADED, LOST = "initialising", "ok", "degraded", "lost"
 BUILDING, LOOP_CLOSED, RELOCALISING, LOCALISED = "building", "loop_closed", "relocalising", "localised"
 RECOVERED = "recovered"
 
+# Epochs, keyframes, points and map updates have numbers that never come again.
+IDS_A_LIFE = 10**10  # a process's lives begin to number things so far apart: months of mapping in each
+LARGEST_ID = 2**55  # of what comes from outside: gtsam has 56 bits for a number, and others follow it
+
 
 def array(dtype: str, *shape: int) -> Any:
     """A required array field; the codec refuses any other dtype or shape."""

@@ -12,14 +12,14 @@ from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loop_closing import Accepted, LoopCloser, MapChanges
 from prism_edge.backend.map_file import Arrays, Info
-from prism_edge.backend.stored_map import LARGEST_ID, KnownScale, from_arrays, to_arrays
+from prism_edge.backend.stored_map import KnownScale, from_arrays, to_arrays
 from prism_edge.backend.unit import keep_unit
 from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
 from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse
-from prism_edge.messages import Gate, Keyframe, MapUpdate
+from prism_edge.messages import LARGEST_ID, Gate, Keyframe, MapUpdate
 from prism_edge.tracking.depth_alignment import agreement
 from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.seeding import sample_depth

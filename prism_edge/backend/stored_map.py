@@ -40,11 +40,11 @@ from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.errors import ConfigError, MapError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import normalised
+from prism_edge.messages import LARGEST_ID
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.place_index import PlaceIndex
 
 MOST_KEYFRAMES, MOST_POINTS, MOST_KEYPOINTS = 200_000, 20_000_000, 50_000_000
-LARGEST_ID = 2**62
 FARTHEST = 1e9  # map units; pixels
 HIGHEST_OCTAVE = 32
 LARGEST_LOG_SCALE = 20.0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import logging
 import threading
+import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType, TracebackType
@@ -21,11 +22,10 @@ from prism_edge.bus.presence import Presence
 from prism_edge.bus.pulse import Pulse
 from prism_edge.config import Config
 from prism_edge.errors import BusError
+from prism_edge.messages import IDS_A_LIFE
 from prism_edge.topics import COMMANDS, TOPICS, Topic
 
 log = logging.getLogger("prism_edge.bus")
-
-_IDS_A_LIFE = 1_000_000
 
 
 class Bus:
@@ -39,6 +39,7 @@ class Bus:
     def __init__(self, session: Any, robot: str, process: str, lossless: bool) -> None:
         self.robot, self.process = robot, process
         self.life = 0  # how often this process was started before, in this run
+        self.first_id = 0  # where it begins to number things: no number of an earlier life comes again
         self.run_directory: Path | None = None  # of the supervisor's run, where that started this process
         self.stopped = threading.Event()
         self._session, self._lossless = session, lossless
@@ -76,10 +77,13 @@ class Bus:
     ) -> None:
         self.close()
 
-    @property
-    def first_id(self) -> int:
-        """Where this life of the process begins to number things: no number of an earlier one comes again."""
-        return self.life * _IDS_A_LIFE
+    def begin_life(self, life: int | None) -> None:
+        """Say which life of the process this is; None for one started by hand, whose lives nobody counts.
+
+        Such a one numbers things from the clock's microseconds on: more than it will ever give out.
+        """
+        self.life = life or 0
+        self.first_id = time.time_ns() // 1000 if life is None else life * IDS_A_LIFE
 
     def publish(self, topic: str, message: Any) -> None:
         """Sends a dataclass of messages.py or a ROS message, whichever the topic carries.

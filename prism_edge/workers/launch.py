@@ -77,7 +77,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
         with Bus.open(config, process.name) as bus:
             if parent is None:  # by hand: without a listener it waits, which would look like nothing
                 log.info("on the bus at %s", config.bus.endpoint)
-            bus.life = life
+            bus.begin_life(None if parent is None else life)
             bus.run_directory = Path(config_file).resolve().parent if parent is not None else None
             signals.also(bus.stopped)
             keep_trimmed(bus.stopped)

@@ -201,6 +201,18 @@ def test_a_missing_and_a_surplus_array_are_named() -> None:
         from_arrays(info, {**arrays, "more": arrays["points"]}, max_carried=100)
 
 
+@pytest.mark.parametrize("name", ["keyframes", "points"])
+def test_a_number_that_no_factor_could_be_named_by_is_refused(name: str) -> None:
+    info, arrays = STORED
+    numbers = arrays[name].copy()
+    last = numbers[-1]
+    numbers[-1] = 2**56
+    others = {k: np.where(arrays[k] == last, 2**56, arrays[k]) for k in ("seen", "places", "carried")}
+    changed = {"seen"} if name == "points" else {"places", "carried"}
+    with pytest.raises(MapError, match="can't be"):
+        from_arrays(info, {**arrays, name: numbers, **{k: others[k] for k in changed}}, max_carried=100)
+
+
 @given(st.data())
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_whatever_stands_in_the_arrays_it_is_a_map_or_an_error(data: st.DataObject) -> None:

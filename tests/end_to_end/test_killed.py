@@ -13,6 +13,7 @@ import pytest
 
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
+from prism_edge.messages import IDS_A_LIFE
 from tests.end_to_end.processes import Daemon, rows, wait_until
 
 WORKERS = ("depth", "scale", "backend", "tracker", "source")
@@ -81,10 +82,10 @@ def test_after_all_that_depth_and_corrections_still_reach_the_tracker(running: t
     _, bus = running
     keyframes, updates, scales = bus.queue("keyframe"), bus.queue("map_update"), bus.queue("log_scale")
     keyframe = wait_until(lambda: keyframes.take(0.1), "a keyframe of the second tracker")
-    assert keyframe.id >= 1_000_000
+    assert keyframe.id >= IDS_A_LIFE
     assert keyframe.epoch == 0, "the map is not the one that the first tracker began"
     update = wait_until(lambda: updates.take(0.1), "an update of the second backend")
-    assert update.sequence > 1_000_000
+    assert update.sequence > IDS_A_LIFE
     assert update.epoch == keyframe.epoch
     scale = wait_until(lambda: scales.take(0.1), "a scale of the second scale filter")
     assert scale.epoch == keyframe.epoch

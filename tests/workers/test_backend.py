@@ -10,7 +10,7 @@ import pytest
 from prism_edge.config import Config
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse
-from prism_edge.messages import EndOfStream, MapSnapshot
+from prism_edge.messages import IDS_A_LIFE, EndOfStream, MapSnapshot
 from prism_edge.workers import backend as worker
 from tests.backend.world import Teller
 from tests.workers.backend_bench import (
@@ -212,11 +212,11 @@ def test_a_new_map_begins_with_a_new_epoch():
 
 def test_a_process_that_was_started_anew_numbers_on():
     bus, (teller, told) = ListBus("keyframe"), keyframes(3)
-    bus.first_id = 1_000_000
+    bus.first_id = IDS_A_LIFE
     bus.give("depth", *(depth_of(k, teller) for k in told))
     bus.give("keyframe", *told)
     run_realtime(bus)
-    assert bus.of("map_update")[0].sequence == 1_000_001
+    assert bus.of("map_update")[0].sequence == IDS_A_LIFE + 1
 
 
 def test_what_is_kept_for_later_does_not_grow():

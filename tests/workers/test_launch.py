@@ -15,6 +15,7 @@ import pytest
 from prism_edge.bus.session import Bus
 from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
 from prism_edge.config_file import dump
+from prism_edge.messages import IDS_A_LIFE, LARGEST_ID
 from prism_edge.processes import PROCESSES
 from tests.sources.tiny_datasets import write_tum
 from tests.synthetic.network import write_tiny_network
@@ -87,6 +88,32 @@ def test_users_error_is_one_line_and_its_code(content: str, code: int, words: st
     assert ended.stderr.startswith("prism-edge scale: error: ")
     assert words in ended.stderr
     assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(("by_hand", "life"), [(False, 0), (False, 2), (True, 0)])
+def test_a_life_numbers_things_beyond_those_before_it(by_hand: bool, life: int, tmp_path: Path) -> None:
+    """Nobody counts the lives of a worker that was started by hand: the clock does."""
+    file = tmp_path / "config.yaml"
+    file.write_text(dump(Config()))
+    say = "import sys; from prism_edge.processes import PROCESSES\n"
+    say += "from prism_edge.workers import launch, scale\n"
+    say += "scale.main = lambda config, bus: print(bus.life, bus.first_id)\n"
+    say += f"launch.run_worker(PROCESSES['scale'], sys.argv[1], {None if by_hand else os.getpid()}, {life})"
+    before = time.time_ns() // 1000
+    line = [sys.executable, "-c", say, str(file)]
+    told = subprocess.run(line, cwd=CHECKOUT, capture_output=True, text=True, timeout=DEADLINE_S)
+    counted, first = map(int, told.stdout.split())
+    assert counted == life
+    if by_hand:
+        assert before < first < LARGEST_ID
+    else:
+        assert first == life * IDS_A_LIFE
+
+
+def test_a_life_s_numbers_last_for_months() -> None:
+    points_a_second, day_s = 1_000, 86_400
+    assert points_a_second * day_s * 100 < IDS_A_LIFE
+    assert 1_000_000 * IDS_A_LIFE < LARGEST_ID
 
 
 def test_unknown_name_is_refused(tmp_path: Path) -> None:

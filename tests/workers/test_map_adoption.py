@@ -9,7 +9,7 @@ from prism_edge.backend import map_file
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig
-from prism_edge.messages import MapLoaded, WholeMap
+from prism_edge.messages import IDS_A_LIFE, MapLoaded, WholeMap
 from prism_edge.tracking.drift import Drift
 from tests.tracking.footage import footage
 from tests.workers.list_bus import ListBus
@@ -40,7 +40,7 @@ class Asked:
 
     def __init__(self, answer: WholeMap | None, life: int) -> None:
         self.bus = ListBus("frame")
-        self.bus.life, self.bus.first_id = life, life * 1_000_000
+        self.bus.life, self.bus.first_id = life, life * IDS_A_LIFE
         self.asked: list[str] = []
         World(self.bus)
 
@@ -66,7 +66,7 @@ def test_after_a_restart_poses_go_on_in_the_same_map(whole: WholeMap) -> None:
     assert np.median(errors(life.bus)) < DRIFT
     keyframes = life.bus.of("keyframe")
     assert keyframes
-    assert all(k.epoch == EPOCH and k.id >= 1_000_000 for k in keyframes)
+    assert all(k.epoch == EPOCH and k.id >= IDS_A_LIFE for k in keyframes)
 
 
 def test_the_same_map_loaded_in_the_first_life(whole: WholeMap) -> None:
@@ -76,7 +76,7 @@ def test_the_same_map_loaded_in_the_first_life(whole: WholeMap) -> None:
     assert len(positions(run_of.bus)) >= len(AFTER) - 5
     assert np.median(errors(run_of.bus)) < DRIFT
     newest_before = max(k.id for k in run_of.bus.of("keyframe"))
-    assert newest_before < 1_000_000
+    assert newest_before < IDS_A_LIFE
     assert len({k.id for k in run_of.bus.of("keyframe")}) == len(run_of.bus.of("keyframe"))
 
 
@@ -108,7 +108,7 @@ def test_without_an_answer_a_new_map_begins() -> None:
     life = Asked(None, life=2)
     run(life.bus, [frame(i) for i in AFTER])
     assert positions(life.bus)
-    assert {k.epoch for k in life.bus.of("keyframe")} == {2_000_000}
+    assert {k.epoch for k in life.bus.of("keyframe")} == {2 * IDS_A_LIFE}
 
 
 def test_the_first_life_asks_nobody(whole: WholeMap) -> None:
@@ -122,7 +122,7 @@ def test_a_map_that_is_none_is_not_gone_on_in(data: bytes) -> None:
     broken = WholeMap(EPOCH, 1, 0.0, 0.1, np.frombuffer(data, np.uint8))
     life = Asked(broken, life=1)
     run(life.bus, [frame(i) for i in AFTER])
-    assert {k.epoch for k in life.bus.of("keyframe")} == {1_000_000}
+    assert {k.epoch for k in life.bus.of("keyframe")} == {IDS_A_LIFE}
     assert positions(life.bus)
 
 

@@ -15,6 +15,7 @@ from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig, StateConfig, TrackingConfig
 from prism_edge.errors import MapError
+from prism_edge.messages import IDS_A_LIFE
 from prism_edge.workers import backend as worker
 from prism_edge.workers import map_keeper, state_directory
 from prism_edge.workers.state_directory import map_names, map_path
@@ -25,7 +26,7 @@ from tests.workers.list_bus import ListBus
 def run(folder: Path, told: list, teller, life: int = 0, config=CONFIG, ask: tuple[str, ...] = ()) -> ListBus:
     """One life of a backend with its run's folder, which hears some keyframes and a command for each name."""
     bus = ListBus("keyframe")
-    bus.life, bus.first_id, bus.run_directory = life, life * 1_000_000, folder
+    bus.life, bus.first_id, bus.run_directory = life, life * IDS_A_LIFE, folder
     made = worker.BackendWorker(config, bus)
     hear(made, bus, told, teller)
     for name in ask:
@@ -47,7 +48,7 @@ def test_a_life_that_ended_by_force_is_gone_on_from(tmp_path: Path) -> None:
     after = run(tmp_path, told[5:], teller, life=2)
     assert snapshot(after).keyframes.tolist() == [0, 1, 2, 3, 4, 5]
     (update,) = after.of("map_update")
-    assert update.sequence > 1_000_000  # newer than what earlier lives said
+    assert update.sequence > IDS_A_LIFE  # newer than what earlier lives said
     assert set(update.keyframes.tolist()) >= {2, 3, 4, 5}
 
 

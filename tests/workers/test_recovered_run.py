@@ -12,7 +12,7 @@ from prism_edge.backend import map_file
 from prism_edge.backend.map_file import Info
 from prism_edge.backend.stored_map import from_arrays, to_arrays
 from prism_edge.config import Config, DepthConfig, StateConfig, TrackingConfig
-from prism_edge.messages import INITIALISING, MapLoaded, WholeMap
+from prism_edge.messages import IDS_A_LIFE, INITIALISING, MapLoaded, WholeMap
 from prism_edge.workers import backend as worker
 from prism_edge.workers.cut_off import TOLD
 from tests.workers.backend_bench import CONFIG, hear, keyframes, snapshot
@@ -41,7 +41,7 @@ class Runs:
         if goes_on:
             (directory / TOLD).touch()
         bus = ListBus("keyframe")
-        bus.life, bus.first_id, bus.run_directory = life, life * 1_000_000, directory
+        bus.life, bus.first_id, bus.run_directory = life, life * IDS_A_LIFE, directory
         made = worker.BackendWorker(replace(self.config, **changes), bus)  # type: ignore[arg-type]
         hear(made, bus, told, teller)
         made.run()
@@ -58,7 +58,7 @@ class Runs:
 
 def test_the_next_run_has_the_map_and_says_so(tmp_path: Path) -> None:
     runs = Runs(tmp_path)
-    teller, told = keyframes(6, epoch=3_000_000)
+    teller, told = keyframes(6, epoch=3 * IDS_A_LIFE)
     before = snapshot(runs.backend(told[:5], teller))
     bus = runs.backend([], teller, goes_on=True)
     after = snapshot(bus)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from prism_edge.messages import (
+    IDS_A_LIFE,
     Acknowledged,
 )
 from prism_edge.workers import tracker as worker
@@ -95,7 +96,7 @@ def test_answers_that_come_in_another_order_are_each_found(bus, world):
 
 
 def test_a_process_that_was_started_anew_numbers_its_keyframes_anew(bus, world):
-    bus.life, bus.first_id = 1, 1_000_000
+    bus.life, bus.first_id = 1, IDS_A_LIFE
     run(bus, [frame(i) for i in range(50, 53)])
-    assert bus.of("keyframe")[0].id == 1_000_000
+    assert bus.of("keyframe")[0].id == IDS_A_LIFE
     assert bus.of("tracked")[-1].dropped == 0, "what came while it was down was not dropped by it"
