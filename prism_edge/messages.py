@@ -29,6 +29,11 @@ IDS_A_LIFE = 10**10  # a process's lives begin to number things so far apart: mo
 LARGEST_ID = 2**55  # of what comes from outside: gtsam has 56 bits for a number, and others follow it
 
 
+def beyond(largest: int) -> int:
+    """Where a map's numbers go on for who takes it over: past all that its last owner may have given out."""
+    return (largest // IDS_A_LIFE + 1) * IDS_A_LIFE
+
+
 def array(dtype: str, *shape: int) -> Any:
     """A required array field; the codec refuses any other dtype or shape."""
     return field(metadata={"dtype": dtype, "shape": shape})

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array
+from prism_edge.messages import beyond
 
 Index = NDArray[np.intp]
 Ids = NDArray[np.int64]
@@ -85,6 +86,10 @@ class PointTable:
         """Fill an empty table with points that have their numbers already, in ascending order."""
         assert self._size == 0
         self._append(ids, columns)
+
+    def leave_room(self, first: int) -> None:
+        """Number what comes from ``first`` on at least, and past what the last owner may have given out."""
+        self._next_id = max(first, beyond(self._next_id - 1))
 
     def _append(self, ids: Ids, columns: dict[str, object]) -> None:
         count = len(ids)

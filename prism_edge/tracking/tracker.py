@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, scaled, se3_exp, se3_log
-from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate
+from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate, beyond
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.first_map import SecondView, begin_structure
@@ -380,7 +380,8 @@ class Tracker:
         self._began_at = None
         self._lens = world.newest().camera
         self._announced = max(world.keyframes)
-        self._next_keyframe = max(self._next_keyframe, self._announced + 1)
+        self._next_keyframe = max(self._next_keyframe, beyond(self._announced))
+        self.world.points.leave_room(self._next_keyframe)
         self._refer_to(world.newest(), world.newest().stamp_ns)
 
     def last_pose(self) -> Array | None:

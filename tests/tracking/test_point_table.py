@@ -7,6 +7,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
+from prism_edge.messages import IDS_A_LIFE
 from prism_edge.tracking.point_table import PointTable
 
 
@@ -84,6 +85,18 @@ def test_new_rows_don_t_inherit_from_dead_ones():
     assert not table.octave[rows].any()
     assert (table.weight[rows] == 1.0).all()
     assert table.alive[rows].all()
+
+
+def test_a_table_taken_over_numbers_on_past_what_its_last_owner_may_have_given_out():
+    table = PointTable()
+    table.restore(np.array([3, 40]))
+    table.leave_room(7)
+    assert table.add(2).tolist() == [IDS_A_LIFE, IDS_A_LIFE + 1]
+    table.leave_room(5 * IDS_A_LIFE + 3)
+    assert table.add(1).tolist() == [5 * IDS_A_LIFE + 3]
+    empty = PointTable()
+    empty.leave_room(2 * IDS_A_LIFE)
+    assert empty.add(1).tolist() == [2 * IDS_A_LIFE]
 
 
 def test_views_follow_growth():
