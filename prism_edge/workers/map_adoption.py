@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 from prism_edge.backend import map_file
 from prism_edge.backend.local_copy import local_copy, parts_of
@@ -13,6 +14,7 @@ from prism_edge.errors import MapError
 from prism_edge.messages import WholeMap
 from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.tracker import Tracker
+from prism_edge.workers.map_flaw import map_flaw
 
 log = logging.getLogger("prism_edge.tracker")
 
@@ -20,7 +22,6 @@ ASK_S = 3.0  # a tracker that was started again is wanted soon: without an answe
 LOADED_S = 30.0
 RECOVERED_S = 30.0  # the backend starts beside us, and reads its journal first
 TAKING_OVER_S = 30.0
-LEAST_KEYFRAMES = 2  # a map of fewer is as soon made anew
 
 
 class MapAdoption:
@@ -47,27 +48,34 @@ class MapAdoption:
         whole: WholeMap | None = self._bus.ask("whole_map", RECOVERED_S)
         return whole
 
-    def loaded(self, epoch: int) -> WholeMap | None:
-        """The map that the backend has just loaded, newer than ``epoch``; mostly None."""
-        heard = [loaded for loaded in self._loaded.drain() if loaded.epoch > epoch]
-        if not heard:
-            return None
+    def take_loaded(
+        self, tracker: Tracker, adopt: Callable[[WholeMap], bool], reset: Callable[[str], object]
+    ) -> None:
+        """Have a map that the backend has just loaded adopted, if there is one newer than the tracker's.
+
+        Where it can't be, there is no way back: backend and scale have left the present map. So the tracker
+        is ``reset`` into one that is newer than theirs.
+        """
+        epoch = max((loaded.epoch for loaded in self._loaded.drain()), default=-1)
+        if epoch <= tracker.epoch:
+            return
         self._bus.pulse.working("asking for the loaded map", LOADED_S + TAKING_OVER_S)
         whole: WholeMap | None = self._bus.ask("whole_map", LOADED_S)
-        if whole is None or whole.epoch != heard[-1].epoch:
-            log.error("the loaded map has not come: going on in the present one")
-            return None
-        return whole
+        if whole is None or whole.epoch < epoch or not adopt(whole):
+            log.error("the loaded map has not come, or can't be gone on in: a new one begins")
+            tracker.epoch = epoch
+            reset("")
+        self._bus.pulse.idle()
 
     def take_over(self, tracker: Tracker, whole: WholeMap) -> bool:
         """Put the tracker into the map, lost; False where it can't be gone on in."""
         try:
             info, arrays = map_file.unpack(whole.data.tobytes())
             world, index = from_arrays(info, arrays, self._config.backend.max_carried)
+            if flaw := map_flaw(arrays, self._config.tracking):
+                raise MapError(flaw)
         except MapError as error:
             log.error("the backend's map can't be gone on in: %s", error)
-            return False
-        if len(world.keyframes) < LEAST_KEYFRAMES:
             return False
         self.travelled = max(k.travelled for k in world.keyframes.values())
         parts = Parts.given(parts_of(world))

@@ -23,6 +23,7 @@ from prism_edge.config import Config
 from prism_edge.errors import BusError, MapError
 from prism_edge.messages import Keyframe, WholeMap
 from prism_edge.workers.cut_off import goes_on
+from prism_edge.workers.map_flaw import map_flaw, pyramid_flaw
 from prism_edge.workers.state_directory import kept_journal, map_names, map_path
 
 log = logging.getLogger("prism_edge.backend")
@@ -90,12 +91,7 @@ class MapKeeper:
         for what, ours in (("robot", self._config.robot), ("model", self._config.depth.network)):
             if info.get(what) != ours:
                 return f"it has another {what}, {info.get(what)!r:.60}"
-        return self._pyramid_flaw(arrays)
-
-    def _pyramid_flaw(self, arrays: Arrays) -> str:
-        ours = self._config.tracking.scale_factor
-        others = set(arrays.get("scale_factors", np.zeros(0)).tolist()) - {ours}
-        return f"the map was made with another tracking.scale_factor than {ours:g}" if others else ""
+        return pyramid_flaw(arrays, self._config.tracking)
 
     def note(self, message: Keyframe, scale: KnownScale) -> None:
         """A keyframe has been absorbed, with its depth and its place."""
@@ -125,7 +121,7 @@ class MapKeeper:
             raise MapError(f"there is no map {name}; there are: {there}")
         self._bus.pulse.working("loading a map", 60.0)
         info, arrays = map_file.unpack(map_file.read(path))
-        if flaw := self._pyramid_flaw(arrays):
+        if flaw := map_flaw(arrays, self._config.tracking):
             raise MapError(flaw)
         scale = self._mapper.restore(info, arrays, self._mapper.epoch + EPOCHS_BETWEEN)
         try:

@@ -99,17 +99,16 @@ class TrackerWorker:
         self._show(INITIALISING, 0, time.time_ns())
         while not self._bus.stopped.is_set():
             self._desk.serve()
-            self._adopt(self._maps.loaded(self._tracker.epoch))
+            self._maps.take_loaded(self._tracker, self._adopt, self._reset)
             frame = self._frames.take(_LOOK_S)
             if frame is not None:
                 self._bus.pulse.working(f"frame {frame.index}", _FRAME_S)
                 self._take_in(frame.index)
                 self._track(frame)
                 self._bus.pulse.idle()
-            elif self._lockstep:
-                self._note_end()
             else:
-                self._take_in(-1)
+                if not self._lockstep:
+                    self._take_in(-1)
                 self._note_end()
 
     def _note_end(self) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -150,11 +153,39 @@ def test_a_map_that_is_none_is_not_gone_on_in(data: bytes) -> None:
     assert positions(life.bus)
 
 
-def test_a_map_of_another_epoch_than_was_announced_is_left(whole: WholeMap) -> None:
-    life = Asked(whole, life=0)
-    life.bus.give("map_loaded", MapLoaded(EPOCH + 1, LOG_SCALE, 0.05))
+def only_one(whole: WholeMap) -> WholeMap:
+    """The map with its first keyframe alone."""
+    return replace(map_of(built()[:1]), epoch=whole.epoch)
+
+
+def without_points(whole: WholeMap) -> WholeMap:
+    """The map with keyframes that see nothing."""
+    info, arrays = map_file.unpack(whole.data.tobytes())
+    data = map_file.pack(info, {**arrays, "seen": np.full_like(arrays["seen"], -1)})
+    return replace(whole, data=np.frombuffer(data, np.uint8))
+
+
+FLAWS: dict[str, Callable[[WholeMap], WholeMap | None]] = {
+    "none comes": lambda whole: None,
+    "older than announced": lambda whole: replace(whole, epoch=EPOCH - 1),
+    "noise": lambda whole: replace(whole, data=np.frombuffer(b"noise" * 100, np.uint8)),
+    "one keyframe": only_one,
+    "no points": without_points,
+}
+
+
+@pytest.mark.parametrize("flaw", FLAWS)
+def test_a_loaded_map_that_can_not_be_gone_on_in_gives_way_to_a_new_one(
+    whole: WholeMap, flaw: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Backend and scale are in its epoch: what is of an older one they would not hear any more."""
+    life = Asked(FLAWS[flaw](whole), life=0)
+    life.bus.give("map_loaded", MapLoaded(EPOCH, LOG_SCALE, 0.05))
     run(life.bus, [frame(i) for i in AFTER])
-    assert {k.epoch for k in life.bus.of("keyframe")} == {0}
+    assert {k.epoch for k in life.bus.of("keyframe")} == {EPOCH + 1}
+    assert positions(life.bus)
+    assert "a new one begins" in caplog.text
+    assert life.bus.states[-1] != "asking for the loaded map", "a camera that is paused is no hang"
 
 
 def test_a_camera_that_is_elsewhere_maps_a_part_of_its_own(whole: WholeMap) -> None:

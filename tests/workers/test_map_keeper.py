@@ -180,7 +180,7 @@ class TestSaving:
         saved = run(tmp_path / "a", told[:5], teller, ask=("lab",))
         bus = ListBus("keyframe")
         bus.run_directory = tmp_path / "b"
-        made = worker.BackendWorker(replace(CONFIG, tracking=TrackingConfig(scale_factor=1.2)), bus)
+        made = worker.BackendWorker(replace(CONFIG, tracking=TrackingConfig(levels=8, scale_factor=1.2)), bus)
         bus.desk.ask("load_map", "lab")
         made._desk.serve()
         (reply,) = bus.desk.replies
@@ -231,6 +231,38 @@ class TestSaving:
         bus.desk.ask("load_map", "lab")
         made._desk.serve()
         assert "another tracking.scale_factor" in bus.desk.replies[-1].said
+
+    @pytest.mark.parametrize(
+        ("count", "seen", "said"),
+        [
+            (1, True, "too few keyframes, 1"),
+            (3, False, "no points"),
+        ],
+    )
+    def test_a_map_that_the_tracker_could_not_go_on_in_is_refused(
+        self, tmp_path: Path, count: int, seen: bool, said: str
+    ) -> None:
+        """Loading it would leave backend and scale in an epoch that the tracker never comes to."""
+        teller, told = keyframes(3)
+        mapper = Mapper(BackendConfig())
+        for keyframe in told[:count]:
+            mapper.absorb(keyframe)
+        info, arrays = mapper.stored()
+        if not seen:
+            arrays["seen"] = np.full_like(arrays["seen"], -1)
+        path = map_path(CONFIG.state, "lab")
+        path.parent.mkdir(parents=True)
+        path.write_bytes(map_file.pack({**info, **KnownScale().info}, arrays))
+        config = replace(CONFIG, tracking=TrackingConfig(levels=6, scale_factor=told[0].scale_factor))
+        bus = run(tmp_path, told, teller, config=config)
+        made = bus.desk.handlers["load_map"].__self__  # type: ignore[attr-defined]
+        bus.desk.ask("load_map", "lab")
+        made._desk.serve()
+        assert said in bus.desk.replies[-1].said
+        assert not bus.desk.replies[-1].ok
+        assert made._mapper.epoch == 0
+        assert len(made._mapper.world.keyframes) == 3
+        assert bus.of("map_loaded") == []
 
     def test_no_map_no_file(self, tmp_path: Path) -> None:
         bus = run(tmp_path, [], keyframes(1)[0], ask=("lab",))

@@ -28,7 +28,8 @@ class Runs:
 
     def __init__(self, folder: Path, config: Config = CONFIG) -> None:
         self.folder, self.count = folder, 0
-        state, tracking = StateConfig(directory=str(folder / "state")), TrackingConfig(scale_factor=1.2)
+        state = StateConfig(directory=str(folder / "state"))
+        tracking = TrackingConfig(levels=8, scale_factor=1.2)
         self.config = replace(config, state=state, tracking=tracking)
 
     def backend(
@@ -103,7 +104,7 @@ def test_a_run_that_is_not_told_so_begins_its_own(tmp_path: Path) -> None:
     [
         {"robot": "other"},
         {"depth": DepthConfig(model="another")},
-        {"tracking": TrackingConfig(scale_factor=1.5)},
+        {"tracking": TrackingConfig(levels=8, scale_factor=1.5)},
     ],
 )
 def test_a_foreign_map_is_left(tmp_path: Path, changes: dict[str, object], caplog) -> None:
