@@ -350,6 +350,7 @@ class TrackerWorker:
     def _reset(self, argument: str) -> Reply:
         self._tracker.reset()
         self._travelled, self._scale_sigma, self._localise_only = 0.0, UNKNOWN_SCALE_SIGMA, False
+        self._unproven = self._recovering = False  # there is nothing left of an earlier run's map
         return Reply(True, "a new map begins with the next image; odom goes on")
 
     def _switch_localise_only(self, argument: str) -> Reply:

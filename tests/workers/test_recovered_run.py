@@ -200,6 +200,15 @@ def test_another_camera_begins_a_map_of_its_own(whole: WholeMap, tmp_path: Path,
     assert INITIALISING in words(life.bus)[1]
 
 
+def test_a_reset_may_come_before_the_first_image_has_proved_the_map(whole: WholeMap, tmp_path: Path) -> None:
+    life = Next(replace(whole, epoch=0), tmp_path)
+    life.bus.desk.ask("reset")
+    run(life.bus, [frame(i) for i in AFTER])
+    assert {k.epoch for k in life.bus.of("keyframe")} == {1}
+    assert positions(life.bus)
+    assert not any("recovered" in word for word in words(life.bus))
+
+
 @pytest.mark.parametrize("data", [None, b"", b"noise" * 100])
 def test_without_a_map_to_go_on_in_a_new_one_begins(data: bytes | None, tmp_path: Path) -> None:
     answer = None if data is None else WholeMap(0, 1, 0.0, 0.1, np.frombuffer(data, np.uint8))
