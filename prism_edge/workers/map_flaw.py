@@ -27,6 +27,8 @@ def pyramid_flaw(arrays: Arrays, tracking: TrackingConfig) -> str:
     """Why the tracker's image pyramid does not fit the one a map was made with; empty where it does."""
     if (_column(arrays, "scale_factors") != tracking.scale_factor).any():
         return f"the map was made with another tracking.scale_factor than {tracking.scale_factor:g}"
+    if (_column(arrays, "octaves") >= tracking.levels).any():
+        return f"the map was made with more tracking.levels than {tracking.levels}"
     return ""
 
 

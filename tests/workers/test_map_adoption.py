@@ -16,7 +16,7 @@ from prism_edge.messages import IDS_A_LIFE, Keyframe, MapLoaded, WholeMap
 from prism_edge.tracking.drift import Drift
 from tests.tracking.footage import footage
 from tests.workers.list_bus import ListBus
-from tests.workers.tracker_bench import World, depth_of, frame, positions, run, true_position
+from tests.workers.tracker_bench import CONFIG, World, depth_of, frame, positions, run, true_position
 
 LONG_NS = 5_000_000_000
 EPOCH, LOG_SCALE = 1000, 0.0
@@ -186,6 +186,15 @@ def test_a_loaded_map_that_can_not_be_gone_on_in_gives_way_to_a_new_one(
     assert positions(life.bus)
     assert "a new one begins" in caplog.text
     assert life.bus.states[-1] != "asking for the loaded map", "a camera that is paused is no hang"
+
+
+@pytest.mark.parametrize(("levels", "epoch"), [(6, EPOCH), (3, IDS_A_LIFE)])
+def test_a_map_of_a_larger_pyramid_is_not_gone_on_in(whole: WholeMap, levels: int, epoch: int) -> None:
+    smaller = replace(CONFIG, tracking=replace(CONFIG.tracking, levels=levels))
+    life = Asked(whole, life=1)
+    run(life.bus, [frame(i) for i in AFTER], smaller)
+    assert {k.epoch for k in life.bus.of("keyframe")} == {epoch}
+    assert positions(life.bus)
 
 
 def test_a_camera_that_is_elsewhere_maps_a_part_of_its_own(whole: WholeMap) -> None:

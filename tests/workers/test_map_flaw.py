@@ -25,6 +25,8 @@ SOUND: Arrays = {
         ("keyframes", SOUND["keyframes"][:1], "keyframes"),
         ("seen", np.array([-1, -1], np.int64), "points"),
         ("scale_factors", np.array([1.3, 1.2]), "tracking.scale_factor than 1.3"),
+        ("octaves", np.array([4, 0], np.uint8), "tracking.levels than 4"),
+        ("octaves", np.zeros(0, np.uint8), ""),
     ],
 )
 def test_what_is_wrong_is_said(name: str, values: np.ndarray, said: str) -> None:

@@ -237,6 +237,7 @@ class TestSaving:
         [
             (1, True, "too few keyframes, 1"),
             (3, False, "no points"),
+            (3, True, "more tracking.levels than 6"),
         ],
     )
     def test_a_map_that_the_tracker_could_not_go_on_in_is_refused(

@@ -105,6 +105,7 @@ def test_a_run_that_is_not_told_so_begins_its_own(tmp_path: Path) -> None:
         {"robot": "other"},
         {"depth": DepthConfig(model="another")},
         {"tracking": TrackingConfig(levels=8, scale_factor=1.5)},
+        {"tracking": TrackingConfig(levels=4, scale_factor=1.2)},
     ],
 )
 def test_a_foreign_map_is_left(tmp_path: Path, changes: dict[str, object], caplog) -> None:
