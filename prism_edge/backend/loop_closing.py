@@ -72,10 +72,10 @@ class LoopCloser:
         self._finds_lens = False  # the adjustment under way
         self.changes = MapChanges()
 
-    def add_place(self, keyframe: int, descriptor: F32) -> None:
+    def add_place(self, keyframe: int, descriptor: F32, network: str = "") -> None:
         """Note what a keyframe looks like to the network."""
         if keyframe in self._world.keyframes:
-            self.index.add(keyframe, descriptor)
+            self.index.add(keyframe, descriptor, network)
 
     def look(self, query: int) -> Accepted | None:
         """Look for a return to an earlier place; what is accepted is in the map when this returns."""

@@ -149,7 +149,7 @@ def to_arrays(world: GlobalMap, index: PlaceIndex) -> tuple[Info, Arrays]:
         "places": np.array(places, np.int64),
         "place_descriptors": np.array(descriptors, np.float32).reshape(len(places), -1 if places else 0),
     }
-    return {"cameras": listed}, arrays
+    return {"cameras": listed, "places_of": index.network}, arrays
 
 
 def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap, PlaceIndex]:
@@ -176,9 +176,9 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
         if anchor not in world.keyframes or culled in world.keyframes:
             raise MapError("the map's culled keyframes hang on ones that it does not have")
         world.carried.add(culled, anchor, normalised(link), frame)
-    index = PlaceIndex()
+    index, network = PlaceIndex(), str(info.get("places_of", ""))
     for number, descriptor in zip(arrays["places"].tolist(), arrays["place_descriptors"], strict=True):
-        if number not in world.keyframes or not index.add(number, descriptor):
+        if number not in world.keyframes or not index.add(number, descriptor, network):
             raise MapError("the map's place descriptors are none")
     return world, index
 

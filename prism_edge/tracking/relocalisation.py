@@ -42,20 +42,20 @@ class Relocaliser:
         self._round.clear()
         self._tentative = None
 
-    def add_place(self, keyframe: int, descriptor: F32) -> None:
+    def add_place(self, keyframe: int, descriptor: F32, network: str = "") -> None:
         """Note what the network says of a keyframe."""
-        self.index.add(keyframe, descriptor)
+        self.index.add(keyframe, descriptor, network)
 
     def forget(self, keyframes: list[int]) -> None:
         """Keyframes that have left the map."""
         for keyframe in keyframes:
             self.index.remove(keyframe)
 
-    def heard(self, world: LocalMap, descriptor: F32) -> None:
+    def heard(self, world: LocalMap, descriptor: F32, network: str = "") -> None:
         """The network's word on the lost camera's picture: what it names is tried next."""
         named: list[int] = []
         covered: set[int] = set()
-        for k, _ in self.index.rank(descriptor, world.keyframes):
+        for k, _ in self.index.rank(descriptor, world.keyframes, network):
             if k not in covered:
                 named.append(k)
                 covered.update(world.keyframes[k].neighbours[:2])

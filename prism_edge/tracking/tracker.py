@@ -331,12 +331,12 @@ class Tracker:
         self._reference_depth = self.world.median_depth(self._reference())
         return len(ids)
 
-    def recognise(self, keyframe: int, descriptor: F32) -> None:
+    def recognise(self, keyframe: int, descriptor: F32, network: str = "") -> None:
         """Take the network's descriptor of a keyframe; below 0, of what a lost camera saw."""
         if keyframe in self.world.keyframes:
-            self.places.add_place(keyframe, descriptor)
+            self.places.add_place(keyframe, descriptor, network)
         elif keyframe < 0 and self._lost:
-            self.places.heard(self.world, descriptor)
+            self.places.heard(self.world, descriptor, network)
 
     def apply_update(self, update: MapUpdate) -> None:
         """Take over the backend's corrections; the last frame moves with its surroundings."""

@@ -132,7 +132,7 @@ class BackendWorker:
                 self._early[depth.keyframe] = depth
                 if depth.epoch == self._mapper.epoch and self._close_loops:
                     # It may be too late for its window, but not for later keyframes to be compared with.
-                    self._mapper.loops.add_place(depth.keyframe, depth.descriptor)
+                    self._mapper.loops.add_place(depth.keyframe, depth.descriptor, depth.model)
         for gate in self._gates.drain():
             self._gated[gate.keyframe] = gate
             self._mapper.add_gate(gate)
@@ -157,7 +157,7 @@ class BackendWorker:
                 keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma
             )
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
-            self._mapper.loops.add_place(keyframe.id, depth.descriptor)
+            self._mapper.loops.add_place(keyframe.id, depth.descriptor, depth.model)
         self._keeper.note(keyframe, self._scale)
 
     def _solve(self, keyframe: Keyframe) -> MapUpdate | None:

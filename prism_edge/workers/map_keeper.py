@@ -123,14 +123,25 @@ class MapKeeper:
         info, arrays = map_file.unpack(map_file.read(path))
         if flaw := map_flaw(arrays, self._config.tracking):
             raise MapError(flaw)
+        foreign = self._places_are_foreign(info)
         scale = self._mapper.restore(info, arrays, self._mapper.epoch + EPOCHS_BETWEEN)
+        if foreign:
+            self._mapper.loops.index.clear()
         try:
             if self._journal is not None:
                 self._begin_journal(self._journal, scale)
         except MapError as error:
             self._say(error)
         world = self._mapper.world
-        return scale, f"loaded {name}: {len(world.keyframes)} keyframes, {len(world.points)} points"
+        said = f"loaded {name}: {len(world.keyframes)} keyframes, {len(world.points)} points"
+        return scale, said + (", without another depth network's words for its places" if foreign else "")
+
+    def _places_are_foreign(self, info: Info) -> bool:
+        """Whether another network than ours has described a stored map's places, as far as is known here."""
+        theirs, ours = info.get("places_of"), self._mapper.loops.index.network
+        if theirs:  # as it calls itself; where ours is yet to speak, PlaceIndex will see
+            return bool(ours) and theirs != ours
+        return info.get("model") != self._config.depth.model
 
     def whole(self, scale: KnownScale) -> WholeMap | None:
         """Everything, for a tracker to go on from; None where there is nothing."""
@@ -179,7 +190,7 @@ class MapKeeper:
             "weights": np.zeros(0, np.float32) if weights is None else weights.astype(np.float32),
             "place": np.zeros(0, np.float32) if place is None else place,
         }
-        return map_file.pack(scale.info, arrays)
+        return map_file.pack({**scale.info, "places_of": self._mapper.loops.index.network}, arrays)
 
     def _absorb(self, record: bytes) -> KnownScale:
         info, arrays = map_file.unpack(record)
@@ -191,7 +202,7 @@ class MapKeeper:
         if len(arrays["weights"]) == len(keyframe.pixels):
             keyframe.weights = arrays["weights"].astype(np.float64)
         if len(arrays["place"]):
-            self._mapper.loops.add_place(message.id, arrays["place"])
+            self._mapper.loops.add_place(message.id, arrays["place"], str(info.get("places_of", "")))
         return KnownScale.of(info)
 
     def _say(self, error: MapError) -> None:

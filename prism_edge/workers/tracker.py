@@ -295,7 +295,7 @@ class TrackerWorker:
 
     def _apply_depth(self, message: Depth) -> None:
         if message.epoch == self._tracker.epoch:
-            self._tracker.recognise(message.keyframe, message.descriptor)
+            self._tracker.recognise(message.keyframe, message.descriptor, message.model)
         if message.keyframe >= 0:
             self._status.metres.depth(message.keyframe, message.valid, message.reason)
         if message.keyframe >= 0 and message.valid and message.epoch == self._tracker.epoch:

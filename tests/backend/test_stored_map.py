@@ -34,7 +34,7 @@ def example() -> tuple[GlobalMap, PlaceIndex]:
             added.depths = message.depths.astype(np.float64)
             added.weights = rng.random(len(added.pixels))
             added.weights[::5] = np.nan
-        index.add(added.id, rng.normal(size=16).astype(np.float32))
+        index.add(added.id, rng.normal(size=16).astype(np.float32), "some network")
     world._forget_keyframe(3)
     index.remove(3)
     return world, index
@@ -47,6 +47,7 @@ STORED = map_file.unpack(map_file.pack(*to_arrays(*EXAMPLE)))
 def test_every_part_of_the_map_comes_back() -> None:
     world, index = EXAMPLE
     again, places = from_arrays(*STORED, max_carried=100)
+    assert places.network == "some network"
     assert list(again.keyframes) == list(world.keyframes)
     for number, keyframe in world.keyframes.items():
         found = again.keyframes[number]

@@ -71,13 +71,42 @@ def test_descriptors_all_equal_tell_nothing_apart():
 
 
 @pytest.mark.parametrize(
-    "bad", [np.zeros(8), np.full(8, np.nan), np.full(8, np.inf), np.zeros(0), np.ones(7)], ids=str
+    "bad", [np.zeros(8), np.full(8, np.nan), np.full(8, np.inf), np.zeros(0), np.full(7, np.nan)], ids=str
 )
 def test_what_is_no_descriptor_is_refused(bad):
     index = filled(np.eye(8))
     assert not index.add(99, bad.astype(np.float32))
     assert index.rank(bad.astype(np.float32), range(8)) == []
     assert len(index) == 8
+
+
+@pytest.mark.parametrize("length", [8, 12])
+def test_another_network_s_descriptors_take_the_place_of_the_rest(
+    length: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Where a network says who it is; another length tells as much."""
+    caplog.set_level("INFO")
+    one, other = ("one", "other") if length == 8 else ("", "")
+    index = PlaceIndex()
+    for k, row in enumerate(np.eye(8, dtype=np.float32)):
+        assert index.add(k, row, one)
+    query = np.eye(length, dtype=np.float32)[3]
+    assert index.rank(query, range(99), other) == [], "what two networks say can't be compared"
+    for k in range(50, 58):
+        assert index.add(k, np.eye(length, dtype=np.float32)[k - 50], other)
+    assert len(index) == 8
+    assert index.network == other
+    assert index.rank(query, range(99), other)[0] == (53, pytest.approx(1.0))
+    assert caplog.text.count("another network names places now") == 1
+
+
+def test_who_does_not_say_its_name_is_no_other_network() -> None:
+    index = PlaceIndex()
+    assert index.add(0, np.ones(4, np.float32), "one")
+    assert index.add(1, np.ones(4, np.float32))
+    assert len(index) == 2
+    assert index.network == "one"
+    assert len(index.rank(np.ones(4, np.float32), range(2))) == 2
 
 
 def test_an_empty_index_ranks_nothing():

@@ -90,6 +90,18 @@ def test_descriptors_that_say_nothing_leave_the_round(place, descriptor):
     assert any(frame is not None for frame in found)
 
 
+def test_another_network_s_word_leaves_the_round(place):
+    """The map was loaded: its descriptors are of the network of then."""
+    _, world = place
+    lost = Lost(world, known=False)
+    for k in world.keyframes:
+        lost.relocaliser.add_place(k, looks(HEADINGS[k]), "then")
+    lost.relocaliser.heard(world, looks(HEADINGS[9]), "now")
+    others = lost.relocaliser._next(world)
+    lost.relocaliser.begin()
+    assert others == lost.relocaliser._next(world)
+
+
 def test_every_keyframe_has_its_turn(place):
     _, world = place
     lost = Lost(world)

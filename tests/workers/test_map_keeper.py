@@ -265,6 +265,41 @@ class TestSaving:
         assert len(made._mapper.world.keyframes) == 3
         assert bus.of("map_loaded") == []
 
+    @pytest.mark.parametrize("was_said", [True, False])
+    def test_places_that_another_network_described_are_left_out(self, tmp_path: Path, was_said: bool) -> None:
+        """They mean nothing to this one. Whose they are, older files say in `model` alone."""
+        teller, told = keyframes(5)
+        looks = np.eye(8, dtype=np.float32)
+        config = replace(CONFIG, tracking=TrackingConfig(levels=8, scale_factor=told[0].scale_factor))
+        info, arrays = described(told, looks, "other")
+        if not was_said:
+            del info["places_of"]
+        path = map_path(CONFIG.state, "lab")
+        path.parent.mkdir(parents=True)
+        path.write_bytes(map_file.pack({**info, **KnownScale().info, "model": "other"}, arrays))
+        bus = ListBus("keyframe")
+        made = worker.BackendWorker(config, bus)
+        for k in told[:2]:
+            bus.give("depth", depth_of(k, teller, descriptor=looks[k.id]))
+            bus.give("gate", gate_of(k))
+            bus.give("keyframe", k)
+            made._realtime()
+        assert len(made._mapper.loops.index) == 2
+        assert made._load_map("lab").said.count("without another depth network's words") == 1
+        assert len(made._mapper.loops.index) == 0
+        assert len(made._mapper.world.keyframes) == 5
+
+    def test_places_of_the_same_network_are_kept_whatever_the_file_was_called(self, tmp_path: Path) -> None:
+        _, told = keyframes(3)
+        info, arrays = described(told, np.eye(8, dtype=np.float32), "exact")
+        path = map_path(CONFIG.state, "lab")
+        path.parent.mkdir(parents=True)
+        path.write_bytes(map_file.pack({**info, **KnownScale().info, "model": "a/path/to.onnx"}, arrays))
+        config = replace(CONFIG, tracking=TrackingConfig(levels=8, scale_factor=told[0].scale_factor))
+        made = worker.BackendWorker(config, ListBus("keyframe"))
+        assert "without" not in made._load_map("lab").said
+        assert len(made._mapper.loops.index) == 3
+
     def test_no_map_no_file(self, tmp_path: Path) -> None:
         bus = run(tmp_path, [], keyframes(1)[0], ask=("lab",))
         assert [(r.ok, r.said) for r in bus.desk.replies] == [(False, "there is no map to save yet")]
@@ -279,6 +314,34 @@ class TestSaving:
         assert not bus.desk.replies[0].ok
         assert "is no name for a map" in bus.desk.replies[0].said
         assert not (tmp_path / "state" / "maps").exists()
+
+
+def described(told: list, looks: np.ndarray, network: str) -> tuple[map_file.Info, map_file.Arrays]:
+    """A map as stored, its places in a network's words."""
+    mapper = Mapper(BackendConfig())
+    for keyframe in told:
+        mapper.absorb(keyframe)
+        mapper.loops.add_place(keyframe.id, looks[keyframe.id], network)
+    return mapper.stored()
+
+
+def test_the_journal_knows_whose_words_its_places_are_in(tmp_path: Path) -> None:
+    teller, told = keyframes(4)
+    bus = ListBus("keyframe")
+    bus.run_directory = tmp_path
+    made = worker.BackendWorker(CONFIG, bus)
+    for k, network in zip(told, ["one", "one", "other", "other"], strict=True):
+        descriptor = np.eye(8, dtype=np.float32)[k.id]
+        bus.give("depth", depth_of(k, teller, descriptor=descriptor, model=network))
+        bus.give("gate", gate_of(k))
+        bus.give("keyframe", k)
+        made._realtime()
+    places = made._mapper.loops.index
+    assert (places.network, [k.id in places for k in told]) == ("other", [False, False, True, True])
+    life = ListBus("keyframe")
+    life.life, life.run_directory = 1, tmp_path
+    places = worker.BackendWorker(CONFIG, life)._mapper.loops.index
+    assert (places.network, [k.id in places for k in told]) == ("other", [False, False, True, True])
 
 
 def test_a_stored_map_with_wrong_plain_values_is_refused() -> None:
