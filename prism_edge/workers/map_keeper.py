@@ -141,7 +141,7 @@ class MapKeeper:
         theirs, ours = info.get("places_of"), self._mapper.loops.index.network
         if theirs:  # as it calls itself; where ours is yet to speak, PlaceIndex will see
             return bool(ours) and theirs != ours
-        return info.get("model") != self._config.depth.model
+        return info.get("model") != self._config.depth.network
 
     def whole(self, scale: KnownScale) -> WholeMap | None:
         """Everything, for a tracker to go on from; None where there is nothing."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prism_edge.bus import ros
-from prism_edge.geometry.poses import from_rt, inverse
+from prism_edge.geometry.poses import inverse
 from prism_edge.messages import (
     Frame,
     probe_of,
@@ -202,58 +202,6 @@ def test_an_update_that_makes_no_sense_is_passed_over(bus, world, changes, caplo
     assert "map update 1" in caplog.text
     assert set(positions(bus)) == set(range(1, 20))
     assert np.linalg.norm(positions(bus)[19] - true_position(19)) < 0.03
-
-
-def test_an_exact_copy_repeats_the_pose(bus, world):
-    frames = [frame(i) for i in range(10)]
-    frames.append(frame(10, of=9, duplicate=True))
-    frames += [frame(i) for i in range(11, 15)]
-    run(bus, frames)
-    assert len(bus.of("pose")) == 14
-    placed = positions(bus)
-    assert placed[10].tolist() == placed[9].tolist()
-    odom = [ros.pose_matrix(m.pose.pose)[:3, 3].tolist() for m in bus.of("odom")]
-    assert odom[9] == odom[8]
-    assert [t.index for t in bus.of("tracked")] == list(range(15))
-    assert np.linalg.norm(placed[14] - true_position(14)) < 0.03
-
-
-def test_a_copy_whose_original_was_dropped_is_looked_at(bus, world):
-    # Of the later images, each of which comes twice, only the copies get through.
-    of = {i: i for i in range(20)} | {2 * i - 19: i for i in range(20, 50)}
-    world.depth = lambda image: depth_of(image, of[image.index])
-    run(bus, [frame(n, of=i, duplicate=i >= 20) for n, i in of.items()])
-    placed = positions(bus)
-    for n in range(21, 80, 2):
-        assert np.linalg.norm(placed[n] - true_position(of[n])) < 0.03
-
-
-def test_a_copy_is_where_the_corrected_map_has_it(bus, world):
-    world.update = None
-    moved = {}
-
-    def heard(topic, message):
-        world.heard(topic, message)
-        if topic == "tracked" and message.index == 12:
-            keyframes = bus.of("keyframe")
-            shift = from_rt(np.eye(3), np.array([1.0, 0.0, 0.0]))
-            moved["keyframes"] = np.array([k.id for k in keyframes])
-            moved["poses"] = np.array([shift @ k.world_from_camera for k in keyframes])
-            bus.give("map_update", update_of(keyframes[-1], 1000, **moved))
-
-    bus.hear = heard
-    run(bus, [*(frame(i) for i in range(13)), frame(13, of=12, duplicate=True), frame(14)])
-    placed = positions(bus)
-    assert np.linalg.norm(placed[13] - placed[12]) == pytest.approx(1.0, abs=0.02)
-    assert np.linalg.norm(placed[14] - placed[13]) < 0.05
-    odom = [ros.pose_matrix(m.pose.pose)[:3, 3].tolist() for m in bus.of("odom")]
-    assert odom[12] == odom[11]
-
-
-def test_a_copy_before_anything_was_tracked_is_harmless(bus, world):
-    run(bus, [frame(0, duplicate=True), frame(1, of=0, duplicate=True), frame(2), frame(3)])
-    assert len(bus.of("tracked")) == 4
-    assert len(bus.of("pose")) >= 2
 
 
 def test_what_never_arrived_is_counted(bus, world):
