@@ -59,9 +59,9 @@ def run(args: argparse.Namespace) -> int:
     if not is_simulated(config.source.uri):
         shown = shown_address(config.source.uri)
         raise SourceError(f"{shown}: the demo plays simulated worlds; use `prism-edge eval`")
-    # SystemExit passes through the blocks that end the daemon.
     if not config.depth.network:
         raise ConfigError("the demo needs a depth network: without one no pose comes; leave --model out")
+    # SystemExit passes through the blocks that end the daemon.
     before = signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         report = play(config if endpoint_given(args) else on_free_endpoint(config), args.out)

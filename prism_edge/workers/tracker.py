@@ -132,9 +132,9 @@ class TrackerWorker:
         if self._unproven:
             self._prove(camera)
         tracker, before = self._tracker, self._tracker.last_pose()
-        last = tracker.last_result
+        last = tracker.last_result if frame.duplicate and follows else None
         # A camera that shows the same darkness over and over is lost like any other.
-        repeated = frame.duplicate and follows and last is not None and (
+        repeated = last is not None and (
             last.world_from_camera is not None or last.odometry == INITIALISING
         )
         result = last if repeated else None
