@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from prism_edge.backend.connectivity import hanging_together
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.alignment import Alignment, DegenerateAlignment, align
 from prism_edge.geometry.poses import Array, from_rt, transform
@@ -42,17 +43,6 @@ def take_references(world: GlobalMap) -> None:
     """Where keyframes are is where they belong: a loop has put them there."""
     for keyframe in world.keyframes.values():
         keyframe.reference = keyframe.world_from_camera
-
-
-def hanging_together(world: GlobalMap, keyframe: int) -> set[int]:
-    """A keyframe and all that shares points with it, or with others that do."""
-    found, fresh = {keyframe}, [keyframe]
-    while fresh and len(found) < len(world.keyframes):
-        seen = (world.points[p].keyframes for p in world.keyframes[fresh.pop()].observed)
-        new = set().union(*seen) - found
-        found |= new
-        fresh += sorted(new)
-    return found
 
 
 def _is_off(keyframe: GlobalKeyframe) -> bool:

@@ -50,27 +50,6 @@ def local_copy(world: GlobalMap) -> LocalMap:
     return copy
 
 
-def parts_of(world: GlobalMap) -> dict[int, int]:
-    """Keyframes that no chain of shared points joins to the first one: each with the first of its own part.
-
-    Where such a part lies is unknown until a loop joins it (tracking/submaps.py).
-    """
-    part: dict[int, int] = {}
-    passed: set[int] = set()  # points whose viewers are known to hang together
-    for start in sorted(world.keyframes):
-        if start in part:
-            continue
-        part[start], todo = start, [start]
-        while todo:
-            fresh = world.keyframes[todo.pop()].observed.keys() - passed
-            passed |= fresh
-            new = {k for point in fresh for k in world.points[point].keyframes} - part.keys()
-            part.update(dict.fromkeys(new, start))
-            todo += new
-    home = min(world.keyframes)
-    return {k: of for k, of in part.items() if of != home}
-
-
 def _columns(world: GlobalMap, ids: Ids) -> tuple[Array, Array]:
     points = [world.points[p] for p in ids.tolist()]
     return np.array([p.position for p in points]), np.array([p.parallax_deg for p in points])

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from prism_edge.backend import global_adjustment, pose_graph
+from prism_edge.backend.connectivity import tied_part, tied_parts
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common, radial
@@ -133,7 +134,7 @@ class LoopCloser:
 
     def _connected(self, loop: Loop) -> bool:
         if self._part is None:  # once for all candidates of a query: it goes through the whole map
-            self._part = pose_graph.part_of(self._world, self._pairs(), loop.query)
+            self._part = tied_part(self._world, self._pairs(), loop.query)
         return loop.candidate in self._part
 
     def _pairs(self) -> list[tuple[int, int]]:
@@ -271,7 +272,7 @@ class LoopCloser:
         self._finds_lens = self._lens.due(self._world)
         if not self._finds_lens:
             self._wanted, self._last_begun, self._begun_ns = False, self._count, self._now_ns
-        parts = pose_graph.parts(self._world, self._pairs())
+        parts = tied_parts(self._world, self._pairs())
         try:
             said = self._lens.said(self._world) if self._finds_lens else None
             self._adjustment = GlobalAdjustment(

@@ -13,14 +13,12 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
+from prism_edge.backend.connectivity import reachable, ties
 from prism_edge.backend.frame import take_references
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop, median_depth
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised
 
-MANY_SHARED = 50  # every such pair is joined; of the others each keyframe with its best few
-BEST_FEW = 3
-FEW_SHARED = 10  # fewer may be chance matches: they join nothing
 TURN, SHIFT, STRETCH = 0.01, 0.02, 0.01  # sigmas of a joint: rad, median depths, log scale
 LOOP_SHARE = 0.3  # of those sigmas, for a loop
 ITERATIONS = 20
@@ -52,8 +50,8 @@ def spread(
     """
     if not (np.isfinite(loop.world_from_query).all() and np.isfinite(loop.scale) and loop.scale > 0):
         return None
-    edges = _joints(world, earlier)
-    part = _reachable(edges, {loop.query, loop.candidate})
+    edges = ties(world, earlier)
+    part = reachable(edges, {loop.query, loop.candidate})
     values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
     for k in part:
         values.insert(X(k), _similarity(world.keyframes[k].world_from_camera, 1.0))
@@ -74,7 +72,7 @@ def spread(
     )
     home = part
     if not joined:  # the newer part is moved
-        home = min((_reachable(edges, {end}) for end in (loop.candidate, loop.query)), key=min)
+        home = min((reachable(edges, {end}) for end in (loop.candidate, loop.query)), key=min)
     held = min(home)
     tight = gtsam.noiseModel.Isotropic.Sigma(7, 1e-6)
     graph.add(
@@ -121,49 +119,6 @@ def apply(world: GlobalMap, moved: dict[int, Similarity]) -> None:
         if keyframe.depths is not None:
             keyframe.depths = keyframe.depths * similarity.scale
     take_references(world)
-
-
-def parts(world: GlobalMap, earlier: list[tuple[int, int]]) -> list[set[int]]:
-    """Keyframes that hang together by shared points, or by loops so far; the first keyframe's come first."""
-    edges, left, found = _joints(world, earlier), set(world.keyframes), []
-    while left:
-        found.append(_reachable(edges, {min(left)}) & left)
-        left -= found[-1]
-    return found
-
-
-def part_of(world: GlobalMap, earlier: list[tuple[int, int]], keyframe: int) -> set[int]:
-    """Keyframes to which shared points, or loops so far, lead from one."""
-    return _reachable(_joints(world, earlier), {keyframe})
-
-
-def _joints(world: GlobalMap, earlier: list[tuple[int, int]]) -> dict[tuple[int, int], float]:
-    """Pairs of keyframes to join, and how many points they share."""
-    joints: dict[tuple[int, int], float] = {}
-    for k in sorted(world.keyframes):
-        ranked = world.covisible(k)
-        before = [(o, n) for o, n in ranked if o < k]
-        for rank, (other, shared) in enumerate(before):
-            if shared >= MANY_SHARED or (rank < BEST_FEW and shared >= FEW_SHARED):
-                joints[other, k] = float(shared)
-    for a, b in earlier:
-        if a in world.keyframes and b in world.keyframes:
-            joints.setdefault((min(a, b), max(a, b)), 30.0)
-    return joints
-
-
-def _reachable(edges: dict[tuple[int, int], float], start: set[int]) -> set[int]:
-    near: dict[int, list[int]] = {}
-    for a, b in edges:
-        near.setdefault(a, []).append(b)
-        near.setdefault(b, []).append(a)
-    seen, front = set(start), list(start)
-    while front:
-        for k in near.get(front.pop(), []):
-            if k not in seen:
-                seen.add(k)
-                front.append(k)
-    return seen
 
 
 def _carry(world: GlobalMap, values: gtsam.Values, part: set[int], loop: Loop) -> None:

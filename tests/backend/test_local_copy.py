@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.local_copy import SEEDED_SIGMA, local_copy, parts_of
+from prism_edge.backend.local_copy import SEEDED_SIGMA, local_copy
 from prism_edge.tracking.recovery import locate
 from tests.backend.world import Teller
 from tests.tracking.cloud import CAMERA, Cloud, check, pose_at
@@ -79,22 +77,3 @@ def test_a_map_without_points_is_copied_as_it_is() -> None:
     copy = local_copy(world)
     assert len(copy.points) == 0
     assert list(copy.keyframes) == [0]
-
-
-def test_keyframes_that_nothing_joins_to_the_first_are_a_part_of_their_own() -> None:
-    world, _ = told(4)
-    assert parts_of(world) == {}
-    other = Teller(seed=5, first=10)
-    for i in range(3):
-        message = other.keyframe(pose_at(0.1 * i))
-        shift = 10_000
-        world.absorb(
-            replace(
-                message,
-                points=np.where(message.points >= 0, message.points + shift, -1),
-                new_points=message.new_points + shift,
-            )
-        )
-    assert parts_of(world) == {10: 10, 11: 10, 12: 10}
-    world.fuse(min(p for p in world.points if p >= shift), 0)  # a loop joins them
-    assert parts_of(world) == {}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import loop_closing as module
-from prism_edge.backend import pose_graph
+from prism_edge.backend.connectivity import tied_parts
 from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log
@@ -221,7 +221,7 @@ def test_a_part_of_its_own_is_adjusted_without_being_merged():
     carried_off(ring)
     mapper = walk(ring, 6, places=False, mapper=mapper)
     for k in (0, 10):
-        apart = pose_graph.parts(mapper.world, [])
+        apart = tied_parts(mapper.world, [])
         assert any(k == min(part) for part in apart)
     mapper.loops._wanted = True
     finish(mapper)

@@ -210,6 +210,7 @@ class Pair:
                     before, result.world_from_camera, 0.0, film.stamp_ns(i)
                 ).copy()
             keyframe = self.tracker.maybe_keyframe()
+            self.tracker.map_keyframe()
             if keyframe is not None:
                 self.keyframe(keyframe, i)
 

@@ -5,28 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
+from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop
-from prism_edge.backend.pose_graph import FEW_SHARED, LOOP_SHARE, Similarity, apply, part_of, parts, spread
+from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, apply, spread
 from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
-from tests.tracking.cloud import CAMERA, pose_at
-
-SHARED = 100
-
-
-def chain(poses: list[np.ndarray], first: int = 0, world: GlobalMap | None = None) -> GlobalMap:
-    """Keyframes of which each shares a hundred points with the next alone, all 3 units before it."""
-    world = world or GlobalMap()
-    for i, pose in enumerate(poses):
-        k = first + i
-        ids = range(SHARED * k, SHARED * (k + 2))
-        world.keyframes[k] = GlobalKeyframe(
-            k, k, CAMERA, pose.copy(), np.zeros((2 * SHARED, 2)), np.ones(2 * SHARED), {}
-        )
-        for keypoint, p in enumerate(ids):
-            world.points.setdefault(p, GlobalPoint(transform(pose, np.array([[0.0, 0.0, 3.0]]))[0]))
-            world.observe(k, p, keypoint)
-    return world
+from tests.backend.world import SHARED, chain
+from tests.tracking.cloud import pose_at
 
 
 def loop(world: GlobalMap, query: int, candidate: int, pose: np.ndarray, scale: float = 1.0) -> Loop:
@@ -85,20 +69,8 @@ def test_points_and_depths_go_with_their_keyframe():
 def test_what_hangs_on_neither_end_stays():
     world = chain([pose_at(0.3 * i) for i in range(6)])
     chain([pose_at(50.0 + 0.3 * i) for i in range(3)], first=100, world=world)
-    assert part_of(world, [], 0) == set(range(6))
-    assert part_of(world, [(3, 101)], 0) == set(range(6)) | {100, 101, 102}
     moved = spread(world, loop(world, 5, 0, pose_at(1.6, 0.1)), [])
     assert set(moved) == set(range(6))
-
-
-def test_a_chance_match_joins_nothing():
-    """A few points that both parts see by mistake make them no one map."""
-    world = chain([pose_at(0.3 * i) for i in range(6)])
-    chain([pose_at(50.0 + 0.3 * i) for i in range(3)], first=100, world=world)
-    for keypoint, p in enumerate(sorted(world.keyframes[5].observed)[:FEW_SHARED - 1]):
-        world.observe(100, p, keypoint)
-    assert part_of(world, [], 0) == set(range(6))
-    assert [min(part) for part in parts(world, [])] == [0, 100]
 
 
 def test_a_part_of_its_own_is_moved_as_one():

@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.backend.mapper import Mapper
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.messages import Keyframe, MapUpdate
 from tests.synthetic.messages import blank
 from tests.tracking.cloud import CAMERA, Cloud
 
+SHARED = 100  # points, between neighbours of a chain
 NO_IDS = np.zeros(0, np.int64)
 
 
@@ -103,3 +104,18 @@ def depth_at_keypoints(world: GlobalMap, cloud: Cloud, poses: list[np.ndarray], 
         for p, keypoint in keyframe.observed.items():
             depths[keypoint] = factor * transform(inverse(poses[k]), cloud.positions[p][None])[0, 2]
         keyframe.depths = depths
+
+
+def chain(poses: list[np.ndarray], first: int = 0, world: GlobalMap | None = None) -> GlobalMap:
+    """Keyframes of which each shares a hundred points with the next alone, all 3 units before it."""
+    world = world or GlobalMap()
+    for i, pose in enumerate(poses):
+        k = first + i
+        ids = range(SHARED * k, SHARED * (k + 2))
+        world.keyframes[k] = GlobalKeyframe(
+            k, k, CAMERA, pose.copy(), np.zeros((2 * SHARED, 2)), np.ones(2 * SHARED), {}
+        )
+        for keypoint, p in enumerate(ids):
+            world.points.setdefault(p, GlobalPoint(transform(pose, np.array([[0.0, 0.0, 3.0]]))[0]))
+            world.observe(k, p, keypoint)
+    return world

@@ -1,0 +1,81 @@
+"""What hangs together in a map: by any shared point, or by ties that a correction may follow."""
+
+from __future__ import annotations
+
+from prism_edge.backend.global_map import GlobalMap
+
+Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and how many points they share
+
+MANY_SHARED = 50  # every such pair is tied; of the others each keyframe with its best few
+BEST_FEW = 3
+FEW_SHARED = 10  # fewer may be chance matches: they tie nothing
+LOOPED = 30.0  # shared points that a loop counts as
+
+
+def hanging_together(world: GlobalMap, keyframe: int) -> set[int]:
+    """A keyframe and all that shares points with it, or with others that do."""
+    found, fresh = {keyframe}, [keyframe]
+    passed: set[int] = set()  # points whose viewers have been found
+    while fresh and len(found) < len(world.keyframes):
+        seen = world.keyframes[fresh.pop()].observed.keys() - passed
+        passed |= seen
+        new = set().union(*(world.points[p].keyframes for p in seen)) - found
+        found |= new
+        fresh += sorted(new)
+    return found
+
+
+def parts_of(world: GlobalMap) -> dict[int, int]:
+    """Keyframes that no chain of shared points joins to the first one: each with the first of its own part.
+
+    Where such a part lies is unknown until a loop joins it (tracking/submaps.py).
+    """
+    part: dict[int, int] = {}
+    for start in sorted(world.keyframes):
+        if start not in part:
+            part.update(dict.fromkeys(hanging_together(world, start), start))
+    home = min(world.keyframes)
+    return {k: of for k, of in part.items() if of != home}
+
+
+def ties(world: GlobalMap, loops: list[tuple[int, int]]) -> Ties:
+    """Keyframes that share enough points, and those that loops so far have joined."""
+    found: Ties = {}
+    for k in sorted(world.keyframes):
+        before = [(other, shared) for other, shared in world.covisible(k) if other < k]
+        for rank, (other, shared) in enumerate(before):
+            if shared >= MANY_SHARED or (rank < BEST_FEW and shared >= FEW_SHARED):
+                found[other, k] = float(shared)
+    for a, b in loops:
+        if a in world.keyframes and b in world.keyframes:
+            found.setdefault((min(a, b), max(a, b)), LOOPED)
+    return found
+
+
+def reachable(by: Ties, start: set[int]) -> set[int]:
+    """Keyframes to which ties lead from some, those included."""
+    near: dict[int, list[int]] = {}
+    for a, b in by:
+        near.setdefault(a, []).append(b)
+        near.setdefault(b, []).append(a)
+    seen, front = set(start), list(start)
+    while front:
+        for k in near.get(front.pop(), []):
+            if k not in seen:
+                seen.add(k)
+                front.append(k)
+    return seen
+
+
+def tied_parts(world: GlobalMap, loops: list[tuple[int, int]]) -> list[set[int]]:
+    """Keyframes that are tied together; the first keyframe's come first."""
+    by, left, found = ties(world, loops), set(world.keyframes), []
+    while left:
+        found.append(reachable(by, {min(left)}) & left)
+        left -= found[-1]
+    return found
+
+
+def tied_part(world: GlobalMap, loops: list[tuple[int, int]], keyframe: int) -> set[int]:
+    """Keyframes to which ties lead from one."""
+    return reachable(ties(world, loops), {keyframe})

@@ -1,0 +1,67 @@
+"""What hangs together: small maps whose parts are plain, and random ones against the closure of "shares"."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.backend.connectivity import FEW_SHARED, hanging_together, parts_of, tied_part, tied_parts
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
+from tests.backend.world import chain
+from tests.tracking.cloud import CAMERA, pose_at
+
+
+def two_chains() -> GlobalMap:
+    world = chain([pose_at(0.3 * i) for i in range(6)])
+    return chain([pose_at(50.0 + 0.3 * i) for i in range(3)], first=100, world=world)
+
+
+def seen_by(sets: list[set[int]]) -> GlobalMap:
+    """A map of keyframes 0, 1, ... that see these points."""
+    world = GlobalMap()
+    for k, points in enumerate(sets):
+        empty = np.zeros((len(points), 2))
+        world.keyframes[k] = GlobalKeyframe(k, k, CAMERA, np.eye(4), empty, np.ones(len(points)), {})
+        for keypoint, p in enumerate(sorted(points)):
+            world.points.setdefault(p, GlobalPoint(np.array([0.0, 0.0, 3.0])))
+            world.observe(k, p, keypoint)
+    return world
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.sets(st.integers(0, 25), max_size=4), min_size=1, max_size=12))
+def test_what_any_shared_point_joins(sets: list[set[int]]) -> None:
+    count = len(sets)
+    joined = np.array([[i == j or bool(sets[i] & sets[j]) for j in range(count)] for i in range(count)])
+    closure = np.linalg.matrix_power(joined.astype(np.int64), count) > 0
+    world = seen_by(sets)
+    for k in range(count):
+        assert hanging_together(world, k) == set(np.flatnonzero(closure[k]).tolist())
+    first = closure.argmax(axis=1)
+    assert parts_of(world) == {k: int(first[k]) for k in range(count) if not closure[k, 0]}
+
+
+def test_a_loop_ties_what_shares_nothing() -> None:
+    world = two_chains()
+    assert tied_part(world, [], 0) == set(range(6))
+    assert tied_part(world, [(3, 101)], 0) == set(range(6)) | {100, 101, 102}
+    assert tied_parts(world, [(3, 101)]) == [set(range(6)) | {100, 101, 102}]
+    assert tied_parts(world, [(3, 7)]) == [set(range(6)), {100, 101, 102}]  # with one that has gone: none
+
+
+def test_a_chance_match_ties_nothing() -> None:
+    """A few points that both parts see by mistake make them no one map, though they hang together."""
+    world = two_chains()
+    for keypoint, p in enumerate(sorted(world.keyframes[5].observed)[: FEW_SHARED - 1]):
+        world.observe(100, p, keypoint)
+    assert tied_part(world, [], 0) == set(range(6))
+    assert [min(part) for part in tied_parts(world, [])] == [0, 100]
+    assert parts_of(world) == {}
+
+
+def test_a_part_ends_where_points_are_fused_with_the_first_ones() -> None:
+    world = two_chains()
+    assert parts_of(world) == {100: 100, 101: 100, 102: 100}
+    world.fuse(min(world.keyframes[100].observed), 0)  # a loop joins them
+    assert parts_of(world) == {}
