@@ -9,6 +9,8 @@ from typing import Any
 
 import zenoh
 
+from prism_edge.bus.arriving import arriving
+
 log = logging.getLogger("prism_edge.bus")
 
 
@@ -29,12 +31,7 @@ class Answer:
             self._thread.join(timeout=1.0)
 
     def _run(self) -> None:
-        handler = self._queryable.handler
-        while True:
-            try:
-                query = handler.recv()
-            except zenoh.ZError:  # undeclared
-                return
+        for query in arriving(self._queryable):
             with query:
                 self._reply(query)
             del query  # else it, and with it the asker, would wait for the next one

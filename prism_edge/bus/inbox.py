@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-import zenoh
+from prism_edge.bus.arriving import arriving
 
 # How long a waiting thread sleeps before it looks whether the process is to stop: a signal handler can't
 # wake it safely.
@@ -84,13 +84,7 @@ class Inbox:
         self._thread.join(timeout=1.0)
 
     def _receive(self) -> None:
-        # the handler, because a subscriber that waits in its own recv() can't be undeclared
-        handler = self._subscriber.handler
-        while True:
-            try:
-                sample = handler.recv()
-            except zenoh.ZError:  # undeclared
-                return
+        for sample in arriving(self._subscriber):
             with self._arrival:
                 full = len(self._samples) == self._samples.maxlen
                 self._samples.append(sample)

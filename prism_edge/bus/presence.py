@@ -9,6 +9,7 @@ from typing import Any
 import zenoh
 
 from prism_edge.bus import keys
+from prism_edge.bus.arriving import arriving
 
 # How often a waiting thread looks whether the process is to stop: a signal handler can't wake it safely.
 _LOOK_S = 0.1
@@ -49,13 +50,7 @@ class Presence:
         self._thread.join(timeout=1.0)
 
     def _listen(self) -> None:
-        # the handler, because a subscriber that waits in its own recv() can't be undeclared
-        handler = self._subscriber.handler
-        while True:
-            try:
-                token = handler.recv()
-            except zenoh.ZError:  # undeclared
-                return
+        for token in arriving(self._subscriber):
             name = str(token.key_expr).rsplit("/", 1)[1]
             with self._change:
                 (self._ready.add if token.kind == zenoh.SampleKind.PUT else self._ready.discard)(name)

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from prism_edge.bus.ros_types import SCALE, type_store
 from prism_edge.errors import BusError
 from prism_edge.geometry.poses import from_rt, quaternion_from_rotation, rotation_from_quaternion
 
@@ -24,17 +23,13 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TRUTH = "geometry_msgs/msg/PoseStamped"
 TF = "tf2_msgs/msg/TFMessage"
-SCALE = "prism_edge_msgs/msg/Scale"
 DIAGNOSTICS = "diagnostic_msgs/msg/DiagnosticArray"
 IMAGE = "sensor_msgs/msg/Image"
 
 # Levels of diagnostics, as diagnostic_msgs/msg/DiagnosticStatus numbers them.
 LEVEL_OK, LEVEL_WARN, LEVEL_ERROR, LEVEL_STALE = 0, 1, 2, 3
 
-SCALE_DEFINITION = Path(__file__).parent / "msg" / "Scale.msg"
-
-_store = get_typestore(Stores.ROS2_JAZZY)
-_store.register(get_types_from_msg(SCALE_DEFINITION.read_text(encoding="utf-8"), SCALE))
+_store = type_store()
 _t = _store.types
 
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
 from prism_edge.bus import ros
+from prism_edge.bus.ros_types import SCALE_DEFINITION
 from prism_edge.errors import BusError
 from prism_edge.geometry.poses import from_rt, se3_exp, so3_exp
 
@@ -123,7 +124,7 @@ def test_transforms_name_parent_and_child():
 
 def test_scale_has_the_fields_of_its_definition_file():
     message = there_and_back(ros.SCALE, EXAMPLES[ros.SCALE])
-    lines = ros.SCALE_DEFINITION.read_text().splitlines()
+    lines = SCALE_DEFINITION.read_text().splitlines()
     defined = [line.split()[1] for line in lines if line and not line.startswith("#")]
     assert [name for name in vars(message) if not name.startswith("_")] == defined
     assert message.scale == pytest.approx(math.exp(0.1))
@@ -138,7 +139,7 @@ def test_a_scale_without_observation_says_so():
 
 
 def test_every_field_of_the_scale_is_explained():
-    for line in ros.SCALE_DEFINITION.read_text().splitlines():
+    for line in SCALE_DEFINITION.read_text().splitlines():
         assert not line or "#" in line
 
 
