@@ -36,6 +36,9 @@ def section(tree: type, *reload: str) -> Any:
 
 
 NO_NETWORK = "none"  # depth.model: no depth network, also where one would be taken by default
+WITHOUT_NETWORK = (
+    "has no network (--model, depth.model): no map begins, so no pose comes unless one is loaded"
+)
 SENSOR = "sensor"  # depth.model: the recording's own depth images in a network's place
 
 # Parts that can be switched off to see what they are worth.

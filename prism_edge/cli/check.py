@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from importlib.util import find_spec
 from pathlib import Path
 
 from prism_edge.bus.access import check_settings, unreadable
@@ -11,7 +12,9 @@ from prism_edge.config import SENSOR, Config, SourceConfig
 from prism_edge.depth import locate, networks_of
 from prism_edge.errors import ConfigError, ModelError, SourceError
 from prism_edge.sources.camera_file import read_camera
+from prism_edge.sources.live.oak import is_oak
 from prism_edge.sources.live.open import is_live
+from prism_edge.sources.live.stream import is_stream
 from prism_edge.sources.open import AUTO, open_source
 from prism_edge.sources.sim import is_simulated
 
@@ -24,7 +27,21 @@ def check_config(config: Config) -> list[str]:
     check_robot_name(config.robot)
     check_settings(config.network)
     missing = _endpoint(config) + unreadable(config.network)  # the service's key is there only while it runs
-    return missing + _source(config.source) + _model(with_network(config))
+    return missing + _extras(config) + _source(config.source) + _model(with_network(config))
+
+
+def _extras(config: Config) -> list[str]:
+    """Optional dependencies that it takes, and that are not installed."""
+    wanted = {
+        "metrics": ("prometheus_client", bool(config.metrics.port)),
+        "oak": ("depthai", is_oak(config.source.uri)),
+        "streams": ("av", is_stream(config.source.uri)),
+    }
+    return [
+        f"{module.replace('_', '-')} is not installed, which this needs: pip install 'prism-edge[{extra}]'"
+        for extra, (module, needed) in wanted.items()
+        if needed and find_spec(module) is None
+    ]
 
 
 def _endpoint(config: Config) -> list[str]:

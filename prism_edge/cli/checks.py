@@ -33,6 +33,7 @@ NATIVE = {
     "rosbags": "rosbags",
     "yaml": "pyyaml",
     "psutil": "psutil",
+    "setproctitle": "setproctitle",
 }
 LEAST_MEMORY_MB, LEAST_DISK_MB = 700, 500
 LOCKED_FOR_SHARED_MEMORY = 64 << 20

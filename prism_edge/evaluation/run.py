@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any
 
 from prism_edge.bus.keys import check_endpoint, check_robot_name
 from prism_edge.bus.session import Bus
-from prism_edge.config import BusConfig, Config, SourceConfig
+from prism_edge.config import WITHOUT_NETWORK, BusConfig, Config, SourceConfig
 from prism_edge.config_file import dump
 from prism_edge.errors import EvaluationError
 from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, free_endpoint
@@ -69,6 +70,8 @@ def evaluate(
     if truth is not None and not truth.is_file():
         raise EvaluationError(f"{truth}: no such file: nothing to score against")
     config = _prepared(config if keep_endpoint else on_free_endpoint(config), out)
+    if not config.depth.network and not quiet:
+        print(f"prism-edge: warning: depth {WITHOUT_NETWORK}", file=sys.stderr)
     heard = _run(config, out, settle_s, Progress(frame_count, quiet), command)
 
     live = heard.recording.live()

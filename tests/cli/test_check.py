@@ -19,6 +19,7 @@ USB = "source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\ndepth: {model: prism_n
 def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.delenv("PRISM_EDGE_MODELS", raising=False)
     monkeypatch.setenv("CACHE_DIRECTORY", str(tmp_path / "cache"))
+    monkeypatch.setattr("prism_edge.cli.check.find_spec", lambda name: name)  # whatever is installed here
     (tmp_path / "camera.yaml").write_text(CAMERA)
     return tmp_path / "given.yaml"
 
@@ -104,6 +105,33 @@ def test_what_may_only_be_missing_here_is_one_warning(
     (line,) = said.err.splitlines()
     assert line.startswith(f"{file}: warning: ")
     assert why in line
+
+
+@pytest.mark.parametrize(
+    ("text", "module", "extra"),
+    [
+        ("source: {uri: 'oak:'}\ndepth: {model: prism_nano}\n", "depthai", "oak"),
+        ("source: {uri: 'rtsp://h/c', camera: CAMERA}\ndepth: {model: prism_nano}\n", "av", "streams"),
+        ("metrics: {port: 9400}\n", "prometheus_client", "metrics"),
+    ],
+)
+def test_an_optional_dependency_that_is_missing_is_one_warning(
+    text: str,
+    module: str,
+    extra: str,
+    file: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    write(file, text)
+    assert main(["config", "--check", str(file)]) == 0
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(
+        "prism_edge.cli.check.find_spec", lambda name: None if name == module else name
+    )
+    assert main(["config", "--check", str(file)]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"pip install 'prism-edge[{extra}]'" in line
 
 
 @pytest.mark.parametrize(

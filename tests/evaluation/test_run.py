@@ -153,6 +153,18 @@ def test_a_daemon_that_fails_gives_its_words_and_code(
     assert not (tmp_path / "metrics.json").exists()
 
 
+def test_a_run_without_a_network_says_that_no_pose_will_come(
+    tiny_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Before it runs; without, the log of the daemon alone would say so."""
+    bare = Config(source=SourceConfig(uri=str(tiny_sequence)))
+    command = (sys.executable, str(FAKE), "refuses")
+    for quiet, said in ((False, True), (True, False)):
+        with pytest.raises(DaemonError):
+            evaluate(bare, tmp_path, command=command, quiet=quiet)
+        assert ("warning: depth has no network" in capsys.readouterr().err) == said
+
+
 def test_results_of_an_earlier_run_do_not_survive_a_failing_one(tiny_sequence: Path, tmp_path: Path) -> None:
     (tmp_path / "metrics.json").write_text("{}")
     with pytest.raises(DaemonError):
