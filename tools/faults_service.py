@@ -32,6 +32,7 @@ from prism_edge.evaluation.daemon import free_endpoint
 from prism_edge.evaluation.resources import pss_mb
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import Keyframe
+from prism_edge.workers.launch import TITLE
 from tests.synthetic.network import write_tiny_network
 from tests.synthetic.sequence import write_sequence
 
@@ -114,9 +115,9 @@ class Service:
             found["supervisor"] = root
             for child in root.children():
                 with contextlib.suppress(psutil.Error):
-                    line = child.cmdline()
-                    if "prism_edge.workers" in line:
-                        found[line[line.index("prism_edge.workers") + 1]] = child
+                    title, _, name = child.cmdline()[0].partition(" ")
+                    if title == TITLE:
+                        found[name] = child
         return found
 
     def marked(self) -> list[psutil.Process]:

@@ -56,7 +56,7 @@ restarts_are() { [[ $(property NRestarts) == "$1" && $(property ActiveState) == 
 state_is() { [[ $(property ActiveState) == "$1" ]]; }
 said() { grep -qF "$1" <(inside journalctl --unit prism-edge --no-pager --output cat); }
 of_main() { grep -qE "$1" <(inside cat "/proc/$(property MainPID)/status"); }
-no_worker() { ! inside pgrep -f prism_edge.workers; }
+no_worker() { ! inside pgrep -f '^prism-edge (source|tracker|depth|scale|backend)'; }
 current() { inside readlink /opt/prism-edge/current; }
 
 leader_is_up() {  # `degraded` is this machine's own affair
@@ -93,7 +93,7 @@ is "what can change is taken up" await 10 said "reloaded: depth.threads"
 is "what can't is refused" said "only a restart changes it: robot"
 inside tee /etc/prism-edge/config.yaml < "$work/config" > /dev/null
 
-inside kill -KILL "$(inside pgrep -f 'prism_edge.workers tracker')"
+inside kill -KILL "$(inside pgrep -f '^prism-edge tracker')"
 is "a killed tracker is mended" await 20 status_has "ok building"
 is "... without a restart of the service" restarts_are 0
 inside kill -KILL "$(property MainPID)"

@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import signal
-import subprocess
 import sys
+import traceback
 from collections.abc import Callable
-from pathlib import Path
-
-from prism_edge.processes import Process
-
-Command = Callable[[Process, Path, int], list[str]]  # the last: how often it was started before
-
-
-def worker_command(process: Process, config_file: Path, life: int) -> list[str]:
-    """The command line of a worker that dies with this process; ``life``: how often it was started before."""
-    command = [sys.executable, "-m", "prism_edge.workers", process.name]
-    return [*command, "--config", str(config_file), "--parent", str(os.getpid()), "--life", str(life)]
+from typing import NoReturn
 
 
 class Child:
@@ -30,10 +21,35 @@ class Child:
     thread that started it ends.
     """
 
-    def __init__(self, command: list[str]) -> None:
-        self._popen = subprocess.Popen(command, stdin=subprocess.DEVNULL, process_group=0)
-        self.pid = self._popen.pid
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
         self.exit_code: int | None = None  # negative: the signal that ended it
+
+    @classmethod
+    def spawn(cls, command: list[str]) -> Child:
+        """Start a command line. Raises OSError where there is no such program."""
+        no_input = (os.POSIX_SPAWN_OPEN, 0, os.devnull, os.O_RDONLY, 0)
+        pid = os.posix_spawn(command[0], command, os.environ, file_actions=[no_input], setpgroup=0)
+        return cls(pid)
+
+    @classmethod
+    def fork(cls, body: Callable[[], int]) -> Child:
+        """Start a copy of this process that calls ``body``, and ends with the exit code which that returns.
+
+        What is loaded here is loaded there, in the same memory. Of several threads only the caller's goes on
+        in the copy, so call it while there is but one.
+        """
+        _flush()  # or what waits to be written is written by both
+        gc.freeze()  # the collector would write to what could stay shared
+        # A signal may reach the copy while it still has our handlers, and would be taken for one to us.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())
+        pid = os.fork()
+        if pid == 0:
+            _be_a_copy(body, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # the copy does it too; who is first
+            os.setpgid(pid, pid)
+        return cls(pid)
 
     def poll(self) -> int | None:
         """Exit code, None while it runs; clears away what an ended worker had started."""
@@ -42,7 +58,7 @@ class Child:
             if os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOWAIT | os.WNOHANG) is None:
                 return None
             self._kill_group()
-            self.exit_code = self._popen.wait()
+            self.exit_code = self._collect()
         return self.exit_code
 
     def terminate(self) -> None:
@@ -55,12 +71,39 @@ class Child:
         """End it and all that it started, now."""
         if self.exit_code is None:
             self._kill_group()
-            self.exit_code = self._popen.wait()
+            self.exit_code = self._collect()
+
+    def _collect(self) -> int:
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
 
     def _kill_group(self) -> None:
         # Permission: macOS answers so for a group whose leader has ended.
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self.pid, signal.SIGKILL)
+
+
+def _be_a_copy(body: Callable[[], int], mask: set[int | signal.Signals]) -> NoReturn:
+    """All that a fork does: nothing of it may end or clear up what is our process's."""
+    code = 1
+    try:
+        os.setpgid(0, 0)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        signal.set_wakeup_fd(-1)
+        for number in (signal.SIGTERM, signal.SIGHUP):
+            signal.signal(number, signal.SIG_DFL)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        code = body()
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        _flush()
+        os._exit(code)
+
+
+def _flush() -> None:
+    with contextlib.suppress(OSError, ValueError):
+        sys.stdout.flush()
 
 
 def describe_exit(code: int) -> str:

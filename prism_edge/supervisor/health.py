@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from prism_edge.config import WITHOUT_NETWORK
+
 # Levels of diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
 
@@ -26,8 +28,7 @@ class Row:
 
 def no_network() -> Row:
     """The row of `depth` in a run that has no depth network: its depth would begin the map."""
-    said = "has no network (--model, depth.model): no map begins, so no pose comes unless one is loaded"
-    return Row("depth", WARN, said, {"state": "none"})
+    return Row("depth", WARN, WITHOUT_NETWORK, {"state": "none"})
 
 
 def summary(rows: Sequence[Row], pid: int, ready_s: float | None) -> Row:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import socket
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from prism_edge.errors import ConfigError
@@ -13,7 +16,7 @@ ADDRESS = "127.0.0.1"
 
 
 class MetricsServer:
-    """Answers http://127.0.0.1:PORT/metrics from threads of its own until closed."""
+    """Answers http://127.0.0.1:PORT/metrics, from :meth:`start` until closed, in threads of its own."""
 
     def __init__(self, port: int, rows: Callable[[], Sequence[Row]]) -> None:
         """``rows`` gives the latest rows of `health`, the run's own first.
@@ -21,23 +24,39 @@ class MetricsServer:
         Raises ConfigError where the library is missing or the port is taken.
         """
         try:
-            from prometheus_client import CollectorRegistry, start_http_server
+            from prometheus_client import CollectorRegistry
         except ImportError:
             raise ConfigError(
                 "metrics.port: needs the package prometheus-client: pip install 'prism-edge[metrics]'"
             ) from None
-        registry = CollectorRegistry()
-        registry.register(_Collector(rows))
-        try:
-            self._server, self._thread = start_http_server(port, ADDRESS, registry)
-        except OSError as error:
-            raise ConfigError(f"metrics.port: can't listen on {ADDRESS}:{port}: {error.strerror}") from None
+        self._port, self._end = port, contextlib.ExitStack()
+        self._registry = CollectorRegistry()
+        self._registry.register(_Collector(rows))
+        with self._port_is_free(), socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what waits to time out owns nothing
+            probe.bind((ADDRESS, port))
+
+    def start(self) -> None:
+        """Begin to answer. Raises ConfigError where the port has been taken since."""
+        from prometheus_client import start_http_server
+
+        with self._port_is_free():
+            server, thread = start_http_server(self._port, ADDRESS, self._registry)
+        for end in (partial(thread.join, timeout=2.0), server.server_close, server.shutdown):  # last first
+            self._end.callback(end)
 
     def close(self) -> None:
         """Answer no more."""
-        self._server.shutdown()
-        self._server.server_close()
-        self._thread.join(timeout=2.0)
+        self._end.close()
+
+    @contextlib.contextmanager
+    def _port_is_free(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise ConfigError(
+                f"metrics.port: can't listen on {ADDRESS}:{self._port}: {error.strerror}"
+            ) from None
 
 
 class _Collector:

@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from prism_edge.config import Config
 from prism_edge.errors import PrismError
 from prism_edge.processes import Process
-from prism_edge.supervisor.child import Command, worker_command
 from prism_edge.supervisor.notify import Notifier
+from prism_edge.supervisor.start import Start, start_worker
 from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.supervisor.watch import StartRefusedError
 from prism_edge.workers.stopping import StopSignals
@@ -23,7 +23,7 @@ def supervise(
     on_ready: Callable[[Supervisor], None] | None = None,
     stay: bool = True,
     processes: Sequence[Process] | None = None,
-    command: Command = worker_command,
+    start: Start = start_worker,
     reread: Callable[[], Config] | None = None,
 ) -> int:
     """Run the daemon until SIGTERM or SIGINT; returns the exit code. Call from the main thread.
@@ -56,7 +56,8 @@ def supervise(
         return signals.stopped.is_set() or (not stay and supervisor.ended)
 
     try:
-        with Supervisor(config, processes, command) as supervisor:
+        with Supervisor(config, processes, start) as supervisor:
+            signals.listen()  # in a thread; before it there was none, and workers could be forks
             try:
                 supervisor.run(finished)
                 supervisor.ended_well()

@@ -17,13 +17,14 @@ from prism_edge.config import NO_NETWORK, Config
 from prism_edge.config_file import dump
 from prism_edge.errors import SupervisionError
 from prism_edge.processes import Process, processes_for
-from prism_edge.supervisor.child import Child, Command, worker_command
+from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.health import Row, no_network, status_line, summary
 from prism_edge.supervisor.liveness import OVERDUE, QUIET_S
 from prism_edge.supervisor.metrics import MetricsServer
 from prism_edge.supervisor.reload import difference
 from prism_edge.supervisor.remote import RemoteWatch
 from prism_edge.supervisor.run_directory import RunDirectory
+from prism_edge.supervisor.start import Start, start_worker
 from prism_edge.supervisor.watch import Watch
 from prism_edge.workers.cut_off import TOLD, run_mark
 
@@ -40,16 +41,16 @@ PAUSED_S = 1.0  # a round later than this: we were stopped ourselves, and heartb
 class Supervisor:
     """The processes of one run. Use it as a context manager from the thread that outlives the run.
 
-    ``processes`` and ``command`` (what starts each of them) default to what the configuration asks for.
+    ``processes`` and ``start`` (what starts each of them) default to what the configuration asks for.
     """
 
     def __init__(
         self,
         config: Config,
         processes: Sequence[Process] | None = None,
-        command: Command = worker_command,
+        start: Start = start_worker,
     ) -> None:
-        self._config, self._command = config, command
+        self._config, self._start = config, start
         chosen = processes_for(config) if processes is None else processes
         away = config.network.remote
         self._watches = {p.name: Watch(p, config.supervisor) for p in chosen if p.name not in away}
@@ -118,21 +119,24 @@ class Supervisor:
         if not self._config.depth.network:
             log.warning("depth %s", no_network().message)
         try:
+            metrics = None
             if self._config.metrics.port:  # before any process: where the port is taken, none need be ended
                 metrics = MetricsServer(self._config.metrics.port, lambda: self._rows)
-                self._cleanup.callback(metrics.close)
             self._directory = RunDirectory()
             self._cleanup.callback(self._directory.remove)
             self._file = self._directory.write("config.yaml", dump(self._config))
             if self._mark is not None and self._mark.begin(self._config.state.recover_s):
                 self._directory.write(TOLD, "")
-            # Workers load their libraries while we load ours; but none may join a stranger's listener.
+            # Before we have threads, so that they can be forks; but none may join a stranger's listener.
             early = can_listen(self._config.bus.endpoint)
             if early:
                 self._launch_all()
             self._open_bus()
             if not early:
                 self._launch_all()
+            if metrics is not None:
+                metrics.start()
+                self._cleanup.callback(metrics.close)
         except BaseException:
             self.stop()
             raise
@@ -199,7 +203,7 @@ class Supervisor:
 
     def _launch(self, name: str) -> None:
         watch = self._watches[name]
-        child = Child(self._command(watch.process, self._file, watch.lives))
+        child = self._start(watch.process, self._file, watch.lives)
         self._children[name] = child
         watch.started(child.pid, time.monotonic())
 

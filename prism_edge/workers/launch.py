@@ -9,6 +9,8 @@ import signal
 import sys
 from pathlib import Path
 
+from setproctitle import setproctitle
+
 from prism_edge.config import Config
 from prism_edge.config_file import load
 from prism_edge.errors import PrismError
@@ -17,6 +19,7 @@ from prism_edge.workers.heap import bound_heap, keep_trimmed
 from prism_edge.workers.journal import JournalHandler, stderr_is_the_journal
 from prism_edge.workers.stopping import StopSignals, die_with
 
+TITLE = "prism-edge"  # and the worker's name, where ps shows a command line
 UNEXPECTED = 70  # sysexits.h: internal software error
 
 
@@ -58,10 +61,12 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
     """
     if parent is not None:
         die_with(parent)
+        setproctitle(f"{TITLE} {process.name}")
     bound_heap()
     # In a terminal's background, where `stty tostop` would stop whoever writes a line.
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)
     signals = StopSignals()
+    signals.listen()
     log_to_stderr(process.name)
     log = logging.getLogger(f"prism_edge.{process.name}")
     try:

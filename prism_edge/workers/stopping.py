@@ -21,9 +21,10 @@ class StopSignals:
     """
 
     def __init__(self, reload: bool = False) -> None:
-        """Take the signals over; call from the main thread. With ``reload``, SIGHUP too.
+        """Take the signals over; call from the main thread. None is lost until :meth:`listen`.
 
-        It sets ``reload_wanted`` then, except under a terminal, whose going away it says: that ends the run.
+        With ``reload``, SIGHUP too: it sets ``reload_wanted``, but not under a terminal, whose going away it
+        says: that ends the run.
         """
         self.stopped = threading.Event()
         self.reload_wanted = threading.Event()
@@ -34,6 +35,9 @@ class StopSignals:
         signal.set_wakeup_fd(write, warn_on_full_buffer=False)
         for number in (*STOPPING, *self._hangup):
             signal.signal(number, _ignore)
+
+    def listen(self) -> None:
+        """From now on, and for what has come already, set the events."""
         threading.Thread(target=self._wait, name="signals", daemon=True).start()
 
     def also(self, event: threading.Event) -> None:

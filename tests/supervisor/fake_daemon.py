@@ -10,7 +10,8 @@ from pathlib import Path
 from prism_edge.config_file import load
 from prism_edge.errors import PrismError
 from prism_edge.processes import Process
-from prism_edge.supervisor.child import Command
+from prism_edge.supervisor.child import Child
+from prism_edge.supervisor.start import Start
 from prism_edge.supervisor.supervise import supervise
 from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.workers.launch import log_to_stderr
@@ -18,15 +19,16 @@ from prism_edge.workers.launch import log_to_stderr
 WORKER = Path(__file__).with_name("fake_worker.py")
 
 
-def cast(behaviours: Sequence[str]) -> tuple[list[Process], Command]:
+def cast(behaviours: Sequence[str]) -> tuple[list[Process], Start]:
     """The processes and what starts them, from ``NAME:BEHAVIOUR`` texts."""
     plan = dict(text.split(":", 1) for text in behaviours)
 
-    def command(process: Process, config_file: Path, life: int) -> list[str]:
+    def start(process: Process, config_file: Path, life: int) -> Child:
         behaviour = plan[process.name]
-        return [sys.executable, str(WORKER), process.name, behaviour, str(config_file), str(os.getpid())]
+        command = [sys.executable, str(WORKER), process.name, behaviour, str(config_file), str(os.getpid())]
+        return Child.spawn(command)
 
-    return [Process(name, "fake_worker", "pretends", required=True) for name in plan], command
+    return [Process(name, "fake_worker", "pretends", required=True) for name in plan], start
 
 
 def ready(supervisor: Supervisor) -> None:
@@ -35,11 +37,11 @@ def ready(supervisor: Supervisor) -> None:
 
 if __name__ == "__main__":
     log_to_stderr("supervisor")
-    processes, command = cast(sys.argv[2:])
+    processes, start = cast(sys.argv[2:])
     try:
         file = sys.argv[1]
         code = supervise(
-            load(file), ready, processes=processes, command=command, reread=lambda: load(file)
+            load(file), ready, processes=processes, start=start, reread=lambda: load(file)
         )
         sys.exit(code)
     except PrismError as error:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import builtins
 import socket
+import threading
 import urllib.request
 from typing import Any
 
+import psutil
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
@@ -39,6 +41,7 @@ def test_figures_of_health_are_metrics() -> None:
     ]
     port = free_port()
     server = MetricsServer(port, lambda: [summary(rows, 1, 0.7), *rows])
+    server.start()
     try:
         found = scraped(port)
         assert found["prism_edge_up",] == 0  # depth is in error
@@ -59,10 +62,30 @@ def test_figures_of_health_are_metrics() -> None:
 def test_it_listens_on_loopback_alone() -> None:
     port = free_port()
     server = MetricsServer(port, list)
+    server.start()
     try:
-        assert server._server.server_address[0] == "127.0.0.1"
+        listening = {c.laddr.ip for c in psutil.Process().net_connections("tcp") if c.laddr.port == port}
+        assert listening == {"127.0.0.1"}
     finally:
         server.close()
+
+
+def test_it_has_no_thread_before_it_starts() -> None:
+    """Workers start as forks of a process that has none."""
+    before = threading.active_count()
+    MetricsServer(free_port(), list).close()
+    assert threading.active_count() == before
+
+
+def test_a_port_taken_since_is_the_users_error() -> None:
+    port = free_port()
+    server = MetricsServer(port, list)
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", port))
+        other.listen()
+        with pytest.raises(ConfigError, match=r"metrics\.port: can't listen"):
+            server.start()
+    server.close()
 
 
 def test_a_port_in_use_is_the_users_error() -> None:

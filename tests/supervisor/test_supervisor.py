@@ -30,6 +30,7 @@ from prism_edge.config import (
 from prism_edge.config_file import dump
 from prism_edge.errors import BusError, ConfigError, SupervisionError
 from prism_edge.processes import Process
+from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.health import ERROR, OK, WARN
 from prism_edge.supervisor.run_directory import PREFIX
 from prism_edge.supervisor.supervisor import Supervisor
@@ -94,8 +95,7 @@ def assert_port_free(config: Config) -> None:
 
 
 def supervisor(config: Config, *behaviours: str) -> Supervisor:
-    processes, command = cast(behaviours)
-    return Supervisor(config, processes, command)
+    return Supervisor(config, *cast(behaviours))
 
 
 def levels(health: Any) -> dict[str, int]:
@@ -226,15 +226,15 @@ class TestSupervisor:
     def test_a_port_of_metrics_in_use_is_said_before_any_process_is_started(self, config: Config) -> None:
         launched: list[str] = []
 
-        def command(process: Process, config_file: Path, life: int) -> list[str]:
+        def start(process: Process, config_file: Path, life: int) -> Child:
             launched.append(process.name)
-            return [sys.executable, "-c", ""]
+            return Child.spawn([sys.executable, "-c", ""])
 
         with socket.socket() as other:
             other.bind(("127.0.0.1", 0))
             other.listen()
             taken = replace(config, metrics=MetricsConfig(other.getsockname()[1]))
-            run = Supervisor(taken, cast(["source:steady"])[0], command)
+            run = Supervisor(taken, cast(["source:steady"])[0], start)
             with pytest.raises(ConfigError, match=r"metrics\.port: can't listen"):
                 run.start()
         assert launched == []

@@ -16,7 +16,7 @@ DEADLINE_S = 30.0
 SETUP = (
     "import re, threading\n"
     "from prism_edge.workers.stopping import StopSignals\n"
-    "signals = StopSignals(); other = threading.Event(); signals.also(other)\n"
+    "signals = StopSignals(); signals.listen(); other = threading.Event(); signals.also(other)\n"
     "print('up', flush=True)\n"
 )
 WAITS = SETUP + "assert other.wait(60)\nassert signals.stopped.is_set()\nprint('stopped', flush=True)\n"
@@ -65,6 +65,17 @@ def test_second_signal_ends_a_worker_that_does_not_listen(
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGTERM)
     assert process.wait(DEADLINE_S) in (128 + signal.SIGTERM, 128 + signal.SIGINT)
+
+
+def test_a_signal_before_it_listens_is_heard_then() -> None:
+    """The supervisor forks its workers before it has a thread; who ends it meanwhile is not passed over."""
+    script = (
+        "import os, signal\n"
+        "from prism_edge.workers.stopping import StopSignals\n"
+        "signals = StopSignals(); os.kill(os.getpid(), signal.SIGTERM)\n"
+        "assert not signals.stopped.is_set(); signals.listen(); assert signals.stopped.wait(60)\n"
+    )
+    assert subprocess.run([sys.executable, "-c", script], cwd=CHECKOUT, timeout=DEADLINE_S).returncode == 0
 
 
 def test_event_named_after_the_signal_is_set_at_once() -> None:

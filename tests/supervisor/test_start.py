@@ -1,0 +1,92 @@
+"""How workers start: by forking where that gives a whole process, by a command line elsewhere."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import psutil
+import pytest
+
+from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
+from prism_edge.config_file import dump
+from prism_edge.evaluation.daemon import free_endpoint
+from prism_edge.supervisor.start import can_fork
+from tests.sources.tiny_datasets import write_tum
+from tests.supervisor.test_child import until
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def test_a_process_with_another_thread_does_not_fork() -> None:
+    release = threading.Event()
+    other = threading.Thread(target=release.wait)
+    other.start()
+    try:
+        assert not can_fork()
+    finally:
+        release.set()
+        other.join()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says how many threads there are")
+def test_what_workers_share_starts_no_thread() -> None:
+    """Else none of them would be a fork, and each would load it for itself."""
+    script = (
+        "import importlib; from prism_edge.supervisor.start import SHARED, can_fork\n"
+        "assert can_fork()\n"
+        "for module in SHARED: importlib.import_module(module)\n"
+        "assert can_fork()\n"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, timeout=60)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no worker is a fork")
+def test_first_lives_are_forks_and_later_ones_are_not(tmp_path: Path) -> None:
+    (tmp_path / "tum").mkdir()
+    config = Config(
+        bus=BusConfig(free_endpoint()),
+        source=SourceConfig(str(write_tum(tmp_path / "tum"))),
+        depth=DepthConfig(model=""),
+    )
+    file = tmp_path / "config.yaml"
+    file.write_text(dump(config))
+    log = tmp_path / "log"
+    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path), "PRISM_MARK": "of this test"}
+    with log.open("w") as stderr:
+        command = [sys.executable, "-m", "prism_edge.supervisor", "--config", str(file)]
+        daemon = subprocess.Popen(command, stderr=stderr, env=environment, cwd=CHECKOUT)
+    try:
+        until(lambda: "ready after" in log.read_text(), 60.0)
+        root = psutil.Process(daemon.pid)
+        first = {worker.cmdline()[0]: worker for worker in root.children()}
+        assert first.keys() == {"prism-edge source", "prism-edge tracker", "prism-edge backend"}
+        assert all(is_a_copy_of(root, worker) for worker in first.values())
+        assert all(worker.environ()["PRISM_MARK"] == "of this test" for worker in first.values())
+        first["prism-edge tracker"].kill()
+        until(lambda: log.read_text().count("tracker started again"), 60.0)
+        until(lambda: len(titled(root, "prism-edge tracker")) == 1, 60.0)
+        [later] = titled(root, "prism-edge tracker")
+        assert later.pid != first["prism-edge tracker"].pid
+        assert not is_a_copy_of(root, later)
+    finally:
+        daemon.terminate()
+        assert daemon.wait(30) == 0
+    assert not any(psutil.pid_exists(worker.pid) for worker in first.values())
+
+
+def titled(root: psutil.Process, title: str) -> list[psutil.Process]:
+    return [worker for worker in root.children() if worker.cmdline()[:1] == [title]]
+
+
+def is_a_copy_of(root: psutil.Process, worker: psutil.Process) -> bool:
+    """Whether its program lies at the same addresses: they are drawn anew for whatever is loaded anew."""
+    return addresses(root.pid) == addresses(worker.pid)
+
+
+def addresses(pid: int) -> set[str]:
+    maps = Path(f"/proc/{pid}/maps").read_text().splitlines()
+    return {line.split()[0] for line in maps if "zenoh" in line}
