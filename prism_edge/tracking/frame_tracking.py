@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
@@ -16,6 +15,7 @@ from prism_edge.tracking.matching import match_projected
 from prism_edge.tracking.point_table import Ids, Index, PointTable
 from prism_edge.tracking.point_trust import trust
 from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
+from prism_edge.tracking.projection import expected_octaves, project
 
 # Hamming distances of 256: the same corner seen again stays well below, another one is near 128.
 MOTION_DISTANCE, MOTION_RATIO = 64, 0.9
@@ -78,7 +78,6 @@ class FrameTracker:
     def __init__(self, scale_factors: Array, max_local_points: int, proven_after_s: float = 0.0) -> None:
         self._proven_after_s = proven_after_s
         self._factors = scale_factors
-        self._log_factor = float(np.log(scale_factors[1])) if len(scale_factors) > 1 else 1.0
         self._most = max_local_points
         self._local_ids: Ids = np.zeros(0, np.int64)
 
@@ -154,7 +153,7 @@ class FrameTracker:
         best: tuple[PoseEstimate, Ids] | None = None
         for radius in SEARCH_RADII:
             points = np.full(len(features), -1, np.int64)
-            centres, inside = _project(camera, predicted, positions)
+            centres, inside = project(camera, predicted, positions)
             query, keypoint = match_projected(
                 features,
                 centres[inside],
@@ -194,16 +193,16 @@ class FrameTracker:
         """Look for further points of the local map at their predicted places; fills ``points``."""
         table = world.points
         positions = table.position.take(rows, axis=0)
-        centres, inside = _project(camera, pose, positions)
+        centres, inside = project(camera, pose, positions)
         rows, centres = rows[inside], centres.compress(inside, axis=0)
         offset = pose[:3, 3] - positions.compress(inside, axis=0)
         distance = np.maximum(np.sqrt(np.einsum("ij,ij->i", offset, offset)), 1e-9)
-        octave = table.octave[rows] + np.rint(np.log(table.distance[rows] / distance) / self._log_factor)
-        inside = (octave >= -1) & (octave <= len(self._factors))
+        expected = expected_octaves(table, rows, distance, self._factors)
+        inside = (expected >= -1) & (expected <= len(self._factors))
         along = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0))
         inside &= along > MIN_VIEW_COSINE * distance
         rows, centres = rows[inside], centres.compress(inside, axis=0)
-        octave = np.minimum(np.maximum(octave[inside], 0), len(self._factors) - 1).astype(np.intp)
+        octave = np.minimum(np.maximum(expected[inside], 0), len(self._factors) - 1).astype(np.intp)
         table.visible[rows] += 1
         seen = points[points >= 0]
         table.visible[table.rows(seen)] += 1
@@ -262,16 +261,3 @@ class FrameTracker:
             iterations=rounds[1],
         )
         return estimate, keypoints
-
-
-def _project(camera: Camera, pose: Array, points: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (n, 2) of world points and which of them are in the image."""
-    local = (points - pose[:3, 3]) @ pose[:3, :3]
-    z = local[:, 2]
-    front = z > 1e-3
-    inverse_z = 1.0 / np.where(front, z, 1.0)
-    pixels = np.empty((len(points), 2))
-    pixels[:, 0] = camera.fx * local[:, 0] * inverse_z + camera.cx
-    pixels[:, 1] = camera.fy * local[:, 1] * inverse_z + camera.cy
-    inside = front & (pixels[:, 0] >= 0) & (pixels[:, 0] < camera.width)
-    return pixels, inside & (pixels[:, 1] >= 0) & (pixels[:, 1] < camera.height)

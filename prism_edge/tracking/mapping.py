@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array, inverse
-from prism_edge.tracking.frame_tracking import _project, reference_origins
+from prism_edge.tracking.frame_tracking import reference_origins
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
 from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.pose_refinement import CHI2_2D_95
+from prism_edge.tracking.projection import expected_octaves, project
 from prism_edge.tracking.triangulation import match_epipolar, rays, triangulate
 
 MIN_PARALLAX = np.radians(1.0)
@@ -20,33 +23,45 @@ MATCHING_SIGMA_PX = 1.4  # of a disparity: two keypoints of one pixel each
 NEIGHBOURS, SHARING, TRIANGULATING = 10, 10, 4  # covisible keyframes, best first
 
 
-def extend(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> None:
-    """All that a keyframe that has just come into the map gives it."""
+def introduce(world: LocalMap, keyframe: LocalKeyframe) -> None:
+    """A keyframe that has just come into the map learns of its neighbours, and they of it."""
     neighbours = world.covisible(keyframe, NEIGHBOURS)
     keyframe.neighbours = [k.id for k in neighbours]
     for k in neighbours:
         k.neighbours = [keyframe.id, *k.neighbours[: NEIGHBOURS - 1]]
+
+
+def extending(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> Iterator[None]:
+    """All that a keyframe with neighbours gives the map, step by step.
+
+    Between steps the map is sound: frames may be tracked in it, but nothing may leave it.
+    """
+    neighbours = [world.keyframes[k] for k in keyframe.neighbours]
     mature(world, keyframe, scale_factors)
+    yield
     # Known points first, so that fewer corners are triangulated a second time.
     near = neighbours[:SHARING]
     doubles = [share_points(world, shareable(world, near), keyframe, scale_factors)]
-    triangulate_with_neighbours(world, keyframe, neighbours[:TRIANGULATING], scale_factors)
+    yield
+    for _ in triangulating(world, keyframe, neighbours[:TRIANGULATING], scale_factors):
+        yield
     mine = shareable(world, [keyframe])
-    doubles += [share_points(world, mine, k, scale_factors) for k in near]
+    for k in near:
+        doubles.append(share_points(world, mine, k, scale_factors))
+        yield
     first, second = (np.concatenate(ids) for ids in zip(*doubles, strict=True))
     fuse(world, first, second)
     cull_recent_points(world, keyframe.id)
 
 
-def triangulate_with_neighbours(
+def triangulating(
     world: LocalMap, keyframe: LocalKeyframe, neighbours: list[LocalKeyframe], scale_factors: Array
-) -> int:
-    """New points between a keyframe and its neighbours; returns how many."""
-    created = 0
+) -> Iterator[int]:
+    """New points between a keyframe and its neighbours; how many, after each that gives any."""
     _, depths = world.depths_in(keyframe)
     depths = depths[depths > 0]
     if len(depths) < 10:
-        return 0
+        return
     nearest, farthest = np.quantile(depths, (0.02, 0.98))
     for other in neighbours:
         baseline = np.linalg.norm(other.world_from_camera[:3, 3] - keyframe.world_from_camera[:3, 3])
@@ -82,14 +97,13 @@ def triangulate_with_neighbours(
         ids = world.add_points(keyframe, a, points[good], sigma, np.degrees(parallax))
         for point, row, keypoint in zip(ids, world.points.rows(ids), b, strict=True):
             world.add_observation(int(point), int(row), other, int(keypoint))
-        created += len(a)
-    return created
+        yield len(a)
 
 
 def _reprojects(
     keyframe: LocalKeyframe, points: Array, keypoints: Index, factors: Array
 ) -> NDArray[np.bool_]:
-    pixels, _ = _project(keyframe.camera, keyframe.world_from_camera, points)
+    pixels, _ = project(keyframe.camera, keyframe.world_from_camera, points)
     sigma = factors[keyframe.features.octaves[keypoints]]
     error = (pixels - keyframe.features.pixels[keypoints]) / sigma[:, None]
     return np.einsum("ij,ij->i", error, error) < CHI2_2D_95
@@ -156,15 +170,14 @@ def share_points(world: LocalMap, rows: Index, target: LocalKeyframe, factors: A
     there[table.rows(target.points[target.points >= 0])] = True
     rows = rows[~there.take(rows)]
     positions = table.position.take(rows, axis=0)
-    centres, inside = _project(target.camera, target.world_from_camera, positions)
+    centres, inside = project(target.camera, target.world_from_camera, positions)
     rows, centres = rows[inside], centres.compress(inside, axis=0)
     offset = target.world_from_camera[:3, 3] - positions.compress(inside, axis=0)
     distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
-    log_factor = np.log(factors[1]) if len(factors) > 1 else 1.0
-    octave = table.octave.take(rows) + np.rint(np.log(table.distance.take(rows) / distance) / log_factor)
+    expected = expected_octaves(table, rows, distance, factors)
     good = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0)) > 0.5 * distance
-    good &= (octave >= 0) & (octave < len(factors))
-    rows, centres, octave = rows[good], centres.compress(good, axis=0), octave[good].astype(np.intp)
+    good &= (expected >= 0) & (expected < len(factors))
+    rows, centres, octave = rows[good], centres.compress(good, axis=0), expected[good].astype(np.intp)
     query, keypoint = match_projected(
         target.features,
         centres,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import PINHOLE, Camera
-from prism_edge.geometry.poses import Array, inverse, normalised, scaled, se3_exp, se3_log
+from prism_edge.geometry.poses import Array, inverse, normalised, scaled
 from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate, beyond
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
@@ -22,9 +23,11 @@ from prism_edge.tracking.keyframe_culling import cull_keyframes, drop_keyframe
 from prism_edge.tracking.keyframe_decision import decide, shown_before
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import apply_correction, fit, join, see_through
+from prism_edge.tracking.motion import ConstantVelocity
 from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import recover
+from prism_edge.tracking.reference import Reference
 from prism_edge.tracking.relocalisation import Relocaliser
 from prism_edge.tracking.second_look import look_again
 from prism_edge.tracking.seeding import seed_from_depth
@@ -65,18 +68,15 @@ class Tracker:
         self._next_keyframe = first_id
         self._announced = -1  # newest keyframe whose message has gone out
         self._last: TrackedFrame | None = None
-        self._last_stamp = 0
-        self._velocity = np.zeros(6)  # twist of the camera per second
+        self._motion = ConstantVelocity()
         self._seen_at: int | None = None  # stamp of the last tracked frame
         self._began_at: int | None = None  # of this map's first; None for one that was there before
-        self._back_at = -1  # the older keyframe that the camera has come back to; -1: it is at the newest
-        self._reference_since = 0  # stamp since when it is at that keyframe
-        self._reference_matches = 0
-        self._reference_depth = 1.0  # median, of that keyframe
+        self._at = Reference()
         self._since_refresh = 0
         self._initialised = False
         self._result: FrameResult | None = None
         self._fresh: tuple[int, TrackedFrame] | None = None  # tracked, not yet judged as a keyframe
+        self._unmapped: tuple[LocalKeyframe, TrackedFrame] | None = None  # made, and nothing more
         self._begins_at = np.eye(4)  # pose of a map's first camera, metres
         self._pending: LocalKeyframe | None = None  # the first keyframe, not yet handed out
         self._lens: Camera | None = None  # the camera as the backend has found it
@@ -121,7 +121,7 @@ class Tracker:
                     log.info("the first keyframe could not be tracked: starting again")
                     self._restart(self._begins_at)
                 return nothing(INITIALISING)
-            self._velocity[:] = 0.0
+            self._motion.stop()
             if silent_s > self._config.lost_after_s and not self._lost:
                 self._lost, self._looked_ns, self._looking_at = True, 0, stamp_ns
                 self.places.begin()
@@ -188,7 +188,7 @@ class Tracker:
         self._give_up_waiting()
         self.parts.enter(self.world, frame.points[frame.points >= 0])
         self._lost = self.wants_probe = False
-        self._back_at = -1
+        self._at.leave()
 
     def _track(self, stamp_ns: int, camera: Camera, features: Features) -> TrackedFrame | None:
         previous, frame, enough = self._last, None, self._config.min_matches
@@ -197,8 +197,7 @@ class Tracker:
         if self._lost:
             return self.places.attempt(self.world, self._frames, camera, features, previous, enough)
         if previous is not None:
-            elapsed = (stamp_ns - self._last_stamp) * 1e-9
-            moving = previous.world_from_camera @ se3_exp(self._velocity * elapsed)
+            moving = self._motion.predict(previous.world_from_camera, stamp_ns)
             # A frame that suddenly matches far less may have followed a wrong prediction: try another.
             for predicted in (moving, previous.world_from_camera):
                 tried = self._frames.track(self.world, camera, features, predicted, previous, enough)
@@ -218,13 +217,8 @@ class Tracker:
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)
-        elapsed = (stamp_ns - self._last_stamp) * 1e-9
-        if self._last is not None and 0 < elapsed < 0.5:
-            step = inverse(self._last.world_from_camera) @ frame.world_from_camera
-            self._velocity = se3_log(step) / elapsed
-        else:
-            self._velocity = np.zeros(6)
-        self._last, self._last_stamp, self._seen_at = frame, stamp_ns, stamp_ns
+        self._motion.follow(self.last_pose(), frame.world_from_camera, stamp_ns)
+        self._last, self._seen_at = frame, stamp_ns
         self._since_refresh += 1
         if self._since_refresh >= REFRESH_FRAMES:
             self._refresh(frame)
@@ -236,44 +230,58 @@ class Tracker:
 
     # -- keyframes ------------------------------------------------------------------------------
 
-    def maybe_keyframe(self) -> LocalKeyframe | None:
-        """Make the last frame a keyframe if it is worth one, with new points; None if not."""
+    def maybe_keyframe(self, judge: bool = True) -> LocalKeyframe | None:
+        """Make the last frame a keyframe if it is worth one, where that is to be judged, or begins a map."""
         pending, self._pending = self._pending, None
-        if pending is not None or self._fresh is None:
+        if pending is not None or self._fresh is None or not judge:
             return pending
-        index, frame = self._fresh
-        self._fresh = None
-        stamp_ns, reference = self._last_stamp, self._reference()
-        self._reference_matches = max(self._reference_matches, frame.matched)
-        since_s = (stamp_ns - self._reference_since) * 1e-9
-        matches, depth = self._reference_matches, self._reference_depth
-        decision = decide(self._config, frame, reference, since_s, matches, depth)
+        (index, frame), self._fresh = self._fresh, None
+        stamp_ns, reference, at = self._motion.stamp_ns, self._reference(), self._at
+        at.matches = max(at.matches, frame.matched)
+        since_s = (stamp_ns - at.since_ns) * 1e-9
+        decision = decide(self._config, frame, reference, since_s, at.matches, at.depth)
         if not decision.wanted:
             return None
-        known = shown_before(self.world, frame, depth, stamp_ns)
+        known = shown_before(self.world, frame, at.depth, stamp_ns)
         if known is not None:
-            self._refer_to(known, stamp_ns)
+            at.move_to(known, self.world, self.parts, stamp_ns)
             return None
-        alone = self._config.two_views and self.parts.size(self.world) == 1
-        if alone:
+        if self._config.two_views and self.parts.size(self.world) == 1:
             said = begin_structure(self.world, reference, frame, self._seed)
             if said is SecondView.TOO_NEAR:
                 return None
             if said is SecondView.CONTRADICTS:
-                self._velocity = np.zeros(6)
+                self._motion.stop()
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
         )
-        mapping.extend(self.world, keyframe, self._factors)
-        culled = cull_keyframes(self.world, self._config.max_keyframes, self._config.redundant_keyframes)
-        self.places.forget(culled)
-        self.parts.forget(culled)
-        self.world.points.squeeze()
-        frame.points = keyframe.points.copy()
-        self._refer_to(keyframe, stamp_ns)
-        self._refresh(frame)
+        mapping.introduce(self.world, keyframe)
+        self._unmapped = keyframe, frame
         log.debug("keyframe %d at frame %d: %s", keyframe.id, index, decision.reason)
         return keyframe
+
+    def map_keyframe(self, meanwhile: Callable[[], None] = lambda: None) -> bool:
+        """After :meth:`maybe_keyframe`: what a keyframe gives the map; False where that has gone meanwhile.
+
+        ``meanwhile`` is called between one step and the next: it may track frames, which are to become no
+        keyframes, and do nothing else with the tracker.
+        """
+        if self._unmapped is None:  # there is none, or it begins its map
+            return True
+        world, (keyframe, frame), self._unmapped = self.world, self._unmapped, None
+        for _ in mapping.extending(world, keyframe, self._factors):
+            meanwhile()
+            if self.world is not world:
+                return False
+        culled = cull_keyframes(world, self._config.max_keyframes, self._config.redundant_keyframes)
+        self.places.forget(culled)
+        self.parts.forget(culled)
+        world.points.squeeze()
+        frame.points = keyframe.points.copy()
+        self._at.move_to(keyframe, world, self.parts, keyframe.stamp_ns)
+        self._fresh = None
+        self._refresh(frame if self._last is None else self._last)
+        return True
 
     def _insert(
         self, index: int, stamp_ns: int, camera: Camera, features: Features, pose: Array,
@@ -284,17 +292,11 @@ class Tracker:
         self._next_keyframe += 1
         self.world.add_keyframe(keyframe)
         self.parts.add(keyframe.id)
-        self._back_at, self._reference_since = -1, stamp_ns
+        self._at.renew(stamp_ns)
         return keyframe
 
     def _reference(self) -> LocalKeyframe:
-        """The keyframe that the camera is at: the newest, or an older one that it has come back to."""
-        return self.world.keyframes.get(self._back_at) or self.parts.newest(self.world)
-
-    def _refer_to(self, keyframe: LocalKeyframe, stamp_ns: int) -> None:
-        self._back_at = -1 if keyframe is self.parts.newest(self.world) else keyframe.id
-        self._reference_since, self._reference_matches = stamp_ns, 0
-        self._reference_depth = self.world.median_depth(keyframe)
+        return self._at.keyframe(self.world, self.parts)
 
     def announced(self, keyframe: LocalKeyframe) -> None:
         """Its message has gone out: what it gains later must be told apart."""
@@ -309,8 +311,7 @@ class Tracker:
         keyframe = self.world.keyframes.get(keyframe_id)
         if keyframe is None:
             return 0
-        first = not self._initialised and self._last is None
-        first = first or (keyframe is self._waiting and self._lost)
+        first = (not self._initialised and self._last is None) or (keyframe is self._waiting and self._lost)
         most = self._config.features if first or not self._initialised else self._config.features // 3
         units_per_metre = float(np.exp(-self.log_scale))
         ids = seed_from_depth(
@@ -326,9 +327,9 @@ class Tracker:
                 self._seen_at = keyframe.stamp_ns
             self._last = TrackedFrame.of_keyframe(keyframe, len(ids))
             self._refresh(self._last)
-            self._last_stamp = keyframe.stamp_ns
+            self._motion.stamp_ns = keyframe.stamp_ns
         self._since_refresh = REFRESH_FRAMES
-        self._reference_depth = self.world.median_depth(self._reference())
+        self._at.depth = self.world.median_depth(self._reference())
         return len(ids)
 
     def recognise(self, keyframe: int, descriptor: F32, network: str = "") -> None:
@@ -341,7 +342,8 @@ class Tracker:
     def apply_update(self, update: MapUpdate) -> None:
         """Take over the backend's corrections; the last frame moves with its surroundings."""
         if len(update.camera):
-            self._take_lens(Camera.from_array(PINHOLE, update.camera))
+            self._lens = Camera.from_array(PINHOLE, update.camera)
+            see_through(self._lens, [*self.world.keyframes.values(), *([self._last] if self._last else [])])
         motion = apply_correction(
             self.world, update.based_on, update.keyframes, update.poses,
             update.points, update.positions, update.parallax_deg, self._factors,
@@ -352,18 +354,15 @@ class Tracker:
         if update.loop_query >= 0 and self.parts.merge(update.loop_query, update.loop_candidate):
             log.info("the part of keyframe %d has its place in the map", update.loop_query)
         last = self._last
-        if last is not None:
-            if became:
-                last.points = np.array([became.get(p, p) for p in last.points.tolist()], np.int64)
-                self._refresh(last)
-            start = motion @ last.world_from_camera
-            last.world_from_camera = fit(
-                self.world, last.camera, last.features, last.points, start, self._factors
-            )
-
-    def _take_lens(self, lens: Camera) -> None:
-        self._lens = lens
-        see_through(lens, [*self.world.keyframes.values(), *([] if self._last is None else [self._last])])
+        if last is None:
+            return
+        if became:
+            last.points = np.array([became.get(p, p) for p in last.points.tolist()], np.int64)
+            self._refresh(last)
+        start = motion @ last.world_from_camera
+        last.world_from_camera = fit(
+            self.world, last.camera, last.features, last.points, start, self._factors
+        )
 
     def reset(self) -> None:
         """Begin a new map with the next frame: another epoch, at the identity."""
@@ -382,7 +381,7 @@ class Tracker:
         self._announced = max(world.keyframes)
         self._next_keyframe = max(self._next_keyframe, beyond(self._announced))
         self.world.points.leave_room(self._next_keyframe)
-        self._refer_to(world.newest(), world.newest().stamp_ns)
+        self._at.move_to(world.newest(), world, parts, world.newest().stamp_ns)
 
     def last_pose(self) -> Array | None:
         """world_from_camera of the last tracked frame as the map has it now."""
@@ -397,4 +396,5 @@ class Tracker:
         self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1
         self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
-        self._last, self._initialised, self._velocity = None, False, np.zeros(6)
+        self._last, self._initialised = None, False
+        self._motion.stop()

@@ -6,7 +6,8 @@ import logging
 from collections.abc import Callable
 
 from prism_edge.backend import map_file
-from prism_edge.backend.local_copy import local_copy, parts_of
+from prism_edge.backend.connectivity import parts_of
+from prism_edge.backend.local_copy import local_copy
 from prism_edge.backend.stored_map import from_arrays
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config

@@ -49,6 +49,7 @@ log = logging.getLogger("prism_edge.tracker")
 
 _LOOK_S = 0.02  # between frames, for what the others have sent
 _FRAME_S = 5.0
+_MOST_BETWEEN = 2  # frames tracked while a keyframe joins the map: more would put that off for long
 _PATIENCE_S = 30.0  # lockstep: an answer that takes longer isn't coming
 _PROBE_NS = 300_000_000  # between two looks of the network at what a lost camera sees
 SEED_DEPTH_SIGMA = 0.2  # relative error of one pixel of network depth
@@ -77,7 +78,7 @@ class TrackerWorker:
         self._update_sequence = -1
         self._expected: list[tuple[int, str, int]] = []  # lockstep: due at frame, topic, keyframe
         self._early: dict[tuple[str, int], Any] = {}
-        self._last_index, self._dropped = -1, 0
+        self._last_index, self._dropped, self._between = -1, 0, 0
         self._probed_ns = -_PROBE_NS
         self._now_ns = 0  # stamp of the newest frame
         self._localise_only = False
@@ -105,6 +106,8 @@ class TrackerWorker:
                 self._bus.pulse.working(f"frame {frame.index}", _FRAME_S)
                 self._take_in(frame.index)
                 self._track(frame)
+                if self._lockstep:
+                    self._bus.publish("acknowledged", Acknowledged("tracker", frame.index))
                 self._bus.pulse.idle()
             else:
                 if not self._lockstep:
@@ -118,7 +121,8 @@ class TrackerWorker:
 
     # -- one frame --------------------------------------------------------------------------------
 
-    def _track(self, frame: Frame) -> None:
+    def _track(self, frame: Frame, judge: bool = True) -> None:
+        """All that becomes of a frame; without ``judge`` no keyframe but one that begins a map."""
         # A copy of what was released before it, which may have been dropped: then it is news.
         follows = frame.index == self._last_index + 1
         if self._last_index >= 0 or not self._bus.life:  # what came while we were down was not dropped by us
@@ -137,24 +141,40 @@ class TrackerWorker:
         repeated = last is not None and (
             last.world_from_camera is not None or last.odometry == INITIALISING
         )
-        result = last if repeated else None
-        if result is None:
-            result = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera)
+        if last is None or not repeated:
+            last = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera)
+        result = last
         published = result.world_from_camera is not None and result.in_map
         if self._recovering and published:
             self._recovering = False
             self._status.say(RECOVERED, frame.stamp_ns)
         if result.world_from_camera is not None:
             self._publish(frame, result, before, repeated)
-        keyframe = None if repeated or self._localise_only else tracker.maybe_keyframe()
+        keyframe = None if repeated or self._localise_only else tracker.maybe_keyframe(judge)
         if keyframe is not None:
-            self._announce(keyframe, frame)
+            self._drift.add_keyframe(tracker.world, keyframe, tracker.log_scale)
+            if len(tracker.world.keyframes) == 1:
+                self._scale_sigma = UNKNOWN_SCALE_SIGMA  # a new map, a new unit
         made = -1 if keyframe is None else keyframe.id
         # A keyframe is shown anyway, and in lockstep one picture a frame is waited for.
         probe = made < 0 and not repeated and tracker.wants_probe and self._probe(frame)
-        carried = result.reference, result.reference_from_camera
-        self._tick(frame, result.odometry, published, made, *carried, probe)
+        reference, offset = result.reference, result.reference_from_camera
+        self._tick(frame, result.odometry, published, made, reference, offset, probe)
         self._show(result.odometry, result.matched, frame.stamp_ns)
+        if keyframe is None:
+            return
+        travelled, self._between = self._travelled, 0
+        if tracker.map_keyframe(self._track_waiting):
+            self._announce(keyframe, frame, travelled)
+
+    def _track_waiting(self) -> None:
+        """A keyframe takes longer to join the map than some frames can wait."""
+        if self._lockstep or self._between == _MOST_BETWEEN:
+            return
+        waiting = self._frames.take()
+        if waiting is not None:
+            self._between += 1
+            self._track(waiting, judge=False)
 
     def _camera_of(self, frame: Frame) -> Camera | None:
         """The camera that a frame says it is from; None where no camera takes such a frame."""
@@ -170,14 +190,8 @@ class TrackerWorker:
         return None
 
     def _tick(
-        self,
-        frame: Frame,
-        odometry: str,
-        published: bool,
-        keyframe: int = -1,
-        reference: int = -1,
-        reference_from_camera: Array | None = None,
-        probe: bool = False,
+        self, frame: Frame, odometry: str, published: bool, keyframe: int = -1, reference: int = -1,
+        reference_from_camera: Array | None = None, probe: bool = False,
     ) -> None:
         """Tell the others what became of a frame."""
         self._bus.publish(
@@ -198,8 +212,6 @@ class TrackerWorker:
                 *self._drift.total.sigmas(),
             ),
         )
-        if self._lockstep:
-            self._bus.publish("acknowledged", Acknowledged("tracker", frame.index))
 
     def _publish(self, frame: Frame, result: FrameResult, before: Any, repeated: bool) -> None:
         assert result.world_from_camera is not None
@@ -228,23 +240,17 @@ class TrackerWorker:
         if "depth" not in self._peers or frame.stamp_ns - self._probed_ns < _PROBE_NS:
             return False
         self._probed_ns = frame.stamp_ns
-        self._show_picture(frame, probe_of(frame.index))
+        picture = picture_message(frame, probe_of(frame.index), self._tracker.epoch)
+        self._bus.publish("keyframe_image", picture)
         if self._lockstep:
             due = frame.index + self._config.lockstep.depth_lag
             self._expected.append((due, "depth", probe_of(frame.index)))
             self._expected.sort(key=lambda due: due[0])
         return True
 
-    def _show_picture(self, frame: Frame, number: int) -> None:
-        self._bus.publish("keyframe_image", picture_message(frame, number, self._tracker.epoch))
-
-    def _announce(self, keyframe: LocalKeyframe, frame: Frame) -> None:
-        self._drift.add_keyframe(self._tracker.world, keyframe, self._tracker.log_scale)
-        if len(self._tracker.world.keyframes) == 1:
-            self._scale_sigma = UNKNOWN_SCALE_SIGMA  # a new map, a new unit
-        message = keyframe_message(self._tracker, keyframe, self._travelled)
-        self._bus.publish("keyframe", message)
-        self._show_picture(frame, keyframe.id)
+    def _announce(self, keyframe: LocalKeyframe, frame: Frame, travelled: float) -> None:
+        self._bus.publish("keyframe", keyframe_message(self._tracker, keyframe, travelled))
+        self._bus.publish("keyframe_image", picture_message(frame, keyframe.id, self._tracker.epoch))
         if "depth" in self._peers:
             self._status.metres.keyframe(keyframe.id, keyframe.stamp_ns)
         if self._lockstep:

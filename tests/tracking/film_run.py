@@ -31,6 +31,7 @@ class Run:
         result = self.tracker.process(at, film.stamp_ns(at), image, film.camera)
         self.results[at] = result
         keyframe = self.tracker.maybe_keyframe()
+        self.tracker.map_keyframe()
         if keyframe is not None:
             self.keyframes[keyframe.id] = at
         return result

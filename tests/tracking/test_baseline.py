@@ -44,6 +44,7 @@ def play(
         stamp_ns = round(i * 1e9 / RATE_HZ)
         results.append(tracker.process(i, stamp_ns, image, synthetic_camera(320, 240)))
         keyframe = tracker.maybe_keyframe()
+        tracker.map_keyframe()
         if keyframe is not None:
             keyframes.append(i)
             tracker.add_depth(keyframe.id, depth, IDENTITY, 0.1)

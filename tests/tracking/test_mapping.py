@@ -36,7 +36,7 @@ def test_new_points_are_where_the_corners_are():
     cloud = Cloud(500, seed=0)
     world, shown = seeded(cloud)
     keyframe, seen = add(world, cloud, shown, 1, pose_at(0.4))
-    created = mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS)
+    created = sum(mapping.triangulating(world, keyframe, [world.keyframes[0]], FACTORS))
     assert created > 250
     check(world)
     new = world.points.rows(np.concatenate(world.changes.new_points[1:]))
@@ -69,14 +69,14 @@ def test_nothing_is_triangulated_without_parallax(pose, reason):
     cloud = Cloud(500, seed=0)
     world, shown = seeded(cloud)
     keyframe, _ = add(world, cloud, shown, 1, pose)
-    assert mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS) == 0, reason
+    assert not list(mapping.triangulating(world, keyframe, [world.keyframes[0]], FACTORS)), reason
 
 
 def test_only_what_has_parallax_is_triangulated():
     cloud = Cloud(500, seed=0)
     world, shown = seeded(cloud)
     keyframe, _ = add(world, cloud, shown, 1, pose_at(0.08), noise_px=0.1)
-    mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS)
+    list(mapping.triangulating(world, keyframe, [world.keyframes[0]], FACTORS))
     new = world.points.rows(np.concatenate(world.changes.new_points[1:]))
     assert len(new) > 50
     assert world.points.parallax_deg[new].min() >= 1.0
@@ -88,7 +88,7 @@ def test_wrong_poses_triangulate_next_to_nothing():
     world, shown = seeded(cloud)
     keyframe, _ = add(world, cloud, shown, 1, pose_at(0.4))
     keyframe.world_from_camera = pose_at(0.4, 0.0, 0.0, 0.15, 0.0, 0.0)
-    assert mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS) < 25
+    assert sum(mapping.triangulating(world, keyframe, [world.keyframes[0]], FACTORS)) < 25
 
 
 def test_a_keyframe_that_knows_no_depths_triangulates_nothing():
@@ -96,7 +96,7 @@ def test_a_keyframe_that_knows_no_depths_triangulates_nothing():
     world = LocalMap()
     for number in range(2):
         world.add_keyframe(cloud.keyframe(number, pose_at(0.4 * number))[0])
-    assert mapping.triangulate_with_neighbours(world, world.newest(), [world.keyframes[0]], FACTORS) == 0
+    assert sum(mapping.triangulating(world, world.newest(), [world.keyframes[0]], FACTORS)) == 0
 
 
 def test_seeds_mature_to_their_true_places():
@@ -239,7 +239,7 @@ def test_triangulation_does_not_depend_on_where_the_world_s_origin_is():
         for k in world.keyframes.values():
             k.world_from_camera = motion @ k.world_from_camera
         world.points.position[:] = transform(motion, world.points.position)
-        mapping.triangulate_with_neighbours(world, keyframe, [world.keyframes[0]], FACTORS)
+        list(mapping.triangulating(world, keyframe, [world.keyframes[0]], FACTORS))
         back = transform(np.linalg.inv(motion), world.points.position)
         created.append(back)
     assert created[0] == pytest.approx(created[1], abs=1e-9)

@@ -27,6 +27,8 @@ class ListInbox:
     def take(self, timeout_s: float = 0.0) -> Any | None:
         if self.bus.stopped.is_set():
             return None
+        if self.topic == "frame" and timeout_s == 0 and self.bus.in_time:
+            return None
         if self.waiting:
             if self.newest and not self.bus.one_by_one:
                 while len(self.waiting) > 1:
@@ -55,6 +57,7 @@ class ListBus:
     def __init__(self, *drivers: str, patience: int = 12) -> None:
         self.stopped = threading.Event()
         self.drivers, self.patience, self.idle_looks = drivers, patience, 0
+        self.in_time = True  # False: the next frame is there while one is worked on, not first when awaited
         self.one_by_one = True  # False: an inbox of the newest drops what is older, as the real one does
         self.life, self.first_id = 0, 0
         self.run_directory: Path | None = None
