@@ -89,9 +89,9 @@ def _be_a_copy(body: Callable[[], int], mask: set[int | signal.Signals]) -> NoRe
         os.setpgid(0, 0)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         signal.set_wakeup_fd(-1)
-        for number in (signal.SIGTERM, signal.SIGHUP):
+        # SIGINT too: a KeyboardInterrupt waits for the interpreter, which may just be about to sleep.
+        for number in (signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
             signal.signal(number, signal.SIG_DFL)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
         code = body()
     except BaseException:

@@ -165,7 +165,7 @@ def test_a_fork_leads_a_group_and_reads_nothing() -> None:
     assert forking(*lines, "print(child.exit_code, group == child.pid)") == "7 True\n"
 
 
-@pytest.mark.parametrize(("number", "code"), [("SIGTERM", -15), ("SIGINT", 1), ("SIGHUP", -1)])
+@pytest.mark.parametrize(("number", "code"), [("SIGTERM", -15), ("SIGINT", -2), ("SIGHUP", -1)])
 def test_a_signal_to_a_fork_is_none_to_its_parent(number: str, code: int) -> None:
     """The parent has taken signals over; its copy has not, until it does so itself."""
     said = forking(
