@@ -13,7 +13,7 @@ from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common, radial
 from prism_edge.backend.loops import Loop, Surroundings, median_depth, plausible, verify
-from prism_edge.backend.places import candidates
+from prism_edge.backend.places import candidates, half_known
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array, inverse, rotation_angle
 from prism_edge.messages import F32
@@ -21,7 +21,7 @@ from prism_edge.tracking.place_index import PlaceIndex
 
 log = logging.getLogger("prism_edge.backend")
 
-CANDIDATES = 5  # verified for each keyframe at most
+CANDIDATES, HALF_KNOWN = 5, 2  # verified for each keyframe at most: look-alikes, and places half known
 AGREEING = 2  # neighbours of the query that must see the place; or the keyframes after it
 PATIENCE = 3  # keyframes within which another must confirm a loop whose query has too few neighbours
 SAME_ANGLE, SAME_SHIFT = np.radians(3.0), 0.15  # how far two loops of one return may differ; median depths
@@ -92,9 +92,13 @@ class LoopCloser:
     def _verified(self, query: int) -> list[Loop]:
         if query not in self._world.keyframes:
             return []
-        found = []
-        for candidate in candidates(self._world, self.index, query, CANDIDATES, self._just_closed(query)):
-            loop = verify(self._world, query, candidate, self._config.loop_inliers, self._seed)
+        world, found, without = self._world, [], self._just_closed(query)
+        alike = candidates(world, self.index, query, CANDIDATES, without)
+        known = half_known(world, query, HALF_KNOWN, without)
+        for candidate in [*alike, *(k for k in known if k not in alike)]:
+            # Tracking has found points of what is half known where the map has them: drift is small there.
+            least, blindly = self._config.loop_inliers, candidate in alike
+            loop = verify(world, query, candidate, least, self._seed, blindly)
             if loop is not None:
                 found.append(loop)
         return sorted(found, key=lambda loop: -loop.inliers)

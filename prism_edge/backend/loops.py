@@ -52,10 +52,16 @@ class Loop:
     pairs: list[tuple[int, int]] = field(repr=False)  # keypoint of the query, point of the candidate's end
 
 
-def verify(world: GlobalMap, query: int, candidate: int, least: int, seed: int = 0) -> Loop | None:
-    """The loop between two keyframes, at least ``least`` points agreeing; None where there is none."""
+def verify(
+    world: GlobalMap, query: int, candidate: int, least: int, seed: int = 0, blindly: bool = True
+) -> Loop | None:
+    """The loop between two keyframes, at least ``least`` points agreeing; None where there is none.
+
+    Without ``blindly`` it is looked for only where the map's own pose leads.
+    """
     here, there = world.keyframes[query], world.keyframes[candidate]
-    pose, expected = _first_pose(world, here, there, seed), _expected(world, here, there)
+    pose = _first_pose(world, here, there, seed) if blindly else None
+    expected = _expected(world, here, there)
     if pose is None and expected < MIN_EXPECTED:
         return None
     surroundings, found = Surroundings(world, candidate, without=query), None

@@ -10,6 +10,7 @@ import pytest
 from prism_edge.backend import loop_closing as module
 from prism_edge.backend.connectivity import tied_parts
 from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.places import SOME_SHARED
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log
 from prism_edge.messages import F32
@@ -114,6 +115,23 @@ def test_a_place_that_only_looks_the_same_is_refused():
 
 def test_without_descriptors_there_are_no_loops():
     assert not walk(Ring(drift=DRIFT), 44, places=False).loops.accepted
+
+
+def test_a_place_half_known_needs_no_word_of_the_network():
+    ring = Ring(drift=DRIFT / 4)
+    mapper = walk(ring, 41, places=False)
+    message = ring.keyframe()
+    mapper.absorb(message)
+    world, first = mapper.world, mapper.world.keyframes[1].observed
+    again = [p for p in message.points.tolist() if p not in first]
+    before = {ring.point_of[p]: p for p in first}
+    pairs = [(p, before[ring.point_of[p]]) for p in again if ring.point_of[p] in before]
+    for mine, earlier in pairs[:SOME_SHARED]:  # what the tracker found again by itself
+        world.fuse(mine, earlier)
+    accepted = mapper.loops.look(message.id)
+    assert accepted is not None
+    assert abs(accepted.candidate - 1) <= 2
+    check(world)
 
 
 def test_descriptors_that_are_all_equal_do_no_harm():

@@ -8,7 +8,14 @@ import numpy as np
 import pytest
 
 from prism_edge.backend.global_map import LONG_AGO, GlobalMap
-from prism_edge.backend.places import FEW_SHARED, RECENT, RECENT_S, candidates
+from prism_edge.backend.places import (
+    FEW_SHARED,
+    RECENT,
+    RECENT_S,
+    SOME_SHARED,
+    candidates,
+    half_known,
+)
 from prism_edge.tracking.place_index import PlaceIndex
 from tests.backend.ring import Ring
 
@@ -76,3 +83,43 @@ def test_a_keyframe_without_a_descriptor_has_none(walked):
     index.add(1, np.ones(4, np.float32))
     assert candidates(world, index, 41, 5) == []
     assert candidates(world, index, 12345, 5) == []
+
+
+def recognised(walked, at: dict[int, int]) -> GlobalMap:
+    """Keyframe 41, in which the tracker has found so many points of each of some others again."""
+    world = copy.deepcopy(walked[0])
+    mine = iter(sorted(world.keyframes[41].observed))
+    for keyframe, count in at.items():
+        for point in sorted(world.keyframes[keyframe].observed)[:count]:
+            world.fuse(next(mine), point)
+    return world
+
+
+def test_of_places_half_known_the_nearest_view_comes_first_not_that_with_most_points(walked):
+    world = recognised(walked, {0: SOME_SHARED, 20: 8})
+    shared = dict(world.covisible(41))
+    chosen = half_known(world, 41, 100)
+    assert chosen[0] <= 2
+    assert any(15 <= k <= 25 and shared[k] > shared[chosen[0]] for k in chosen[1:])
+    assert all(SOME_SHARED <= shared[k] < FEW_SHARED for k in chosen)
+    assert half_known(world, 41, 1) == chosen[:1]
+    assert chosen[0] not in half_known(world, 41, 100, without=chosen[:1])
+
+
+def test_a_place_of_which_next_to_nothing_was_found_again_is_not_half_known(walked):
+    world, _ = walked
+    assert half_known(world, 41, 100) == []
+    assert half_known(recognised(walked, {0: SOME_SHARED - 1}), 41, 100) == []
+    assert half_known(world, 12345, 5) == []
+
+
+def test_neither_the_latest_nor_what_shares_many_points_is_half_known(walked):
+    for query in range(44):
+        assert half_known(walked[0], query, 100) == []  # each shares points with those just before it
+    world = recognised(walked, {0: FEW_SHARED})
+    assert dict(world.covisible(41))[0] == FEW_SHARED
+    assert 0 not in half_known(world, 41, 100)
+    world = recognised(walked, {0: SOME_SHARED})
+    for keyframe in world.keyframes.values():
+        keyframe.stamp_ns = world.keyframes[41].stamp_ns - int(1e9 * RECENT_S) + 1
+    assert half_known(world, 41, 100) == []
