@@ -74,9 +74,18 @@ class Parts:
 
     def newest(self, world: LocalMap) -> LocalKeyframe:
         """The latest keyframe of the part that the camera is in; of the map where that has none left."""
+        if self._whole:
+            return world.newest()
         mine = [k for k in world.keyframes if self.of(k) == self.current]
         return world.keyframes[max(mine)] if mine else world.newest()
 
     def size(self, world: LocalMap) -> int:
         """Keyframes in the part that the camera is in."""
+        if self._whole:
+            return len(world.keyframes)
         return sum(self.of(k) == self.current for k in world.keyframes)
+
+    @property
+    def _whole(self) -> bool:
+        """Whether there is one part, as nearly always: each frame asks, so keyframes are not gone through."""
+        return not self._of and self.current == HOME

@@ -318,9 +318,8 @@ class Tracker:
             self.world, keyframe, depth, image_to_depth, units_per_metre, relative_sigma, most
         )
         if keyframe.id <= self._announced:
-            for point in ids:
-                keypoint = int(np.flatnonzero(keyframe.points == point)[0])
-                self.world.changes.late.append((int(point), keyframe.id, keypoint))
+            keypoint_of = dict(zip(keyframe.points.tolist(), range(len(keyframe.points)), strict=True))
+            self.world.changes.late += [(point, keyframe.id, keypoint_of[point]) for point in ids.tolist()]
         if first and len(ids) >= self._config.min_matches:
             if self._waiting is not None:
                 self._waiting, self._lost, self.wants_probe = None, False, False
