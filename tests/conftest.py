@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+import prism_edge  # noqa: F401 - before any test loads onnxruntime, which it keeps silent
+
 # The same examples in every run: what fails must fail for its author too. `explore` looks for new ones.
 settings.register_profile("fixed", derandomize=True, deadline=None)
 settings.register_profile("explore", max_examples=1000, deadline=None)

@@ -28,7 +28,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnxruntime
 import psutil
 import yaml
 
@@ -46,6 +45,9 @@ from prism_edge.depth.providers import provider_options, session_options
 from prism_edge.errors import ModelError, PrismError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Depth, KeyframeImage
+
+# isort: split
+import onnxruntime  # after prism_edge, which keeps it from reporting to its makers
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 WARM_UP = 3

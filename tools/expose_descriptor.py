@@ -20,7 +20,6 @@ from pathlib import Path
 
 import numpy as np
 import onnx
-import onnxruntime
 from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -30,6 +29,9 @@ from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.inner_tensor import GEM, GEM_FLOOR, GEM_POWER, GRID, MAX, POOLINGS, TOKEN, halves
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError, PrismError
+
+# isort: split
+import onnxruntime  # after prism_edge, which keeps it from reporting to its makers
 
 OUTPUT = "place_descriptor"
 STRIDE = 16  # input pixels a cell of the preferred map
