@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+import prism_edge.workers  # noqa: F401 - before NumPy, whose threads would keep workers from being forks
 from prism_edge.cli.settings import add_common, add_input, config_from
 from prism_edge.config import Config
 from prism_edge.errors import ConfigError

@@ -45,7 +45,8 @@ def test_what_workers_share_starts_no_thread() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no worker is a fork")
-def test_first_lives_are_forks_and_later_ones_are_not(tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", [["prism_edge.supervisor"], ["prism_edge.cli", "run", "--stay"]])
+def test_first_lives_are_forks_and_later_ones_are_not(tmp_path: Path, command: list[str]) -> None:
     (tmp_path / "tum").mkdir()
     config = Config(
         bus=BusConfig(free_endpoint()),
@@ -55,10 +56,11 @@ def test_first_lives_are_forks_and_later_ones_are_not(tmp_path: Path) -> None:
     file = tmp_path / "config.yaml"
     file.write_text(dump(config))
     log = tmp_path / "log"
-    environment = os.environ | {"XDG_RUNTIME_DIR": str(tmp_path), "PRISM_MARK": "of this test"}
+    inherited = {name: value for name, value in os.environ.items() if "THREADS" not in name}
+    environment = inherited | {"XDG_RUNTIME_DIR": str(tmp_path), "PRISM_MARK": "of this test"}
     with log.open("w") as stderr:
-        command = [sys.executable, "-m", "prism_edge.supervisor", "--config", str(file)]
-        daemon = subprocess.Popen(command, stderr=stderr, env=environment, cwd=CHECKOUT)
+        line = [sys.executable, "-m", *command, "--config", str(file)]
+        daemon = subprocess.Popen(line, stderr=stderr, env=environment, cwd=CHECKOUT)
     try:
         until(lambda: "ready after" in log.read_text(), 60.0)
         root = psutil.Process(daemon.pid)
