@@ -21,6 +21,9 @@ from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, trans
 
 MOST_STEPS = 12
 OBSERVATIONS = 250  # of a keyframe at most
+# Views of a point at most: all poses that see it hang together once it is eliminated, in a matrix that grows
+# with their square. And of a keyframe at least, where others see the same points.
+MOST_VIEWS, FEWEST_SEEN = 30, 20
 FAR_OFF = 3.0  # times a pixel's sigma: what is beyond its 99 % bound is no observation of that point
 
 
@@ -67,10 +70,9 @@ class GlobalAdjustment:
             lens.add_variable(graph, values, camera, said_k1)
             self._points = _firm(world, self._points, config)
         seen: set[int] = set()
-        for p in self._points:
-            point = world.points[p]
-            values.insert(L(p), point.position)
-            for k in sorted(point.keyframes):
+        for p, views in choose_views(world, self._points).items():
+            values.insert(L(p), world.points[p].position)
+            for k in views:
                 keyframe = world.keyframes[k]
                 keypoint = keyframe.observed[p]
                 seen.add(k)
@@ -215,3 +217,27 @@ def _choose_points(world: GlobalMap) -> list[int]:
         mine.sort(key=lambda p: (-len(world.points[p].keyframes), p))
         chosen.update(mine[:OBSERVATIONS])
     return sorted(chosen)
+
+
+def choose_views(world: GlobalMap, points: list[int]) -> dict[int, list[int]]:
+    """The keyframes, ascending, whose views of each point are used: all, but of many an even choice.
+
+    Where a camera stays in one room for hours, hundreds of keyframes see the same points.
+    """
+    views: dict[int, list[int]] = {}
+    seen: dict[int, list[int]] = {}
+    for p in points:
+        of = sorted(world.points[p].keyframes)
+        if len(of) > MOST_VIEWS:
+            # Not the same keyframes for all points: each begins elsewhere.
+            of = [of[(i * len(of) + p % len(of)) // MOST_VIEWS] for i in range(MOST_VIEWS)]
+        views[p] = of
+        for k in of:
+            seen.setdefault(k, []).append(p)
+    for k in sorted({k for p in points for k in world.points[p].keyframes}):
+        mine = seen.get(k, [])
+        if len(mine) < FEWEST_SEEN:
+            more = sorted((world.keyframes[k].observed.keys() & views.keys()) - set(mine))
+            for p in more[: FEWEST_SEEN - len(mine)]:
+                views[p] = sorted([*views[p], k])
+    return views

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import global_adjustment as module
-from prism_edge.backend.global_adjustment import GlobalAdjustment, apply
+from prism_edge.backend.global_adjustment import GlobalAdjustment, apply, choose_views
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log
@@ -132,3 +132,58 @@ def test_two_keyframes_at_one_pose_and_points_at_no_parallax():
         world.absorb(teller.keyframe(pose_at(0.0)))
     adjusted = run(world)
     assert adjusted is None or all(np.isfinite(p).all() for p in adjusted.poses.values())
+
+
+def in_one_room(count: int) -> GlobalMap:
+    """Keyframes that see the same points, as those of a camera that stays where it is."""
+    teller, world = Teller(noise_px=0.3), GlobalMap()
+    for i in range(count):
+        world.absorb(teller.keyframe(pose_at(0.02 * i, 0.01 * (i % 5), 0.0, 0.0, 0.0)))
+    return world
+
+
+def test_where_few_keyframes_see_a_point_all_their_views_are_used():
+    world = in_one_room(module.MOST_VIEWS)
+    for p, views in choose_views(world, sorted(world.points)).items():
+        assert views == sorted(world.points[p].keyframes)
+
+
+def test_of_many_views_of_a_point_an_even_choice_is_used_and_no_keyframe_goes_short():
+    world = in_one_room(2 * module.MOST_VIEWS + 7)
+    points = [p for p in sorted(world.points) if len(world.points[p].keyframes) >= 2]
+    chosen = choose_views(world, points)
+    most = max(len(point.keyframes) for point in world.points.values())
+    assert most > 2 * module.MOST_VIEWS
+    assert list(chosen) == points
+    for p, views in chosen.items():
+        seen_by = sorted(world.points[p].keyframes)
+        assert views == sorted(set(views))
+        assert set(views) <= set(seen_by)
+        assert len(views) == min(len(seen_by), module.MOST_VIEWS)
+        gaps = np.diff([seen_by.index(k) for k in views])
+        assert gaps.max(initial=1) <= len(seen_by) // module.MOST_VIEWS + 1
+    used = [sum(k in views for views in chosen.values()) for k in world.keyframes]
+    assert min(used) >= 0.5 * np.median(used)
+
+
+def test_a_keyframe_that_sees_little_keeps_what_it_sees(monkeypatch):
+    monkeypatch.setattr(module, "MOST_VIEWS", 3)
+    world = in_one_room(40)
+    for k in (5, 17):
+        for p in sorted(world.keyframes[k].observed)[module.FEWEST_SEEN + 5 :]:
+            world.drop_observation(k, p)
+    points = [p for p in sorted(world.points) if len(world.points[p].keyframes) >= 2]
+    chosen = choose_views(world, points)
+    for k, keyframe in world.keyframes.items():
+        has = len(keyframe.observed.keys() & chosen.keys())
+        assert sum(k in views for views in chosen.values()) >= min(has, module.FEWEST_SEEN)
+
+
+def test_it_finds_the_truth_again_with_some_of_the_views(monkeypatch):
+    monkeypatch.setattr(module, "MOST_VIEWS", 4)
+    teller, world = shaken(12)
+    before = position_error(world.poses(), teller.poses)
+    adjusted = run(world)
+    apply(world, adjusted, CONFIG)
+    assert position_error(world.poses(), teller.poses) < 0.3 * before
+    check(world)
