@@ -112,7 +112,8 @@ def _zenoh_config(links: dict[str, Any], retry_ms: int) -> Any:
 
 
 def _why_not(endpoint: str, error: str) -> str:
-    if "in use" in error or "os error 98" in error:
+    # The last is a socket's, which Zenoh holds by a lock beside it.
+    if "in use" in error or "os error 98" in error or "Unable to acquire lock" in error:
         return f"bus.endpoint: {endpoint} is in use already; is another prism-edge running?"
     if "Unable to connect" in error:
         return f"bus.endpoint: nobody answers at {endpoint}; is prism-edge running there?"

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-import socket
 import time
 from collections.abc import Callable, Sequence
 from types import TracebackType
@@ -13,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from prism_edge.bus.access import check_network
 from prism_edge.bus.keys import check_loopback, check_robot_name
+from prism_edge.bus.vacancy import can_listen
 from prism_edge.config import NO_NETWORK, Config
 from prism_edge.config_file import dump
 from prism_edge.errors import SupervisionError
@@ -297,18 +297,3 @@ class Supervisor:
             self._essence, self._published_s = essence, now
             statuses = [(row.name, row.level, row.message, row.values) for row in rows]
             self._bus.publish("health", self._diagnostics(time.time_ns(), statuses))
-
-
-def can_listen(endpoint: str) -> bool:
-    """Whether a TCP endpoint is free at this moment; False where that can't be told."""
-    protocol, _, address = endpoint.partition("/")
-    host, _, port = address.rpartition(":")
-    if protocol != "tcp" or not port.isdigit() or host.startswith("["):
-        return False
-    try:
-        with socket.socket() as probe:
-            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what waits to time out owns nothing
-            probe.bind((host, int(port)))
-    except OSError:
-        return False
-    return True

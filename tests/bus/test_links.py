@@ -23,6 +23,13 @@ def test_an_endpoint_in_use_is_named(config):
     assert "\n" not in str(caught.value)
 
 
+def test_a_socket_in_use_is_named(tmp_path):
+    config = BusConfig(endpoint=f"unixsock-stream/{tmp_path}/bus")
+    with open_session(config, listen=True), pytest.raises(BusError, match="is in use") as caught:
+        open_session(config, listen=True)
+    assert config.endpoint in str(caught.value)
+
+
 @pytest.mark.parametrize("endpoint", ["tcp/192.0.2.1:7447", "unixsock-stream//nowhere/at/all"])
 def test_an_endpoint_that_is_not_ours_can_not_be_listened_on(endpoint):
     with pytest.raises(BusError, match="can't open") as caught:

@@ -45,11 +45,20 @@ def test_what_workers_share_starts_no_thread() -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no worker is a fork")
-@pytest.mark.parametrize("command", [["prism_edge.supervisor"], ["prism_edge.cli", "run", "--stay"]])
-def test_first_lives_are_forks_and_later_ones_are_not(tmp_path: Path, command: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("command", "by_socket"),
+    [
+        (["prism_edge.supervisor"], False),
+        (["prism_edge.supervisor"], True),
+        (["prism_edge.cli", "run", "--stay"], False),
+    ],
+)
+def test_first_lives_are_forks_and_later_ones_are_not(
+    tmp_path: Path, command: list[str], by_socket: bool
+) -> None:
     (tmp_path / "tum").mkdir()
     config = Config(
-        bus=BusConfig(free_endpoint()),
+        bus=BusConfig(f"unixsock-stream/{tmp_path}/bus" if by_socket else free_endpoint()),
         source=SourceConfig(str(write_tum(tmp_path / "tum"))),
         depth=DepthConfig(model=""),
     )

@@ -1,0 +1,39 @@
+"""Whether an endpoint of this host is free to be listened on, asked without Zenoh (which starts threads)."""
+
+from __future__ import annotations
+
+import os
+import socket
+from pathlib import Path
+
+
+def can_listen(endpoint: str) -> bool:
+    """Whether nobody listens on a TCP or Unix socket endpoint now; False where that can't be told."""
+    protocol, _, address = endpoint.partition("/")
+    try:
+        if protocol == "unixsock-stream":
+            return _path_is_free(address)
+        host, _, port = address.rpartition(":")
+        return protocol == "tcp" and port.isdigit() and _port_is_free(host, int(port))
+    except (OSError, OverflowError):  # the latter of a number that is no port
+        return False
+
+
+def _port_is_free(host: str, port: int) -> bool:
+    family = socket.AF_INET6 if host.startswith("[") else socket.AF_INET
+    with socket.socket(family) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what waits to time out owns nothing
+        probe.bind((host.strip("[]"), port))
+    return True
+
+
+def _path_is_free(path: str) -> bool:
+    """A socket that nobody answers at was left by a process that was killed; Zenoh takes it over."""
+    if not os.access(Path(path).parent, os.W_OK | os.X_OK):
+        return False
+    with socket.socket(socket.AF_UNIX) as probe:
+        try:
+            probe.connect(path)
+        except (FileNotFoundError, ConnectionRefusedError):
+            return True
+    return False
