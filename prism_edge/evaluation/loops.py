@@ -17,11 +17,18 @@ WIDEST_GAP_NS = NS  # between true poses that one may lie between
 
 
 def judge_loops(
-    snapshot: MapSnapshot | None, frames: Iterable[Tracked], truth: Trajectory | None
+    snapshot: MapSnapshot | None,
+    frames: Iterable[Tracked],
+    truth: Trajectory | None,
+    scale_ratio: float | None = None,
 ) -> dict[str, Any]:
-    """Counts, precision, and each loop with its error (``right`` None where there is no true pose)."""
+    """Counts, precision, and each loop with its error (``right`` None where there is no true pose).
+
+    A loop in wrong metres may still join the right places: ``scale_ratio``, which fits the whole final path
+    to the truth, takes the metres' part out of ``same_place`` and ``place_precision`` (None without it).
+    """
     if snapshot is None:
-        return {"accepted": 0, "judged": 0, "precision": None, "list": []}
+        return {"accepted": 0, "judged": 0, "precision": None, "place_precision": None, "list": []}
     stamps = {frame.index: frame.stamp_ns for frame in frames}
     factor = float(np.exp(snapshot.log_scale))
     rows = []
@@ -37,20 +44,29 @@ def judge_loops(
             "candidate_frame": candidate,
             "inliers": inliers,
             "right": None,
+            "same_place": None,
             "translation_error_m": None,
             "rotation_error_deg": None,
         }
         ends = [None if truth is None else pose_at(truth, stamps.get(i)) for i in (query, candidate)]
         if ends[0] is not None and ends[1] is not None:
-            row.update(_against(inverse(ends[1]) @ ends[0], scaled(pose, factor)))
+            true, found = inverse(ends[1]) @ ends[0], scaled(pose, factor)
+            row.update(_against(true, found))
+            if scale_ratio is not None:
+                row["same_place"] = _against(true, scaled(found, scale_ratio))["right"]
         rows.append(row)
-    judged = [row["right"] for row in rows if row["right"] is not None]
     return {
         "accepted": len(rows),
-        "judged": len(judged),
-        "precision": sum(judged) / len(judged) if judged else None,
+        "judged": sum(row["right"] is not None for row in rows),
+        "precision": _share(rows, "right"),
+        "place_precision": _share(rows, "same_place"),
         "list": rows,
     }
+
+
+def _share(rows: list[dict[str, Any]], of: str) -> float | None:
+    judged = [row[of] for row in rows if row[of] is not None]
+    return sum(judged) / len(judged) if judged else None
 
 
 def _against(true: Array, found: Array) -> dict[str, Any]:

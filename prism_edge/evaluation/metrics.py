@@ -63,7 +63,7 @@ def metrics(
         "keyframes": len(snapshot.keyframes) if snapshot is not None else None,
         "map_points": len(snapshot.points) if snapshot is not None else None,
         "adjustments": cost_of_adjustments(recording),
-        "loops": judge_loops(snapshot, recording.frames, truth),
+        "loops": judge_loops(snapshot, recording.frames, truth, scores["final"]["scale_ratio"]),
         "log_scale": snapshot.log_scale if snapshot is not None else None,
         "scale": recording.last_scale(),
         "violations": recording.violations(),

@@ -36,7 +36,11 @@ def show(metrics: dict[str, Any], out: Path) -> None:
         ("memory", f"{_number(metrics['peak_pss_mb']['total'])} MB PSS"),
         ("machine used by others", _number(metrics["foreign_cpu"], 100.0, "%") + (" (timings void)" * void)),
         ("map", f"{metrics['keyframes']} keyframes, {metrics['map_points']} points"),
-        ("loops", f"{loops['accepted']}, right {_number(loops['precision'], 100.0, '%')}"),
+        (
+            "loops",
+            f"{loops['accepted']}, right {_number(loops['precision'], 100.0, '%')}, "
+            f"up to scale {_number(loops['place_precision'], 100.0, '%')}",
+        ),
     ):
         run.add_row(label, value)
     console.print(run)

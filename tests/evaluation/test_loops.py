@@ -59,6 +59,22 @@ def test_lengths_are_turned_to_metres():
     assert judge_loops(snapshot((60, 20, pose)), FRAMES, TRUTH)["precision"] == 0.0
 
 
+def test_right_places_in_wrong_metres_are_told_from_wrong_places():
+    short = relative(60, 20).copy()
+    short[:3, 3] *= 0.5
+    elsewhere = relative(60, 25)
+    judged = judge_loops(snapshot((60, 20, short), (60, 20, elsewhere)), FRAMES, TRUTH, scale_ratio=2.0)
+    assert [row["right"] for row in judged["list"]] == [False, False]
+    assert [row["same_place"] for row in judged["list"]] == [True, False]
+    assert (judged["precision"], judged["place_precision"]) == (0.0, 0.5)
+
+
+def test_without_a_scale_ratio_places_are_not_judged():
+    judged = judge_loops(snapshot((60, 20, relative(60, 20))), FRAMES, TRUTH)
+    assert judged["precision"] == 1.0
+    assert judged["place_precision"] is None
+
+
 def test_loops_without_a_true_pose_are_listed_but_not_judged():
     judged = judge_loops(snapshot((150, 20, np.eye(4)), (20, 5000, np.eye(4))), FRAMES, TRUTH)
     assert judged["accepted"] == 2
