@@ -6,6 +6,7 @@ All lengths are those of the truth's unit (metres). Both trajectories hold world
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ class Scores:
     t_rel_percent: float | None
     t_rel_lengths_m: list[float]
 
-    def as_dict(self) -> dict[str, object]:
+    def as_dict(self) -> dict[str, Any]:
         """For metrics.json."""
         return asdict(self)
 
