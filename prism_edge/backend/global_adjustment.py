@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
+from numpy.typing import NDArray
 
 from prism_edge.backend import lens
 from prism_edge.backend.elimination import points_first, solver
@@ -22,8 +23,9 @@ from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, trans
 MOST_STEPS = 12
 OBSERVATIONS = 250  # of a keyframe at most
 # Views of a point at most: all poses that see it hang together once it is eliminated, in a matrix that grows
-# with their square. And of a keyframe at least, where others see the same points.
-MOST_VIEWS, FEWEST_SEEN = 30, 20
+# with their square (288 bytes a pair, for all points at a time: hence MOST_PAIRS). So in a large map of one
+# place fewer are used, down to FEWEST_VIEWS. And of a keyframe at least, where others see the same points.
+MOST_VIEWS, FEWEST_VIEWS, MOST_PAIRS, FEWEST_SEEN = 30, 6, 250_000, 20
 FAR_OFF = 3.0  # times a pixel's sigma: what is beyond its 99 % bound is no observation of that point
 
 
@@ -226,11 +228,12 @@ def choose_views(world: GlobalMap, points: list[int]) -> dict[int, list[int]]:
     """
     views: dict[int, list[int]] = {}
     seen: dict[int, list[int]] = {}
+    most = _most_views(np.array([len(world.points[p].keyframes) for p in points]))
     for p in points:
         of = sorted(world.points[p].keyframes)
-        if len(of) > MOST_VIEWS:
+        if len(of) > most:
             # Not the same keyframes for all points: each begins elsewhere.
-            of = [of[(i * len(of) + p % len(of)) // MOST_VIEWS] for i in range(MOST_VIEWS)]
+            of = [of[(i * len(of) + p % len(of)) // most] for i in range(most)]
         views[p] = of
         for k in of:
             seen.setdefault(k, []).append(p)
@@ -241,3 +244,11 @@ def choose_views(world: GlobalMap, points: list[int]) -> dict[int, list[int]]:
             for p in more[: FEWEST_SEEN - len(mine)]:
                 views[p] = sorted([*views[p], k])
     return views
+
+
+def _most_views(counts: NDArray[np.intp]) -> int:
+    """How many of a point's views can be used where points have so many (n,)."""
+    for most in range(MOST_VIEWS, FEWEST_VIEWS, -1):
+        if int((np.minimum(counts, most) ** 2).sum()) <= MOST_PAIRS:
+            return most
+    return FEWEST_VIEWS

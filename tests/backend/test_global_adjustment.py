@@ -166,6 +166,24 @@ def test_of_many_views_of_a_point_an_even_choice_is_used_and_no_keyframe_goes_sh
     assert min(used) >= 0.5 * np.median(used)
 
 
+def test_what_all_points_tie_together_is_bounded(monkeypatch):
+    """Their memory: every pair of a point's poses takes its place in a matrix."""
+    world = in_one_room(2 * module.MOST_VIEWS)
+    points = [p for p in sorted(world.points) if len(world.points[p].keyframes) >= 2]
+
+    def pairs() -> int:
+        return sum(len(views) ** 2 for views in choose_views(world, points).values())
+
+    unbounded = pairs()
+    monkeypatch.setattr(module, "MOST_PAIRS", unbounded // 4)
+    assert 0.8 * module.MOST_PAIRS < pairs() <= module.MOST_PAIRS
+    monkeypatch.setattr(module, "MOST_PAIRS", 1)
+    chosen = choose_views(world, points)
+    used = np.array([len(views) for views in chosen.values()])
+    assert np.median(used) == module.FEWEST_VIEWS
+    assert used.max() < module.MOST_VIEWS  # more than the fewest are for keyframes that would go short
+
+
 def test_a_keyframe_that_sees_little_keeps_what_it_sees(monkeypatch):
     monkeypatch.setattr(module, "MOST_VIEWS", 3)
     world = in_one_room(40)
