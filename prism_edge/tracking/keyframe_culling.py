@@ -2,7 +2,8 @@
 
 Redundancy is ORB-SLAM's (Mur-Artal et al., 2015, section VI-E): the share of a keyframe's points that at
 least three others see as well. There every keyframe beyond 90 % goes. Here a map of ordinary size keeps them,
-for they make its points surer; of a larger one, which may grow for weeks, those about the camera go.
+for they make its points surer; of a larger one, which may grow for weeks, those about the camera go. And of
+any map those that only stood in for a keyframe of the same place: a robot that stays makes more and more.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import logging
 
 import numpy as np
 
+from prism_edge.tracking.keyframe_decision import same_view
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
 log = logging.getLogger("prism_edge.tracking")
@@ -40,6 +42,25 @@ def cull_keyframes(world: LocalMap, most: int, most_redundant: int) -> list[int]
         drop_keyframe(world, world.keyframes[gone])
         dropped.append(gone)
     return dropped
+
+
+def cull_stand_in(world: LocalMap) -> list[int]:
+    """Drop the keyframe that has just ceased to be one of the newest, if it is of a known place; its id.
+
+    It is redundant, and an older one shows the same: what it was made for (keyframe_decision.py) is done.
+    """
+    numbers = sorted(world.keyframes)
+    if len(numbers) < RECENT + 2:
+        return []
+    older, keyframe = numbers[: -RECENT - 1], world.keyframes[numbers[-RECENT - 1]]
+    if redundancy(world, keyframe) <= REDUNDANT:
+        return []
+    depth = world.median_depth(keyframe)
+    shown = same_view([world.keyframes[k] for k in older], keyframe.world_from_camera, keyframe.points, depth)
+    if shown is None:
+        return []
+    drop_keyframe(world, keyframe)
+    return [keyframe.id]
 
 
 def _redundant(world: LocalMap) -> int | None:

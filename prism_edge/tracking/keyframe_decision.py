@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from prism_edge.config import TrackingConfig
-from prism_edge.geometry.poses import inverse, rotation_angle
+from prism_edge.geometry.poses import Array, inverse, rotation_angle
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.point_table import Ids
 
 BASELINE = 0.08  # of the median depth: new rays are worth adding
 UNCOVERED = 0.4  # share of the image with corners but no points: new ground
@@ -73,14 +74,21 @@ def shown_before(
     if abs(stamp_ns - world.newest().stamp_ns) > 1e9 * KNOWN_S:
         return None
     older = [world.keyframes[k] for k in sorted(world.keyframes)[:-RECENT]]
-    poses, here = np.array([keyframe.world_from_camera for keyframe in older]), frame.world_from_camera
+    return same_view(older, frame.world_from_camera, frame.points, median_depth)
+
+
+def same_view(
+    keyframes: list[LocalKeyframe], world_from_camera: Array, points: Ids, median_depth: float
+) -> LocalKeyframe | None:
+    """The nearest of some keyframes from as good as the same place, most of whose ``points`` are these."""
+    poses, here = np.array([keyframe.world_from_camera for keyframe in keyframes]), world_from_camera
     away = np.linalg.norm(poses[:, :3, 3] - here[:3, 3], axis=1) / max(median_depth, 1e-9)
     cosine = (np.einsum("ij,nij->n", here[:3, :3], poses[:, :3, :3]) - 1.0) / 2.0
     near = np.flatnonzero((away < SAME_BASELINE) & (cosine > np.cos(SAME_ANGLE)))
     for i in near[np.argsort(away[near])].tolist():
-        points = older[i].points[older[i].observed()]
-        if len(points) and np.isin(points, frame.points).mean() >= SAME_SHARE:
-            return older[i]
+        theirs = keyframes[i].points[keyframes[i].observed()]
+        if len(theirs) and np.isin(theirs, points).mean() >= SAME_SHARE:
+            return keyframes[i]
     return None
 
 

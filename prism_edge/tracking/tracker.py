@@ -19,7 +19,7 @@ from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.first_map import SecondView, begin_structure
 from prism_edge.tracking.frame_result import FrameResult, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
-from prism_edge.tracking.keyframe_culling import cull_keyframes, drop_keyframe
+from prism_edge.tracking.keyframe_culling import cull_keyframes, cull_stand_in, drop_keyframe
 from prism_edge.tracking.keyframe_decision import decide, shown_before
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import apply_correction, fit, join, see_through
@@ -273,7 +273,8 @@ class Tracker:
             meanwhile()
             if self.world is not world:
                 return False
-        culled = cull_keyframes(world, self._config.max_keyframes, self._config.redundant_keyframes)
+        culled = cull_stand_in(world)
+        culled += cull_keyframes(world, self._config.max_keyframes, self._config.redundant_keyframes)
         self.places.forget(culled)
         self.parts.forget(culled)
         world.points.squeeze()

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prism_edge.tracking.keyframe_culling import RECENT, cull_keyframes, drop_keyframe, redundancy
+from prism_edge.tracking.keyframe_culling import (
+    RECENT,
+    cull_keyframes,
+    cull_stand_in,
+    drop_keyframe,
+    redundancy,
+)
 from prism_edge.tracking.local_map import LocalMap
 from tests.tracking.cloud import Cloud, check, observations, pose_at
 
@@ -156,3 +162,50 @@ def test_its_points_get_the_oldest_that_sees_them_as_reference():
     for p in table.ids[table.alive].tolist():
         expected = min(seen[p]) if before[p] == 0 else before[p]
         assert table.reference[table.rows(np.array([p]))[0]] == expected
+
+
+PLACES, NEWEST = 6, [pose_at(-0.6, -0.02 * i) for i in range(RECENT)]
+
+
+def visited_again(place: int, motion: np.ndarray | None = None) -> LocalMap:
+    """A map of some places, one of them seen again, and of the newest keyframes, which are elsewhere."""
+    there = [pose_at(0.2 * i, 0.0, 0.0, 0.0, -0.04 * i) for i in range(PLACES)]
+    again = there[place] @ (np.eye(4) if motion is None else motion)
+    world, _ = Cloud(600).mapped([*there, again, *NEWEST])
+    return world
+
+
+@pytest.mark.parametrize("place", range(PLACES))
+def test_what_stood_in_for_a_keyframe_of_the_same_place_goes(place):
+    world = visited_again(place, pose_at(0.03, 0.02, 0.0, 0.0, 0.02))
+    assert counted(world, PLACES) > 0.9
+    assert cull_stand_in(world) == [PLACES]
+    assert world.changes.culled_keyframes == [PLACES]
+    assert references_hold(world)
+    check(world)
+    assert cull_stand_in(world) == []  # the next in age is what it stood in for
+
+
+def test_a_place_of_its_own_stays_however_redundant():
+    world = visited_again(2, pose_at(0.1, 0.2))
+    assert counted(world, PLACES) > 0.9
+    assert cull_stand_in(world) == []
+
+
+def test_what_others_do_not_see_as_well_keeps_its_keyframe():
+    world = visited_again(2)
+    others = world.keyframes[2].points
+    seen = [(k, p) for p, views in observations(world).items() for k in views if p in others and k > PLACES]
+    dropped = np.array(seen)
+    world.drop_observations(dropped[:, 0], dropped[:, 1])
+    for k in (0, 1, 4, 5):
+        gone = np.array([p for p, views in observations(world).items() if k in views and p in others])
+        world.drop_observations(np.full(len(gone), k), gone)
+    assert counted(world, PLACES) < 0.9
+    assert cull_stand_in(world) == []
+
+
+@pytest.mark.parametrize("count", [1, RECENT, RECENT + 1])
+def test_a_young_map_loses_none(count):
+    world, _ = Cloud().mapped([np.eye(4)] * count)
+    assert cull_stand_in(world) == []

@@ -47,6 +47,26 @@ def test_a_known_place_makes_few_new_keyframes(known, monkeypatch):
     assert counts[3] - counts[1] <= 0.7 * (otherwise[3] - otherwise[1])
 
 
+def test_a_camera_that_stays_makes_its_map_no_larger(monkeypatch):
+    """Known places get keyframes even so, here every half second; each goes once it is no longer recent."""
+    monkeypatch.setattr("prism_edge.tracking.keyframe_decision.KNOWN_S", 0.5)
+    run, made, kept, at = Run(Tracker(QUICK)), [], [], 0
+    for way in (THERE, BACK) * 3:
+        for i in way:
+            known = set(run.keyframes)
+            run.feed(i, at=at)
+            at += 1
+            for k in set(run.keyframes) - known:
+                run.depth(k, of=i)
+        made.append(len(run.keyframes))
+        kept.append(len(run.tracker.world.keyframes))
+    assert made[5] - made[2] >= 8
+    assert kept[5] <= kept[2] + 1
+    check(run.tracker.world)
+    last_way = [(run.results[at - 1 - i].world_from_camera, footage().poses[i]) for i in THERE]
+    assert max(np.linalg.norm((pose - true)[:3, 3]) for pose, true in last_way) < 0.04
+
+
 def test_poses_are_as_good_and_hang_on_older_keyframes(known):
     run, _ = known
     world, last = run.tracker.world, max(run.results)
