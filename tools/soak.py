@@ -32,6 +32,7 @@ GROWTH_MB = 3.0
 FLAT = 1.2  # p99 latency of the last third by that of the first, at most
 SCALE = ("log_scale", "rejected")  # no bar: but a map whose unit has gone is worth a line
 SLACK_MS = 2.0  # a difference that small is none
+SLOWEST = 100  # poses of which the report says when they came
 RATE = 30.0  # pictures a second
 WANDER_CM, WANDER_DEG = 2.0, 0.5  # that the place of one and the same picture may move
 
@@ -137,6 +138,7 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
             name: round(_growth(late, "pss_mb", name)[0], 2) for name in late[0]["pss_mb"]
         },
         "p99_ms_by_third": thirds,
+        "slowest_at_s_ms": sorted(latencies, key=lambda row: -row[1])[:SLOWEST],
         "wander_cm_deg": wanders,
         "samples": samples,
         "bars": {name: {"found": found, "met": bool(ok)} for name, (found, ok) in met.items()},
