@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from pathlib import Path
 
 import cv2
@@ -52,3 +54,15 @@ def read_image(path: Path) -> U8 | str:
         return f"{path} can't be read ({error.strerror})"
     pixels = decode(data)
     return f"{path} {pixels}" if isinstance(pixels, str) else pixels
+
+
+def read_ahead(path: Path) -> None:
+    """Have a file brought into memory meanwhile; no more than a hint, so what can't be opened is no error."""
+    if not hasattr(os, "posix_fadvise"):  # macOS
+        return
+    with contextlib.suppress(OSError):
+        file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
+        try:
+            os.posix_fadvise(file, 0, 0, os.POSIX_FADV_WILLNEED)
+        finally:
+            os.close(file)

@@ -8,9 +8,11 @@ from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import check_camera_size
-from prism_edge.sources.image_file import read_image
+from prism_edge.sources.image_file import read_ahead, read_image
 from prism_edge.sources.listing import Listing
 from prism_edge.sources.stamps import usual_period_ns
+
+AHEAD = 15  # images: a disk may take a quarter of a second for one
 
 
 class ImageSequence(Source):
@@ -24,11 +26,11 @@ class ImageSequence(Source):
         self.period_ns = usual_period_ns(listing.stamps_ns, round(1e9 / DEFAULT_RATE_HZ))
         self._folder = folder
         self._listing = listing
-        self._next = 0
+        self._next = self._ahead = 0
 
     def open(self) -> None:
         """Raises SourceError where no image can be read, ConfigError where they don't fit the camera."""
-        self._next = 0
+        self._next = self._ahead = 0
         reason = ""
         for path in self._listing.files:
             pixels = read_image(path)
@@ -41,6 +43,11 @@ class ImageSequence(Source):
     def peek(self) -> Slot | None:
         if self._next >= len(self._listing.files):
             return None
+        # Here, for a peek comes before the wait for an image's time, and a read after it.
+        self._ahead = max(self._ahead, self._next)
+        for path in self._listing.files[self._ahead : self._next + AHEAD]:
+            read_ahead(path)
+            self._ahead += 1
         return Slot(self._next, self._listing.stamps_ns[self._next])
 
     def read(self) -> Image | Unreadable | None:

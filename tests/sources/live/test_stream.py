@@ -29,6 +29,7 @@ QUICK = Timing(absent_s=0.0, first_pause_s=0.02, longest_pause_s=0.1)
 
 
 def watching(address: str, absent_s: float = 0.0) -> LiveCamera:
+    """``absent_s``: for a server that is there but may be slow to answer, as on a busy machine."""
     timing = Timing(absent_s=absent_s, first_pause_s=0.02, longest_pause_s=0.1)
     return LiveCamera(StreamDriver(address), UNCALIBRATED, "none", timing)
 
@@ -63,7 +64,7 @@ def rtsp() -> Iterator[RtspServer]:
     [("h264", "timeout=1"), ("mjpeg", "timeout=1"), ("reordered", "timeout=2"), ("h264", "transport=udp")],
 )
 def test_rtsp_plays(rtsp: RtspServer, name: str, options: str) -> None:
-    with watching(rtsp.address(name, options)) as camera:
+    with watching(rtsp.address(name, options), DEADLINE_S) as camera:
         assert camera.period_ns == pytest.approx(1e9 / 30, rel=0.01)
         seen = images(camera, 20)
         now = time.monotonic_ns()
@@ -78,7 +79,7 @@ def test_rtsp_plays(rtsp: RtspServer, name: str, options: str) -> None:
 
 
 def test_rtsp_that_dies_is_said_and_comes_back(rtsp: RtspServer) -> None:
-    with watching(rtsp.address()) as camera:
+    with watching(rtsp.address(), DEADLINE_S) as camera:
         before = images(camera)[0]
         rtsp.kill()
         until(lambda: camera.health()["camera"].startswith("reconnecting"))
@@ -93,7 +94,7 @@ def test_rtsp_that_dies_is_said_and_comes_back(rtsp: RtspServer) -> None:
 
 
 def test_rtsp_that_stalls_is_dead_after_the_timeout(rtsp: RtspServer) -> None:
-    with watching(rtsp.address()) as camera:
+    with watching(rtsp.address(), DEADLINE_S) as camera:
         images(camera)
         rtsp.stall()
         until(lambda: camera.health()["camera"].startswith("reconnecting: silent"))
@@ -112,7 +113,7 @@ def test_rtsp_that_stalls_is_no_place_to_open(rtsp: RtspServer) -> None:
 def test_rtsp_over_a_link_that_flips_bytes(rtsp: RtspServer) -> None:
     link = NoisyLink(rtsp.port)
     try:
-        with watching(f"rtsp://127.0.0.1:{link.port}/h264#timeout=1") as camera:
+        with watching(f"rtsp://127.0.0.1:{link.port}/h264#timeout=1", DEADLINE_S) as camera:
             images(camera)
             for noise in (1e-4, 1e-2):
                 link.noise = noise
@@ -129,7 +130,7 @@ def test_rtsp_without_that_name(rtsp: RtspServer) -> None:
 
 
 def test_mjpeg_plays_and_the_newest_wins() -> None:
-    with mjpeg_server() as server, watching(server.address()) as camera:
+    with mjpeg_server() as server, watching(server.address(), DEADLINE_S) as camera:
         images(camera)
         before = server.sent
         until(lambda: server.sent > before + 20)
@@ -142,7 +143,7 @@ def test_mjpeg_plays_and_the_newest_wins() -> None:
 
 
 def test_mjpeg_that_ends_or_stalls_comes_back() -> None:
-    with mjpeg_server() as server, watching(server.address()) as camera:
+    with mjpeg_server() as server, watching(server.address(), DEADLINE_S) as camera:
         images(camera)
         server.ending.set()
         until(lambda: camera.health()["camera"].startswith("reconnecting"))
@@ -156,7 +157,7 @@ def test_mjpeg_that_ends_or_stalls_comes_back() -> None:
 
 
 def test_mjpeg_cut_short_is_unreadable() -> None:
-    with mjpeg_server() as server, watching(server.address()) as camera:
+    with mjpeg_server() as server, watching(server.address(), DEADLINE_S) as camera:
         images(camera)
         server.mangle = lambda data: data[: len(data) // 2]
         until(lambda: isinstance(item := camera.read(), Unreadable) and "truncated" in item.reason)

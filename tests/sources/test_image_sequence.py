@@ -1,0 +1,85 @@
+"""A recording's images are asked for before their time comes."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from prism_edge.config import SourceConfig
+from prism_edge.sources import open_source
+from prism_edge.sources import image_sequence as module
+from prism_edge.sources.image_file import read_ahead
+from tests.sources.tiny_datasets import write_tum
+
+needs_hints = pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="no hints to the system here")
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the files that were asked for, in order."""
+    names: list[str] = []
+    monkeypatch.setattr(module, "read_ahead", lambda path: names.append(path.name))
+    return names
+
+
+def test_each_image_is_asked_for_once_and_early(
+    tmp_path: Path, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "AHEAD", 3)
+    with open_source(SourceConfig(str(write_tum(tmp_path, count=8)))) as source:
+        for k in range(8):
+            assert source.peek() is not None
+            assert source.peek() is not None
+            assert len(asked) == min(k + 3, 8)
+            source.read()
+        assert source.peek() is None
+    assert asked == sorted(asked)
+    assert len(set(asked)) == 8
+
+
+def test_what_is_skipped_is_not_asked_for(
+    tmp_path: Path, asked: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "AHEAD", 2)
+    with open_source(SourceConfig(str(write_tum(tmp_path, count=8)))) as source:
+        source.peek()
+        for _ in range(5):
+            source.skip()
+        source.peek()
+    assert len(asked) == 4  # the first two, the sixth and the seventh
+
+
+@needs_hints
+def test_a_file_comes_into_memory(tmp_path: Path) -> None:
+    file = tmp_path / "image"
+    file.write_bytes(bytes(200_000))
+    handle = os.open(file, os.O_RDWR)
+    try:
+        os.fsync(handle)
+        os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
+        if in_memory(handle):
+            pytest.skip("files of this folder stay in memory")
+        read_ahead(file)
+        for _ in range(10_000):
+            if in_memory(handle):
+                break
+        assert in_memory(handle)
+    finally:
+        os.close(handle)
+
+
+def in_memory(handle: int) -> bool:
+    """Whether reading the file's last page would not wait."""
+    try:
+        return os.preadv(handle, [bytearray(1)], 199_999, os.RWF_NOWAIT) == 1
+    except (BlockingIOError, OSError):
+        return False
+
+
+@needs_hints
+def test_what_can_not_be_opened_is_no_error(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for name in ("missing", ".", "pipe"):
+        read_ahead(tmp_path / name)
