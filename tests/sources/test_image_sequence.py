@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from prism_edge.config import SourceConfig
-from prism_edge.sources import open_source
 from prism_edge.sources import image_sequence as module
+from prism_edge.sources import open_source
 from prism_edge.sources.image_file import read_ahead
 from tests.sources.tiny_datasets import write_tum
 
