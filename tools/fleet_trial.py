@@ -144,7 +144,9 @@ def remote_depth(wire: str, host: str, cut_s: float, out: Path) -> dict[str, Any
         said = watcher.health["depth"]
         poses = sum(at > began + 1.0 for at in watcher.poses) / (cut_s - 1.0)
         gap = watcher.longest_gap(began, time.monotonic())
-        during = _last(scales) or before
+        # What was on its way when the link went counts as heard before.
+        heard = [before, *scales.drain()]
+        before, during = [message for message in heard if message.points][-1], heard[-1]
         keyframes = watcher.keyframes()
         subprocess.run(["ip", "-n", wire, "link", "set", "wire1", "up"], check=True)
         up = time.monotonic()
