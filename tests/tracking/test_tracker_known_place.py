@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -18,17 +19,23 @@ FRAMES = 75
 THERE, BACK = list(range(FRAMES)), list(range(FRAMES - 2, -1, -1))
 
 
-def there_and_back() -> tuple[Run, list[int]]:
-    """The film there and back twice; how many keyframes there were after each way."""
-    run = Run(Tracker(QUICK))
-    counts, at = [], 0
-    for way in (THERE, BACK, THERE[1:], BACK):
+def played(*ways: list[int]) -> Iterator[Run]:
+    """The film one way after the other; the run as it is after each."""
+    run, at = Run(Tracker(QUICK)), 0
+    for way in ways:
         for i in way:
             known = set(run.keyframes)
             run.feed(i, at=at)
             at += 1
             for k in set(run.keyframes) - known:
                 run.depth(k, of=i)
+        yield run
+
+
+def there_and_back() -> tuple[Run, list[int]]:
+    """The film there and back twice; how many keyframes there were after each way."""
+    counts = []
+    for run in played(THERE, BACK, THERE[1:], BACK):
         counts.append(len(run.keyframes))
     return run, counts
 
@@ -50,20 +57,15 @@ def test_a_known_place_makes_few_new_keyframes(known, monkeypatch):
 def test_a_camera_that_stays_makes_its_map_no_larger(monkeypatch):
     """Known places get keyframes even so, here every half second; each goes once it is no longer recent."""
     monkeypatch.setattr("prism_edge.tracking.keyframe_decision.KNOWN_S", 0.5)
-    run, made, kept, at = Run(Tracker(QUICK)), [], [], 0
-    for way in (THERE, BACK) * 3:
-        for i in way:
-            known = set(run.keyframes)
-            run.feed(i, at=at)
-            at += 1
-            for k in set(run.keyframes) - known:
-                run.depth(k, of=i)
+    made, kept = [], []
+    for run in played(*(THERE, BACK) * 3):
         made.append(len(run.keyframes))
         kept.append(len(run.tracker.world.keyframes))
     assert made[5] - made[2] >= 8
     assert kept[5] <= kept[2] + 1
     check(run.tracker.world)
-    last_way = [(run.results[at - 1 - i].world_from_camera, footage().poses[i]) for i in THERE]
+    last = max(run.results)
+    last_way = [(run.results[last - i].world_from_camera, footage().poses[i]) for i in THERE]
     assert max(np.linalg.norm((pose - true)[:3, 3]) for pose, true in last_way) < 0.04
 
 
