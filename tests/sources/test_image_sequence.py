@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import mmap
 import os
 from pathlib import Path
 
@@ -12,6 +14,7 @@ from prism_edge.sources import image_sequence as module
 from prism_edge.sources import open_source
 from prism_edge.sources.image_file import read_ahead
 from tests.sources.tiny_datasets import write_tum
+from tests.supervisor.test_child import until
 
 needs_hints = pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="no hints to the system here")
 
@@ -56,26 +59,25 @@ def test_a_file_comes_into_memory(tmp_path: Path) -> None:
     file = tmp_path / "image"
     file.write_bytes(bytes(200_000))
     handle = os.open(file, os.O_RDWR)
-    try:
-        os.fsync(handle)
-        os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
-        if in_memory(handle):
-            pytest.skip("files of this folder stay in memory")
-        read_ahead(file)
-        for _ in range(10_000):
-            if in_memory(handle):
-                break
-        assert in_memory(handle)
-    finally:
-        os.close(handle)
+    os.fsync(handle)
+    os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
+    os.close(handle)
+    if in_memory(file):
+        pytest.skip("files of this folder stay in memory")
+    read_ahead(file)
+    until(lambda: in_memory(file), 10.0)
 
 
-def in_memory(handle: int) -> bool:
-    """Whether reading the file's last page would not wait."""
-    try:
-        return os.preadv(handle, [bytearray(1)], 199_999, os.RWF_NOWAIT) == 1
-    except (BlockingIOError, OSError):
-        return False
+def in_memory(file: Path) -> bool:
+    """Whether all pages of a file are there, asked without a read, which would fetch them."""
+    with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_COPY) as pages:
+        there = (ctypes.c_ubyte * -(-len(pages) // mmap.PAGESIZE))()
+        first = ctypes.c_char.from_buffer(pages)
+        size = ctypes.c_size_t(len(pages))
+        failed = ctypes.CDLL(None, use_errno=True).mincore(ctypes.byref(first), size, there)
+        del first  # or the file could not be let go
+        assert not failed, os.strerror(ctypes.get_errno())
+        return all(page & 1 for page in there)
 
 
 @needs_hints
