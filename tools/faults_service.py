@@ -225,10 +225,19 @@ class Watcher:
 
     def longest_gap(self, begin: float, end: float, poses: list[float] | None = None) -> float:
         """Seconds without a pose between the last before ``begin`` and ``end``."""
+        return self.longest_gap_and_when(begin, end, poses)[0]
+
+    def longest_gap_and_when(
+        self, begin: float, end: float, poses: list[float] | None = None
+    ) -> tuple[float, float]:
+        """As :meth:`longest_gap`, and the time at which it began."""
         times = list(self.poses if poses is None else poses)
         first = max((i for i, at in enumerate(times) if at <= begin), default=0)
         inside = [*[at for at in times[first:] if at <= end], end]
-        return float(np.diff(inside).max()) if len(inside) > 1 else end - begin
+        if len(inside) < 2:
+            return end - begin, begin
+        gaps = np.diff(inside)
+        return float(gaps.max()), inside[int(gaps.argmax())]
 
     def close(self) -> None:
         """Listen no more."""

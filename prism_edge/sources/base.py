@@ -83,6 +83,10 @@ class Source(ABC):
     def skip(self) -> None:
         """Pass over what :meth:`read` would give next, as cheaply as can be."""
 
+    def read_ahead(self) -> None:
+        """Before a wait for the next image: what follows may be brought nearer meanwhile."""
+        return
+
     def true_pose(self, index: int) -> Array | None:
         """Exact world_from_camera (4, 4), metres, of an image that the source itself made; for scorers."""
         return None

@@ -56,7 +56,7 @@ def read_image(path: Path) -> U8 | str:
     return f"{path} {pixels}" if isinstance(pixels, str) else pixels
 
 
-def read_ahead(path: Path) -> None:
+def ask_for(path: Path) -> None:
     """Have a file brought into memory meanwhile; no more than a hint, so what can't be opened is no error."""
     if not hasattr(os, "posix_fadvise"):  # macOS
         return

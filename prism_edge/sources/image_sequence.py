@@ -8,7 +8,7 @@ from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import check_camera_size
-from prism_edge.sources.image_file import read_ahead, read_image
+from prism_edge.sources.image_file import ask_for, read_image
 from prism_edge.sources.listing import Listing
 from prism_edge.sources.stamps import usual_period_ns
 
@@ -43,11 +43,6 @@ class ImageSequence(Source):
     def peek(self) -> Slot | None:
         if self._next >= len(self._listing.files):
             return None
-        # Here, for a peek comes before the wait for an image's time, and a read after it.
-        self._ahead = max(self._ahead, self._next)
-        for path in self._listing.files[self._ahead : self._next + AHEAD]:
-            read_ahead(path)
-            self._ahead += 1
         return Slot(self._next, self._listing.stamps_ns[self._next])
 
     def read(self) -> Image | Unreadable | None:
@@ -62,6 +57,12 @@ class ImageSequence(Source):
 
     def skip(self) -> None:
         self._next += 1
+
+    def read_ahead(self) -> None:
+        self._ahead = max(self._ahead, self._next)
+        for path in self._listing.files[self._ahead : self._next + AHEAD]:
+            ask_for(path)
+            self._ahead += 1
 
     def close(self) -> None:
         self._next = len(self._listing.files)

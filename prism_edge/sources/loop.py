@@ -52,6 +52,9 @@ class Looped(Source):
             if slot is not None:
                 self._pass(slot)
 
+    def read_ahead(self) -> None:
+        self._source.read_ahead()
+
     def close(self) -> None:
         self._source.close()
 

@@ -132,7 +132,10 @@ class SourceWorker:
         schedule = Schedule(
             time.monotonic_ns(), first, self._source.period_ns, self._config.source.rate_hz
         )
-        while (slot := self._source.peek()) is not None and self._sleep_until(schedule.due_ns(slot)):
+        while (slot := self._source.peek()) is not None:
+            self._source.read_ahead()
+            if not self._sleep_until(schedule.due_ns(slot)):
+                return
             if self._pause.on:
                 schedule = replace(schedule, start_ns=schedule.start_ns + self._hold())
                 continue

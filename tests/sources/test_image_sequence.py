@@ -12,7 +12,7 @@ import pytest
 from prism_edge.config import SourceConfig
 from prism_edge.sources import image_sequence as module
 from prism_edge.sources import open_source
-from prism_edge.sources.image_file import read_ahead
+from prism_edge.sources.image_file import ask_for
 from tests.sources.tiny_datasets import write_tum
 from tests.supervisor.test_child import until
 
@@ -23,7 +23,7 @@ needs_hints = pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="no hi
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Names of the files that were asked for, in order."""
     names: list[str] = []
-    monkeypatch.setattr(module, "read_ahead", lambda path: names.append(path.name))
+    monkeypatch.setattr(module, "ask_for", lambda path: names.append(path.name))
     return names
 
 
@@ -33,11 +33,11 @@ def test_each_image_is_asked_for_once_and_early(
     monkeypatch.setattr(module, "AHEAD", 3)
     with open_source(SourceConfig(str(write_tum(tmp_path, count=8)))) as source:
         for k in range(8):
-            assert source.peek() is not None
-            assert source.peek() is not None
+            source.read_ahead()
+            source.read_ahead()
             assert len(asked) == min(k + 3, 8)
             source.read()
-        assert source.peek() is None
+        source.read_ahead()
     assert asked == sorted(asked)
     assert len(set(asked)) == 8
 
@@ -47,11 +47,18 @@ def test_what_is_skipped_is_not_asked_for(
 ) -> None:
     monkeypatch.setattr(module, "AHEAD", 2)
     with open_source(SourceConfig(str(write_tum(tmp_path, count=8)))) as source:
-        source.peek()
+        source.read_ahead()
         for _ in range(5):
+            assert source.peek() is not None
             source.skip()
-        source.peek()
+        source.read_ahead()
     assert len(asked) == 4  # the first two, the sixth and the seventh
+
+
+def test_a_looped_recording_asks_too(tmp_path: Path, asked: list[str]) -> None:
+    with open_source(SourceConfig(str(write_tum(tmp_path, count=8)), loop=True)) as source:
+        source.read_ahead()
+        assert len(asked) == 8
 
 
 @needs_hints
@@ -64,7 +71,7 @@ def test_a_file_comes_into_memory(tmp_path: Path) -> None:
     os.close(handle)
     if in_memory(file):
         pytest.skip("files of this folder stay in memory")
-    read_ahead(file)
+    ask_for(file)
     until(lambda: in_memory(file), 10.0)
 
 
@@ -84,4 +91,4 @@ def in_memory(file: Path) -> bool:
 def test_what_can_not_be_opened_is_no_error(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for name in ("missing", ".", "pipe"):
-        read_ahead(tmp_path / name)
+        ask_for(tmp_path / name)

@@ -41,6 +41,8 @@ def test_a_gap_reaches_from_the_last_pose_before_a_fault_to_the_end_of_looking()
     assert Deaf().longest_gap(1.05, 3.0) == pytest.approx(1.9)
     assert Deaf().longest_gap(4.15, 9.2) == pytest.approx(5.0)
     assert Deaf().longest_gap(1.0, 2.0, []) == pytest.approx(1.0)
+    assert Deaf().longest_gap_and_when(0.5, 9.2) == pytest.approx((5.0, 4.2))
+    assert Deaf().longest_gap_and_when(0.5, 4.3) == pytest.approx((3.0, 1.1))
 
 
 def outcome(**changes: object) -> faults.Outcome:

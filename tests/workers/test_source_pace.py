@@ -21,6 +21,7 @@ class SlowSource(Source):
         self.name, self.camera, self.camera_origin = "slow", source.camera, ""
         self.frame_count, self.period_ns = 50, 1_000_000
         self._next = 0
+        self.asked: list[int] = []  # what came next whenever it was asked to read ahead
 
     def open(self) -> None:
         self._inner.open()
@@ -38,6 +39,9 @@ class SlowSource(Source):
 
     def skip(self) -> None:
         self._next += 1
+
+    def read_ahead(self) -> None:
+        self.asked.append(self._next)
 
     def close(self) -> None:
         self._inner.close()
@@ -57,6 +61,20 @@ def test_a_late_source_skips_and_counts(tmp_path: Path) -> None:
     assert skipped == 50 - len(frames) > 0
     for frame in frames:  # none of those that went out was late by more than a period when it was read
         assert frame.captured_monotonic_ns - frames[0].captured_monotonic_ns == frame.stamp_ns
+
+
+def test_what_follows_is_asked_for_before_the_wait_for_it(tmp_path: Path) -> None:
+    config = settings(tiny.write_tum(tmp_path), loop=True)
+    sources: list[SlowSource] = []
+
+    def work(bus: Recorder) -> None:
+        with SlowSource(open_source(config.source)) as source:
+            sources.append(source)
+            SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
+
+    with running(work) as bus:
+        bus.until_end()
+    assert sources[0].asked == list(range(50))
 
 
 class Camera(SlowSource):
