@@ -1,4 +1,4 @@
-"""A plain folder of images, in natural order of their names; a camera file must go with it."""
+"""A plain folder of images, in natural order of their names; its camera has a file or a known name."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import SUFFIXES
+from prism_edge.sources.known_cameras import by_name
 from prism_edge.sources.listing import Listing, files_in
 from prism_edge.sources.stamps import at_rate
 
@@ -16,4 +17,4 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     if not images:
         return None
     stamps = tuple(at_rate(i, rate_hz or DEFAULT_RATE_HZ) for i in range(len(images)))
-    return Listing("folder of images", images, stamps, lambda: None)
+    return Listing("folder of images", images, stamps, lambda: by_name(folder))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from prism_edge.geometry.cameras import Camera
@@ -42,14 +43,26 @@ BY_NAME = {
 SEVEN_SCENES = ("7-Scenes published intrinsics", _vga((525.0, 525.0, 320.0, 240.0)))
 ROS_DEFAULT = ("ROS default for a Kinect (a guess: give a camera file)", _vga((525.0, 525.0, 319.5, 239.5)))
 
-# A name further up says little about the folder.
-_LEVELS = 3
+# What else people call them: only as whole words, for so short a name may be part of any other.
+SHORT = {
+    "fr1": "freiburg1",
+    "fr2": "freiburg2",
+    "fr3": "freiburg3",
+    "bonn": "rgbd_bonn",
+    "tsukuba": "new_tsukuba",
+}
+
+# A name further up says little about the folder; TartanAir's images lie four below its own.
+_LEVELS = 5
 
 
 def by_name(folder: Path) -> tuple[str, Camera] | None:
-    """What a folder's name, or else that of one of its two parents, is known for."""
+    """What a folder's name, or else that of one of its nearest parents, is known for."""
     for part in reversed(folder.absolute().parts[-_LEVELS:]):
         for name, known in BY_NAME.items():
             if name in part.lower():
                 return known
+        for word in re.split(r"[^a-z0-9]+", part.lower()):
+            if word in SHORT:
+                return BY_NAME[SHORT[word]]
     return None

@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
 
@@ -158,6 +160,11 @@ def test_images_and_videos_without_a_camera_are_refused(tmp_path: Path) -> None:
         ("rgbd_bonn_balloon", 542.822841, 5),
         ("tartanair_hospital", 320.0, 0),
         ("new_tsukuba", 615.0, 0),
+        ("fr1_desk", 517.306408, 5),
+        ("TUM-fr2.xyz", 520.908620, 5),
+        ("tum_fr3_walking", 535.4, 0),
+        ("bonn_balloon", 542.822841, 5),
+        ("Tsukuba", 615.0, 0),
     ],
 )
 def test_published_intrinsics_go_by_the_name(tmp_path: Path, name: str, fx: float, coefficients: int) -> None:
@@ -167,6 +174,23 @@ def test_published_intrinsics_go_by_the_name(tmp_path: Path, name: str, fx: floa
         source = opened(folder)
         assert (source.camera.width, source.camera.height, source.camera.fx) == (640, 480, fx)
         assert len(source.camera.distortion) == coefficients
+
+
+@pytest.mark.parametrize("name", ["bonner_weg", "sfr1", "fr10", "afr2b"])
+def test_short_names_count_only_as_words(tmp_path: Path, name: str) -> None:
+    folder = tiny.write_tum(tmp_path / name, count=1, suffix="jpg", width=640, height=480)
+    (folder / "camera.yaml").unlink()
+    assert "guess" in opened(folder).camera_origin
+
+
+def test_tartanairs_images_lie_deep_below_its_name(tmp_path: Path) -> None:
+    folder = tmp_path / "tartanair" / "office" / "Easy" / "P000" / "image_left"
+    folder.mkdir(parents=True)
+    for i in range(2):
+        cv2.imwrite(str(folder / f"00000{i}_left.png"), np.zeros((480, 640, 3), np.uint8))
+    source = opened(folder)
+    assert source.camera.fx == 320.0
+    assert "TartanAir" in source.camera_origin
 
 
 def test_an_unknown_tum_folder_is_guessed_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
