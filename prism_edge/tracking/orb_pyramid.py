@@ -23,6 +23,7 @@ PATCH = 31  # pixels of a level that a descriptor looks at
 BORDER = 19  # what a keypoint is away from its level's: more than corners.py's margin
 HIGHEST_THRESHOLD = 25  # of FAST
 ENOUGH = 0.95  # of what is wanted; from there on weaker corners would only be thrown away
+FAR_TOO_FEW = 0.4  # of what is wanted: the light has changed, and the threshold does not fit any more
 _response = attrgetter("response")  # faster than a loop
 
 
@@ -64,8 +65,10 @@ class OrbPyramid:
         Pixels are a level's times its factor (OpenCV's way, features.py has the other).
         """
         self._images = self._scaled(grey)
-        self._found = [d.detect(image, None) for d, image in zip(self._detectors, self._images, strict=False)]
-        counts = [len(found) for found in self._found]
+        counts = self._search()
+        if self._threshold > self._lowest and sum(counts) < FAR_TOO_FEW * self._most:
+            self._set_threshold(self._lowest)
+            counts = self._search()
         levels = np.repeat(np.arange(len(counts)), counts)
         pixels = np.concatenate([_pixels(found) for found in self._found])
         pixels *= self._enlarged[levels, None]
@@ -85,6 +88,11 @@ class OrbPyramid:
                 described.append(self._detectors[level].compute(self._images[level], wanted)[1])
         return np.concatenate(described) if described else np.zeros((0, 32), np.uint8)
 
+    def _search(self) -> list[int]:
+        """Find corners at every level; returns how many."""
+        self._found = [d.detect(image, None) for d, image in zip(self._detectors, self._images, strict=False)]
+        return [len(found) for found in self._found]
+
     def _scaled(self, grey: Grey) -> list[Grey]:
         """The image at each level; the first always, a later one only where a keypoint has room."""
         images = [grey]
@@ -100,7 +108,10 @@ class OrbPyramid:
         """Follow the texture: FAST's time goes into corners that are thrown away afterwards."""
         enough = found > ENOUGH * self._most
         threshold = min(self._threshold + 1, HIGHEST_THRESHOLD) if enough else self._threshold - 2
-        self._threshold = max(threshold, self._lowest)
+        self._set_threshold(max(threshold, self._lowest))
+
+    def _set_threshold(self, threshold: int) -> None:
+        self._threshold = threshold
         for detector in self._detectors:
             detector.setFastThreshold(self._threshold)
 

@@ -84,14 +84,27 @@ def test_all_levels_together_are_what_opencv_finds_and_describes():
 
 def test_where_texture_goes_the_faint_corners_are_found_again():
     rich, pyramid = blocks(5), OrbPyramid(FACTORS, 10, 500)
+    for _ in range(9):
+        pyramid.detect(rich)
+    faint = (128 + (rich.astype(float) - 128) * 0.5).astype(np.uint8)
+    expected = len(OrbPyramid(FACTORS, 10, 500).detect(faint)[0])
+    found = [len(pyramid.detect(faint)[0]) for _ in range(10)]
+    assert 0.4 * 500 < found[0] < 0.6 * expected, "not so few that the image would be searched again"
+    # Two down where there is not enough, one up where there is: it stays about there.
+    assert min(found[1:]) > 1.3 * found[0]
+    assert max(found) > 0.9 * expected
+
+
+def test_where_the_light_goes_out_the_same_image_is_searched_again():
+    rich, pyramid = blocks(5), OrbPyramid(FACTORS, 10, 500)
     for _ in range(HIGHEST_THRESHOLD):
         pyramid.detect(rich)
-    faint = (128 + (rich.astype(float) - 128) * 0.2).astype(np.uint8)
-    expected = len(OrbPyramid(FACTORS, 10, 500).detect(faint)[0])
-    at_first = len(pyramid.detect(faint)[0])
-    for _ in range(HIGHEST_THRESHOLD):
-        found = len(pyramid.detect(faint)[0])
-    assert found == expected > 1.2 * at_first
+    dim = (128 + (rich.astype(float) - 128) * 0.3).astype(np.uint8)
+    expected = len(OrbPyramid(FACTORS, 10, 500).detect(dim)[0])
+    stuck = OrbPyramid(FACTORS, HIGHEST_THRESHOLD, 500)
+    assert len(stuck.detect(dim)[0]) < 0.4 * 500 < expected
+    pixels, levels, _ = pyramid.detect(dim)
+    assert len(pixels) == len(levels) == len(pyramid.describe(np.arange(len(pixels)))) == expected
 
 
 @pytest.mark.parametrize("size", [(480, 640), (64, 48), (24, 32), (3, 2), (1, 1)])
