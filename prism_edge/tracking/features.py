@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.field_of_view import has_ideal_pixel
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.corners import are_corners
 from prism_edge.tracking.orb_pyramid import OrbPyramid
@@ -96,8 +97,7 @@ class OrbExtractor:
         raw = _in_full_image(pixels.astype(np.float64), octaves, self.scale_factors, grey.shape)
         packed = descriptors.view(np.uint64)
         ideal = camera.undistort_pixels(raw)
-        # A fisheye's rim has no pinhole pixel.
-        inside = np.all(np.abs(ideal - raw) < 2.0 * max(grey.shape), axis=1)
+        inside = has_ideal_pixel(camera, raw, ideal)
         return Features.build(ideal[inside], octaves[inside], packed[inside], grey.shape[1], grey.shape[0])
 
     def _fit(self, size: tuple[int, int]) -> None:

@@ -6,12 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.field_of_view import in_image
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.point_table import Index, PointTable
 
 
 def project(camera: Camera, pose: Array, points: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Pixels (n, 2) of world points and which of them are in the image; ``pose`` is world_from_camera."""
+    """Ideal pixels (n, 2) of world points and which are in the image; ``pose`` is world_from_camera."""
     local = (points - pose[:3, 3]) @ pose[:3, :3]
     z = local[:, 2]
     front = z > 1e-3
@@ -19,8 +20,7 @@ def project(camera: Camera, pose: Array, points: Array) -> tuple[Array, NDArray[
     pixels = np.empty((len(points), 2))
     pixels[:, 0] = camera.fx * local[:, 0] * inverse_z + camera.cx
     pixels[:, 1] = camera.fy * local[:, 1] * inverse_z + camera.cy
-    inside = front & (pixels[:, 0] >= 0) & (pixels[:, 0] < camera.width)
-    return pixels, inside & (pixels[:, 1] >= 0) & (pixels[:, 1] < camera.height)
+    return pixels, front & in_image(camera, pixels)
 
 
 def expected_octaves(table: PointTable, rows: Index, distance: Array, factors: Array) -> Array:

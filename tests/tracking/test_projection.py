@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.poses import inverse, se3_exp, transform
 from prism_edge.tracking.point_table import PointTable
 from prism_edge.tracking.projection import expected_octaves, project
@@ -30,6 +31,15 @@ def test_pixels_are_the_cameras(twist: list[float], places: list[tuple[float, fl
     at_the_border = np.abs(expected - np.clip(expected, 0, (CAMERA.width, CAMERA.height))).max(axis=1) < 1e-6
     assert np.array_equal(inside[front][~at_the_border | seen], seen[~at_the_border | seen])
     assert not inside[~front].any()
+
+
+def test_a_wide_lens_sees_beyond_what_a_pinhole_would() -> None:
+    wide = Camera(640, 480, 300.0, 300.0, 320.0, 240.0, FISHEYE, (-0.01, 0.0, 0.0, 0.0))
+    raw = np.array([[20.0, 240.0], [320.0, 470.0], [600.0, 60.0], [320.0, 240.0]])
+    points = 3.0 * np.column_stack([wide.normalise(raw), np.ones(4)])
+    pixels, inside = project(wide, np.eye(4), points)
+    assert inside.all()
+    assert np.any((pixels < 0) | (pixels >= (640, 480)), axis=1).sum() == 3
 
 
 @given(st.integers(0, LEVELS - 1), st.integers(-4, 4), st.floats(0.5, 20.0))

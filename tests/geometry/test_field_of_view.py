@@ -1,0 +1,60 @@
+"""What the image shows, against the camera model put to every ideal pixel."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
+from prism_edge.geometry.field_of_view import FARTHEST, has_ideal_pixel, in_image
+from tests.geometry.test_cameras import CAMERAS, IDS
+
+WEBCAM = Camera(640, 480, 450.0, 450.0, 320.0, 240.0, PINHOLE, (-0.35, 0.12, 0.0, 0.0))
+EUROC = Camera(752, 480, 458.654, 457.296, 367.215, 248.375, PINHOLE, (-0.2834, 0.07396, 0.000194, 1.76e-5))
+WIDE = Camera(640, 480, 300.0, 300.0, 320.0, 240.0, FISHEYE, (-0.01, 0.0, 0.0, 0.0))
+ALL = [*CAMERAS, WEBCAM, EUROC, WIDE]
+NAMES = [*IDS, "webcam", "euroc", "wide"]
+
+
+def all_over(camera: Camera, count: int = 41) -> np.ndarray:
+    """Pixels as taken, the border left out by a pixel."""
+    x, y = np.meshgrid(np.linspace(1, camera.width - 2, count), np.linspace(1, camera.height - 2, count))
+    return np.stack([x.ravel(), y.ravel()], axis=1)
+
+
+@pytest.mark.parametrize("camera", ALL, ids=NAMES)
+def test_whatever_the_image_shows_is_in_it(camera: Camera) -> None:
+    raw = all_over(camera)
+    ideal = camera.undistort_pixels(raw)
+    assert np.array_equal(in_image(camera, ideal), has_ideal_pixel(camera, raw, ideal))
+
+
+@pytest.mark.parametrize("camera", ALL, ids=NAMES)
+def test_whatever_lies_beside_it_is_not(camera: Camera) -> None:
+    """Rays from the principal point, just within and just beyond where the image ends."""
+    centre = np.array([camera.cx, camera.cy])
+    for angle in np.linspace(0.01, 0.01 + 2 * np.pi, 48, endpoint=False):  # none along an axis
+        way = np.array([np.cos(angle), np.sin(angle)])
+        ends = ([0, 0] - centre) / way, ([camera.width, camera.height] - centre) / way
+        edge = np.concatenate(ends)
+        edge = centre + way * edge[edge > 0].min()
+        ideal = camera.undistort_pixels(np.stack([edge]))[0]
+        if np.abs(ideal - edge).max() >= 0.9 * FARTHEST * camera.width:
+            continue
+        within, beyond = centre + 0.995 * (ideal - centre), centre + 1.005 * (ideal - centre)
+        assert in_image(camera, np.stack([within, beyond])).tolist() == [True, False]
+
+
+@given(st.floats(-3000, 4000), st.floats(-3000, 4000))
+def test_a_pixel_is_where_the_model_puts_it(x: float, y: float) -> None:
+    ideal = np.array([[x, y]])
+    raw = WIDE.distort_pixels(ideal)
+    expected = np.all((raw >= 0) & (raw < (640, 480)))
+    if np.abs(raw - np.clip(raw, 0, (640, 480))).max() > 1e-6 or expected:
+        assert in_image(WIDE, ideal)[0] == (expected and np.abs(ideal - raw).max() < FARTHEST * 640)
+
+
+def test_none_gives_none() -> None:
+    assert in_image(WIDE, np.zeros((0, 2))).shape == (0,)
