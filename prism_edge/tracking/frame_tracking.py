@@ -32,6 +32,7 @@ FIRST_POSE_POINTS = 150
 # Rounds of the solver, and steps in each. The second pose starts so near its end that a step is enough, and
 # one more choice of inliers brings it nearer to where many rounds would than further steps do.
 FIRST_POSE_ROUNDS, POSE_ROUNDS = (1, 2), (3, 1)
+SUDDEN_LOSS = 0.65  # of the previous frame's matches
 
 
 @dataclass
@@ -90,6 +91,29 @@ class FrameTracker:
         ranked = sorted(world.votes(point_ids).items(), key=lambda item: (-item[1], -item[0]))
         rows = world.rows_seen_by([world.keyframes[k] for k, _ in ranked[:LOCAL_KEYFRAMES]], self._most)
         self._local_ids = world.points.ids[rows].copy()
+
+    def track_after(
+        self,
+        world: LocalMap,
+        camera: Camera,
+        features: Features,
+        moving: Array,
+        previous: TrackedFrame,
+        enough: int,
+    ) -> TrackedFrame | None:
+        """Place a frame where ``moving`` predicts it; None where too little agrees.
+
+        One that suddenly matches far less may have followed a wrong prediction: it is tried where the
+        ``previous`` was, too.
+        """
+        best: TrackedFrame | None = None
+        for predicted in (moving, previous.world_from_camera):
+            tried = self.track(world, camera, features, predicted, previous, enough)
+            if tried is not None and (best is None or tried.matched > best.matched):
+                best = tried
+            if best is not None and best.matched > SUDDEN_LOSS * previous.matched:
+                break
+        return best
 
     def track(
         self,

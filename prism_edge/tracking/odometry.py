@@ -19,7 +19,8 @@ class MetricOdometry:
     def advance(self, before: Array | None, after: Array, log_scale: float, stamp_ns: int) -> Array:
         """odom_from_camera of a frame at ``after`` (world_from_camera, map units).
 
-        ``before`` is where the *present* map has the last tracked frame: a correction moves both alike.
+        ``before`` is where the *present* map has the last tracked frame: a correction moves both alike. Exact
+        copies of a frame are none: the step after them takes their time too.
         """
         self.twist, self.interval_s = np.zeros(6), 0.0
         if before is not None:
@@ -28,10 +29,5 @@ class MetricOdometry:
             elapsed = (stamp_ns - (self._stamp_ns or 0)) * 1e-9
             if self._stamp_ns is not None and elapsed > 0:
                 self.twist, self.interval_s = se3_log(step) / elapsed, elapsed
-        self._stamp_ns = stamp_ns
-        return self.odom_from_camera
-
-    def repeat(self, stamp_ns: int) -> Array:
-        """The same place again (an exact copy of the last frame)."""
         self._stamp_ns = stamp_ns
         return self.odom_from_camera

@@ -27,7 +27,7 @@ class Reference:
 
     def renew(self, stamp_ns: int) -> None:
         """A new keyframe has been made where the camera is."""
-        self._back_at, self.since_ns = NONE, stamp_ns
+        self._back_at, self.since_ns, self.matches = NONE, stamp_ns, 0
 
     def move_to(self, keyframe: LocalKeyframe, world: LocalMap, parts: Parts, stamp_ns: int) -> None:
         """The camera is at this one now."""

@@ -16,6 +16,7 @@ from prism_edge.geometry.poses import Array, inverse, normalised, scaled
 from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate, beyond
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
+from prism_edge.tracking.first_keyframe import FirstKeyframe
 from prism_edge.tracking.first_map import SecondView, begin_structure
 from prism_edge.tracking.frame_result import FrameResult, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
@@ -36,12 +37,9 @@ from prism_edge.tracking.submaps import Parts
 log = logging.getLogger("prism_edge.tracking")
 
 MIN_FIRST_FEATURES = 80
-INITIAL_PATIENCE_S = 1.0  # a first keyframe that can't be tracked for longer is replaced
-DEPTH_PATIENCE_S = 10.0  # and so is one that no depth has come for in this time
 DEGRADED_MATCHES = 50
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
 MOST_BETWEEN_NS = 200_000_000  # what one frame adds to how long a lost camera has looked about
-SUDDEN_LOSS = 0.65  # of the previous frame's matches
 
 
 class Tracker:
@@ -49,8 +47,7 @@ class Tracker:
 
     def __init__(self, config: TrackingConfig, seed: int = 0, first_id: int = 0) -> None:
         """Epochs and keyframes are numbered from ``first_id``."""
-        self._config = config
-        self._seed = seed
+        self._config, self._seed = config, seed
         self._extractor = OrbExtractor(config)
         self._factors = self._extractor.scale_factors
         self.scale_factor = config.scale_factor
@@ -71,9 +68,9 @@ class Tracker:
         self._motion = ConstantVelocity()
         self._seen_at: int | None = None  # stamp of the last tracked frame
         self._began_at: int | None = None  # of this map's first; None for one that was there before
-        self._at = Reference()
+        self._at, self._first = Reference(), FirstKeyframe()
         self._since_refresh = 0
-        self._initialised = False
+        self.initialised = False  # True once a frame was tracked in this map
         self._result: FrameResult | None = None
         self._fresh: tuple[int, TrackedFrame] | None = None  # tracked, not yet judged as a keyframe
         self._unmapped: tuple[LocalKeyframe, TrackedFrame] | None = None  # made, and nothing more
@@ -108,6 +105,7 @@ class Tracker:
     def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
         if len(features) >= MIN_FIRST_FEATURES:
             self._pending = self._insert(index, stamp_ns, camera, features, self._begins_at)
+            self._first.begin(self._pending.id, stamp_ns)
             self._seen_at = self._began_at = stamp_ns
         return nothing(INITIALISING)
 
@@ -116,8 +114,8 @@ class Tracker:
         silent_s = 0.0 if self._seen_at is None else (stamp_ns - self._seen_at) * 1e-9
         self._extractor.want(0 if frame is None else frame.matched)
         if frame is None:
-            if not self._initialised:
-                if silent_s > (DEPTH_PATIENCE_S if self._last is None else INITIAL_PATIENCE_S):
+            if not self.initialised:
+                if self._first.gives_way(stamp_ns):
                     log.info("the first keyframe could not be tracked: starting again")
                     self._restart(self._begins_at)
                 return nothing(INITIALISING)
@@ -129,14 +127,14 @@ class Tracker:
             self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES
             if self._lost and self.may_map:
                 self._look_on(index, stamp_ns, camera, features)
-            if not self._initialised:
+            if not self.initialised:
                 return self._begin(index, stamp_ns, camera, features)
             return nothing(LOST if self._lost else DEGRADED)
         if self._lost:
             log.info("found again at frame %d, %.1f s later", index, silent_s)
             self._settle(frame)
         self._update_motion(frame, stamp_ns)
-        self._initialised = True
+        self.initialised = True
         self._fresh = (index, frame)
         reference = self._reference()
         pose, odometry = frame.world_from_camera, OK if frame.matched >= DEGRADED_MATCHES else DEGRADED
@@ -155,7 +153,7 @@ class Tracker:
             self._looked_ns += min(stamp_ns - self._looking_at, MOST_BETWEEN_NS)
         self._looking_at = stamp_ns
         if self._waiting is not None:
-            if (stamp_ns - self._waiting.stamp_ns) * 1e-9 < DEPTH_PATIENCE_S:
+            if not self._first.gives_way(stamp_ns):
                 return
             self._give_up_waiting()
         looked_s, patience_s = self._looked_ns * 1e-9, self._config.submap_after_s
@@ -170,6 +168,7 @@ class Tracker:
         self.parts.begin(self._next_keyframe)
         self.world.has_baseline = False  # it rests on one view's depth, as the first map did
         self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose)
+        self._first.begin(self._waiting.id, stamp_ns)
         log.info("nothing is known here: a new part of the map begins at frame %d", index)
 
     def _age_s(self) -> float:
@@ -181,7 +180,7 @@ class Tracker:
         if self._waiting is not None and self._waiting.id in self.world.keyframes:
             drop_keyframe(self.world, self._waiting)
             self.parts.forget([self._waiting.id])
-        self._waiting, self._looked_ns = None, 0
+        self._waiting = None
 
     def _settle(self, frame: TrackedFrame) -> None:
         """The camera was lost and is found."""
@@ -198,13 +197,7 @@ class Tracker:
             return self.places.attempt(self.world, self._frames, camera, features, previous, enough)
         if previous is not None:
             moving = self._motion.predict(previous.world_from_camera, stamp_ns)
-            # A frame that suddenly matches far less may have followed a wrong prediction: try another.
-            for predicted in (moving, previous.world_from_camera):
-                tried = self._frames.track(self.world, camera, features, predicted, previous, enough)
-                if tried is not None and (frame is None or tried.matched > frame.matched):
-                    frame = tried
-                if frame is not None and frame.matched > SUDDEN_LOSS * previous.matched:
-                    break
+            frame = self._frames.track_after(self.world, camera, features, moving, previous, enough)
         if frame is None or frame.matched < enough:
             frame = recover(
                 self.world, self._frames, camera, features, self._reference(), enough, self._seed
@@ -312,8 +305,8 @@ class Tracker:
         keyframe = self.world.keyframes.get(keyframe_id)
         if keyframe is None:
             return 0
-        first = (not self._initialised and self._last is None) or (keyframe is self._waiting and self._lost)
-        most = self._config.features if first or not self._initialised else self._config.features // 3
+        first = (not self.initialised and self._last is None) or (keyframe is self._waiting and self._lost)
+        most = self._config.features if first or not self.initialised else self._config.features // 3
         units_per_metre = float(np.exp(-self.log_scale))
         ids = seed_from_depth(
             self.world, keyframe, depth, image_to_depth, units_per_metre, relative_sigma, most
@@ -321,16 +314,23 @@ class Tracker:
         if keyframe.id <= self._announced:
             keypoint_of = dict(zip(keyframe.points.tolist(), range(len(keyframe.points)), strict=True))
             self.world.changes.late += [(point, keyframe.id, keypoint_of[point]) for point in ids.tolist()]
-        if first and len(ids) >= self._config.min_matches:
-            if self._waiting is not None:
+        if first and len(ids) < self._config.min_matches:
+            self._first.has_no_depth(keyframe_id)
+        elif first:
+            self._first.has_depth()
+            if self._waiting is not None:  # a slow network is no reason to be lost again
                 self._waiting, self._lost, self.wants_probe = None, False, False
-                self._seen_at = keyframe.stamp_ns
+                self._seen_at = self._looking_at
             self._last = TrackedFrame.of_keyframe(keyframe, len(ids))
             self._refresh(self._last)
             self._motion.stamp_ns = keyframe.stamp_ns
         self._since_refresh = REFRESH_FRAMES
         self._at.depth = self.world.median_depth(self._reference())
         return len(ids)
+
+    def add_no_depth(self, keyframe_id: int) -> None:
+        """What the network has for a keyframe is of no use."""
+        self._first.has_no_depth(keyframe_id)
 
     def recognise(self, keyframe: int, descriptor: F32, network: str = "") -> None:
         """Take the network's descriptor of a keyframe; below 0, of what a lost camera saw."""
@@ -375,7 +375,7 @@ class Tracker:
         self.reset()
         self.world, self.places.index, self.parts = world, index, parts
         self.epoch, self.log_scale = epoch, log_scale
-        self._initialised, self._lost, self._looked_ns, self._looking_at = True, True, 0, 0
+        self.initialised, self._lost, self._looked_ns, self._looking_at = True, True, 0, 0
         self._began_at = None
         self._lens = world.newest().camera
         self._announced = max(world.keyframes)
@@ -396,5 +396,5 @@ class Tracker:
         self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1
         self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
-        self._last, self._initialised = None, False
+        self._last, self.initialised = None, False
         self._motion.stop()

@@ -216,9 +216,7 @@ class TrackerWorker:
     def _publish(self, frame: Frame, result: FrameResult, before: Any, repeated: bool) -> None:
         assert result.world_from_camera is not None
         tracker = self._tracker
-        if repeated:
-            self._odometry.repeat(frame.stamp_ns)
-        else:
+        if not repeated:
             self._odometry.advance(before, result.world_from_camera, tracker.log_scale, frame.stamp_ns)
             if before is not None:
                 self._travelled += float(np.linalg.norm(result.world_from_camera[:3, 3] - before[:3, 3]))
@@ -304,9 +302,13 @@ class TrackerWorker:
             self._tracker.recognise(message.keyframe, message.descriptor, message.model)
         if message.keyframe >= 0:
             self._status.metres.depth(message.keyframe, message.valid, message.reason)
-        if message.keyframe >= 0 and message.valid and message.epoch == self._tracker.epoch:
-            sigma = float(np.hypot(SEED_DEPTH_SIGMA, message.bias_sigma))
-            self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
+        if message.keyframe < 0 or message.epoch != self._tracker.epoch:
+            return
+        if not message.valid:
+            self._tracker.add_no_depth(message.keyframe)
+            return
+        sigma = float(np.hypot(SEED_DEPTH_SIGMA, message.bias_sigma))
+        self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
 
     def _apply_scale(self, message: Scale) -> None:
         numbers = (message.log_scale, message.sigma, message.local_sigma)
@@ -337,7 +339,8 @@ class TrackerWorker:
         if whole is None or not self._maps.take_over(self._tracker, whole):
             return False
         self._scale_sigma, self._update_sequence = whole.scale_sigma, whole.sequence
-        self._travelled, self._localise_only = self._maps.travelled, False
+        self._travelled = self._maps.travelled
+        self._tracker.may_map = not self._localise_only
         self._drift.forget()
         self._expected.clear()
         return True
@@ -357,12 +360,11 @@ class TrackerWorker:
         self._tracker.reset()
         self._travelled, self._scale_sigma, self._localise_only = 0.0, UNKNOWN_SCALE_SIGMA, False
         self._unproven = self._recovering = False  # there is nothing left of an earlier run's map
-        return Reply(True, "a new map begins with the next image; odom goes on")
+        return Reply(True, "a new map begins with the next image, and is built on; odom goes on")
 
     def _switch_localise_only(self, argument: str) -> Reply:
         wanted = on_or_off(argument)
-        last = self._tracker.last_result
-        if wanted and (last is None or last.odometry == INITIALISING):
+        if wanted and not self._tracker.initialised:
             return Reply(False, "there is no map to localise in yet")
         self._localise_only, self._tracker.may_map = wanted, not wanted
         return Reply(True, "the map stays as it is" if wanted else "the map is built on")

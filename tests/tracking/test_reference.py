@@ -48,6 +48,7 @@ def test_a_new_keyframe_is_where_the_camera_is() -> None:
     world, parts = walked()
     at = Reference()
     at.move_to(world.keyframes[0], world, parts, 5)
+    at.matches = 70
     at.renew(9)
     assert at.keyframe(world, parts) is world.keyframes[2]
-    assert at.since_ns == 9
+    assert (at.since_ns, at.matches) == (9, 0)

@@ -93,6 +93,33 @@ def test_the_same_map_loaded_in_the_first_life(whole: WholeMap) -> None:
     assert len({k.id for k in run_of.bus.of("keyframe")}) == len(run_of.bus.of("keyframe"))
 
 
+@pytest.mark.parametrize("asked_for", ["before it is loaded", "as soon as it is"])
+def test_a_loaded_map_stays_as_it_is_where_that_was_asked_for(whole: WholeMap, asked_for: str) -> None:
+    bus = Asked(whole, life=0).bus
+    depths, told = World(bus), []
+
+    def heard(topic: str, message: object) -> None:
+        depths.heard(topic, message)
+        if topic == "tracked" and message.index == 20:  # type: ignore[attr-defined]
+            bus.give("map_loaded", MapLoaded(EPOCH, LOG_SCALE, 0.05))
+            told.append(message)
+
+    served = bus.desk.before_serving
+
+    def look() -> None:
+        served()
+        early = asked_for.startswith("before")
+        due = bool(bus.of("pose")) if early else bool(told) and not bus.inboxes["map_loaded"].waiting
+        if due and not bus.desk.replies:
+            bus.desk.ask("localise_only", "on")
+
+    bus.hear, bus.desk.before_serving = heard, look
+    run(bus, [frame(i) for i in range(21)] + [frame(i) for i in AFTER])
+    assert [reply.ok for reply in bus.desk.replies] == [True]
+    assert [k for k in bus.of("keyframe") if k.epoch == EPOCH] == []
+    assert len(positions(bus)) > len(AFTER), "poses come in both maps"
+
+
 def test_the_drift_of_the_map_before_is_forgotten(
     whole: WholeMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -63,3 +63,13 @@ def test_there_must_be_a_map_to_localise_in(bus: ListBus) -> None:
     when_frames_left(bus, 1, "localise_only", "on")
     run(bus, [frame(0)])
     assert [(r.ok, r.said) for r in bus.desk.replies] == [(False, "there is no map to localise in yet")]
+
+
+@pytest.mark.usefixtures("world")
+def test_a_new_map_is_built_on_again(bus: ListBus) -> None:
+    when_frames_left(bus, 50, "localise_only", "on")
+    when_frames_left(bus, 40, "reset")
+    run(bus, [frame(i) for i in range(70)])
+    assert [reply.ok for reply in bus.desk.replies] == [True, True]
+    assert "built on" in bus.desk.replies[1].said
+    assert len([k for k in bus.of("keyframe") if k.epoch == 1]) >= 2

@@ -24,6 +24,15 @@ def test_an_exact_copy_repeats_the_pose(bus, world):
     assert np.linalg.norm(placed[14] - true_position(14)) < 0.03
 
 
+def test_the_velocity_after_a_copy_is_of_both_periods(bus, world):
+    frames = [frame(i) for i in range(20)]
+    frames.append(frame(20, of=19, duplicate=True))
+    run(bus, [*frames, *(frame(i) for i in range(21, 30))])
+    speed = [np.linalg.norm([getattr(m.twist.twist.linear, axis) for axis in "xyz"]) for m in bus.of("odom")]
+    true = np.linalg.norm(true_position(21) - true_position(19)) * 30.0 / 2.0
+    assert speed[20] == pytest.approx(true, rel=0.3)
+
+
 def test_a_copy_whose_original_was_dropped_is_looked_at(bus, world):
     # Of the later images, each of which comes twice, only the copies get through.
     of = {i: i for i in range(20)} | {2 * i - 19: i for i in range(20, 50)}

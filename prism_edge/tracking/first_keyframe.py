@@ -1,0 +1,44 @@
+"""How long a map waits for its first keyframe: for its depth, and then for a frame tracked beside it."""
+
+from __future__ import annotations
+
+DEPTH_PATIENCE_S = 10.0  # no answer at all for this long: the network never got the picture
+TRACKING_PATIENCE_S = 1.0  # from when the depth came, however slow the network is
+RETRY_S = 0.2  # after depth that is of no use; twice as long each time, for the network may be broken
+NONE = -1
+
+
+class FirstKeyframe:
+    """The keyframe that a map begins with, and what has become of it. Stamps are the stream's."""
+
+    def __init__(self) -> None:
+        self._id, self._began_ns, self._now_ns = NONE, 0, 0
+        self._depth_ns: int | None = None  # when its depth was taken in
+        self._useless = False
+        self._retry_s = RETRY_S
+
+    def begin(self, keyframe: int, stamp_ns: int) -> None:
+        """It has been made."""
+        self._id, self._began_ns, self._now_ns = keyframe, stamp_ns, stamp_ns
+        self._depth_ns, self._useless = None, False
+
+    def has_depth(self) -> None:
+        """Points have been seeded from its depth."""
+        self._depth_ns, self._retry_s = self._now_ns, RETRY_S
+
+    def has_no_depth(self, keyframe: int) -> None:
+        """Its depth, if it is this keyframe's, is of no use: another image may be better."""
+        self._useless |= keyframe == self._id and self._depth_ns is None
+
+    def gives_way(self, stamp_ns: int) -> bool:
+        """A frame was not tracked beside it: whether another keyframe is to take its place."""
+        self._now_ns = stamp_ns
+        if self._depth_ns is not None:
+            return (stamp_ns - self._depth_ns) * 1e-9 > TRACKING_PATIENCE_S
+        waited_s = (stamp_ns - self._began_ns) * 1e-9
+        if not self._useless:
+            return waited_s > DEPTH_PATIENCE_S
+        if waited_s <= self._retry_s:
+            return False
+        self._retry_s = min(2.0 * self._retry_s, DEPTH_PATIENCE_S)
+        return True

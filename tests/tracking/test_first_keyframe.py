@@ -1,0 +1,137 @@
+"""How long a first keyframe is waited for: the rules, and a tracker that follows them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.messages import INITIALISING, OK
+from prism_edge.tracking.first_keyframe import DEPTH_PATIENCE_S, RETRY_S, TRACKING_PATIENCE_S, FirstKeyframe
+from prism_edge.tracking.tracker import Tracker
+from tests.tracking.film_run import BLACK, CONFIG, Run
+from tests.tracking.footage import IDENTITY, footage, other_room
+
+MS = 1_000_000
+NOTHING = np.zeros((240, 320), np.float32)
+
+
+def gives_way_after(first: FirstKeyframe, since_ms: int) -> int:
+    """Milliseconds until it does, asked every 10 ms."""
+    return next(ms for ms in range(0, 60_000, 10) if first.gives_way((since_ms + ms) * MS))
+
+
+def test_without_an_answer_it_stays_for_long() -> None:
+    first = FirstKeyframe()
+    first.begin(3, 500 * MS)
+    assert gives_way_after(first, 500) == pytest.approx(1000 * DEPTH_PATIENCE_S, abs=10)
+
+
+def test_from_its_depth_on_it_has_a_while_however_late_that_came() -> None:
+    first = FirstKeyframe()
+    first.begin(3, 0)
+    assert not first.gives_way(6_000 * MS)
+    first.has_depth()
+    assert gives_way_after(first, 6_000) == pytest.approx(1000 * TRACKING_PATIENCE_S, abs=10)
+
+
+def test_without_use_it_goes_soon_and_the_next_ones_later_and_later() -> None:
+    first, waited = FirstKeyframe(), []
+    for k in range(9):
+        first.begin(k, 0)
+        first.has_no_depth(k)
+        waited.append(gives_way_after(first, 0))
+    assert waited[0] == pytest.approx(1000 * RETRY_S, abs=10)
+    assert waited[1] == pytest.approx(2 * waited[0], abs=10)
+    assert waited == sorted(waited)
+    assert waited[-1] == pytest.approx(1000 * DEPTH_PATIENCE_S, abs=10)
+    first.begin(9, 0)
+    first.has_depth()
+    first.begin(10, 0)
+    first.has_no_depth(10)
+    assert gives_way_after(first, 0) == waited[0], "the network is in order"
+
+
+def test_others_depth_says_nothing_of_it() -> None:
+    first = FirstKeyframe()
+    first.begin(3, 0)
+    first.has_no_depth(2)
+    assert not first.gives_way(5_000 * MS)
+    first.has_depth()
+    first.has_no_depth(3)
+    assert not first.gives_way(5_500 * MS)
+
+
+@pytest.mark.parametrize("answer", ["invalid", "nowhere of use"])
+def test_a_first_image_whose_depth_is_of_no_use_costs_a_moment(answer: str) -> None:
+    run = Run()
+    run.feed(0)
+    if answer == "invalid":
+        run.tracker.add_no_depth(0)
+    else:
+        assert run.tracker.add_depth(0, NOTHING, IDENTITY, 0.1) == 0
+    at = 1
+    while len(run.keyframes) < 2 and at < 30:
+        assert run.feed(at).odometry == INITIALISING
+        at += 1
+    assert at <= RETRY_S * 30 + 3
+    assert run.tracker.epoch == 1
+    run.depth(max(run.keyframes))
+    assert run.feed(at).odometry == OK
+
+
+def test_slow_depth_that_is_followed_by_a_blurred_image_is_not_thrown_away() -> None:
+    run = Run()
+    for i in range(55):
+        run.feed(0, at=i)
+    assert run.depth(0) > 100
+    for i in range(55, 60):
+        assert run.feed(0, BLACK, at=i).odometry == INITIALISING
+    assert run.feed(0, at=60).odometry == OK
+    assert run.tracker.epoch == 0
+
+
+def astray(room: list[tuple[np.ndarray, ...]]) -> Run:
+    """A camera that was carried to another room, and begins a part of the map there."""
+    run = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3)))
+    run.play(range(30))
+    for i in range(30, 42):
+        run.feed(0, BLACK, at=i)
+    while max(run.keyframes.values()) < 42:
+        run.feed(0, room[0][0], at=max(run.results) + 1)
+    return run
+
+
+def test_a_part_whose_depth_is_of_no_use_begins_again_soon() -> None:
+    room = other_room(40)
+    run = astray(room)
+    part = max(run.keyframes)
+    run.tracker.add_no_depth(part)
+    began = max(run.results)
+    while max(run.keyframes) == part:
+        run.feed(0, room[0][0], at=max(run.results) + 1)
+        assert max(run.results) <= began + RETRY_S * 30 + 3
+    assert part not in run.tracker.world.keyframes
+    run.tracker.add_depth(max(run.keyframes), room[0][1], IDENTITY, 0.1)
+    assert run.feed(0, room[1][0], at=max(run.results) + 1).odometry == OK
+
+
+def test_a_part_of_slow_depth_is_not_lost_with_the_first_blurred_image() -> None:
+    room = other_room(40)
+    run = astray(room)
+    part = max(run.keyframes)
+    for _ in range(60):
+        run.feed(0, room[0][0], at=max(run.results) + 1)
+    run.tracker.add_depth(part, room[0][1], IDENTITY, 0.1)
+    run.feed(0, BLACK, at=max(run.results) + 1)
+    assert run.feed(0, room[1][0], at=max(run.results) + 1).odometry == OK
+    assert max(run.keyframes) == part
+
+
+def test_the_film_is_not_what_they_wait_for() -> None:
+    """Guard: the film's own first depth begins a map at once."""
+    run = Run()
+    run.feed(0)
+    assert run.tracker.add_depth(0, footage().depths[0], IDENTITY, 0.1) > 100
+    assert run.feed(1).odometry == OK
