@@ -66,7 +66,7 @@ class Supervisor:
         self._lenient_until_s = 0.0
         self._status = "starting"
         self._rows: list[Row] = []  # the latest
-        self._before = config  # the last reload
+        self._before = config  # the last that every process has taken up
         self._mark = run_mark(config)
         self._ended_well = False
 
@@ -156,14 +156,15 @@ class Supervisor:
         if change.refused:
             log.warning("not reloaded, as only a restart changes it: %s", " ".join(change.refused))
         log.info("reloaded: %s", " ".join(change.applied) or "nothing has changed")
-        self._before, self._config = self._config, change.config
+        if not any(watch.is_unproven for watch in self._watches.values()):
+            self._before = self._config
+        self._config = change.config
         self._directory.write("config.yaml", dump(self._config))
         for name, watch in self._watches.items():
             watch.configure(self._config.supervisor)
-            child = self._children[name]
-            if name in change.restart and child.exit_code is None and watch.asked_to_end_s is None:
-                watch.asked_to_end_s = time.monotonic()
-                child.terminate()
+            if name in change.restart and watch.asked_to_end_s is None:
+                watch.asked_to_end_s = time.monotonic()  # also of one that is down: its next start is a trial
+                self._children[name].terminate()
 
     def ended_well(self) -> None:
         """The run ends as it should: no other goes on in its map. Call before :meth:`stop`, or not at all."""

@@ -71,6 +71,11 @@ class Watch:
         return self.on_trial and code in USER_ERRORS
 
     @property
+    def is_unproven(self) -> bool:
+        """Whether it may yet refuse the configuration just taken up."""
+        return self.on_trial or self.asked_to_end_s is not None
+
+    @property
     def state(self) -> str:
         """starting | ready | working | idle | ended, as it says itself, or restarting."""
         if self.restart_at_s is not None:

@@ -32,6 +32,7 @@ from prism_edge.errors import BusError, ConfigError, SupervisionError
 from prism_edge.processes import Process
 from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.health import ERROR, OK, WARN
+from prism_edge.supervisor.reload import put
 from prism_edge.supervisor.run_directory import PREFIX
 from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.supervisor.watch import StartRefusedError
@@ -238,6 +239,28 @@ class TestSupervisor:
             with pytest.raises(ConfigError, match=r"metrics\.port: can't listen"):
                 run.start()
         assert launched == []
+
+    def test_a_bad_setting_that_is_reloaded_again_and_again_is_taken_back(
+        self, config: Config, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        bad = put(config, "depth.threads", 13)
+        with supervisor(config, "tracker:steady", "depth:picky") as run:
+            run.run(in_time(lambda: run.ready))
+            first = run.processes["depth"]
+            run.reload(bad)
+            run.reload(bad)  # it has been asked to end
+            run.run(in_time(lambda: run.processes.get("depth", first) != first))
+            run.reload(bad)  # it is on trial
+            run.run(in_time(lambda: run.ready))
+        assert caplog.text.count("depth refuses what was reloaded") == 1
+
+    def test_a_bad_setting_that_finds_its_process_down_is_taken_back(self, config: Config) -> None:
+        with supervisor(config, "tracker:steady", "depth:picky") as run:
+            run.run(in_time(lambda: run.ready))
+            os.kill(run.processes["depth"], signal.SIGKILL)
+            run.run(in_time(lambda: "depth" not in run.processes))
+            run.reload(put(config, "depth.threads", 13))
+            run.run(in_time(lambda: run.ready))
 
     def test_ended_when_every_process_has(self, config: Config) -> None:
         with supervisor(config, "source:ends", "tracker:ends") as run:
