@@ -51,7 +51,7 @@ def supervise(
             signals.reload_wanted.clear()
             _reload(supervisor, reread, notifier, announced)
         notifier.status(supervisor.status)
-        if supervisor.healthy:
+        if supervisor.alive:
             notifier.feed(time.monotonic())
         return signals.stopped.is_set() or (not stay and supervisor.ended)
 

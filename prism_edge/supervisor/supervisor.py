@@ -98,6 +98,13 @@ class Supervisor:
         return all(watch.healthy(now) for watch in self._watches.values() if watch.process.required)
 
     @property
+    def alive(self) -> bool:
+        """Whether every such process is healthy, or on its way to it: a restart of all would gain nothing."""
+        now = time.monotonic()
+        required = [watch for watch in self._watches.values() if watch.process.required]
+        return all(watch.healthy(now) or watch.comes_back(now) for watch in required)
+
+    @property
     def status(self) -> str:
         """The run in one line."""
         return self._status

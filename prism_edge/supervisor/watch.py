@@ -93,6 +93,11 @@ class Watch:
             return True
         return self.ready and self.verdict(now_s).liveness == ALIVE
 
+    def comes_back(self, now_s: float) -> bool:
+        """Whether it was ready in an earlier life, and is heard of within the time that a start may take."""
+        starts = self.was_ready and self._heartbeat is not None and self.state == "starting"
+        return starts and self.verdict(now_s).liveness == ALIVE
+
     @property
     def lives(self) -> int:
         """How often it has been started."""

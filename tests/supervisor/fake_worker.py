@@ -3,7 +3,8 @@
 Behaviours, joined by ``+``: steady, ends, dies, raises, refuses, fails_once=FILE (dies the first time),
 hangs (declared work that never ends), picky (refuses depth.threads = 13), stubborn (does not stop),
 breeds=FILE (starts a process of its own
-and writes its id), tracks=WORD (a tracker's odometry).
+and writes its id), tracks=WORD (a tracker's odometry), waits=FILE (makes it when it is ready; a later life is
+ready once it has gone).
 """
 
 from __future__ import annotations
@@ -32,9 +33,14 @@ def main(config: Config, bus: Bus) -> None:
             raise ModelError("13 threads are too many; give fewer")
         if word == "raises":
             raise RuntimeError("a defect")
+        while word == "waits" and Path(value).exists():
+            bus.pulse.working("opening the source", 60.0)
+            time.sleep(0.02)
         if word == "tracks":
             bus.pulse.values["odometry"] = value
         bus.pulse.ready()
+        if word == "waits":
+            Path(value).touch()
         if word == "dies":
             os._exit(9)
         if word == "fails_once" and not Path(value).exists():

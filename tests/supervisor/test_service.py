@@ -107,12 +107,27 @@ def test_watchdog_starves_while_a_required_process_stands_still(serve: Callable[
     os.kill(service.pids["tracker"], signal.SIGSTOP)
     manager.until(lambda heard: any(line.startswith("STATUS=tracker silent") for line in heard))
     silent = next(line for line in manager.heard if line.startswith("STATUS=tracker silent"))
-    # Found hung, killed and started again, it is ready once more: only then is the watchdog fed.
+    # Found hung and killed, it is started again: only then is the watchdog fed.
     manager.until(lambda heard: any(line.startswith("STATUS=ready") for line in after(heard, silent)))
     between = after(manager.heard, silent)
-    ready_again = next(i for i, line in enumerate(between) if line.startswith("STATUS=ready"))
-    assert "WATCHDOG=1" not in between[: max(ready_again - 1, 0)]
-    manager.until(lambda heard: "WATCHDOG=1" in after(heard, between[ready_again]))
+    again = next(i for i, line in enumerate(between) if line.startswith("STATUS=tracker starting"))
+    assert "WATCHDOG=1" not in between[:again]
+    manager.until(lambda heard: "WATCHDOG=1" in after(heard, between[again]))
+
+
+def test_watchdog_is_fed_while_a_process_that_was_ready_takes_its_time_to_start_again(
+    serve: Callable[..., Service], tmp_path: Path
+) -> None:
+    """A source whose camera is away: it waits longer than the watchdog does."""
+    service = serve(f"source:waits={tmp_path / 'away'}", "tracker:steady")
+    manager = service.manager
+    os.kill(service.pids["source"], signal.SIGKILL)
+    manager.until(lambda heard: any(line.startswith("STATUS=source ended") for line in heard))
+    killed = next(line for line in manager.heard if line.startswith("STATUS=source ended"))
+    manager.until(lambda heard: after(heard, killed).count("WATCHDOG=1") >= 3)
+    assert not any(line.startswith("STATUS=ready") for line in after(manager.heard, killed))
+    (tmp_path / "away").unlink()
+    manager.until(lambda heard: any(line.startswith("STATUS=ready") for line in after(heard, killed)))
 
 
 def test_reload_starts_anew_only_whom_it_concerns(serve: Callable[..., Service]) -> None:

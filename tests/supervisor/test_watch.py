@@ -97,6 +97,22 @@ def test_never_getting_ready_is_a_hang(watch: Watch) -> None:
     assert "not ready after 20 s" in watch.exited(-9, 21.1)
 
 
+def test_one_that_was_ready_and_starts_again_comes_back_while_it_is_heard_of_in_time(watch: Watch) -> None:
+    watch.heard(beat(100, "starting"), 0.1)
+    assert not watch.comes_back(0.2), "never ready yet"
+    watch.heard(beat(100, "idle"), 0.5)
+    watch.exited(-9, 2.0)
+    assert not watch.comes_back(2.1), "down"
+    watch.started(101, 2.5)
+    assert not watch.comes_back(2.6), "not heard of yet"
+    watch.heard(beat(101, "starting"), 3.0)
+    assert watch.comes_back(22.0)
+    assert not watch.healthy(22.0), "no pose can flow meanwhile"
+    assert not watch.comes_back(23.0), "it may take 20 s"
+    watch.heard(beat(101, "ready"), 23.5)
+    assert watch.healthy(23.6)
+
+
 def test_a_warning_of_its_own_shows_in_its_row_while_it_stands(watch: Watch) -> None:
     watch.heard(beat(100, "idle", warning="no usable depth: all NaN"), 0.5)
     row = watch.row(0.6)
