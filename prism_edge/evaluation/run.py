@@ -59,16 +59,18 @@ def evaluate(
 ) -> dict[str, Any]:
     """Runs ``config`` through the daemon and writes live.tum, final.tum, metrics.json and more to ``out``.
 
-    ``truth`` is a TUM file to score against instead of the sequence's own; either is read only after the
-    run. ``settle_s`` is how long the last optimisation may take; ``quiet`` shows no progress on stderr;
-    without ``keep_endpoint`` the default endpoint gives way to a free one, for runs side by side.
+    ``truth`` is a TUM file to score against instead of the sequence's own; either is read before the run, so
+    that a damaged one is said at once, and stays in this process. ``settle_s`` is how long the last
+    optimisation may take; ``quiet`` shows no progress on stderr; without ``keep_endpoint`` the default
+    endpoint gives way to a free one, for runs side by side.
     Returns the metrics. Call it from the main thread. Raises SourceError or ConfigError for an unusable
-    sequence, DaemonError with the daemon's own exit code where it fails, and EvaluationError where the run
-    broke a rule (the files are written then too).
+    sequence or its truth, DaemonError with the daemon's own exit code where it fails, and EvaluationError for
+    an unusable ``truth`` or where the run broke a rule (the files are written then too).
     """
     first, frame_count = extent(config.source)
     if truth is not None and not truth.is_file():
         raise EvaluationError(f"{truth}: no such file: nothing to score against")
+    true_path = _truth(config, truth)
     config = _prepared(config if keep_endpoint else on_free_endpoint(config), out)
     if not config.depth.network and not quiet:
         print(f"prism-edge: warning: depth {WITHOUT_NETWORK}", file=sys.stderr)
@@ -91,7 +93,7 @@ def evaluate(
         live=live,
         final=final,
         final_missing=missing,
-        truth=_truth(config, truth),
+        truth=true_path,
         truth_name=str(truth) if truth else "the sequence's own",
     )
     (out / "metrics.json").write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")

@@ -41,7 +41,8 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
         rows = _seven_scenes(zip(listing.stamps_ns, poses, strict=True))
     elif listing.layout == "KITTI odometry":
         absolute = folder.absolute()
-        rows = _kitti(folder, (folder / "poses.txt", absolute.parents[1] / "poses" / f"{absolute.name}.txt"))
+        benchmarks = absolute.parent.parent / "poses" / f"{absolute.name}.txt"  # of / the parent is / itself
+        rows = _kitti(folder, (folder / "poses.txt", benchmarks))
     if not rows:
         return None
     rows.sort(key=lambda row: row[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -125,6 +126,16 @@ def test_another_truth_may_be_given(tiny_sequence: Path, tmp_path: Path) -> None
     found = run("normal", tiny_sequence, tmp_path / "out", truth=truth)
     assert found["live"]["scale_ratio"] == pytest.approx(1.0, rel=1e-5)
     assert found["truth"] == str(truth)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_damaged_truth_is_found_before_the_run(own: bool, tiny_sequence: Path, tmp_path: Path) -> None:
+    sequence = shutil.copytree(tiny_sequence, tmp_path / "sequence")
+    bad = sequence / "groundtruth.txt" if own else tmp_path / "given.tum"
+    bad.write_text("100.0 nan 0 0 0 0 0 1\n")
+    with pytest.raises(SourceError if own else EvaluationError, match=bad.name):
+        run("normal", sequence, tmp_path / "out", truth=None if own else bad)
+    assert not (tmp_path / "out" / "daemon.log").exists()
 
 
 def test_a_pose_while_lost_voids_the_run_but_files_are_there(tiny_sequence: Path, tmp_path: Path) -> None:

@@ -57,6 +57,14 @@ def test_kitti_beside_the_images_or_as_the_benchmark_has_it(tmp_path: Path) -> N
     np.testing.assert_allclose(inside[1][:, 2, 3], [0, 1, 2])
 
 
+def test_kitti_in_a_folder_directly_below_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tiny.write_kitti(tmp_path)
+    monkeypatch.setattr(Path, "absolute", lambda self: Path("/seq"))
+    truth = read_truth(str(folder))
+    assert truth is not None
+    assert len(truth[0]) == 3
+
+
 def test_sequences_without_truth(tmp_path: Path) -> None:
     folder = tiny.write_tum(tmp_path / "tum")
     (folder / "groundtruth.txt").unlink()
