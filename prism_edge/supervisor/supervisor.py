@@ -19,6 +19,7 @@ from prism_edge.errors import SupervisionError
 from prism_edge.processes import Process, processes_for
 from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.health import Row, no_network, status_line, summary
+from prism_edge.supervisor.kept_journal import KeptJournal
 from prism_edge.supervisor.liveness import OVERDUE, QUIET_S
 from prism_edge.supervisor.metrics import MetricsServer
 from prism_edge.supervisor.reload import difference
@@ -26,7 +27,6 @@ from prism_edge.supervisor.remote import RemoteWatch
 from prism_edge.supervisor.run_directory import RunDirectory
 from prism_edge.supervisor.start import Start, start_worker
 from prism_edge.supervisor.watch import Watch
-from prism_edge.workers.cut_off import TOLD, run_mark
 
 if TYPE_CHECKING:
     from prism_edge.bus.commands import Reply
@@ -67,7 +67,7 @@ class Supervisor:
         self._status = "starting"
         self._rows: list[Row] = []  # the latest
         self._before = config  # the last that every process has taken up
-        self._mark = run_mark(config)
+        self._journal = KeptJournal(config)
         self._ended_well = False
 
     def __enter__(self) -> Supervisor:
@@ -77,8 +77,8 @@ class Supervisor:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._mark is not None and isinstance(error, SupervisionError):
-            self._mark.gave_up()
+        if isinstance(error, SupervisionError):
+            self._journal.gave_up()
         self.stop()
 
     @property
@@ -132,8 +132,8 @@ class Supervisor:
             self._directory = RunDirectory()
             self._cleanup.callback(self._directory.remove)
             self._file = self._directory.write("config.yaml", dump(self._config))
-            if self._mark is not None and self._mark.begin(self._config.state.recover_s):
-                self._directory.write(TOLD, "")
+            self._cleanup.callback(self._journal.release)
+            self._journal.claim(self._directory)
             # Before we have threads, so that they can be forks; but none may join a stranger's listener.
             early = can_listen(self._config.bus.endpoint)
             if early:
@@ -190,8 +190,8 @@ class Supervisor:
             if child.exit_code is None:
                 log.warning("%s did not end in %g s and is killed", name, self._config.supervisor.stop_s)
                 child.kill()
-        if self._mark is not None and self._ended_well:
-            self._mark.end()
+        if self._ended_well:
+            self._journal.ended()
         self._cleanup.close()
 
     def _open_bus(self) -> None:
@@ -236,8 +236,7 @@ class Supervisor:
             self.ready_s = now - self.started_s
             log.info("ready after %.2f s: %s", self.ready_s, " ".join(self._watches))
         self._publish(now)
-        if self._mark is not None:
-            self._mark.alive()
+        self._journal.alive()
 
     def _look_at(self, name: str, watch: Watch, now: float) -> None:
         if watch.restart_at_s is not None:

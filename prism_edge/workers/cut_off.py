@@ -22,6 +22,7 @@ log = logging.getLogger("prism_edge.supervisor")
 
 MARK = "unfinished"
 TOLD = "goes-on"  # in a run's folder: its processes are to go on in what the journal holds
+OWN_JOURNAL = "own-journal"  # in a run's folder: its journal lies there too, as the kept one is not the run's
 STAMP_S = 10.0
 MARK_BYTES = 120  # always as many: written over in place, which a full disk allows too
 
@@ -54,6 +55,7 @@ class RunMark:
     """The mark of this run in the journal's folder. Files that can't be written cost the recovery alone."""
 
     def __init__(self, folder: Path) -> None:
+        self.folder = folder
         self._path = folder / MARK
         self._goes_on = False
         self._stamped_s = float("-inf")

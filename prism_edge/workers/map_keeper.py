@@ -22,7 +22,7 @@ from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.errors import BusError, MapError
 from prism_edge.messages import Keyframe, WholeMap
-from prism_edge.workers.cut_off import goes_on
+from prism_edge.workers.cut_off import OWN_JOURNAL, goes_on
 from prism_edge.workers.map_flaw import map_flaw, pyramid_flaw
 from prism_edge.workers.state_directory import kept_journal, map_names, map_path
 
@@ -216,11 +216,10 @@ class MapKeeper:
 
 
 def journal_folder(config: Config, bus: Bus) -> Path | None:
-    """Where the journal is kept: with the state where a folder was given for it, else with the run.
-
-    None where neither is, as for a worker that was started by hand.
+    """Where the journal is kept: with the state where a folder was given for it and the run has it, else with
+    the run. None for a worker that was started by hand, whose lives nobody counts: it would recover nothing.
     """
-    kept = kept_journal(config.state)
-    if kept is not None or not config.state.journal:
-        return kept
-    return None if bus.run_directory is None else bus.run_directory / "journal"
+    if bus.run_directory is None or not config.state.journal:
+        return None
+    kept = None if (bus.run_directory / OWN_JOURNAL).is_file() else kept_journal(config.state)
+    return kept or bus.run_directory / "journal"

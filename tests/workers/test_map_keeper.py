@@ -18,6 +18,7 @@ from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE
 from prism_edge.workers import backend as worker
 from prism_edge.workers import map_keeper, state_directory
+from prism_edge.workers.cut_off import OWN_JOURNAL
 from prism_edge.workers.state_directory import map_names, map_path
 from tests.workers.backend_bench import CONFIG, depth_of, gate_of, hear, keyframes, snapshot
 from tests.workers.list_bus import ListBus
@@ -155,6 +156,24 @@ def test_no_journal_where_there_is_no_folder_for_it_or_none_is_wanted(
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
     run(tmp_path / "run", told, teller)
     assert (tmp_path / "state" / "journal" / "base").is_file()
+
+
+def test_what_is_kept_with_the_state_is_left_alone_by_a_run_that_does_not_have_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two runs with one state directory; and a worker that was started by hand, which has no run."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
+    teller, told = keyframes(3)
+    run(tmp_path / "first", told, teller)
+    kept = {path: path.read_bytes() for path in (tmp_path / "state" / "journal").iterdir()}
+    second = tmp_path / "second"
+    second.mkdir()
+    (second / OWN_JOURNAL).touch()
+    run(second, told[:2], teller)
+    assert snapshot(run(second, [], teller, life=1)).keyframes.tolist() == [0, 1]
+    by_hand = ListBus("keyframe")
+    hear(worker.BackendWorker(CONFIG, by_hand), by_hand, told[:1], teller)
+    assert {path: path.read_bytes() for path in (tmp_path / "state" / "journal").iterdir()} == kept
 
 
 class TestSaving:
@@ -366,23 +385,3 @@ def test_a_stored_map_with_wrong_plain_values_is_refused() -> None:
     ):
         with pytest.raises(MapError):
             Mapper(BackendConfig()).restore({**good, **wrong}, arrays)
-
-
-@pytest.mark.parametrize(
-    ("environment", "config", "expected"),
-    [
-        ({"STATE_DIRECTORY": "/a:/b"}, StateConfig(), "/a"),
-        ({"STATE_DIRECTORY": "/a"}, StateConfig(directory="/c"), "/c"),
-        ({"XDG_STATE_HOME": "/x"}, StateConfig(), "/x/prism-edge"),
-        ({"XDG_STATE_HOME": "relative", "HOME": "/h"}, StateConfig(), "/h/.local/state/prism-edge"),
-        ({"HOME": "/h"}, StateConfig(), "/h/.local/state/prism-edge"),
-    ],
-)
-def test_where_state_is_kept(
-    environment: dict[str, str], config: StateConfig, expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
-        monkeypatch.delenv(name, raising=False)
-    for name, value in environment.items():
-        monkeypatch.setenv(name, value)
-    assert state_directory.state_directory(config) == Path(expected)

@@ -1,0 +1,81 @@
+"""The journal in the state directory: of one run at a time, and of live cameras' alone."""
+
+from __future__ import annotations
+
+import fcntl
+import logging
+import os
+from pathlib import Path
+
+from prism_edge.config import Config
+from prism_edge.supervisor.run_directory import RunDirectory
+from prism_edge.workers.cut_off import OWN_JOURNAL, TOLD, run_mark
+
+log = logging.getLogger("prism_edge.supervisor")
+
+LOCK = "lock"
+
+
+class KeptJournal:
+    """Claimed by a run that may go on in the last one's map, or leave its own to the next.
+
+    Any other keeps its journal in its own folder: a recording that is played or evaluated, and a run that
+    finds this one taken. It neither reads nor writes what lies here, nor the mark.
+    """
+
+    def __init__(self, config: Config) -> None:
+        self._recover_s = config.state.recover_s
+        self._mark = run_mark(config)
+        self._lock = -1
+
+    def claim(self, directory: RunDirectory) -> None:
+        """Take it until :meth:`release` or this process's end, and tell the run's processes by its folder."""
+        if self._mark is not None and (why := self._take(self._mark.folder)):
+            log.warning(
+                "the journal in %s is not this run's (%s): it keeps its own, and leaves the next run no map",
+                self._mark.folder,
+                why,
+            )
+            self._mark = None
+        if self._mark is None:
+            directory.write(OWN_JOURNAL, "")
+        elif self._mark.begin(self._recover_s):
+            directory.write(TOLD, "")
+
+    def alive(self) -> None:
+        """The run goes on; say so, now and then."""
+        if self._mark is not None:
+            self._mark.alive()
+
+    def ended(self) -> None:
+        """The run has ended as it should: no other goes on in its map."""
+        if self._mark is not None:
+            self._mark.end()
+
+    def gave_up(self) -> None:
+        """A process kept dying."""
+        if self._mark is not None:
+            self._mark.gave_up()
+
+    def release(self) -> None:
+        """Another run may take it. No process of this one writes it any more."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def _take(self, folder: Path) -> str:
+        """Why it can't be had; empty where it is ours."""
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
+            self._lock = os.open(folder / LOCK, flags, 0o600)
+            # Not flock: workers are forks of ours, and one that outlives us would hold it on.
+            fcntl.lockf(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except (BlockingIOError, PermissionError):
+            why = "another run has it" if self._lock >= 0 else "no permission"
+        except OSError as error:
+            why = error.strerror or str(error)
+        else:
+            return ""
+        self.release()
+        return why

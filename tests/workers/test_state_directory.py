@@ -1,0 +1,30 @@
+"""Where maps and the journal are kept."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from prism_edge.config import StateConfig
+from prism_edge.workers import state_directory
+
+
+@pytest.mark.parametrize(
+    ("environment", "config", "expected"),
+    [
+        ({"STATE_DIRECTORY": "/a:/b"}, StateConfig(), "/a"),
+        ({"STATE_DIRECTORY": "/a"}, StateConfig(directory="/c"), "/c"),
+        ({"XDG_STATE_HOME": "/x"}, StateConfig(), "/x/prism-edge"),
+        ({"XDG_STATE_HOME": "relative", "HOME": "/h"}, StateConfig(), "/h/.local/state/prism-edge"),
+        ({"HOME": "/h"}, StateConfig(), "/h/.local/state/prism-edge"),
+    ],
+)
+def test_where_state_is_kept(
+    environment: dict[str, str], config: StateConfig, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert state_directory.state_directory(config) == Path(expected)
