@@ -9,7 +9,7 @@ from pathlib import Path
 
 from prism_edge.config import Config
 from prism_edge.supervisor.run_directory import RunDirectory
-from prism_edge.workers.cut_off import OWN_JOURNAL, TOLD, run_mark
+from prism_edge.workers.cut_off import OWN_JOURNAL, TOLD, RunMark, run_mark
 
 log = logging.getLogger("prism_edge.supervisor")
 
@@ -24,22 +24,24 @@ class KeptJournal:
     """
 
     def __init__(self, config: Config) -> None:
-        self._recover_s = config.state.recover_s
-        self._mark = run_mark(config)
+        self._config = config
+        self._mark: RunMark | None = None  # while it is claimed
         self._lock = -1
 
     def claim(self, directory: RunDirectory) -> None:
         """Take it until :meth:`release` or this process's end, and tell the run's processes by its folder."""
-        if self._mark is not None and (why := self._take(self._mark.folder)):
+        mark = run_mark(self._config)
+        if mark is not None and (why := self._take(mark.folder)):
             log.warning(
                 "the journal in %s is not this run's (%s): it keeps its own, and leaves the next run no map",
-                self._mark.folder,
+                mark.folder,
                 why,
             )
-            self._mark = None
-        if self._mark is None:
+            mark = None
+        self._mark = mark
+        if mark is None:
             directory.write(OWN_JOURNAL, "")
-        elif self._mark.begin(self._recover_s):
+        elif mark.begin(self._config.state.recover_s):
             directory.write(TOLD, "")
 
     def alive(self) -> None:
@@ -56,6 +58,11 @@ class KeptJournal:
         """A process kept dying."""
         if self._mark is not None:
             self._mark.gave_up()
+
+    def refused(self) -> None:
+        """The run could not start."""
+        if self._mark is not None:
+            self._mark.refused()
 
     def release(self) -> None:
         """Another run may take it. No process of this one writes it any more."""

@@ -26,7 +26,7 @@ from prism_edge.supervisor.reload import difference
 from prism_edge.supervisor.remote import RemoteWatch
 from prism_edge.supervisor.run_directory import RunDirectory
 from prism_edge.supervisor.start import Start, start_worker
-from prism_edge.supervisor.watch import Watch
+from prism_edge.supervisor.watch import StartRefusedError, Watch
 
 if TYPE_CHECKING:
     from prism_edge.bus.commands import Reply
@@ -79,6 +79,8 @@ class Supervisor:
     ) -> None:
         if isinstance(error, SupervisionError):
             self._journal.gave_up()
+        if isinstance(error, StartRefusedError):
+            self._journal.refused()
         self.stop()
 
     @property
@@ -145,6 +147,7 @@ class Supervisor:
                 metrics.start()
                 self._cleanup.callback(metrics.close)
         except BaseException:
+            self._journal.refused()
             self.stop()
             raise
 

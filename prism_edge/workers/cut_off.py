@@ -57,16 +57,16 @@ class RunMark:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._path = folder / MARK
-        self._goes_on = False
+        self._found: Moment | None = None  # when the run was last alive that this one goes on from
         self._stamped_s = float("-inf")
 
     def begin(self, recover_s: float, now: Moment | None = None) -> bool:
         """Mark this run; whether it is to go on where an earlier one was cut off at most so long ago."""
         now = now or Moment.now()
         last = self._read()
-        self._goes_on = last is not None and _recent(now.since(last), recover_s)
+        self._found = last if last is not None and _recent(now.since(last), recover_s) else None
         self._stamp(now)
-        return self._goes_on
+        return self._found is not None
 
     def alive(self) -> None:
         """Say so, now and then."""
@@ -81,8 +81,15 @@ class RunMark:
 
     def gave_up(self) -> None:
         """A process kept dying. In a map taken up that may be the map: the next run begins anew."""
-        if self._goes_on:
+        if self._found is not None:
             self.end()
+
+    def refused(self) -> None:
+        """The run could not start: the next may still go on where this one was to, and in nothing else."""
+        if self._found is None:
+            self.end()
+        else:
+            self._stamp(self._found)
 
     def _stamp(self, now: Moment) -> None:
         self._stamped_s = now.boot_s

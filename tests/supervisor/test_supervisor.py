@@ -25,6 +25,7 @@ from prism_edge.config import (
     DepthConfig,
     MetricsConfig,
     SourceConfig,
+    StateConfig,
     SupervisorConfig,
 )
 from prism_edge.config_file import dump
@@ -32,6 +33,7 @@ from prism_edge.errors import BusError, ConfigError, SupervisionError
 from prism_edge.processes import Process
 from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.health import ERROR, OK, WARN
+from prism_edge.supervisor.kept_journal import LOCK
 from prism_edge.supervisor.reload import put
 from prism_edge.supervisor.run_directory import PREFIX
 from prism_edge.supervisor.supervisor import Supervisor
@@ -223,6 +225,22 @@ class TestSupervisor:
             with pytest.raises(BusError):
                 run.start()
             assert run.processes == {}
+
+    @pytest.mark.parametrize("why", ["its camera", "its endpoint"])
+    def test_a_start_that_was_refused_is_no_run_that_was_cut_off(
+        self, config: Config, tmp_path: Path, why: str
+    ) -> None:
+        live = SourceConfig(uri="http://127.0.0.1:9/video")
+        config = replace(config, source=live, state=StateConfig(directory=str(tmp_path / "state")))
+        with socket.socket() as other:
+            if why == "its endpoint":
+                host, port = config.bus.endpoint.removeprefix("tcp/").split(":")
+                other.bind((host, int(port)))
+                other.listen()
+            run = supervisor(config, "source:refuses")
+            with pytest.raises((BusError, StartRefusedError)), run:
+                run.run(in_time(lambda: False))
+        assert {path.name for path in (tmp_path / "state" / "journal").iterdir()} == {LOCK}
 
     def test_a_port_of_metrics_in_use_is_said_before_any_process_is_started(self, config: Config) -> None:
         launched: list[str] = []

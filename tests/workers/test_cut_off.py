@@ -68,6 +68,22 @@ def test_a_map_in_which_a_process_keeps_dying_is_taken_up_once(tmp_path: Path) -
     assert not RunMark(tmp_path).begin(600.0, later(20.0))
 
 
+def test_a_run_that_could_not_start_is_none_to_go_on_from(tmp_path: Path) -> None:
+    refused = RunMark(tmp_path)
+    refused.begin(600.0, NOW)
+    refused.refused()
+    assert not RunMark(tmp_path).begin(600.0, later(10.0))
+
+
+def test_nor_does_it_come_between_a_run_that_was_cut_off_and_the_next(tmp_path: Path) -> None:
+    RunMark(tmp_path).begin(600.0, NOW)
+    for seconds in (300.0, 599.0):
+        refused = RunMark(tmp_path)
+        assert refused.begin(600.0, later(seconds))
+        refused.refused()
+    assert not RunMark(tmp_path).begin(600.0, later(601.0)), "it is no longer ago for that"
+
+
 def test_it_says_now_and_then_that_it_lives(tmp_path: Path) -> None:
     mark, real = RunMark(tmp_path), Moment.now()
     mark.begin(600.0, replace(real, boot_s=real.boot_s - 1.01 * STAMP_S))
