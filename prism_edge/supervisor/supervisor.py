@@ -267,7 +267,10 @@ class Supervisor:
                 log.error("%s ended with %s; starting it again", name, how)
 
     def _info(self, argument: str) -> Reply:
-        """The command `info`: refused, so to say, where no poses can flow."""
+        """The command `info`: refused, so to say, where what poses need is not up, or no map can be.
+
+        A camera that is away, a pause and a recording's end are said alone: no restart would mend them.
+        """
         from prism_edge import __version__
         from prism_edge.bus.commands import Reply
         from prism_edge.sources.address import shown_address
@@ -281,8 +284,11 @@ class Supervisor:
             "model": self._config.depth.network or NO_NETWORK,
             "up_s": f"{now - self.started_s:.0f}",
         }
-        values |= {name: watch.row(now).message for name, watch in self._watches.items()}
-        values |= {name: remote.row(now).message for name, remote in self._remote.items()}
+        rows = {name: watch.row(now) for name, watch in self._watches.items()}
+        rows |= {name: remote.row(now) for name, remote in self._remote.items()}
+        if "depth" in rows:
+            values["provider"] = rows["depth"].values.get("provider", "none")
+        values |= {name: row.message for name, row in rows.items()}
         if not self._config.depth.network:
             values["depth"] = no_network().message
         return Reply(self.ready_s is not None and self.healthy and self._has_map(now), self._status, values)

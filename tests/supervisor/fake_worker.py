@@ -2,9 +2,9 @@
 
 Behaviours, joined by ``+``: steady, ends, dies, raises, refuses, fails_once=FILE (dies the first time),
 hangs (declared work that never ends), picky (refuses depth.threads = 13), stubborn (does not stop),
-breeds=FILE (starts a process of its own
-and writes its id), tracks=WORD (a tracker's odometry), waits=FILE (makes it when it is ready; a later life is
-ready once it has gone).
+breeds=FILE (starts a process of its own and writes its id), tracks=WORD (a tracker's odometry),
+shows=NAME:VALUE (in its heartbeats), waits=FILE (makes it when it is ready; a later life is ready once it
+has gone).
 """
 
 from __future__ import annotations
@@ -38,6 +38,8 @@ def main(config: Config, bus: Bus) -> None:
             time.sleep(0.02)
         if word == "tracks":
             bus.pulse.values["odometry"] = value
+        if word == "shows":
+            bus.pulse.values.update([value.split(":", 1)])
         bus.pulse.ready()
         if word == "waits":
             Path(value).touch()

@@ -173,6 +173,18 @@ class TestSupervisor:
             run.run(in_time(lambda: run.ready_s is not None))
             assert told(run, config).ok
 
+    def test_info_tells_the_provider_and_a_camera_that_is_away_which_is_no_failure(
+        self, config: Config
+    ) -> None:
+        away, provider = "camera: reconnecting (no such device)", "CPUExecutionProvider"
+        workers = (f"source:shows=warning:{away}", "tracker:steady", f"depth:shows=provider:{provider}")
+        with supervisor(config, *workers) as run:
+            run.run(in_time(lambda: run.ready_s is not None))
+            reply = told(run, config)
+        assert reply.ok
+        assert away in reply.said
+        assert (reply.values["source"], reply.values["provider"]) == (away, provider)
+
     def test_gives_up_on_what_keeps_dying(self, config: Config) -> None:
         run = supervisor(config, "source:steady", "tracker:dies")
         with pytest.raises(SupervisionError, match="tracker died more than 2 times"), run:
