@@ -55,7 +55,7 @@ class MapChanges:
 
 
 class LoopCloser:
-    """Watches one map for returns. Every call works on the newest keyframe; nothing here reads a clock."""
+    """Watches one map for returns. Nothing here reads a clock."""
 
     def __init__(self, world: GlobalMap, config: BackendConfig, use_depth: bool, seed: int = 0) -> None:
         """``world`` may be a map that was there before."""
@@ -67,22 +67,26 @@ class LoopCloser:
         self._adjustment: GlobalAdjustment | None = None
         self._wanted = False  # there is something that no global adjustment has seen
         self._last_begun = -REST
-        self._count = 0  # keyframes looked at
+        self._count, self._newest = 0, -1  # keyframes looked at; the newest of them
         self._now_ns = self._begun_ns = 0  # stamps of the last of them, and of that when one was last begun
         self._lens = LensWatch(config.lens, len(world.keyframes))
         self._finds_lens = False  # the adjustment under way
         self.changes = MapChanges()
 
-    def add_place(self, keyframe: int, descriptor: F32, network: str = "") -> None:
-        """Note what a keyframe looks like to the network."""
-        if keyframe in self._world.keyframes:
-            self.index.add(keyframe, descriptor, network)
+    def add_place(self, keyframe: int, descriptor: F32, network: str = "") -> bool:
+        """Note what a keyframe looks like to the network; False where that says nothing."""
+        return keyframe in self._world.keyframes and self.index.add(keyframe, descriptor, network)
 
     def look(self, query: int) -> Accepted | None:
-        """Look for a return to an earlier place; what is accepted is in the map when this returns."""
-        self._count += 1
-        if query in self._world.keyframes:
-            self._now_ns = self._world.keyframes[query].stamp_ns
+        """Look for a return to an earlier place; what is accepted is in the map when this returns.
+
+        ``query`` is the newest keyframe, or one whose descriptor has come since.
+        """
+        if query > self._newest:
+            self._newest = query
+            self._count += 1
+            if query in self._world.keyframes:
+                self._now_ns = self._world.keyframes[query].stamp_ns
         self._part = None
         for loop in self._verified(query):
             if self._confirmed(loop) and self._close(loop):
@@ -114,7 +118,7 @@ class LoopCloser:
 
     def _confirmed(self, loop: Loop) -> bool:
         """Whether neighbours of the query, or keyframes just before it, say the same."""
-        recent = [other for other in self._unconfirmed if loop.query - other.query <= PATIENCE]
+        recent = [other for other in self._unconfirmed if abs(loop.query - other.query) <= PATIENCE]
         self._unconfirmed = [*recent, loop]
         apart = not self._connected(loop)
         if not apart and not plausible(self._world, loop):

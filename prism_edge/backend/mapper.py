@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import time
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.backend.frame import keep_frame
-from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.loop_closing import Accepted, LoopCloser, MapChanges
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.stored_map import KnownScale, from_arrays, to_arrays
@@ -18,7 +19,7 @@ from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
 from prism_edge.geometry.cameras import PINHOLE, Camera
-from prism_edge.geometry.poses import Array, inverse
+from prism_edge.geometry.poses import Array, inverse, transform
 from prism_edge.messages import LARGEST_ID, Gate, Keyframe, MapUpdate
 from prism_edge.tracking.depth_alignment import agreement
 from prism_edge.tracking.place_index import PlaceIndex
@@ -98,20 +99,29 @@ class Mapper:
         (``frame_sigma``) is taken in the map's own scale instead, and so keeps that from drifting.
         """
         keyframe = self.world.keyframes.get(message.id)
-        if keyframe is None:
-            return
-        good, network = sample_depth(depth, image_to_depth, keyframe.camera.distort_pixels(keyframe.pixels))
-        own = np.where(good, network, 0.0)
-        firm = good & (message.parallax_deg >= MIN_ALIGNED_PARALLAX_DEG) & (message.depths > 0)
-        factor = float(np.exp(-log_scale))
-        if math.isfinite(frame_sigma) and frame_sigma >= 0.0:
-            keyframe.depth_sigma = max(frame_sigma, LEAST_DEPTH_SIGMA)
-        elif firm.sum() >= MIN_ALIGNED:
-            agreed = agreement(message.depths[firm].astype(np.float64), own[firm])
-            if not agreed.informative:
-                return
-            factor = agreed.units_per_metre
-        keyframe.depths = own * factor
+        if keyframe is not None:
+            _attach_depth(
+                keyframe, message.depths, message.parallax_deg, depth, image_to_depth, log_scale, frame_sigma
+            )
+
+    def add_late_depth(
+        self,
+        number: int,
+        depth: NDArray[np.float32],
+        image_to_depth: Array,
+        log_scale: float,
+        frame_sigma: float = math.nan,
+    ) -> None:
+        """As :meth:`add_depth`, of a keyframe solved since: held against the map as it is now."""
+        keyframe = self.world.keyframes.get(number)
+        if keyframe is not None:
+            points = {keypoint: self.world.points[p] for p, keypoint in keyframe.observed.items()}
+            rows = list(points)
+            places = np.array([points[i].position for i in rows]).reshape(-1, 3)
+            known, parallax_deg = np.zeros(len(keyframe.pixels)), np.zeros(len(keyframe.pixels))
+            known[rows] = transform(inverse(keyframe.world_from_camera), places)[:, 2]
+            parallax_deg[rows] = [points[i].parallax_deg for i in rows]
+            _attach_depth(keyframe, known, parallax_deg, depth, image_to_depth, log_scale, frame_sigma)
 
     def add_gate(self, message: Gate) -> None:
         """Attach the gate's weights to a keyframe's keypoints (those of a message that fits it).
@@ -245,6 +255,30 @@ class Mapper:
             dropped_keyframes=ids,
             dropped_points=ids,
         )
+
+
+def _attach_depth(
+    keyframe: GlobalKeyframe,
+    known: NDArray[np.floating[Any]],
+    parallax_deg: NDArray[np.floating[Any]],
+    depth: NDArray[np.float32],
+    image_to_depth: Array,
+    log_scale: float,
+    frame_sigma: float,
+) -> None:
+    """``known`` (n,) along z and ``parallax_deg`` (n,) are of keypoints' points, map units; 0 for none."""
+    good, network = sample_depth(depth, image_to_depth, keyframe.camera.distort_pixels(keyframe.pixels))
+    own = np.where(good, network, 0.0)
+    firm = good & (parallax_deg >= MIN_ALIGNED_PARALLAX_DEG) & (known > 0)
+    factor = float(np.exp(-log_scale))
+    if math.isfinite(frame_sigma) and frame_sigma >= 0.0:
+        keyframe.depth_sigma = max(frame_sigma, LEAST_DEPTH_SIGMA)
+    elif firm.sum() >= MIN_ALIGNED:
+        agreed = agreement(known[firm].astype(np.float64), own[firm])
+        if not agreed.informative:
+            return
+        factor = agreed.units_per_metre
+    keyframe.depths = own * factor
 
 
 def _pinhole(camera: Camera | None) -> Array:

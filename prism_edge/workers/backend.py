@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from prism_edge.backend.lens import radial
+from prism_edge.backend.loop_closing import Accepted
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus.commands import Reply
@@ -62,6 +63,7 @@ class BackendWorker:
         self._whole = Handover()
         self._waiting: deque[tuple[float, Keyframe]] = deque()
         self._early: dict[int, Depth] = {}
+        self._late: int | None = None  # the newest keyframe whose descriptor came after it was looked at
         self._scale = KnownScale()
         self._scaled: set[int] = set()
         self._gated: dict[int, Gate] = {}
@@ -93,18 +95,25 @@ class BackendWorker:
             # The last keyframe may still be under way when the end is: one quiet look more.
             if ending and not worked and not self._waiting and not self._settled:
                 self._receive(4 * _LOOK_S)
-                self._mapper.loops.finish()
-                while self._mapper.loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
-                    self._adjust()
-                if not self._waiting:
-                    self._settled = True
-                    self._snapshot = self._take_snapshot()
-                    self._bus.pulse.ended()
+                if self._late is None:
+                    self._settle()
+
+    def _settle(self) -> None:
+        self._mapper.loops.finish()
+        while self._mapper.loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
+            self._adjust()
+        if not self._waiting:
+            self._settled = True
+            self._snapshot = self._take_snapshot()
+            self._bus.pulse.ended()
 
     # -- real time ----------------------------------------------------------------------------------
 
     def _realtime(self) -> bool:
-        """Absorb every keyframe at once, solve the window of the newest; whether there was one."""
+        """Absorb every keyframe at once, solve the window of the newest, or look at one again.
+
+        Whether there was one.
+        """
         self._receive(0.0 if self._mapper.loops.adjusting else _LOOK_S)
         newest: Keyframe | None = None
         while self._waiting:
@@ -115,11 +124,14 @@ class BackendWorker:
             self._waiting.popleft()
             self._absorb(keyframe)
             newest = keyframe
+        late = self._late
         if newest is not None:
             self._solve(newest)
+        elif late is not None:
+            self._look_again(late)
         elif self._mapper.loops.adjusting:
             self._adjust()
-        return newest is not None
+        return newest is not None or late is not None
 
     def _receive(self, timeout_s: float) -> None:
         first = self._keyframes.take(timeout_s)
@@ -128,11 +140,10 @@ class BackendWorker:
             if keyframe.epoch >= self._mapper.epoch:  # else of a map that is gone
                 self._waiting.append((now, keyframe))
         for depth in self._depths.drain():
-            if depth.keyframe >= 0:  # else a probe's, which is for the tracker
+            if depth.epoch == self._mapper.epoch and depth.keyframe in self._mapper.world.keyframes:
+                self._take_late(depth)
+            elif depth.keyframe >= 0:  # else a probe's, which is for the tracker
                 self._early[depth.keyframe] = depth
-                if depth.epoch == self._mapper.epoch and self._close_loops:
-                    # It may be too late for its window, but not for later keyframes to be compared with.
-                    self._mapper.loops.add_place(depth.keyframe, depth.descriptor, depth.model)
         for gate in self._gates.drain():
             self._gated[gate.keyframe] = gate
             self._mapper.add_gate(gate)
@@ -141,9 +152,21 @@ class BackendWorker:
             if scale.epoch == self._mapper.epoch and np.isfinite(scale.log_scale):
                 self._scale = KnownScale(scale.log_scale, scale.filter_sigma, scale.bias_sigma)
 
+    def _take_late(self, depth: Depth) -> None:
+        """Depth that its keyframe has not waited for serves the windows and loops that are still to come."""
+        if depth.valid and self._use_depth:
+            self._mapper.add_late_depth(
+                depth.keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma
+            )
+        if not self._close_loops:
+            return
+        known = self._mapper.loops.add_place(depth.keyframe, depth.descriptor, depth.model)
+        if known and self._ticks is None:  # in lockstep nothing is late but what had no time limit
+            self._late = max(depth.keyframe, -1 if self._late is None else self._late)
+
     def _absorb(self, keyframe: Keyframe) -> None:
         if keyframe.epoch != self._mapper.epoch:
-            self._scale = KnownScale()
+            self._scale, self._late = KnownScale(), None
         self._mapper.absorb(keyframe)
         depth = self._early.pop(keyframe.id, None)
         self._early = {k: kept for k, kept in self._early.items() if k > keyframe.id}
@@ -189,15 +212,29 @@ class BackendWorker:
         self._bus.pulse.idle()
         return update
 
+    def _look_again(self, keyframe: int) -> None:
+        """By a descriptor that was not there yet when the keyframe was looked at."""
+        self._bus.pulse.working(f"place of keyframe {keyframe}", _SOLVE_S)
+        self._late = None
+        closed = self._mapper.loops.look(keyframe)
+        if closed is not None:
+            self._tell_whole(closed)
+        self._bus.pulse.idle()
+
     def _adjust(self) -> None:
         """One step of the global adjustment, so that keyframes are heard in between."""
         self._bus.pulse.working("global adjustment", _SOLVE_S)
-        loops, world = self._mapper.loops, self._mapper.world
         if self._adjust_further():
-            self._bus.publish("map_update", self._mapper.whole(max(world.keyframes), loops.take_changes()))
-            self._keeper.overhauled()
-            self._snapshot = self._take_snapshot()
+            self._tell_whole()
         self._bus.pulse.idle()
+
+    def _tell_whole(self, closed: Accepted | None = None) -> None:
+        """All of the map, between keyframes."""
+        changes = self._mapper.loops.take_changes()
+        update = self._mapper.whole(max(self._mapper.world.keyframes), changes, closed=closed)
+        self._bus.publish("map_update", update)
+        self._keeper.overhauled()
+        self._snapshot = self._take_snapshot()
 
     def _adjust_further(self) -> bool:
         """One step of the global adjustment; whether its result is in the map."""
@@ -260,6 +297,7 @@ class BackendWorker:
         finally:
             self._bus.pulse.idle()
         self._waiting.clear()  # keyframes of the map that has gone
+        self._late = None
         self._snapshot = self._take_snapshot()
         self._tell_loaded()
         return Reply(True, f"{said}; looking for the camera in it")

@@ -236,6 +236,21 @@ def test_what_is_kept_for_later_does_not_grow():
     assert not made._waiting
 
 
+def test_depth_that_comes_after_its_keyframe_still_serves_the_map(monkeypatch):
+    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    bus, (teller, told) = ListBus("keyframe"), keyframes(4)
+    made = worker.BackendWorker(CONFIG, bus)
+    for keyframe in told:
+        bus.give("keyframe", keyframe)
+        made._realtime()
+    assert all(k.depths is None for k in made._mapper.world.keyframes.values())
+    bus.give("depth", depth_of(told[1], teller), depth_of(told[2], teller, epoch=4))
+    bus.give("depth", depth_of(told[3], teller, valid=False))
+    made._realtime()
+    has_depth = [k.depths is not None for k in made._mapper.world.keyframes.values()]
+    assert has_depth == [False, True, False, False]
+
+
 @pytest.mark.parametrize("late", [False, True])
 def test_the_gates_weights_reach_the_keyframe_before_or_after_it(late, monkeypatch):
     bus, (teller, told) = ListBus("keyframe"), keyframes(2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -61,6 +62,53 @@ def test_a_loop_is_announced_with_its_keyframe_s_update_and_stands_in_the_snapsh
         for s in (whole, snapshot(plain))
     )
     assert with_loops < 0.5 * without
+
+
+def late_ring(lag: int, count: int = 43) -> tuple[ListBus, worker.BackendWorker]:
+    """Real time with a slow network: depth comes once its keyframe, and ``lag`` more, have been solved."""
+    bus = ListBus("keyframe", patience=40)
+    made = worker.BackendWorker(CONFIG, bus)
+    ring = Ring(lap=36, drift=np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002]), count=1800)
+    under_way: deque[Keyframe] = deque()
+    for _ in range(count):
+        keyframe = ring.keyframe()
+        under_way.append(keyframe)
+        bus.give("keyframe", keyframe)
+        while keyframe.id not in made._mapper.world.keyframes:
+            made._realtime()
+        if len(under_way) > lag:
+            bus.give("depth", ring_depth(under_way.popleft(), ring))
+            made._realtime()
+    bus.give("depth", *(ring_depth(keyframe, ring) for keyframe in under_way))
+    return bus, made
+
+
+@pytest.mark.parametrize("lag", [0, 3])
+def test_a_place_is_recognised_by_a_descriptor_that_comes_late(lag, monkeypatch):
+    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    bus, made = late_ring(lag)
+    loops, updates = made._mapper.loops, bus.of("map_update")
+    assert loops.accepted
+    closed = next(u for u in updates if u.loop_closed)
+    assert closed.based_on == closed.loop_query + lag
+    assert closed.loop_query - closed.loop_candidate > 30
+    assert closed.keyframes.tolist() == list(range(closed.based_on + 1)), "everything moves"
+    assert len(closed.fused_from) > 20
+    assert len(snapshot(bus).loop_queries) == len(loops.accepted)
+    assert loops._count == 43, "a second look is none of another keyframe"
+    assert loops._now_ns == made._mapper.world.keyframes[42].stamp_ns
+
+
+def test_the_end_waits_for_a_look_at_a_place_that_came_late(monkeypatch):
+    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    bus, made = late_ring(42, count=43)
+    assert not made._mapper.loops.accepted
+    bus.give("end", EndOfStream(43, 43, 0, 0, 42))
+    made.run()
+    assert bus.states.count("ended") == 1
+    assert made._mapper.loops.accepted
+    assert bus.states.index("place of keyframe 42") < bus.states.index("global adjustment")
+    assert snapshot(bus).settled
 
 
 def test_the_end_waits_for_the_global_adjustment_of_the_last_loop():
