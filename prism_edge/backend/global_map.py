@@ -296,6 +296,7 @@ class GlobalMap:
 
     def fuse(self, old: int, kept: int) -> None:
         """Make two points one; where a keyframe saw both, it keeps seeing ``kept`` as it did."""
+        kept = self.present(kept)  # else names could go round: both sides may have made these one
         if old not in self.points or old == kept:
             return
         # A point that came and went between two messages may be a link to one that stayed.
