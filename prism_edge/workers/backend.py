@@ -99,13 +99,21 @@ class BackendWorker:
                     self._settle()
 
     def _settle(self) -> None:
+        """Adjust what is still to be adjusted; the end has been reached where nothing comes meanwhile."""
         self._mapper.loops.finish()
         while self._mapper.loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
             self._adjust()
         if not self._waiting:
             self._settled = True
             self._snapshot = self._take_snapshot()
+            self._rest()
+
+    def _rest(self) -> None:
+        """Nothing to do for now; `run` waits until that is said to be for good."""
+        if self._settled:
             self._bus.pulse.ended()
+        else:
+            self._bus.pulse.idle()
 
     # -- real time ----------------------------------------------------------------------------------
 
@@ -167,6 +175,7 @@ class BackendWorker:
     def _absorb(self, keyframe: Keyframe) -> None:
         if keyframe.epoch != self._mapper.epoch:
             self._scale, self._late = KnownScale(), None
+        self._settled = False
         self._mapper.absorb(keyframe)
         depth = self._early.pop(keyframe.id, None)
         self._early = {k: kept for k, kept in self._early.items() if k > keyframe.id}
@@ -218,15 +227,16 @@ class BackendWorker:
         self._late = None
         closed = self._mapper.loops.look(keyframe)
         if closed is not None:
+            self._settled = False
             self._tell_whole(closed)
-        self._bus.pulse.idle()
+        self._rest()
 
     def _adjust(self) -> None:
         """One step of the global adjustment, so that keyframes are heard in between."""
         self._bus.pulse.working("global adjustment", _SOLVE_S)
         if self._adjust_further():
             self._tell_whole()
-        self._bus.pulse.idle()
+        self._rest()
 
     def _tell_whole(self, closed: Accepted | None = None) -> None:
         """All of the map, between keyframes."""
@@ -289,13 +299,13 @@ class BackendWorker:
         try:
             return Reply(True, self._keeper.save(argument, self._scale))
         finally:
-            self._bus.pulse.idle()
+            self._rest()
 
     def _load_map(self, argument: str) -> Reply:
         try:
             self._scale, said = self._keeper.load(argument)
         finally:
-            self._bus.pulse.idle()
+            self._rest()
         self._waiting.clear()  # keyframes of the map that has gone
         self._late = None
         self._snapshot = self._take_snapshot()

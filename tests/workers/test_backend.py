@@ -165,6 +165,44 @@ def test_the_end_settles_the_map_and_the_worker_stays():
     assert bus.of("map_update")
 
 
+def test_a_keyframe_that_comes_behind_the_end_does_not_hide_it():
+    bus, (teller, told) = ListBus("keyframe", patience=40), keyframes(4)
+    late = told.pop()
+    bus.give("depth", *(depth_of(k, teller) for k in told))
+    bus.give("keyframe", *told)
+    bus.give("end", EndOfStream(100, 100, 0, 0, 99))
+    made = worker.BackendWorker(CONFIG, bus)
+    ended = bus.pulse.ended
+
+    def then_one_more() -> None:
+        ended()
+        if bus.states.count("ended") == 1:
+            bus.give("depth", depth_of(late, teller))
+            bus.give("keyframe", late)
+
+    bus.pulse.ended = then_one_more
+    made.run()
+    assert f"window of keyframe {late.id}" in bus.states
+    assert bus.states[-1] == "ended"
+    assert bus.states.count("ended") == 2
+    assert bus.of("solved")[-1].keyframes == 4, "it is adjusted with the others"
+    assert bus.of("solved")[-1].everything
+    assert snapshot(bus).settled
+
+
+def test_a_command_after_the_end_does_not_hide_it():
+    bus, (teller, told) = ListBus("keyframe", patience=40), keyframes(3)
+    bus.give("depth", *(depth_of(k, teller) for k in told))
+    bus.give("keyframe", *told)
+    bus.give("end", EndOfStream(100, 100, 0, 0, 99))
+    made = worker.BackendWorker(CONFIG, bus)
+    made.run()
+    for command in ("save_map", "load_map"):
+        bus.desk.ask(command, "no such folder")
+        bus.desk.serve()
+        assert bus.states[-1] == "ended"
+
+
 def test_at_the_end_everything_is_adjusted_together():
     """What small windows have left, in a map without a loop; said to the tracker too."""
     config = replace(CONFIG, backend=replace(CONFIG.backend, window=3, fixed=2, observations=20))
