@@ -200,6 +200,7 @@ class Scale:
     accepted: bool
     bias_sigma: float = 0.0  # the network's, which is in sigma
     local_sigma: float = 0.0  # how far the map's log scale here may be from log_scale, beyond sigma
+    network: str = ""  # whose depth it was learned from
 
 
 @dataclass(frozen=True)
@@ -289,12 +290,16 @@ class WholeMap:
 
 @dataclass(frozen=True)
 class MapLoaded:
-    """The backend has taken up a stored map: the tracker asks for all of it, scale knows its unit."""
+    """The backend has taken up a stored map: the tracker asks for all of it, scale knows its unit.
+
+    A scale process that was started again asks for that of the present one.
+    """
 
     epoch: int
     log_scale: float
     scale_sigma: float  # the network's bias left out
     bias_sigma: float = 0.0
+    network: str = ""  # whose depth log_scale was learned from
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,8 @@ TOPICS = {
         Topic("internal/map_snapshot", m.MapSnapshot, 0, "backend", latched=True),
         # asked for by a tracker that was started again, or that hears of a loaded map
         Topic("internal/whole_map", m.WholeMap, 0, "backend", ("tracker",), latched=True),
-        Topic("internal/map_loaded", m.MapLoaded, 0, "backend", ("tracker", "scale")),
+        # asked for by a scale that was started again
+        Topic("internal/map_loaded", m.MapLoaded, 0, "backend", ("tracker", "scale"), latched=True),
         Topic("internal/acknowledged", m.Acknowledged, 30, "all", ("source",)),
         Topic("internal/heartbeat", m.Heartbeat, 2, "all", ("supervisor",), priority="data_low"),
     )

@@ -85,6 +85,7 @@ class KnownScale:
     log_scale: float = 0.0
     sigma: float = UNKNOWN_SCALE_SIGMA
     bias_sigma: float = 0.0
+    network: str = ""  # that it was learned from, as its depths name it
 
     @classmethod
     def of(cls, info: Info) -> KnownScale:
@@ -97,12 +98,13 @@ class KnownScale:
             raise MapError("the map's log scale has no standard deviation")
         if not isinstance(bias, (int, float)) or not 0.0 <= bias < LARGEST_LOG_SCALE:
             raise MapError("the bias of the map's log scale is none")
-        return cls(float(log_scale), float(sigma), float(bias))
+        return cls(float(log_scale), float(sigma), float(bias), str(info.get("scale_by", "")))
 
     @property
     def info(self) -> Info:
         """For a stored map."""
-        return {"log_scale": self.log_scale, "scale_sigma": self.sigma, "bias_sigma": self.bias_sigma}
+        known = {"log_scale": self.log_scale, "scale_sigma": self.sigma, "bias_sigma": self.bias_sigma}
+        return {**known, "scale_by": self.network}
 
 
 def to_arrays(world: GlobalMap, index: PlaceIndex) -> tuple[Info, Arrays]:

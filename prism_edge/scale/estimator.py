@@ -37,6 +37,7 @@ class ScaleEstimator:
         self._least_squares = "wls" not in ablate
         self._epoch: int | None = None
         self._bias_sigma = 0.0  # of the network, as last heard
+        self._network = ""  # whose depth the map's unit was learned from
         self._says_spread = False  # whether the source of depth has told its own frame_sigma
         self._gate = KeyframeGate(gate or GateConfig(), "dsug" not in ablate)
         self._filter = ScaleFilter(config, self._kalman)
@@ -74,6 +75,7 @@ class ScaleEstimator:
         scale = self._filter
         scale.predict(keyframe.stamp_ns * 1e-9, keyframe.travelled)
         if depth is not None and math.isfinite(depth.bias_sigma) and depth.bias_sigma >= 0.0:
+            self._meet(depth)
             self._bias_sigma = depth.bias_sigma
             if self._bias_sigma > 0.0:
                 scale.expect(self._network_sigma())
@@ -107,6 +109,7 @@ class ScaleEstimator:
             filter_sigma=scale.learned_sigma,
             bias_sigma=self._bias_sigma,
             local_sigma=self._local.sigma(self._network_sigma()),
+            network=self._network,
             observation=observation.log_scale if observation else math.nan,
             observation_sigma=math.sqrt(observation.variance) if observation else math.nan,
             points=observation.points if observation else 0,
@@ -114,9 +117,12 @@ class ScaleEstimator:
         )
         return message, Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, uncertainty)
 
-    def take_over(self, epoch: int, log_scale: float, sigma: float, bias_sigma: float = 0.0) -> None:
-        """A map that was stored is gone on with, as ``epoch``: its unit is known, to a network's bias."""
+    def take_over(
+        self, epoch: int, log_scale: float, sigma: float, bias_sigma: float = 0.0, network: str = ""
+    ) -> None:
+        """A map that was there is gone on with, as ``epoch``: its unit is known, to a network's bias."""
         self._begin(epoch)
+        self._network = network
         self._bias_sigma = bias_sigma or self._bias_sigma
         self._filter.take_over(log_scale, sigma)
         self._steady.log_scale = log_scale
@@ -126,7 +132,14 @@ class ScaleEstimator:
         self._filter = ScaleFilter(self._config, self._kalman)
         self._steady = self._new_steady()
         self._local, self._local_ns = LocalScale(), 0
+        self._network = ""
         self._gate.forget()
+
+    def _meet(self, depth: Depth) -> None:
+        """Another network has other metres: they are off by its bias and by that of the one before."""
+        if self._network and depth.model and depth.model != self._network:
+            self._filter.widen(math.hypot(self._bias_sigma, depth.bias_sigma))
+        self._network = depth.model or self._network
 
     def _heed(self, depth: Depth | None) -> None:
         """A source of depth that knows how well its images agree in scale says so, before it is believed."""

@@ -123,6 +123,10 @@ class ScaleFilter:
         self._covariance = np.diag([known**2, self._config.frame_sigma**2])
         self._unit_fixed = True
 
+    def widen(self, sigma: float) -> None:
+        """What is known may be off by so much more."""
+        self._covariance = self._covariance + np.diag([sigma**2, 0.0])
+
     def update(self, observation: Observation) -> bool:
         """Takes in a keyframe's observation; False where it was refused as an outlier."""
         z = observation.log_scale

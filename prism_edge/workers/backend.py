@@ -77,6 +77,7 @@ class BackendWorker:
         self._snapshot = self._take_snapshot()
         bus.answer("map_snapshot", lambda: self._snapshot)
         bus.answer("whole_map", self._whole.ask)
+        bus.answer("map_loaded", self._known_unit)
 
     def run(self) -> None:
         """Works until the bus is stopped; the map stays available."""
@@ -158,7 +159,8 @@ class BackendWorker:
         for scale in self._scales.drain():
             self._scaled.add(scale.keyframe)
             if scale.epoch == self._mapper.epoch and np.isfinite(scale.log_scale):
-                self._scale = KnownScale(scale.log_scale, scale.filter_sigma, scale.bias_sigma)
+                told = scale.log_scale, scale.filter_sigma, scale.bias_sigma, scale.network
+                self._scale = KnownScale(*told)
 
     def _take_late(self, depth: Depth) -> None:
         """Depth that its keyframe has not waited for serves the windows and loops that are still to come."""
@@ -313,9 +315,16 @@ class BackendWorker:
         return Reply(True, f"{said}; looking for the camera in it")
 
     def _tell_loaded(self) -> None:
+        self._bus.publish("map_loaded", self._loaded())
+
+    def _loaded(self) -> MapLoaded:
         known = self._scale
-        loaded = MapLoaded(self._mapper.epoch, known.log_scale, known.sigma, known.bias_sigma)
-        self._bus.publish("map_loaded", loaded)
+        return MapLoaded(self._mapper.epoch, known.log_scale, known.sigma, known.bias_sigma, known.network)
+
+    def _known_unit(self) -> MapLoaded | None:
+        """Asked for in another thread: in lockstep ours may be waiting for who asks."""
+        loaded = self._loaded()  # amid a load it may be of the map before; then one is published, too
+        return None if self._scale == KnownScale() else loaded
 
     # -- the map for others -------------------------------------------------------------------------
 

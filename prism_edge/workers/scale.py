@@ -21,6 +21,7 @@ log = logging.getLogger("prism_edge.scale")
 _WAIT_S = 0.05
 # Lockstep: a depth that takes longer isn't coming (its worker died with the image), and all wait for us.
 _PATIENCE_S = 30.0
+_ASK_S = 3.0  # metres wait for it
 # Real time: with no depth for this long (its host is cut off) keyframes say how the uncertainty grows.
 _SILENT_S = 3.0
 
@@ -47,6 +48,8 @@ class ScaleWorker:
 
     def run(self) -> None:
         """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""
+        if self._bus.first_id:
+            self._go_on()
         self._bus.pulse.ready()
         if self._ticks is not None:
             self._bus.await_ready(self._peers, self._patience_s)
@@ -59,6 +62,14 @@ class ScaleWorker:
                     self._acknowledge(tick)
             if self._ends.drain():
                 self._bus.pulse.ended()
+
+    def _go_on(self) -> None:
+        """Where a life before this one has learned the map's unit, the backend has heard of it."""
+        self._bus.pulse.working("asking for the map's unit", 3 * _ASK_S)
+        self._bus.await_ready(["backend"], _ASK_S)
+        known = self._bus.ask("map_loaded", _ASK_S)
+        if known is not None:
+            self._take_over(known)
 
     def _acknowledge(self, tick: Tracked) -> None:
         """Lockstep: frame ``tick.index`` is done here once its keyframe, if it became one, has its scale."""
@@ -102,7 +113,7 @@ class ScaleWorker:
     def _take_over(self, loaded: MapLoaded) -> None:
         """Said at once: where the map is left as it is, no keyframe will."""
         log_scale, sigma, bias_sigma = loaded.log_scale, loaded.scale_sigma, loaded.bias_sigma
-        self._estimator.take_over(loaded.epoch, log_scale, sigma, bias_sigma)
+        self._estimator.take_over(loaded.epoch, log_scale, sigma, bias_sigma, loaded.network)
         known = log_scale, math.hypot(sigma, bias_sigma), sigma
         self._bus.publish("scale", ros.scale(self._stamp_ns, self._map_frame, *known, metric=True))
 

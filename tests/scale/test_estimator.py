@@ -80,6 +80,22 @@ def test_a_stored_map_is_gone_on_with_in_its_own_unit():
     assert estimator.process(keyframe_of_wall(9, 3.0, epoch=0), None) is None  # of the map before
 
 
+@pytest.mark.parametrize(
+    ("network", "bias_sigma"), [("wall", 0.0), ("", 0.0), ("another", np.hypot(0.05, 0.1))]
+)
+def test_another_network_s_word_for_a_map_s_unit_is_kept_but_doubted(network, bias_sigma):
+    estimator = ScaleEstimator(ScaleConfig())
+    estimator.take_over(0, np.log(1.2), 0.02, bias_sigma=0.05, network=network)
+    first = keyframe_of_wall(0, 0.0)
+    said = estimator.process(first, replace(depth_of(first), valid=False))[0]
+    assert said.log_scale == pytest.approx(np.log(1.2))
+    assert said.network == "wall"
+    again = estimator.process(first, replace(depth_of(first), valid=False))[0]
+    for scale in (said, again):  # once
+        assert estimator._filter.sigma == pytest.approx(np.hypot(0.02, bias_sigma))
+        assert scale.filter_sigma == pytest.approx(estimator._filter.learned_sigma)
+
+
 def test_a_keyframe_of_an_epoch_that_is_over_gets_no_answer():
     estimator = ScaleEstimator(CONFIG)
     play(estimator, 3, epoch=2)

@@ -10,7 +10,7 @@ import pytest
 from prism_edge.config import Config
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse
-from prism_edge.messages import IDS_A_LIFE, EndOfStream, MapSnapshot
+from prism_edge.messages import IDS_A_LIFE, EndOfStream, MapLoaded, MapSnapshot
 from prism_edge.workers import backend as worker
 from tests.backend.world import Teller
 from tests.workers.backend_bench import (
@@ -137,6 +137,20 @@ def test_a_scale_that_is_no_number_is_ignored(changes):
     run_realtime(bus)
     assert snapshot(bus).log_scale == 0.25
     assert np.isfinite(bus.of("map_update")[-1].poses).all()
+
+
+def test_who_asks_is_told_the_map_s_unit_once_it_is_known():
+    bus, (teller, told) = ListBus("keyframe"), keyframes(3, epoch=2)
+    made = worker.BackendWorker(CONFIG, bus)
+    asked = bus.answers["map_loaded"]
+    assert asked() is None
+    hear(made, bus, told, teller)
+    bus.give("log_scale", scale_of(told[2], 0.3, bias_sigma=0.07, network="exact"))
+    made._realtime()
+    assert asked() == MapLoaded(2, 0.3, 0.1, 0.07, "exact")
+    again, new = keyframes(1, epoch=3, first=3)
+    hear(made, bus, new, again)
+    assert asked() is None, "nothing is known of the new map's"
 
 
 def test_the_snapshot_is_the_whole_map():

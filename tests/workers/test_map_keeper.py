@@ -369,9 +369,9 @@ def test_a_stored_map_with_wrong_plain_values_is_refused() -> None:
     for keyframe in told:
         mapper.absorb(keyframe)
     info, arrays = mapper.stored()
-    good = {**info, **KnownScale(0.1, 0.2).info}
-    assert Mapper(BackendConfig()).restore(good, arrays) == KnownScale(0.1, 0.2)
-    old = {name: value for name, value in good.items() if name != "bias_sigma"}
+    good = {**info, **KnownScale(0.1, 0.2, network="exact").info}
+    assert Mapper(BackendConfig()).restore(good, arrays) == KnownScale(0.1, 0.2, network="exact")
+    old = {name: value for name, value in good.items() if name not in ("bias_sigma", "scale_by")}
     assert Mapper(BackendConfig()).restore(old, arrays) == KnownScale(0.1, 0.2, 0.0)
     for wrong in (
         {"epoch": "x"},

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import Config, GateConfig, ScaleConfig
-from prism_edge.messages import Acknowledged, EndOfStream, Gate, MapLoaded, Scale
+from prism_edge.messages import IDS_A_LIFE, Acknowledged, EndOfStream, Gate, MapLoaded, Scale
 from prism_edge.workers.scale import ScaleWorker, main
 from tests.scale.scene import depth_of, keyframe_of_wall
 from tests.synthetic.messages import tick
@@ -53,6 +53,37 @@ def test_a_loaded_map_s_scale_is_said_at_once(bus, start):
     assert (said.sigma_log, said.filter_sigma_log) == (pytest.approx(np.hypot(0.03, 0.1)), 0.03)
     assert said.metric
     assert said.keyframe == -1
+
+
+def test_a_scale_that_was_started_again_goes_on_from_what_the_backend_has_heard(bus, start):
+    """Metres don't jump to those of a map whose unit nobody knows."""
+    asked = []
+    bus.ask = lambda topic, timeout_s: asked.append(topic) or MapLoaded(3, np.log(1.5), 0.03, 0.1, "wall")
+    bus.life, bus.first_id = 1, IDS_A_LIFE
+    keyframes = [keyframe_of_wall(k, 0.4 * k, 1.55, epoch=3) for k in range(50, 53)]
+    bus.give("depth", *(depth_of(k) for k in keyframes))
+    bus.give("keyframe", *keyframes)
+    start()
+    bus.wait_for("log_scale", 3)
+    assert asked == ["map_loaded"]
+    assert bus.of("scale")[0].scale == pytest.approx(1.5), "said at once"
+    for said in bus.of("log_scale"):
+        assert abs(said.log_scale - np.log(1.5)) < 0.03
+        assert said.filter_sigma < 0.05
+
+
+@pytest.mark.parametrize("life", [0, 1])
+def test_where_nothing_is_known_it_begins_afresh(bus, start, life):
+    asked = []
+    bus.ask = lambda topic, timeout_s: asked.append(topic)
+    bus.life, bus.first_id = life, life * IDS_A_LIFE
+    keyframe = keyframe_of_wall(0, 0.0, 1.5, parallax_deg=0.0)
+    bus.give("depth", depth_of(keyframe))
+    bus.give("keyframe", keyframe)
+    start()
+    bus.wait_for("log_scale", 1)
+    assert len(asked) == life, "the first of a run has nobody to ask"
+    assert bus.of("log_scale")[0].log_scale == 0.0
 
 
 def test_each_pair_gives_scale_gate_and_the_public_scale(bus, start):
