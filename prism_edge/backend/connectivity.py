@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import heapq
+import math
+
 from prism_edge.backend.global_map import GlobalMap
 
 Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and how many points they share
@@ -76,6 +79,22 @@ def tied_parts(world: GlobalMap, loops: list[tuple[int, int]]) -> list[set[int]]
     return found
 
 
-def tied_part(world: GlobalMap, loops: list[tuple[int, int]], keyframe: int) -> set[int]:
-    """Keyframes to which ties lead from one."""
-    return reachable(ties(world, loops), {keyframe})
+def ways(world: GlobalMap, by: Ties, start: int) -> dict[int, float]:
+    """How far it is (map units) from one keyframe to others by way of ties as strong as a loop at least."""
+    near: dict[int, list[tuple[int, float]]] = {}
+    for (a, b), shared in by.items():
+        if shared >= LOOPED:
+            here, there = world.keyframes[a].world_from_camera, world.keyframes[b].world_from_camera
+            step = math.dist(here[:3, 3], there[:3, 3])
+            near.setdefault(a, []).append((b, step))
+            near.setdefault(b, []).append((a, step))
+    found: dict[int, float] = {}
+    front = [(0.0, start)]
+    while front:
+        way, k = heapq.heappop(front)
+        if k not in found:
+            found[k] = way
+            for other, step in near.get(k, []):
+                if other not in found:
+                    heapq.heappush(front, (way + step, other))
+    return found

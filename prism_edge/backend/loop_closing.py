@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from prism_edge.backend import global_adjustment, pose_graph
-from prism_edge.backend.connectivity import tied_part, tied_parts
+from prism_edge.backend.connectivity import reachable, tied_parts, ties, ways
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common, radial
@@ -63,7 +64,8 @@ class LoopCloser:
         self.index = PlaceIndex()
         self.accepted: list[Accepted] = []
         self._unconfirmed: list[Loop] = []
-        self._part: set[int] | None = None  # what hangs together with the query
+        self._part: set[int] | None = None  # what hangs together with the query,
+        self._ways: dict[int, float] = {}  # ... and how far it is there (:func:`ways`)
         self._adjustment: GlobalAdjustment | None = None
         self._wanted = False  # there is something that no global adjustment has seen
         self._last_begun = -REST
@@ -121,7 +123,7 @@ class LoopCloser:
         recent = [other for other in self._unconfirmed if abs(loop.query - other.query) <= PATIENCE]
         self._unconfirmed = [*recent, loop]
         apart = not self._connected(loop)
-        if not apart and not plausible(self._world, loop):
+        if not apart and not plausible(self._world, loop, self._ways.get(loop.candidate, math.inf)):
             log.info("loop %d-%d asks for more drift than there can be", loop.query, loop.candidate)
             return False
         confirmed = any(other.query != loop.query and self._alike(loop, other) for other in recent)
@@ -142,7 +144,8 @@ class LoopCloser:
 
     def _connected(self, loop: Loop) -> bool:
         if self._part is None:  # once for all candidates of a query: it goes through the whole map
-            self._part = tied_part(self._world, self._pairs(), loop.query)
+            by = ties(self._world, self._pairs())
+            self._part, self._ways = reachable(by, {loop.query}), ways(self._world, by, loop.query)
         return loop.candidate in self._part
 
     def _pairs(self) -> list[tuple[int, int]]:

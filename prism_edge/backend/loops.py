@@ -8,6 +8,7 @@ between can have brought (:func:`plausible`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import cv2
@@ -80,10 +81,14 @@ def verify(
     return Loop(query, candidate, found.world_from_camera, scale, sigma, len(pairs), agreeing, pairs)
 
 
-def plausible(world: GlobalMap, loop: Loop) -> bool:
-    """Whether drift along the way from candidate to query can be as large as the loop says."""
+def plausible(world: GlobalMap, loop: Loop, shortest: float = math.inf) -> bool:
+    """Whether drift along the way from candidate to query can be as large as the loop says.
+
+    The way is the camera's own, or the ``shortest`` (map units) by keyframes that hold on to each
+    other: its own grows without end where it only stands and looks.
+    """
     query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
-    way = abs(query.travelled - candidate.travelled)
+    way = min(abs(query.travelled - candidate.travelled), shortest)
     depth = median_depth(world, query)
     motion = inverse(query.world_from_camera) @ loop.world_from_query
     shift = float(np.linalg.norm(query.world_from_camera[:3, 3] - loop.world_from_query[:3, 3]))

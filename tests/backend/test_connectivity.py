@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.backend.connectivity import FEW_SHARED, hanging_together, parts_of, tied_part, tied_parts
+from prism_edge.backend.connectivity import (
+    FEW_SHARED,
+    LOOPED,
+    hanging_together,
+    parts_of,
+    reachable,
+    tied_parts,
+    ties,
+    ways,
+)
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
 from tests.backend.world import chain
 from tests.tracking.cloud import CAMERA, pose_at
@@ -44,8 +54,8 @@ def test_what_any_shared_point_joins(sets: list[set[int]]) -> None:
 
 def test_a_loop_ties_what_shares_nothing() -> None:
     world = two_chains()
-    assert tied_part(world, [], 0) == set(range(6))
-    assert tied_part(world, [(3, 101)], 0) == set(range(6)) | {100, 101, 102}
+    assert reachable(ties(world, []), {0}) == set(range(6))
+    assert reachable(ties(world, [(3, 101)]), {0}) == set(range(6)) | {100, 101, 102}
     assert tied_parts(world, [(3, 101)]) == [set(range(6)) | {100, 101, 102}]
     assert tied_parts(world, [(3, 7)]) == [set(range(6)), {100, 101, 102}]  # with one that has gone: none
 
@@ -55,9 +65,20 @@ def test_a_chance_match_ties_nothing() -> None:
     world = two_chains()
     for keypoint, p in enumerate(sorted(world.keyframes[5].observed)[: FEW_SHARED - 1]):
         world.observe(100, p, keypoint)
-    assert tied_part(world, [], 0) == set(range(6))
+    assert reachable(ties(world, []), {0}) == set(range(6))
     assert [min(part) for part in tied_parts(world, [])] == [0, 100]
     assert parts_of(world) == {}
+
+
+def test_the_way_is_the_shortest_by_strong_ties() -> None:
+    world = two_chains()
+    assert ways(world, ties(world, []), 1) == pytest.approx({k: 0.3 * abs(k - 1) for k in range(6)})
+    world.keyframes[3].world_from_camera[:3, 3] = (0.9, 40.0, 0.0)  # all go round by it
+    assert ways(world, ties(world, []), 5)[1] > 79.0
+    assert ways(world, ties(world, [(1, 5)]), 5)[1] == pytest.approx(1.2)
+    assert 100 not in ways(world, ties(world, []), 0)
+    weak = dict.fromkeys(ties(world, []), LOOPED - 1)
+    assert ways(world, weak, 0) == {0: 0.0}
 
 
 def test_a_part_ends_where_points_are_fused_with_the_first_ones() -> None:

@@ -21,11 +21,14 @@ CONFIG = BackendConfig()
 DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
 
 
-def walk(ring: Ring, count: int, places: bool = True, mapper: Mapper | None = None) -> Mapper:
+def walk(
+    ring: Ring, count: int, places: bool = True, mapper: Mapper | None = None, odometer: float = 1.0
+) -> Mapper:
     """A mapper that has heard ``count`` keyframes, and closed what loops there were."""
     mapper = mapper or Mapper(CONFIG, use_depth=False)
     for message in ring.keyframes(count):
-        hear(mapper, ring, message, ring.looks_like(message.id) if places else None)
+        far = replace(message, travelled=odometer * message.travelled)
+        hear(mapper, ring, far, ring.looks_like(message.id) if places else None)
     return mapper
 
 
@@ -57,6 +60,19 @@ def test_a_drifted_walk_is_restored(closed):
     finish(mapper)
     assert position_error(mapper.world.poses(), ring.true) < 0.1 * before
     check(mapper.world)
+
+
+def test_a_late_return_has_the_whole_way_round_to_drift():
+    """No tie leads across, so the way by ties is as long as the camera's own: its drift is believed."""
+    ring, moved = Ring(stretch=1.012), []
+    mapper = Mapper(CONFIG, use_depth=False)
+    while not mapper.loops.accepted and len(ring.true) < 44:
+        before = mapper.world.poses()
+        walk(ring, 1, mapper=mapper, odometer=1000.0)
+        moved = [np.linalg.norm(mapper.world.poses()[k][:3, 3] - before[k][:3, 3]) for k in before]
+    (first,) = mapper.loops.accepted
+    assert first.query - first.candidate > 30
+    assert max(moved) > 1.0
 
 
 def test_each_loop_says_where_the_query_is_from_its_candidate(closed):
@@ -103,10 +119,14 @@ def test_a_keyframe_that_still_speaks_of_a_double_is_understood():
     assert {mapper.world.present(p) for p in spoken} & set(observed)
 
 
-def test_a_place_that_only_looks_the_same_is_refused():
-    """The far side of the ring is a copy of the near one, corner by corner: half a ring is no drift."""
+@pytest.mark.parametrize("odometer", [1.0, 1000.0])
+def test_a_place_that_only_looks_the_same_is_refused(odometer):
+    """The far side of the ring is a copy of the near one, corner by corner: half a ring is no drift.
+
+    However long the camera has stood and trembled on its way.
+    """
     ring = Ring(alike=True)
-    mapper = walk(ring, 34)
+    mapper = walk(ring, 34, odometer=odometer)
     ranked = mapper.loops.index.rank(ring.looks_like(30), range(20))
     assert ranked[0][0] == 10  # it is what the network would say
     assert not mapper.loops.accepted
