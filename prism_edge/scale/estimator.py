@@ -59,6 +59,11 @@ class ScaleEstimator:
         """Whether network depth has fixed the map's unit or been compared with it; else scale is a guess."""
         return not self._filter.is_open
 
+    def hear(self, keyframe: Keyframe) -> None:
+        """A keyframe has come, whose depth may come later or never: where the map has it counts even so."""
+        if keyframe.epoch == self._epoch:
+            self._gate.note(keyframe)
+
     def process(self, keyframe: Keyframe, depth: Depth | None) -> tuple[Scale, Gate] | None:
         """The scale after a keyframe, and the weights of its keypoints; None where its epoch is over.
 
@@ -69,6 +74,7 @@ class ScaleEstimator:
             return None
         if self._epoch != keyframe.epoch:
             self._begin(keyframe.epoch)
+        self._gate.note(keyframe)
         weights = np.ones(len(keyframe.pixels), dtype=np.float32)
         uncertainty = np.full(len(keyframe.pixels), np.nan, dtype=np.float32)
         self._heed(depth)

@@ -26,6 +26,7 @@ Floats = NDArray[np.floating[Any]]
 GRID = 24  # pixels across and down that a pair's median ratio is taken over
 MIN_COMMON = 40  # of them that must be seen by both
 _NEAREST = 1e-3  # map units before a camera
+_PLACES = 64  # keyframes whose poses are remembered: as many as may be waiting for their depth
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,7 @@ class Gate:
     def __init__(self, memory: int) -> None:
         """``memory``: how many earlier keyframes a new one is compared with."""
         self._views: deque[DepthView] = deque(maxlen=memory)
+        self._places: dict[int, Array] = {}  # world_from_camera of keyframes, also of those without a view
 
     def assess(self, view: DepthView, pixels: Array, parameters: GateParameters) -> Gated:
         """Uncertainty and weight of raw pixels (n, 2) of a view, against those remembered."""
@@ -143,12 +145,23 @@ class Gate:
     def remember(self, view: DepthView) -> None:
         """Keep a view for those to come; the oldest goes."""
         self._views.append(view)
+        self.place(view.keyframe, view.world_from_camera)
+
+    def place(self, keyframe: int, world_from_camera: Array) -> None:
+        """Keep a keyframe's pose: the next one will say where it lies by then."""
+        self._places[keyframe] = world_from_camera
+        while len(self._places) > _PLACES:
+            del self._places[next(iter(self._places))]
+
+    def placed(self, keyframe: int) -> Array | None:
+        """Where a keyframe lies by now; None for one that is not remembered."""
+        return self._places.get(keyframe)
 
     def rebase(self, keyframe: int, world_from_camera: Array) -> None:
-        """One of the views turns out to lie elsewhere (a correction of the map): all move along with it."""
-        found = [view for view in self._views if view.keyframe == keyframe]
-        if found:
-            motion = world_from_camera @ inverse(found[0].world_from_camera)
+        """A keyframe turns out to lie elsewhere (a correction of the map): all views move along with it."""
+        if keyframe in self._places:
+            motion = world_from_camera @ inverse(self._places[keyframe])
+            self._places = {k: motion @ pose for k, pose in self._places.items()}
             moved = [replace(v, world_from_camera=motion @ v.world_from_camera) for v in self._views]
             self._views = deque(moved, self._views.maxlen)
 

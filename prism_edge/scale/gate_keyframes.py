@@ -8,6 +8,7 @@ import numpy as np
 
 from prism_edge.config import GateConfig
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
 from prism_edge.messages import Depth, Keyframe
 from prism_edge.scale.gate import DepthView, Floats, Gate, Gated, GateParameters, image_pixels
 from prism_edge.scale.samples import sample
@@ -40,6 +41,18 @@ class KeyframeGate:
         usable = math.isfinite(tau) and math.isfinite(temperature) and tau > 0.0 and temperature > 0.0
         return GateParameters(c.alpha, tau, temperature) if usable else None
 
+    def note(self, keyframe: Keyframe) -> Array:
+        """A keyframe has come, with depth or without; where it lies by now.
+
+        What the backend has corrected since the one before it moves the earlier views along.
+        """
+        placed = self._gate.placed(keyframe.id)
+        if placed is not None:
+            return placed
+        self._gate.rebase(keyframe.anchor, keyframe.world_from_anchor)
+        self._gate.place(keyframe.id, keyframe.world_from_camera)
+        return keyframe.world_from_camera
+
     def assess(self, keyframe: Keyframe, depth: Depth, camera: Camera, log_scale: float) -> Gated | None:
         """Uncertainty and weight of each keypoint, against earlier keyframes; None: the gate is open.
 
@@ -50,12 +63,10 @@ class KeyframeGate:
         if parameters is None or not (depth.valid and usable(depth)):
             return None
         units = math.exp(-_own_log_scale(keyframe, depth, camera, log_scale))
-        pose = keyframe.world_from_camera
+        pose = self.note(keyframe)
         view = DepthView(
             keyframe.id, pose, camera, depth.depth, depth.image_to_depth, depth.confidence, units
         )
-        # What the backend has corrected since moves the earlier views along.
-        self._gate.rebase(keyframe.anchor, keyframe.world_from_anchor)
         raw = camera.distort_pixels(keyframe.pixels.astype(np.float64))
         gated = self._gate.assess(view, raw, parameters)
         before = self._gate.copy()

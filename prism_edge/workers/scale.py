@@ -97,6 +97,7 @@ class ScaleWorker:
         keyframes = self._keyframes.drain()
         for keyframe in keyframes:
             self._stamp_ns = keyframe.stamp_ns
+            self._estimator.hear(keyframe)
             self._waiting.add_keyframe(keyframe)
         pairs = self._waiting.complete()
         for keyframe, depth in pairs:

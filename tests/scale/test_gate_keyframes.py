@@ -12,6 +12,7 @@ from prism_edge.config import GateConfig, ScaleConfig
 from prism_edge.scale.estimator import ScaleEstimator
 from prism_edge.scale.gate_keyframes import KeyframeGate
 from tests.scale.scene import CAMERA, SHAPE, depth_of, keyframe_of_wall
+from tests.tracking.cloud import pose_at
 
 FITTED = {"dsug_tau": 0.2, "dsug_temperature": 0.05}
 
@@ -82,6 +83,32 @@ def test_the_images_show_u_and_w_of_every_pixel():
     assert np.median(uncertainty[20:100, 25:55]) == pytest.approx(math.log(2.0), abs=0.05)
     assert np.all(weight[20:100, 25:55] < 0.01)
     assert np.all(weight[20:100, 80:150] > 0.95)
+
+
+@pytest.mark.parametrize("between", [None, {"valid": False}, "later"])
+def test_views_follow_a_correction_also_behind_keyframes_without_depth(between):
+    """The correction is said of the keyframe before, which has no view."""
+    estimator, moved = ScaleEstimator(ScaleConfig()), pose_at(40.0, 1.0, -2.0, 0.3, 0.5)
+    first, blind, last = (keyframe_of_wall(k, 0.4 * k) for k in range(3))
+    last = replace(last, world_from_camera=moved, anchor=1, world_from_anchor=moved)
+    estimator.process(first, depth_of(first, **FITTED))
+    blind = replace(blind, anchor=0)
+    if between == "later":  # its depth comes when the correction is known
+        estimator.hear(blind)
+        estimator.hear(last)
+        estimator.process(blind, depth_of(blind, **FITTED))
+    else:
+        estimator.process(blind, None if between is None else depth_of(blind, **FITTED, **between))
+    gate = estimator.process(last, depth_of(last, **FITTED))[1]
+    assert np.isfinite(gate.uncertainty).mean() > 0.9
+    assert np.nanmax(gate.uncertainty) < 0.02
+
+
+def test_no_more_poses_are_remembered_than_need_be():
+    gate = KeyframeGate(GateConfig())
+    for k in range(200):
+        gate.note(keyframe_of_wall(k, 0.4 * k, points=1))
+    assert len(gate._gate._places) == 64
 
 
 def test_a_new_map_forgets_the_old_ones_views():

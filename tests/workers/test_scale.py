@@ -15,6 +15,7 @@ from prism_edge.messages import IDS_A_LIFE, Acknowledged, EndOfStream, Gate, Map
 from prism_edge.workers.scale import ScaleWorker, main
 from tests.scale.scene import depth_of, keyframe_of_wall
 from tests.synthetic.messages import tick
+from tests.tracking.cloud import pose_at
 from tests.workers.list_bus import DEADLINE_S, ListBus
 
 
@@ -137,6 +138,20 @@ def test_a_keyframe_that_comes_after_its_depth_is_served_too(bus, start):
     bus.give("keyframe", keyframe)
     bus.wait_for("scale", 1)
     assert bus.of("log_scale")[0].keyframe == 3
+
+
+def test_the_gate_hears_of_keyframes_whose_depth_never_comes(bus, start):
+    moved = pose_at(40.0, 1.0, -2.0, 0.3, 0.5)
+    first, blind, last = (keyframe_of_wall(k, 0.4 * k) for k in range(3))
+    last = replace(last, world_from_camera=moved, anchor=1, world_from_anchor=moved)
+    fitted = {"dsug_tau": 0.2, "dsug_temperature": 0.05}
+    start()
+    for count, (keyframe, depth) in enumerate(((first, first), (blind, None), (last, last)), 1):
+        bus.give("keyframe", keyframe)
+        if depth is not None:
+            bus.give("depth", depth_of(depth, **fitted))
+            bus.wait_for("gate", (count + 1) // 2)
+    assert np.nanmax(bus.of("gate")[-1].uncertainty) < 0.02
 
 
 def test_an_unusable_depth_is_answered_without_an_observation(bus, start):
