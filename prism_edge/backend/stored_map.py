@@ -23,6 +23,8 @@ carried          i8 (C,3)    culled keyframe, the keyframe it hangs on, its fram
 links            f8 (C,4,4)  keyframe_from_culled
 places           i8 (P)      keyframes that have a place descriptor
 place_descriptors f4 (P,D)   of norm 1
+depth_sigmas     f8 (K)      relative noise of depths, 0 where the source did not know it; may be
+                             left out where it is 0 for all
 ================ =========== ================================================================
 """
 
@@ -72,7 +74,9 @@ _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "links": ("<f8", ("C", 4, 4)),
     "places": ("<i8", ("P",)),
     "place_descriptors": ("<f4", ("P", "D")),
+    "depth_sigmas": ("<f8", ("K",)),
 }
+_OPTIONAL = {"depth_sigmas"}  # maps of earlier builds lack it, and they can read those that do without
 
 
 @dataclass(frozen=True)
@@ -151,12 +155,15 @@ def to_arrays(world: GlobalMap, index: PlaceIndex) -> tuple[Info, Arrays]:
         "places": np.array(places, np.int64),
         "place_descriptors": np.array(descriptors, np.float32).reshape(len(places), -1 if places else 0),
     }
+    if any(k.depth_sigma for k in keyframes):
+        arrays["depth_sigmas"] = np.array([k.depth_sigma for k in keyframes], np.float64)
     return {"cameras": listed, "places_of": index.network}, arrays
 
 
 def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap, PlaceIndex]:
     """The map that :func:`to_arrays` was given. Raises MapError for one that can't be."""
     _check_columns(arrays)
+    arrays = {"depth_sigmas": np.zeros(len(arrays["keyframes"])), **arrays}
     _check_values(arrays)
     cameras = _cameras(info, arrays["cameras"])
     world = GlobalMap(max_carried)
@@ -205,6 +212,7 @@ def _keyframe(
         factor ** octaves.astype(np.float64),
         {},
         depths if depths.any() else None,
+        depth_sigma=float(arrays["depth_sigmas"][row]),
         features=Features.build(pixels, octaves, packed, camera.width, camera.height),
         scale_factor=factor,
         travelled=float(arrays["travelled"][row]),
@@ -214,11 +222,12 @@ def _keyframe(
 
 def _check_columns(arrays: Arrays) -> None:
     """Names, types and shapes, which must agree with one another."""
-    if arrays.keys() != _COLUMNS.keys():
-        raise MapError(f"the map has no {', '.join(sorted(_COLUMNS.keys() ^ arrays.keys()))[:100]}")
+    odd = _COLUMNS.keys() ^ (arrays.keys() | _OPTIONAL)
+    if odd:
+        raise MapError(f"the map has no {', '.join(sorted(odd))[:100]}")
     sizes: dict[str, int] = {}
-    for name, (dtype, shape) in _COLUMNS.items():
-        array = arrays[name]
+    for name, array in arrays.items():
+        dtype, shape = _COLUMNS[name]
         fits = array.dtype == np.dtype(dtype) and array.ndim == len(shape)
         for want, have in zip(shape, array.shape, strict=False):
             if isinstance(want, str):
@@ -250,6 +259,7 @@ def _check_values(arrays: Arrays) -> None:
         "octaves": _between(arrays["octaves"], 0, HIGHEST_OCTAVE),
         "seen": _between(arrays["seen"], -1, LARGEST_ID),
         "depths": _between(arrays["depths"], 0.0, FARTHEST),
+        "depth_sigmas": _between(arrays["depth_sigmas"], 0.0, FARTHEST),
         "weights": _between(arrays["weights"], -1.0, 1.0),
         "points": _numbers(arrays["points"]),
         "positions": _between(arrays["positions"], -FARTHEST, FARTHEST),

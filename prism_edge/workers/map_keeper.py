@@ -190,7 +190,8 @@ class MapKeeper:
             "weights": np.zeros(0, np.float32) if weights is None else weights.astype(np.float32),
             "place": np.zeros(0, np.float32) if place is None else place,
         }
-        return map_file.pack({**scale.info, "places_of": self._mapper.loops.index.network}, arrays)
+        info = {"places_of": self._mapper.loops.index.network, "depth_sigma": keyframe.depth_sigma}
+        return map_file.pack({**scale.info, **info}, arrays)
 
     def _absorb(self, record: bytes) -> KnownScale:
         info, arrays = map_file.unpack(record)
@@ -199,6 +200,8 @@ class MapKeeper:
         keyframe = self._mapper.world.keyframes[message.id]
         if len(arrays["depths"]) == len(keyframe.pixels):
             keyframe.depths = arrays["depths"].astype(np.float64)
+            sigma = info.get("depth_sigma")  # records of earlier builds don't say
+            keyframe.depth_sigma = sigma if isinstance(sigma, float) else 0.0
         if len(arrays["weights"]) == len(keyframe.pixels):
             keyframe.weights = arrays["weights"].astype(np.float64)
         if len(arrays["place"]):

@@ -34,6 +34,7 @@ def example() -> tuple[GlobalMap, PlaceIndex]:
             added.depths = message.depths.astype(np.float64)
             added.weights = rng.random(len(added.pixels))
             added.weights[::5] = np.nan
+            added.depth_sigma = 0.01 * i  # a sensor's
         index.add(added.id, rng.normal(size=16).astype(np.float32), "some network")
     world._forget_keyframe(3)
     index.remove(3)
@@ -60,6 +61,7 @@ def test_every_part_of_the_map_comes_back() -> None:
         assert found.index == keyframe.index
         assert found.camera == keyframe.camera
         assert found.travelled == keyframe.travelled
+        assert found.depth_sigma == keyframe.depth_sigma
         if keyframe.depths is None:
             assert found.depths is None
             assert found.weights is None
@@ -141,6 +143,9 @@ def put(value: Any, at: Any = 0) -> Callable[[np.ndarray], None]:
         ("seen", put(10**9)),  # a point that is not there
         ("seen", put(-2)),
         ("depths", put(-1.0)),
+        ("depth_sigmas", put(-0.01)),
+        ("depth_sigmas", put(np.nan)),
+        ("depth_sigmas", lambda a: a[:-1]),
         ("weights", put(1.5)),
         ("weights", put(np.nan)),
         ("points", lambda a: np.concatenate([a[1:2], a[1:]])),
@@ -200,6 +205,14 @@ def test_a_missing_and_a_surplus_array_are_named() -> None:
         from_arrays(info, {k: v for k, v in arrays.items() if k != "octaves"}, max_carried=100)
     with pytest.raises(MapError, match="more"):
         from_arrays(info, {**arrays, "more": arrays["points"]}, max_carried=100)
+
+
+def test_a_map_without_noise_of_its_depths_is_a_network_s_as_it_was_before_any_had_it() -> None:
+    info, arrays = STORED
+    old = {k: v for k, v in arrays.items() if k != "depth_sigmas"}
+    world, index = from_arrays(info, old, max_carried=100)
+    assert {k.depth_sigma for k in world.keyframes.values()} == {0.0}
+    assert "depth_sigmas" not in to_arrays(world, index)[1], "which an earlier build can read"
 
 
 @pytest.mark.parametrize("name", ["keyframes", "points"])
