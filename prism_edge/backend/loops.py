@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.geometry.field_of_view import in_image
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, rotation_angle, scaled, transform
 from prism_edge.tracking.depth_alignment import robust_sigma
 from prism_edge.tracking.matching import match_corners, match_projected
@@ -116,9 +117,7 @@ def _expected(world: GlobalMap, here: GlobalKeyframe, there: GlobalKeyframe) -> 
         inverse(here.world_from_camera), np.array([world.points[p].position for p in there.observed])
     )
     local = local[local[:, 2] > 1e-3]
-    camera = here.camera.ideal()
-    pixels = camera.project(local)
-    return int(np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1).sum())
+    return int(in_image(here.camera, here.camera.ideal().project(local)).sum())
 
 
 @dataclass(frozen=True)
@@ -168,9 +167,8 @@ class Surroundings:
     def _match(self, view: GlobalKeyframe, pose: Array, radius: float) -> tuple[Index, Index]:
         local = transform(inverse(pose), self.positions)
         front = np.flatnonzero(local[:, 2] > 1e-3)
-        camera = view.camera.ideal()
-        pixels = camera.project(local[front])
-        inside = np.all((pixels >= 0) & (pixels < (camera.width, camera.height)), axis=1)
+        pixels = view.camera.ideal().project(local[front])
+        inside = in_image(view.camera, pixels)
         rows, pixels = front[inside], pixels[inside]
         offset = pose[:3, 3] - self.positions[rows]
         distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
