@@ -60,6 +60,7 @@ files=("$units/prism-edge.service" "$units/prism-edge@.service" "$rules/60-prism
 
 service() { [[ $systemctl == no ]] || systemctl "$@"; }
 
+written='' restarted=()  # what there is to put back
 running=()
 if [[ $systemctl == yes ]]; then
     mapfile -t running < <(systemctl list-units --plain --no-legend --state=active,activating,reloading \
@@ -72,19 +73,24 @@ undo() {
     rm -rf "$root/.current.new"
     if ((code)); then
         echo "install.sh: error: it failed; putting back what was there" >&2
-        for file in "${files[@]}"; do
-            rm -f "$file"
-            if [[ -e $saved/${file##*/} || -L $saved/${file##*/} ]]; then
-                cp -a "$saved/${file##*/}" "$file"
-            fi
-        done
-        if [[ -n $old ]]; then point_at "$old"; else rm -f "$root/current"; fi
+        [[ -z $written ]] || put_back
         rm -rf "${root:?}/$new"
-        service daemon-reload || true
-        for unit in "${running[@]}"; do service restart "$unit" || true; done
+        # None that still runs as it did: a robot would lose its map.
+        for unit in "${restarted[@]}"; do service restart "$unit" || true; done
     fi
     rm -rf "$saved" "$sources"
     exit "$code"
+}
+
+put_back() {
+    for file in "${files[@]}"; do
+        rm -f "$file"
+        if [[ -e $saved/${file##*/} || -L $saved/${file##*/} ]]; then
+            cp -a "$saved/${file##*/}" "$file"
+        fi
+    done
+    if [[ -n $old ]]; then point_at "$old"; else rm -f "$root/current"; fi
+    service daemon-reload || true
 }
 
 # A link that is renamed over the old one: there is no moment without a program.
@@ -115,6 +121,7 @@ copy_sources
     "$sources${extras:+[$extras]}"
 "$root/$new/bin/python" -m prism_edge.cli --version
 
+written=yes
 mkdir -p "$units" "$rules" "${command%/*}" "$destdir/srv/prism-edge/models"
 install -d -m 755 "$settings"
 install -m 644 "$checkout/deploy/60-prism-edge-oak.rules" "$rules/"
@@ -134,6 +141,7 @@ service daemon-reload
 if [[ $systemctl == yes ]]; then udevadm control --reload 2> /dev/null || true; fi
 for unit in "${running[@]}"; do
     echo "restarting $unit"
+    restarted+=("$unit")
     service restart "$unit"  # returns once it is ready; where it never is, all is put back
 done
 

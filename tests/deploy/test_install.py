@@ -90,6 +90,23 @@ def test_a_failed_upgrade_leaves_all_as_it_was(installed: Path, fail: str) -> No
     assert (installed / "opt/prism-edge/current/bin/python").exists()
 
 
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may install beside a running service")
+def test_a_service_that_an_upgrade_has_not_touched_goes_on_running(tmp_path: Path) -> None:
+    """It fails before anything is put in place, so nothing of this machine is written either."""
+    calls, tools = tmp_path / "calls", tmp_path / "bin"
+    tools.mkdir()
+    said = '[ "$1" != list-units ] || echo prism-edge.service loaded active'
+    (tools / "systemctl").write_text(f'#!/bin/sh\necho "$*" >> "$CALLS"\n{said}\n')
+    (tools / "systemctl").chmod(0o755)
+    path = f"{tools}:{os.environ['PATH']}"
+    command = [CHECKOUT / "deploy/install.sh", "--prefix", tmp_path / "opt", "--python", PYTHON]
+    environment = {**os.environ, "FAIL": "pip", "PATH": path, "CALLS": str(calls)}
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
+    assert done.returncode != 0
+    assert [line.split()[0] for line in calls.read_text().splitlines()] == ["list-units"]
+    assert not any((tmp_path / "opt/releases").iterdir())
+
+
 def test_a_failed_first_installation_leaves_no_program(tmp_path: Path) -> None:
     assert install(tmp_path, fail="pip").returncode != 0
     assert set(tree(tmp_path)) == {"opt/prism-edge/.lock"}
