@@ -41,7 +41,13 @@ def name_of(wanted: str) -> str:
 def test_lock_holds_exact_versions_and_names_no_host(lock: list[str]) -> None:
     lines = [line for line in lock if not line.startswith("#")]
     assert lines
-    assert all(re.fullmatch(r"[a-z0-9-]+==[0-9][0-9a-z.]*", line) for line in lines)
+    pinned = r'[a-z0-9-]+==[0-9][0-9a-z.]*( ; python_version < "3\.\d+")?'
+    assert all(re.fullmatch(pinned, line) for line in lines)
+
+
+def test_what_a_newer_python_has_built_in_is_not_asked_for_there() -> None:
+    (line,) = (line for line in LOCK if line.startswith("backports-zstd"))
+    assert line.endswith(' ; python_version < "3.14"'), "it can't be installed there"
 
 
 @pytest.mark.parametrize("wanted", PROJECT["dependencies"] + OPTIONAL["dev"])

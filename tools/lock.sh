@@ -10,6 +10,8 @@ resolve() {  # into a file of $new; then piptools' options
     "$python" -m piptools compile --quiet "$@" --strip-extras --allow-unsafe --no-annotate --no-header \
         --no-emit-index-url --no-emit-find-links --no-emit-trusted-host --no-emit-options \
         --output-file "$into" pyproject.toml
+    # The Python that resolves needs it, a newer one has it built in: the marker of those who ask for it is lost.
+    sed -i -E 's/^backports-zstd==\S+$/& ; python_version < "3.14"/' "$into"
     if grep -nE '://|^ *-' "$into"; then
         echo "error: the lines above name more than packages and versions" >&2
         exit 1
