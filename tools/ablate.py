@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 import time
 from contextlib import redirect_stdout
@@ -115,11 +116,14 @@ def recording(shared: Path, out: Path, sequence: Sequence) -> Path:
         return static
     made = out / "recordings" / sequence.name
     if not (made / "distractors.json").is_file():
-        words = [str(static), str(made), "--seed", str(sequence.distractors)]
+        half = made.with_name(made.name + ".half")  # what is cut off is not gone on with
+        shutil.rmtree(half, ignore_errors=True)
+        words = [str(static), str(half), "--seed", str(sequence.distractors)]
         words += ["--poses", str(shared / sequence.truth)] if sequence.truth else []
         with redirect_stdout(sys.stderr):
             if make_distractors.main(words):
                 raise RuntimeError(f"{sequence.name} can't be made")
+        half.rename(made)
     return made
 
 
@@ -147,6 +151,8 @@ def figures(out: Path, sequence: Sequence, part: str, seeds: list[int], key: str
     for seed in seeds:
         try:
             metrics = json.loads((place(out, sequence, part, seed) / "metrics.json").read_text())
+            if metrics.get("violations"):
+                continue
             value = metrics[key] if key == "coverage" else metrics["live"][key]
         except (OSError, ValueError, KeyError, TypeError):
             continue  # not run yet, or cut off
@@ -264,10 +270,11 @@ def missing(names: list[str], out: Path, seeds: list[int]) -> list[tuple[Sequenc
 
 
 def figures_are_there(folder: Path) -> bool:
-    """Whether a run has ended there."""
+    """Whether a run has ended there, as it should."""
     try:
-        return "live" in json.loads((folder / "metrics.json").read_text())
-    except (OSError, ValueError):
+        metrics = json.loads((folder / "metrics.json").read_text())
+        return "live" in metrics and not metrics.get("violations")
+    except (OSError, ValueError, AttributeError):
         return False
 
 

@@ -219,7 +219,7 @@ class RunFailedError(Exception):
 def play(sequence: Sequence, shared: Path, out: Path, keep: bool) -> Metrics:
     """One evaluation, as `prism-edge eval` does it; returns its metrics. Raises RunFailedError."""
     file = out / "metrics.json"
-    if not (keep and file.is_file()):
+    if not (keep and _ended_well(file)):
         with redirect_stdout(sys.stderr):
             code = prism_edge(command(sequence, shared, out))
         if code:
@@ -231,6 +231,14 @@ def play(sequence: Sequence, shared: Path, out: Path, keep: bool) -> Metrics:
             metrics["network_ratio"] = network_ratio(shared / sequence.folder, shared / NETWORK)
             metrics["own_truth"] = score(read_tum(out / "live.tum"), Trajectory(*own)).as_dict()
     return metrics
+
+
+def _ended_well(file: Path) -> bool:
+    """Whether these are the metrics of a run that is not void."""
+    try:
+        return not json.loads(file.read_text()).get("violations")
+    except (OSError, ValueError, AttributeError):
+        return False
 
 
 @lru_cache(maxsize=1)

@@ -24,7 +24,7 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from tests.sources.live.servers import MjpegServer, mjpeg_server
-from tools.faults_kinds import Bench, Kind, draw, kinds
+from tools.faults_kinds import Bench, Kind, draw, kinds, named
 from tools.faults_relay import Relay
 from tools.faults_service import (
     Router,
@@ -108,7 +108,7 @@ def programme(folder: Path, count: int, seed: int, only: str, budget_s: float, o
         rng = random.Random(seed)
         bench = Bench(service, camera, router, state, rng, lambda on: _truncate(server, on, rng))
         possible, skipped = kinds(own_disk, clock is not None)
-        possible = [kind for kind in possible if only in kind.name]
+        possible = named(possible, only, skipped)
         outcomes = []
         for number, kind in enumerate(draw(possible, count, rng)):
             if time.monotonic() - begun_s > budget_s:
@@ -124,7 +124,7 @@ def programme(folder: Path, count: int, seed: int, only: str, budget_s: float, o
         leftovers = [process.name() for process in service.marked()]
         leftovers += [str(path.name) for path in (folder / "runtime").glob("*prism-edge-run-*")]
         leftovers += sorted(_shared_memory() - shared_memory)
-        half = [str(p.relative_to(state)) for p in state.rglob("*") if p.name.startswith((".new", ".tmp"))]
+        half = [str(p.relative_to(state)) for p in state.rglob(".*")]  # as map_file.write names them
         log = service.log.read_text(errors="replace")
         return {
             "seed": seed,

@@ -76,6 +76,15 @@ def kinds(disk: bool, clock: bool) -> tuple[list[Kind], dict[str, str]]:
     return found, skipped
 
 
+def named(found: list[Kind], part: str, skipped: dict[str, str]) -> list[Kind]:
+    """Those whose name contains ``part``; ends the program where there is none."""
+    chosen = [kind for kind in found if part in kind.name]
+    if not chosen:
+        why = "".join(f"; {name}: {reason}" for name, reason in skipped.items() if part in name)
+        raise SystemExit(f"faults: error: no kind that can be made here has {part!r} in its name{why}")
+    return chosen
+
+
 def draw(found: list[Kind], count: int, rng: random.Random) -> list[Kind]:
     """``count`` faults in random order, each kind as often as the others, but for one."""
     drawn: list[Kind] = []

@@ -97,7 +97,7 @@ def command_line(folder: Path, seed: int) -> dict[str, Any]:
     for _ in range(CLI_EACH):
         for name, example, options in (
             ("c.yaml", config, ("config", "--check")),
-            ("net.onnx", (folder / "files" / "sound.onnx").read_bytes(), ("models", "show")),
+            ("net.onnx", (folder / "files" / "sound.onnx").read_bytes(), ("models", "info")),
             ("run.yaml", config, ("run", "--config")),
         ):
             path = folder / name

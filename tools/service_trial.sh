@@ -31,7 +31,7 @@ echo uninitialized > "$root/etc/machine-id"
 mkdir -p "$root/opt/src" "$root/srv/models"
 (cd "$checkout" && git ls-files -co --exclude-standard | tar c --ignore-failed-read -T -) | tar x -C "$root/opt/src"
 cp "$model" "$root/srv/models/net.onnx"
-cp "${model%.onnx}.yaml" "$root/srv/models/net.yaml" 2> /dev/null || true
+cp "$model.yaml" "$root/srv/models/net.onnx.yaml" 2> /dev/null || true  # not every network needs a card
 
 systemd-nspawn --quiet --boot --directory "$root" --register=no --keep-unit --console=pipe \
     --machine=prism-trial < /dev/null > "$work/console" 2>&1 &

@@ -39,6 +39,7 @@ class Journal:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise MapError(f"can't keep a journal in {folder}: {error.strerror or error}") from None
+        map_file.sweep(self._base)  # a base that was being written when a life before this one ended
 
     def recover(self) -> tuple[Info, Arrays, list[bytes]] | None:
         """The base and the records since; None where there is no sound base."""

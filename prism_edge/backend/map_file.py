@@ -16,12 +16,14 @@ A file comes from outside: nothing in it is run or trusted, and nothing is alloc
 from __future__ import annotations
 
 import contextlib
+import glob
 import hashlib
 import json
 import os
 import stat
 import struct
 import tempfile
+import time
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -41,6 +43,7 @@ SUFFIX = ".prismmap"
 
 _PREFIX = struct.Struct("<8sIIQ")
 _DIGEST = 32
+_FORSAKEN_S = 3600.0  # longer than anybody takes to write a file
 
 Arrays = dict[str, NDArray[Any]]
 Info = dict[str, Any]
@@ -121,6 +124,7 @@ def write(path: Path, data: bytes, durable: bool = True) -> None:
     With ``durable`` even after a power cut. Raises MapError, with nothing left behind, where it can't be
     written (a full disk, say).
     """
+    sweep(path, _FORSAKEN_S)
     new = ""
     try:
         descriptor, new = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -141,6 +145,14 @@ def write(path: Path, data: bytes, durable: bool = True) -> None:
             with contextlib.suppress(OSError):
                 os.unlink(new)
         raise MapError(f"can't write {path}: {error.strerror or error}") from None
+
+
+def sweep(path: Path, older_than_s: float = 0.0) -> None:
+    """Remove what is left of :meth:`write` where it was killed: a file that nobody would ever read."""
+    for left in path.parent.glob(f".{glob.escape(path.name)}.*"):
+        with contextlib.suppress(OSError):
+            if time.time() - left.stat().st_mtime >= older_than_s:
+                left.unlink()
 
 
 def read(path: Path, largest: int = LARGEST_FILE) -> bytes:

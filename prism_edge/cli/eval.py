@@ -20,7 +20,7 @@ def add_parser(subparsers: Any) -> None:
         help="run a recorded sequence and score the poses against its truth",
         description="Play SEQUENCE through the daemon, listen as an ordinary subscriber, and write live.tum "
         "(poses as published), final.tum (after the last optimisation) and metrics.json to the folder DIR "
-        "(docs/EVALUATION.md). Ground truth is read after the run, for scores only. Unless --endpoint is "
+        "(docs/EVALUATION.md). Ground truth is for scores only. Unless --endpoint is "
         "given, a free loopback port is taken, so that several evaluations can run side by side.",
     )
     parser.add_argument("source", metavar="SEQUENCE", help=RECORDING_HELP)

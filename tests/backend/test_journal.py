@@ -164,6 +164,12 @@ def test_clear_forgets(written: Path) -> None:
     assert journal.recover() is None
 
 
+def test_a_base_that_was_being_written_at_a_kill_is_swept(written: Path) -> None:
+    (written / ".base.k1ll3d").write_bytes(b"half")
+    Journal(written)
+    assert sorted(p.name for p in written.iterdir()) == ["base", "tail"]
+
+
 def test_a_folder_that_can_not_be_is_named(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(MapError, match="can't keep a journal"):

@@ -187,3 +187,19 @@ class TestFiles:
     def test_a_folder_that_is_not_there_is_named(self, tmp_path: Path) -> None:
         with pytest.raises(MapError, match="can't write"):
             map_file.write(tmp_path / "none" / "x", GOOD)
+
+
+def test_what_a_killed_writer_left_goes_once_it_is_old(tmp_path: Path) -> None:
+    path = tmp_path / "lab[1].prismmap"
+    old, young = tmp_path / f".{path.name}.a1", tmp_path / f".{path.name}.b2"
+    other = tmp_path / ".lab.prismmap.c3"
+    for left in (old, young, other):
+        left.write_bytes(b"half")
+    os.utime(old, (1.0, 1.0))
+    os.utime(other, (1.0, 1.0))
+    map_file.write(path, GOOD)
+    assert path.read_bytes() == GOOD
+    assert sorted(p.name for p in tmp_path.glob(".*")) == sorted([young.name, other.name])
+    map_file.sweep(path)
+    assert not young.exists()
+    assert other.exists(), "another map's"

@@ -122,6 +122,39 @@ def test_a_run_that_was_cut_off_is_run_again(tmp_path: Path):
     assert "| full system | - / - " in ablate.table("static", tmp_path, [0])
 
 
+def test_a_void_run_is_none(tmp_path: Path):
+    sequence = ablate.TABLES["static"][1][0]
+    write(tmp_path, sequence, "", 0, 0.02)
+    before = len(ablate.missing(["static"], tmp_path, [0]))
+    file = ablate.place(tmp_path, sequence, "", 0) / "metrics.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "violations": ["a pose twice"]}))
+    assert len(ablate.missing(["static"], tmp_path, [0])) == before + 1
+    assert "| full system | - / - " in ablate.table("static", tmp_path, [0])
+
+
+def test_a_dynamic_recording_that_was_cut_off_is_made_anew(tmp_path: Path, monkeypatch):
+    sequence = next(s for s in ablate.TABLES["dynamic"][1] if s.distractors is not None)
+    made: list[Path] = []
+
+    def make(words: list[str]) -> int:
+        made.append(Path(words[1]))
+        assert not made[-1].exists(), "make_distractors refuses a folder that is not empty"
+        made[-1].mkdir(parents=True)
+        (made[-1] / "image").touch()
+        if len(made) == 1:
+            raise KeyboardInterrupt
+        (made[-1] / "distractors.json").touch()
+        return 0
+
+    monkeypatch.setattr(ablate.make_distractors, "main", make)
+    with pytest.raises(KeyboardInterrupt):
+        ablate.recording(tmp_path, tmp_path, sequence)
+    folder = ablate.recording(tmp_path, tmp_path, sequence)
+    assert sorted(path.name for path in folder.iterdir()) == ["distractors.json", "image"]
+    assert ablate.recording(tmp_path, tmp_path, sequence) == folder
+    assert len(made) == 2
+
+
 def test_an_interrupt_ends_it(tmp_path: Path, monkeypatch):
     monkeypatch.setattr(ablate, "prism_edge", lambda words: 130)
     (tmp_path / "models").mkdir()

@@ -163,3 +163,10 @@ def test_kept_runs_are_tabulated_and_a_failed_one_gives_its_code(
     assert "### new_tsukuba (lockstep, 1 run(s))" in capsys.readouterr().out
     assert accuracy.main([*folders, "--only", "new_tsukuba"]) == 4
     assert len(given) == 1
+
+
+def test_a_kept_run_that_is_void_is_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "metrics.json").write_text(json.dumps({**GOOD, "violations": ["a pose twice"]}))
+    monkeypatch.setattr(accuracy, "prism_edge", lambda words: 8)
+    with pytest.raises(accuracy.RunFailedError):
+        accuracy.play(TSUKUBA, tmp_path, tmp_path, keep=True)

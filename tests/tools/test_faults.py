@@ -16,7 +16,7 @@ import pytest
 from prism_edge.backend import map_file
 from prism_edge.errors import MapError
 from tools import faults
-from tools.faults_kinds import draw, kinds
+from tools.faults_kinds import draw, kinds, named
 from tools.faults_relay import Relay
 from tools.faults_service import Watcher, build_clock
 from tools.fuzz_files import mutate, sealed
@@ -30,6 +30,16 @@ def test_faults_are_drawn_by_seed_and_evenly() -> None:
     assert drawn == draw(possible, 2 * len(possible) + 1, random.Random(4))
     assert drawn != draw(possible, 2 * len(possible) + 1, random.Random(5))
     assert {sum(kind is other for other in drawn) for kind in possible} <= {2, 3}
+
+
+def test_kinds_go_by_a_part_of_their_name_and_none_is_an_error() -> None:
+    possible, skipped = kinds(disk=False, clock=False)
+    assert {kind.name.split()[0] for kind in named(possible, "SIGKILL", skipped)} == {"SIGKILL"}
+    assert named(possible, "", skipped) == possible
+    with pytest.raises(SystemExit, match="no disk of its own"):
+        named(possible, "full disk", skipped)
+    with pytest.raises(SystemExit, match="'sigkil'"):
+        named(possible, "sigkil", skipped)
 
 
 def test_a_gap_reaches_from_the_last_pose_before_a_fault_to_the_end_of_looking() -> None:
