@@ -1,4 +1,8 @@
-"""Which ideal pixels a camera's image shows: its border, straight as taken, is bent in ideal pixels."""
+"""Which ideal pixels a camera's image shows: its border, straight as taken, is bent in ideal pixels.
+
+Beyond the views it was fitted to, a lens model may fold over: pixels near the border then belong to no ray,
+and rays from far outside end in the image. Of such a camera every ray is sent there and back.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array
 
 FARTHEST = 2.0  # image sizes from where it was taken: a fisheye's rim has no ideal pixel
 _ALONG = 64  # points of each side
+_THERE_AND_BACK = 1.0  # pixels
 
 
 def has_ideal_pixel(camera: Camera, raw: Array, ideal: Array) -> NDArray[np.bool_]:
@@ -24,7 +29,7 @@ def has_ideal_pixel(camera: Camera, raw: Array, ideal: Array) -> NDArray[np.bool
 
 def in_image(camera: Camera, ideal: Array) -> NDArray[np.bool_]:
     """Which ideal (undistorted) pixels (n, 2) lie in the image as it was taken."""
-    outer, inner = _bounds(camera)
+    outer, inner, folds = _bounds(camera)
     x, y = ideal[:, 0], ideal[:, 1]
     inside = (x >= outer[0]) & (x < outer[1]) & (y >= outer[2]) & (y < outer[3])
     if camera.is_ideal:
@@ -35,26 +40,41 @@ def in_image(camera: Camera, ideal: Array) -> NDArray[np.bool_]:
     if len(at):
         raw = camera.distort_pixels(ideal[at])
         there = np.all((raw >= 0) & (raw < (camera.width, camera.height)), axis=1)
-        inside[at] = there & has_ideal_pixel(camera, raw, ideal[at])
+        there &= has_ideal_pixel(camera, raw, ideal[at])
+        if folds:
+            there[there] = _returns(camera.undistort_pixels(raw[there]), ideal[at][there])
+        inside[at] = there
     return inside
 
 
+def _returns(came: Array, went: Array) -> NDArray[np.bool_]:
+    with np.errstate(invalid="ignore"):
+        back: NDArray[np.bool_] = np.abs(came - went).max(axis=1, initial=0.0) < _THERE_AND_BACK
+    return back
+
+
 @lru_cache(maxsize=64)
-def _bounds(camera: Camera) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Left, right, top and bottom of the boxes about the image and within it, in ideal pixels."""
+def _bounds(camera: Camera) -> tuple[tuple[float, ...], tuple[float, ...], bool]:
+    """Left, right, top and bottom of the boxes about the image and within it, in ideal pixels.
+
+    And whether the lens model folds over within the image: then neither box says anything.
+    """
     width, height = float(camera.width), float(camera.height)
     if camera.is_ideal:
         whole = (0.0, width, 0.0, height)
-        return whole, whole
+        return whole, whole, False
     longer = max(width, height)
     low, high = -FARTHEST * longer, (1.0 + FARTHEST) * longer
     x, y = np.linspace(0.0, width, _ALONG), np.linspace(0.0, height, _ALONG)
     none = np.zeros(_ALONG)
     sides = ((none, y), (none + width, y), (x, none), (x, none + height))
-    left, right, top, bottom = (
-        np.clip(camera.undistort_pixels(np.stack(side, axis=1)), low, high) for side in sides
-    )
+    raw = [np.stack(side, axis=1) for side in sides]
+    bent = [camera.undistort_pixels(side) for side in raw]
+    returned = [_returns(camera.distort_pixels(b), side) for b, side in zip(bent, raw, strict=True)]
+    if camera.model == PINHOLE and not np.all(returned):
+        return (low, high, low, high), (0.0, 0.0, 0.0, 0.0), True
+    left, right, top, bottom = (np.clip(side, low, high) for side in bent)
     border = np.concatenate([left, right, top, bottom])
     outer = (*(border[:, 0].min(), border[:, 0].max()), *(border[:, 1].min(), border[:, 1].max()))
     inner = (left[:, 0].max(), right[:, 0].min(), top[:, 1].max(), bottom[:, 1].min())
-    return tuple(map(float, outer)), tuple(map(float, inner))
+    return tuple(map(float, outer)), tuple(map(float, inner)), False

@@ -30,6 +30,11 @@ class FirstKeyframe:
         """Its depth, if it is this keyframe's, is of no use: another image may be better."""
         self._useless |= keyframe == self._id and self._depth_ns is None
 
+    @property
+    def awaits_answer(self) -> bool:
+        """Whether the network may yet say what its depth is."""
+        return self._depth_ns is None and not self._useless
+
     def gives_way(self, stamp_ns: int) -> bool:
         """A frame was not tracked beside it: whether another keyframe is to take its place."""
         self._now_ns = stamp_ns

@@ -65,15 +65,15 @@ class OrbPyramid:
         Pixels are a level's times its factor (OpenCV's way, features.py has the other).
         """
         self._images = self._scaled(grey)
-        counts = self._search()
-        if self._threshold > self._lowest and sum(counts) < FAR_TOO_FEW * self._most:
-            self._set_threshold(self._lowest)
-            counts = self._search()
+        counts = self._search(self._threshold)
+        at_first = sum(counts)
+        if self._threshold > self._lowest and at_first < FAR_TOO_FEW * self._most:
+            counts = self._search(self._lowest)
         levels = np.repeat(np.arange(len(counts)), counts)
         pixels = np.concatenate([_pixels(found) for found in self._found])
         pixels *= self._enlarged[levels, None]
         strengths = map(_response, chain.from_iterable(self._found))
-        self._adapt(len(pixels))
+        self._adapt(at_first)  # step by step: it may have been one blurred image
         return pixels, levels, np.fromiter(strengths, np.float64, len(pixels))
 
     def describe(self, chosen: Index) -> NDArray[np.uint8]:
@@ -88,8 +88,10 @@ class OrbPyramid:
                 described.append(self._detectors[level].compute(self._images[level], wanted)[1])
         return np.concatenate(described) if described else np.zeros((0, 32), np.uint8)
 
-    def _search(self) -> list[int]:
+    def _search(self, threshold: int) -> list[int]:
         """Find corners at every level; returns how many."""
+        for detector in self._detectors:
+            detector.setFastThreshold(threshold)
         self._found = [d.detect(image, None) for d, image in zip(self._detectors, self._images, strict=False)]
         return [len(found) for found in self._found]
 
@@ -108,12 +110,7 @@ class OrbPyramid:
         """Follow the texture: FAST's time goes into corners that are thrown away afterwards."""
         enough = found > ENOUGH * self._most
         threshold = min(self._threshold + 1, HIGHEST_THRESHOLD) if enough else self._threshold - 2
-        self._set_threshold(max(threshold, self._lowest))
-
-    def _set_threshold(self, threshold: int) -> None:
-        self._threshold = threshold
-        for detector in self._detectors:
-            detector.setFastThreshold(self._threshold)
+        self._threshold = max(threshold, self._lowest)
 
 
 def _pixels(found: Sequence[cv2.KeyPoint]) -> NDArray[np.float32]:

@@ -60,8 +60,7 @@ class Tracker:
         self._waiting: LocalKeyframe | None = None  # a new part's first keyframe, until its depth has come
         self.wants_probe = False  # lost, and the last frame shows something
         self.may_map = True  # False: the map stays as it is, wherever the camera goes
-        self.epoch = first_id
-        self.log_scale = 0.0
+        self.epoch, self.log_scale = first_id, 0.0
         self._next_keyframe = first_id
         self._announced = -1  # newest keyframe whose message has gone out
         self._last: TrackedFrame | None = None
@@ -124,7 +123,8 @@ class Tracker:
                 self._lost, self._looked_ns, self._looking_at = True, 0, stamp_ns
                 self.places.begin()
                 log.info("lost at frame %d", index)
-            self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES
+            waits = self._waiting is not None and self._first.awaits_answer  # a probe would take its place
+            self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES and not waits
             if self._lost and self.may_map:
                 self._look_on(index, stamp_ns, camera, features)
             if not self.initialised:

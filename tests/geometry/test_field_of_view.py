@@ -56,5 +56,29 @@ def test_a_pixel_is_where_the_model_puts_it(x: float, y: float) -> None:
         assert in_image(WIDE, ideal)[0] == (expected and np.abs(ideal - raw).max() < FARTHEST * 640)
 
 
+FOLDING = [
+    Camera(640, 480, 330.0, 330.0, 320.0, 240.0, PINHOLE, (-0.33, 0.12, 5e-4, -3e-4, -0.02)),
+    Camera(1280, 720, 600.0, 600.0, 640.0, 360.0, PINHOLE, (-0.35, 0.0, 5e-4, -3e-4)),
+    Camera(640, 480, 300.0, 300.0, 320.0, 240.0, PINHOLE, (-0.35, 0.0, 0.0, 0.0)),
+]
+
+
+@pytest.mark.parametrize("camera", FOLDING)
+def test_of_a_lens_model_that_folds_over_only_rays_that_come_back_count(camera: Camera) -> None:
+    """Against the model itself: along a ray from the centre the pixel moves out, until the model folds."""
+    for angle in np.linspace(0.01, 0.01 + 2 * np.pi, 24, endpoint=False):
+        out = np.linspace(0.0, 2.0 * camera.width, 400)
+        ideal = [camera.cx, camera.cy] + out[:, None] * [np.cos(angle), np.sin(angle)]
+        raw = camera.distort_pixels(ideal)
+        away = np.linalg.norm(raw - [camera.cx, camera.cy], axis=1)
+        grows = np.cumprod(np.diff(away, prepend=-1.0) > 0).astype(bool)
+        shown = grows & np.all((raw >= 0) & (raw < (camera.width, camera.height)), axis=1)
+        claimed = in_image(camera, ideal)
+        # Where the model folds its inverse is found to a pixel or not at all: a step or two beside it.
+        last = int(np.flatnonzero(shown)[-1])
+        assert claimed[: last // 2].all()
+        assert not claimed[last + 8 :].any()
+
+
 def test_none_gives_none() -> None:
     assert in_image(WIDE, np.zeros((0, 2))).shape == (0,)

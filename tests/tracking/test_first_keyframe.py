@@ -117,6 +117,19 @@ def test_a_part_whose_depth_is_of_no_use_begins_again_soon() -> None:
     assert run.feed(0, room[1][0], at=max(run.results) + 1).odometry == OK
 
 
+def test_no_probe_takes_the_place_of_the_picture_that_a_part_waits_for() -> None:
+    """The depth worker keeps the newest picture alone: a slow network would see probes only."""
+    room = other_room(40)
+    run = astray(room)
+    part = max(run.keyframes)
+    for _ in range(30):
+        run.feed(0, room[0][0], at=max(run.results) + 1)
+        assert not run.tracker.wants_probe
+    run.tracker.add_no_depth(part)
+    run.feed(0, room[0][0], at=max(run.results) + 1)
+    assert run.tracker.wants_probe or max(run.keyframes) > part, "it has been answered"
+
+
 def test_a_part_of_slow_depth_is_not_lost_with_the_first_blurred_image() -> None:
     room = other_room(40)
     run = astray(room)

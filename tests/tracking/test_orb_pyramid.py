@@ -105,6 +105,11 @@ def test_where_the_light_goes_out_the_same_image_is_searched_again():
     assert len(stuck.detect(dim)[0]) < 0.4 * 500 < expected
     pixels, levels, _ = pyramid.detect(dim)
     assert len(pixels) == len(levels) == len(pyramid.describe(np.arange(len(pixels)))) == expected
+    # One such image is no reason to find far too many in the next; several in a row are.
+    assert HIGHEST_THRESHOLD - 2 <= pyramid._threshold < HIGHEST_THRESHOLD
+    for _ in range(HIGHEST_THRESHOLD):
+        assert len(pyramid.detect(dim)[0]) > 0.4 * 500
+    assert pyramid._threshold < HIGHEST_THRESHOLD - 5
 
 
 @pytest.mark.parametrize("size", [(480, 640), (64, 48), (24, 32), (3, 2), (1, 1)])
