@@ -60,6 +60,12 @@ def test_the_template_differs_by_its_instance_alone() -> None:
     assert meant(TEMPLATE) == meant(UNIT)
 
 
+def test_the_clock_is_set_before_stamps_are_taken_from_it() -> None:
+    after = re.search(r"^After=(.*)$", UNIT.read_text(), re.MULTILINE)
+    assert after
+    assert "time-sync.target" in after[1].split()
+
+
 def test_what_a_restart_can_not_mend_is_not_restarted() -> None:
     codes = re.search(r"^RestartPreventExitStatus=(.*)$", UNIT.read_text(), re.MULTILINE)
     assert codes
