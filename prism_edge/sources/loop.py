@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from prism_edge.geometry.poses import Array
 from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
 
 
@@ -54,6 +55,10 @@ class Looped(Source):
 
     def read_ahead(self) -> None:
         self._source.read_ahead()
+
+    def true_pose(self, index: int) -> Array | None:
+        """Of an image of this round; the worker asks right after it has read it."""
+        return self._source.true_pose(index - self._index_offset)
 
     def close(self) -> None:
         self._source.close()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
 
@@ -52,3 +54,12 @@ def test_stamps_grow_although_the_recordings_go_back(tmp_path: Path) -> None:
     assert items[1] is not None
     assert items[3].index == 3
     assert items[3].stamp_ns > items[1].stamp_ns
+
+
+def test_a_simulated_worlds_truth_goes_on() -> None:
+    config = SourceConfig(uri="sim:room?frames=3&width=64&height=48", loop=True)
+    with open_source(config) as source, open_source(replace(config, loop=False)) as once:
+        for i in range(7):
+            item = source.read()
+            assert item is not None
+            np.testing.assert_array_equal(source.true_pose(item.index), once.true_pose(i % 3))
