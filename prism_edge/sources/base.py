@@ -56,7 +56,8 @@ class Source(ABC):
     and where they are from. ``frame_count`` is None where nobody can know. ``period_ns`` is the usual
     time between images. A ``live`` source stamps images itself, its ``peek`` is always None, and its
     ``read`` comes back within a second, image or no image. A ``synthetic`` one has nothing that opening
-    could find wrong, and ``peek`` answers before it is open.
+    could find wrong, and ``peek`` answers before it is open. With one that ``decodes_skipped`` images,
+    passing over an image costs about what reading it does.
     """
 
     name: str
@@ -66,6 +67,7 @@ class Source(ABC):
     period_ns: int
     live: bool = False
     synthetic: bool = False
+    decodes_skipped: bool = False
 
     @abstractmethod
     def open(self) -> None:

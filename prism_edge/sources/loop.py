@@ -17,6 +17,7 @@ class Looped(Source):
         self.camera_origin = source.camera_origin
         self.frame_count = None
         self.period_ns = source.period_ns
+        self.decodes_skipped = source.decodes_skipped
         self._source = source
         self._index_offset = self._stamp_offset = 0
         self._passed: list[Slot] = []  # first, and newest so far, of this round

@@ -24,6 +24,8 @@ class Video(Source):
     expects it one period after the last; the item read has the true one.
     """
 
+    decodes_skipped = True  # each frame rests on those before it
+
     def __init__(self, path: Path, camera: Camera, camera_origin: str) -> None:
         self.name = f"video {path}"
         self.camera = camera

@@ -19,7 +19,7 @@ from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_sou
 from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.open import AUTO
-from prism_edge.sources.schedule import Schedule
+from prism_edge.sources.schedule import CatchingUp, Schedule
 from prism_edge.workers.pause import Pause
 
 log = logging.getLogger("prism_edge.source")
@@ -125,26 +125,33 @@ class SourceWorker:
                 self._await_acknowledgements(gatekeeper, item.index)
 
     def _play_realtime(self) -> None:
-        """Each image at its scheduled time; once that is late by more than a period, images are skipped."""
+        """Each image at its scheduled time; once that is late by more than a period, images are skipped.
+
+        Where that gains no time (a video that decodes slowly) the schedule is put off instead.
+        """
         first = self._source.peek()
         if first is None:
             return
         schedule = Schedule(
             time.monotonic_ns(), first, self._source.period_ns, self._config.source.rate_hz
         )
+        catching_up = CatchingUp()
         while (slot := self._source.peek()) is not None:
             self._source.read_ahead()
             if not self._sleep_until(schedule.due_ns(slot)):
                 return
             if self._pause.on:
-                schedule = replace(schedule, start_ns=schedule.start_ns + self._hold())
+                schedule = schedule.put_off(self._hold())
                 continue
             # A stamp that goes back is due long ago, but it is not we who are late: it is to be refused.
-            if not self._checks.goes_back(slot.stamp_ns) and schedule.is_late(slot, time.monotonic_ns()):
-                self._source.skip()
-                self._checks.late()
-                self._show()
-                continue
+            now_ns = time.monotonic_ns()
+            if not self._checks.goes_back(slot.stamp_ns) and schedule.is_late(slot, now_ns):
+                if self._gains(catching_up, slot.index, schedule.periods_late(slot, now_ns)):
+                    self._source.skip()
+                    self._checks.late()
+                    self._show()
+                    continue
+                schedule = schedule.put_off(now_ns - schedule.due_ns(slot))
             item = self._read()
             if item is None or isinstance(item, Absent):
                 return
@@ -153,6 +160,16 @@ class SourceWorker:
             if not self._sleep_until(due_ns):
                 return
             self._pass_on(item, due_ns)
+
+    def _gains(self, catching_up: CatchingUp, index: int, late: float) -> bool:
+        """Whether to skip the late image; says once where that is of no use."""
+        if not self._source.decodes_skipped or catching_up.skips(index, late):
+            return True
+        if "slow" not in self._reported:
+            self._reported.add("slow")
+            why = "decoding takes longer than the video's own pace leaves"
+            log.warning("%s: it is played slower (use lockstep, or a smaller video)", why)
+        return False
 
     def _sleep_until(self, due_ns: int) -> bool:
         """False where the process is to stop instead."""

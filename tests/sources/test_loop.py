@@ -22,6 +22,7 @@ def test_indices_and_stamps_go_on(tmp_path: Path, kind: str) -> None:
     path = tiny.write_tum(tmp_path) if kind == "folder" else tiny.write_video(tmp_path / "clip.avi", 5, 10.0)
     with looped(path) as source:
         assert source.frame_count is None
+        assert source.decodes_skipped == (kind == "video")
         items = [source.read() for _ in range(13)]
     assert [item.index for item in items if item] == list(range(13))
     stamps = [item.stamp_ns - items[0].stamp_ns for item in items if item and items[0]]

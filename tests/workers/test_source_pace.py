@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 from sources import tiny_datasets as tiny
 
 from prism_edge.sources import Image, Slot, Source, open_source
@@ -75,6 +78,57 @@ def test_what_follows_is_asked_for_before_the_wait_for_it(tmp_path: Path) -> Non
     with running(work) as bus:
         bus.until_end()
     assert sources[0].asked == list(range(50))
+
+
+class Heavy(SlowSource):
+    """A thousand images a second, each of which takes three milliseconds of the test's own clock."""
+
+    decodes_skipped = True
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self.now_ns = 0
+
+    def read(self) -> Image:
+        self.now_ns += 3_000_000
+        return replace(self.image, index=self._passed(), stamp_ns=(self._next - 1) * 1_000_000)
+
+    def skip(self) -> None:
+        self.now_ns += 3_000_000
+        self._passed()
+
+    def open(self) -> None:
+        super().open()
+        image = self._inner.read()
+        assert isinstance(image, Image)
+        self.image = image
+
+    def _passed(self) -> int:
+        self._next += 1
+        return self._next - 1
+
+
+@pytest.mark.parametrize("decodes_skipped", [True, False])
+def test_a_video_that_decodes_slowly_is_played_slower(
+    tmp_path: Path,
+    decodes_skipped: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    config = settings(tiny.write_tum(tmp_path), loop=True)
+    with Heavy(open_source(config.source)) as source:
+        source.decodes_skipped = decodes_skipped
+        clock = SimpleNamespace(monotonic_ns=lambda: source.now_ns, monotonic=lambda: source.now_ns / 1e9)
+        monkeypatch.setattr("prism_edge.workers.source.time", clock)
+        with running(lambda bus: SourceWorker(config, bus, source).run()) as bus:  # type: ignore[arg-type]
+            frames, end = bus.until_end()
+    indices = [frame.index for frame in frames]
+    # ten were skipped before it was known to be of no use; of a folder's images, all that were late
+    assert indices == ([0, *range(11, 50)] if decodes_skipped else [0])
+    assert end.frames == 50
+    assert caplog.text.count("it is played slower") == decodes_skipped
+    captured = [frame.captured_monotonic_ns for frame in frames]
+    assert captured == sorted(captured)
 
 
 class Camera(SlowSource):
