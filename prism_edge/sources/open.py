@@ -59,7 +59,7 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
     elif path.is_file():
         known = _camera_file(path.parent, config) if calibrated else _UNKNOWN
         origin, camera = known or _no_camera(path)
-        source = Video(path, camera, origin)
+        source = Video(path, camera, origin, config.rate_hz)
     elif path.exists():
         raise SourceError(f"{path} is neither a folder nor a file; recognised are: {RECOGNISED}")
     else:

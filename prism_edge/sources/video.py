@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from pathlib import Path
 
@@ -12,13 +13,15 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import check_camera_size
 
+log = logging.getLogger("prism_edge.sources")
+
 # What is wrong with a file is said by us, in one line: FFmpeg and OpenCV would add theirs on stderr.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened
 _QUIET = cv2.utils.logging.LOG_LEVEL_ERROR
 
 
 class Video(Source):
-    """Plays a video file with the stamps of its container.
+    """Plays a video file with the stamps of its container; one without any (.h264), at ``rate_hz``.
 
     The stamp of a frame is known only once it has been taken from the container, so :meth:`peek`
     expects it one period after the last; the item read has the true one.
@@ -26,13 +29,15 @@ class Video(Source):
 
     decodes_skipped = True  # each frame rests on those before it
 
-    def __init__(self, path: Path, camera: Camera, camera_origin: str) -> None:
+    def __init__(self, path: Path, camera: Camera, camera_origin: str, rate_hz: float = 0.0) -> None:
         self.name = f"video {path}"
         self.camera = camera
         self.camera_origin = camera_origin
         self.frame_count = None
         self.period_ns = round(1e9 / DEFAULT_RATE_HZ)
         self._path = path
+        self._rate_hz = rate_hz
+        self._stampless = False
         self._capture: cv2.VideoCapture | None = None
         self._next = 0
         self._last_stamp_ns = 0
@@ -44,7 +49,11 @@ class Video(Source):
         if not isinstance(item, Image):
             raise SourceError(f"{self._path} has no readable frame")
         check_camera_size(self.camera, self.camera_origin, item.pixels, str(self._path))
+        stampless = self._advance() is not None and self._position_ns() == 0
+        said, self._stampless = self._stampless, stampless
         self._rewind()
+        if stampless and not said:
+            log.info("%s has no stamps: taken to run at %.4g Hz", self._path, 1e9 / self.period_ns)
 
     def _rewind(self) -> None:
         self.close()
@@ -55,6 +64,8 @@ class Video(Source):
             raise SourceError(f"{self._path} is no video that can be read (and no folder of images)")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # intrinsics belong to frames as stored
         rate, count = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if self._stampless and self._rate_hz:
+            rate = self._rate_hz
         if 0.1 <= rate <= 1000.0:
             self.period_ns = round(1e9 / rate)
         self.frame_count = count if count > 0 else None
@@ -86,10 +97,17 @@ class Video(Source):
         if not self._capture.grab():
             self.close()
             return None
-        slot = Slot(self._next, round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6))
+        stamp_ns = self._position_ns()
+        if stamp_ns == 0 and self._next > 0:  # none: in a bare stream, and at an AVI's end behind B-frames
+            stamp_ns = self._last_stamp_ns + self.period_ns
+        slot = Slot(self._next, stamp_ns)
         self._next += 1
         self._last_stamp_ns = slot.stamp_ns
         return slot
+
+    def _position_ns(self) -> int:
+        """The stamp of the frame taken last, 0 where it has none."""
+        return 0 if self._capture is None else round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)
 
     def close(self) -> None:
         if self._capture is not None:

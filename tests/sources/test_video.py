@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,57 @@ def test_skipping_and_what_comes_next(tmp_path: Path) -> None:
         assert slot is not None
         assert item is not None
         assert (slot.index, slot.stamp_ns) == (item.index, item.stamp_ns) == (2, 100_000_000)
+
+
+def write_h264(path: Path, kind: str, count: int = 8) -> Path:
+    """At 20 Hz and with B-frames; "h264" is a bare stream, which has no stamps."""
+    av = pytest.importorskip("av", reason="OpenCV can't write H.264 here, and PyAV is not installed")
+    (path.parent / "camera.yaml").write_text(tiny.CAMERA)
+    with av.open(str(path), "w", format=kind) as container:
+        stream = container.add_stream("libx264", rate=20, options={"bf": "2"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for i in range(count):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(tiny.picture(i), format="bgr24")))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize(("rate_hz", "period_ns"), [(0.0, 40_000_000), (50.0, 20_000_000)])
+def test_a_bare_stream_runs_at_its_rate(
+    tmp_path: Path, rate_hz: float, period_ns: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_h264(tmp_path / "clip.h264", "h264")
+    source = open_source(SourceConfig(uri=str(path), rate_hz=rate_hz))
+    with caplog.at_level(logging.INFO):
+        for _ in range(2):
+            with source:
+                assert source.period_ns == period_ns
+                items = list(iter(source.read, None))
+            assert [item.stamp_ns for item in items if item] == [period_ns * i for i in range(8)]
+    assert caplog.text.count("has no stamps") == 1
+
+
+def test_the_last_frames_of_an_avi_with_b_frames_have_their_time(tmp_path: Path) -> None:
+    with opened(write_h264(tmp_path / "clip.avi", "avi")) as source:
+        stamps = [item.stamp_ns for item in iter(source.read, None) if item]
+    assert len(stamps) == 8
+    assert np.diff(stamps).tolist() == [50_000_000] * 7
+
+
+def test_a_rate_leaves_the_stamps_of_a_container(tmp_path: Path) -> None:
+    path = tiny.write_video(tmp_path / "clip.avi", count=3)
+    with open_source(SourceConfig(uri=str(path), rate_hz=5.0)) as source:
+        assert [item.stamp_ns for item in iter(source.read, None) if item] == [0, 50_000_000, 100_000_000]
+
+
+def test_a_stamp_that_goes_back_is_left_to_the_checks(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stamps_ns = [0, 50_000_000, 20_000_000, 150_000_000]
+    source = opened(tiny.write_video(tmp_path / "clip.avi", count=4))
+    with source:
+        monkeypatch.setattr(source, "_position_ns", iter(stamps_ns).__next__)
+        assert [item.stamp_ns for item in iter(source.read, None) if item] == stamps_ns
 
 
 def test_it_plays_again_once_reopened(tmp_path: Path) -> None:
