@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Set
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,11 @@ _OWN_REQUIRED = ("width", "height", "fx", "fy", "cx", "cy")
 _OWN_KEYS = {*_OWN_REQUIRED, "model", "distortion"}
 _ROS_REQUIRED = ("image_width", "image_height", "camera_matrix", "distortion_coefficients")
 _ROS_KEYS = {*_ROS_REQUIRED, "camera_name", "distortion_model", "rectification_matrix", "projection_matrix"}
+# What the calibration that comes with OpenCV as a sample writes besides: how it was done, not what was found.
+_SAMPLE_KEYS = {"calibration_time", "nframes", "nr_of_frames", "board_width", "board_height", "square_size"}
+_SAMPLE_KEYS |= {"marker_size", "aspectRatio", "fix_aspect_ratio", "flags", "fisheye_model"}
+_SAMPLE_KEYS |= {"avg_reprojection_error", "per_view_reprojection_errors", "extrinsic_parameters"}
+_SAMPLE_KEYS |= {"image_points", "grid_points"}
 _MATRIX_KEYS = {"rows", "cols", "data", "dt"}
 # ROS's name -> our model, and how many coefficients go with it
 _ROS_MODELS = {
@@ -92,8 +98,11 @@ def _own(tree: dict[Any, Any]) -> Camera:
 
 
 def _ros(tree: dict[Any, Any]) -> Camera:
-    _check_keys(tree, _ROS_KEYS, _ROS_REQUIRED)
-    name = _word(tree, "distortion_model", "plumb_bob")
+    _check_keys(tree, _ROS_KEYS, _ROS_REQUIRED, _SAMPLE_KEYS)
+    fisheye = tree.get("fisheye_model", 0)
+    if fisheye not in (0, 1):
+        raise ConfigError(f"fisheye_model: expected 0 or 1, found {fisheye!r}")
+    name = _word(tree, "distortion_model", "equidistant" if fisheye else "plumb_bob")
     if name not in _ROS_MODELS:
         raise ConfigError(f"distortion_model: {name!r} is not known (use {', '.join(_ROS_MODELS)})")
     model, counts = _ROS_MODELS[name]
@@ -110,9 +119,11 @@ def _ros(tree: dict[Any, Any]) -> Camera:
     return Camera(*size, k[0], k[4], k[2], k[5], model, distortion)
 
 
-def _check_keys(tree: dict[Any, Any], known: set[str], required: tuple[str, ...]) -> None:
+def _check_keys(
+    tree: dict[Any, Any], known: set[str], required: tuple[str, ...], ignored: Set[str] = frozenset()
+) -> None:
     for key in tree:
-        if key not in known:
+        if key not in known and key not in ignored:
             raise ConfigError(f"key {key!r} is not known (known: {', '.join(sorted(known))})")
     for key in required:
         if key not in tree:

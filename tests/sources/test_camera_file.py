@@ -76,6 +76,33 @@ def test_what_opencv_writes_is_read(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize("fisheye", [0, 1])
+def test_what_opencvs_calibration_sample_writes_is_read(tmp_path: Path, fisheye: int) -> None:
+    path = tmp_path / "out_camera_data.yml"
+    distortion = (0.1, -0.02, 0.003, -0.0004) if fisheye else (0.1, -0.02, 0.003, -0.0004, 0.00005)
+    views = np.ones((3, 6))
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    storage.write("calibration_time", "Tue 03 Jun 2025 10:11:12 AM CEST")
+    for key in ("nframes", "nr_of_frames", "board_width", "board_height"):
+        storage.write(key, 9)
+    storage.write("image_width", 640)
+    storage.write("image_height", 480)
+    for key in ("square_size", "marker_size", "aspectRatio", "fix_aspect_ratio", "avg_reprojection_error"):
+        storage.write(key, 25.0)
+    storage.writeComment("flags: +fix_principal_point")
+    storage.write("flags", 4)
+    storage.write("fisheye_model", fisheye)
+    storage.write("camera_matrix", np.array([[520.25, 0, 318.0], [0, 521.5, 241.0], [0, 0, 1]]))
+    storage.write("distortion_coefficients", np.array(distortion).reshape(-1, 1))
+    storage.write("per_view_reprojection_errors", views[:, :1].astype(np.float32))
+    storage.write("extrinsic_parameters", views)
+    storage.write("image_points", np.ones((3, 54, 2), np.float32))
+    storage.write("grid_points", np.ones((54, 3), np.float32))
+    storage.release()
+    model = "fisheye" if fisheye else "pinhole"
+    assert read_camera(path) == Camera(640, 480, 520.25, 521.5, 318.0, 241.0, model, distortion)
+
+
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.name)
 def test_the_examples_are_valid(path: Path) -> None:
     assert read_camera(path).width > 0
@@ -126,6 +153,8 @@ def test_there_are_examples() -> None:
         (ROS.replace("image_width: 752\n", ""), ["image_width", "missing"]),
         (ROS.replace("image_width", "image_breadth"), ["image_breadth"]),
         (ROS + "fx: 500\n", ["fx"]),
+        (ROS + "fisheye_model: 2\n", ["fisheye_model", "0 or 1"]),
+        (OWN + "flags: 0\n", ["flags", "not known"]),
         (ROS.split("camera_matrix")[0] + "camera_matrix: 3\ndistortion_coefficients: 4\n", ["camera_matrix"]),
     ],
 )
