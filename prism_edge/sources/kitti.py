@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array, from_rt
 from prism_edge.sources.image_file import read_image
 from prism_edge.sources.listing import Intrinsics, Listing, files_in, lines_of
 from prism_edge.sources.stamps import parse_seconds
@@ -15,7 +18,7 @@ _CAMERAS = {"image_2": "P2", "image_0": "P0"}  # colour before grey
 
 def find(folder: Path, rate_hz: float) -> Listing | None:
     """The sequence in a folder, None where its layout is another; SourceError where tables are damaged."""
-    names = [name for name in _CAMERAS if (folder / name).is_dir()]
+    names = _image_folders(folder)
     if not names or not (folder / "calib.txt").is_file():
         return None
     images = [path for path in files_in(folder / names[0]) if path.stem.isdecimal()]
@@ -43,18 +46,47 @@ def read_times(path: Path) -> list[int]:
     return times
 
 
-def _intrinsics(path: Path, key: str, images: list[Path]) -> Intrinsics:
-    """Projection matrix P0 or P2 of calib.txt: the images are rectified, so it says all but their size."""
+def camera0_from_played(folder: Path) -> Array:
+    """The pose (4, 4), metres, of the camera that is played in camera 0, whose path poses.txt is.
+
+    Rectified cameras differ by a translation t alone: P2 = K [I | t]. Raises ConfigError where calib.txt is
+    damaged.
+    """
+    name = _image_folders(folder)[0]
+    if name == "image_0":
+        return np.eye(4)
+    path = folder / "calib.txt"
+    number, numbers = _projection(path, _CAMERAS[name])
+    p = np.array(numbers).reshape(3, 4)
+    try:
+        return from_rt(np.eye(3), -np.linalg.solve(p[:, :3], p[:, 3]))
+    except np.linalg.LinAlgError:
+        raise ConfigError(f"{path} line {number}: no camera projects so") from None
+
+
+def _image_folders(folder: Path) -> list[str]:
+    """The first is played."""
+    return [name for name in _CAMERAS if (folder / name).is_dir()]
+
+
+def _projection(path: Path, key: str) -> tuple[int, list[float]]:
+    """Line number and the 12 numbers, row by row, of P0 or P2 of calib.txt."""
     rows = {words[0].rstrip(":"): (number, words[1:]) for number, words in lines_of(path)}
     if key not in rows:
         raise ConfigError(f"{path} has no line {key}:")
     number, words = rows[key]
     try:
         p = [float(word) for word in words]
-        if len(p) != 12:
+        if len(p) != 12 or not np.all(np.isfinite(p)):
             raise ValueError
     except ValueError:
         raise ConfigError(f"{path} line {number}: expected 12 numbers after {key}:") from None
+    return number, p
+
+
+def _intrinsics(path: Path, key: str, images: list[Path]) -> Intrinsics:
+    """Projection matrix P0 or P2 of calib.txt: the images are rectified, so it says all but their size."""
+    number, p = _projection(path, key)
     for image in images:
         pixels = read_image(image)
         if not isinstance(pixels, str):

@@ -10,7 +10,7 @@ import numpy as np
 from prism_edge.errors import SourceError
 from prism_edge.geometry.poses import Array, from_rt, rotation_from_quaternion
 from prism_edge.messages import F64, I64
-from prism_edge.sources.kitti import read_times
+from prism_edge.sources.kitti import camera0_from_played, read_times
 from prism_edge.sources.listing import lines_of
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.sim import SimSource, is_simulated
@@ -24,8 +24,9 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
     """(stamps_ns (n,), world_from_camera (n, 4, 4), metres) in order of time; None where there is none.
 
     TUM RGB-D: groundtruth.txt. 7-Scenes: the frames' .pose.txt, those not finite left out. KITTI odometry:
-    poses.txt, or ../../poses/NN.txt as the benchmark lays it out. Simulator: exact, and
-    computed. Raises SourceError naming the file where it is damaged.
+    poses.txt, or ../../poses/NN.txt as the benchmark lays it out, which are camera 0's, carried over to the
+    one that is played. Simulator: exact, and computed. Raises SourceError naming the file where it is
+    damaged, and ConfigError where KITTI's calib.txt is.
     """
     if is_simulated(uri):
         return SimSource(uri).truth()
@@ -85,7 +86,8 @@ def _kitti(folder: Path, candidates: tuple[Path, ...]) -> list[tuple[int, Array]
     times = read_times(folder / "times.txt")
     if len(poses) != len(times):
         raise SourceError(f"{path} has {len(poses)} poses for the {len(times)} times of times.txt")
-    return list(zip(times, poses, strict=True))
+    camera0_from_camera = camera0_from_played(folder)
+    return [(time, pose @ camera0_from_camera) for time, pose in zip(times, poses, strict=True)]
 
 
 def _numbers(words: list[str], count: int, where: str, finite: bool = True) -> list[float]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
 
-from prism_edge.errors import SourceError
+from prism_edge.errors import ConfigError, SourceError
 from prism_edge.sources.sensor_depth import SensorDepth
 from prism_edge.sources.truth import read_truth
 
@@ -55,6 +55,23 @@ def test_kitti_beside_the_images_or_as_the_benchmark_has_it(tmp_path: Path) -> N
     np.testing.assert_array_equal(inside[1], beside[1])
     assert inside[0].tolist() == [0, 100000000, 200000000]
     np.testing.assert_allclose(inside[1][:, 2, 3], [0, 1, 2])
+
+
+def test_kittis_colour_camera_has_a_path_of_its_own(tmp_path: Path) -> None:
+    folder = tiny.write_kitti(tmp_path, cameras=("image_0", "image_2"))
+    # K = [80 0 30; 0 50 20; 0 0 1], t = (0.06, -0.02, 0.003): camera 2 is 6 cm to the left
+    calibration = "P0: 80 0 30 0 0 50 20 0 0 0 1 0\nP2: 80 0 30 4.89 0 50 20 -0.94 0 0 1 0.003\n"
+    (folder / "calib.txt").write_text(calibration)
+    turned = "0 0 1 5 0 1 0 6 -1 0 0 7\n"  # world_from_camera0: its x is the world's -z, its z the world's x
+    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" + turned * 2)
+    truth = read_truth(str(folder))
+    assert truth is not None
+    np.testing.assert_allclose(truth[1][0, :3, 3], [-0.06, 0.02, -0.003], atol=1e-12)
+    np.testing.assert_allclose(truth[1][1, :3, 3], [5 - 0.003, 6 + 0.02, 7 + 0.06], atol=1e-12)
+    np.testing.assert_array_equal(truth[1][1, :3, :3], [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    (folder / "calib.txt").write_text(calibration.replace("80 0 30 4.89", "0 0 30 4.89"))
+    with pytest.raises(ConfigError, match=r"calib\.txt line 2"):
+        read_truth(str(folder))
 
 
 def test_kitti_in_a_folder_directly_below_the_root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
