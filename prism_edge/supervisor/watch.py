@@ -16,6 +16,7 @@ from prism_edge.supervisor.restart import RestartPolicy
 if TYPE_CHECKING:
     from prism_edge.messages import Heartbeat
 
+HUNG_STARTS = 3  # in a row; a process that hangs in more of them is not about to come back
 USER_ERRORS = tuple(error.exit_code for error in (ConfigError, SourceError, ModelError, BusError))
 
 
@@ -43,6 +44,7 @@ class Watch:
         self._heard_s = 0.0
         self._last_exit = ""
         self._why_killed = ""
+        self._hung_starts = 0  # killed before they were ready, since it was last ready
         self.asked_to_end_s: float | None = None  # when, for a start with another configuration
         self.on_trial = False  # started with another configuration, and not ready since
 
@@ -63,6 +65,8 @@ class Watch:
         if heartbeat.pid == self._pid:
             self._heartbeat, self._heard_s = heartbeat, now_s
             self.was_ready |= self.ready
+            if self.ready:
+                self._hung_starts = 0
             if self.ready and self._ready_s is None:
                 self._ready_s, self.on_trial = now_s, False
 
@@ -94,7 +98,12 @@ class Watch:
         return self.ready and self.verdict(now_s).liveness == ALIVE
 
     def comes_back(self, now_s: float) -> bool:
-        """Whether it was ready in an earlier life, and is heard of within the time that a start may take."""
+        """Whether it was ready in an earlier life, and is heard of within the time that a start may take.
+
+        Not where its last starts all hung. One that ended by itself, as without its camera, did not hang.
+        """
+        if self._hung_starts >= HUNG_STARTS:
+            return False
         starts = self.was_ready and self._heartbeat is not None and self.state == "starting"
         return starts and self.verdict(now_s).liveness == ALIVE
 
@@ -132,6 +141,7 @@ class Watch:
         died too often.
         """
         self._last_exit = describe_exit(code) + (f" ({self._why_killed})" if self._why_killed else "")
+        self._hung_starts += bool(self._why_killed) and self._ready_s is None
         self._why_killed = ""
         if self.asked_to_end_s is not None or self.refuses(code):
             self.restart_at_s = now_s

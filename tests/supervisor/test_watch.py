@@ -113,6 +113,35 @@ def test_one_that_was_ready_and_starts_again_comes_back_while_it_is_heard_of_in_
     assert watch.healthy(23.6)
 
 
+def starts_in_vain(watch: Watch, pid: int, hangs: bool) -> bool:
+    """A start that hangs until it is killed, or ends by itself; whether it was taken for one that comes back.
+
+    Far enough from the one before for deaths to be forgotten.
+    """
+    now_s = 1000.0 * pid
+    watch.started(pid, now_s)
+    watch.heard(beat(pid, "starting"), now_s + 1.0)
+    came_back = watch.comes_back(now_s + 2.0)
+    if hangs:
+        watch.killed(watch.verdict(now_s + 21.0).why)
+    watch.exited(-9 if hangs else 4, now_s + 21.0)
+    return came_back
+
+
+def test_one_that_hangs_in_every_start_does_not_come_back_for_ever(watch: Watch) -> None:
+    for pid in (100, 110):  # what counts is the starts since it was last ready
+        watch.started(pid, 1000.0 * pid)
+        watch.heard(beat(pid, "ready"), 1000.0 * pid + 0.5)
+        watch.exited(-9, 1000.0 * pid + 1.0)
+        assert [starts_in_vain(watch, pid + i, hangs=True) for i in range(1, 6)] == [True] * 3 + [False] * 2
+
+
+def test_one_that_waits_for_its_camera_and_ends_by_itself_comes_back_each_time(watch: Watch) -> None:
+    watch.heard(beat(100, "ready"), 0.5)
+    watch.exited(4, 1.0)
+    assert all(starts_in_vain(watch, pid, hangs=False) for pid in range(101, 111))
+
+
 def test_a_warning_of_its_own_shows_in_its_row_while_it_stands(watch: Watch) -> None:
     watch.heard(beat(100, "idle", warning="no usable depth: all NaN"), 0.5)
     row = watch.row(0.6)
