@@ -201,6 +201,7 @@ class Scale:
     bias_sigma: float = 0.0  # the network's, which is in sigma
     local_sigma: float = 0.0  # how far the map's log scale here may be from log_scale, beyond sigma
     network: str = ""  # whose depth it was learned from
+    metric: bool = True  # whether depth has fixed or met the map's unit; else log_scale is a guess
 
 
 @dataclass(frozen=True)
@@ -300,6 +301,7 @@ class MapLoaded:
     scale_sigma: float  # the network's bias left out
     bias_sigma: float = 0.0
     network: str = ""  # whose depth log_scale was learned from
+    metric: bool = True  # whether anything is known of the unit; else log_scale is a guess
 
 
 @dataclass(frozen=True)

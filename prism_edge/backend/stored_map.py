@@ -105,6 +105,11 @@ class KnownScale:
         return cls(float(log_scale), float(sigma), float(bias), str(info.get("scale_by", "")))
 
     @property
+    def is_known(self) -> bool:
+        """Whether depth has said anything of the unit."""
+        return self != KnownScale()
+
+    @property
     def info(self) -> Info:
         """For a stored map."""
         known = {"log_scale": self.log_scale, "scale_sigma": self.sigma, "bias_sigma": self.bias_sigma}

@@ -73,7 +73,7 @@ class ScaleEstimator:
         if self._epoch is not None and keyframe.epoch < self._epoch:
             return None
         if self._epoch != keyframe.epoch:
-            self._begin(keyframe.epoch)
+            self.begin(keyframe.epoch)
         self._gate.note(keyframe)
         weights = np.ones(len(keyframe.pixels), dtype=np.float32)
         uncertainty = np.full(len(keyframe.pixels), np.nan, dtype=np.float32)
@@ -120,6 +120,7 @@ class ScaleEstimator:
             observation_sigma=math.sqrt(observation.variance) if observation else math.nan,
             points=observation.points if observation else 0,
             accepted=accepted,
+            metric=self.metric,
         )
         return message, Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, uncertainty)
 
@@ -127,13 +128,14 @@ class ScaleEstimator:
         self, epoch: int, log_scale: float, sigma: float, bias_sigma: float = 0.0, network: str = ""
     ) -> None:
         """A map that was there is gone on with, as ``epoch``: its unit is known, to a network's bias."""
-        self._begin(epoch)
+        self.begin(epoch)
         self._network = network
         self._bias_sigma = bias_sigma or self._bias_sigma
         self._filter.take_over(log_scale, sigma)
         self._steady.log_scale = log_scale
 
-    def _begin(self, epoch: int) -> None:
+    def begin(self, epoch: int) -> None:
+        """A map of whose unit nothing is known."""
         self._epoch = epoch
         self._filter = ScaleFilter(self._config, self._kalman)
         self._steady = self._new_steady()

@@ -158,7 +158,8 @@ class BackendWorker:
             self._mapper.add_gate(gate)
         for scale in self._scales.drain():
             self._scaled.add(scale.keyframe)
-            if scale.epoch == self._mapper.epoch and np.isfinite(scale.log_scale):
+            # A scale process that knows nothing yet takes nothing from what is known here.
+            if scale.epoch == self._mapper.epoch and scale.metric and np.isfinite(scale.log_scale):
                 told = scale.log_scale, scale.filter_sigma, scale.bias_sigma, scale.network
                 self._scale = KnownScale(*told)
 
@@ -319,12 +320,13 @@ class BackendWorker:
 
     def _loaded(self) -> MapLoaded:
         known = self._scale
-        return MapLoaded(self._mapper.epoch, known.log_scale, known.sigma, known.bias_sigma, known.network)
+        told = known.log_scale, known.sigma, known.bias_sigma, known.network
+        return MapLoaded(self._mapper.epoch, *told, metric=known.is_known)
 
     def _known_unit(self) -> MapLoaded | None:
         """Asked for in another thread: in lockstep ours may be waiting for who asks."""
         loaded = self._loaded()  # amid a load it may be of the map before; then one is published, too
-        return None if self._scale == KnownScale() else loaded
+        return loaded if loaded.metric else None
 
     # -- the map for others -------------------------------------------------------------------------
 

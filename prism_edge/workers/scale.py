@@ -21,7 +21,7 @@ log = logging.getLogger("prism_edge.scale")
 _WAIT_S = 0.05
 # Lockstep: a depth that takes longer isn't coming (its worker died with the image), and all wait for us.
 _PATIENCE_S = 30.0
-_ASK_S = 3.0  # metres wait for it
+_READY_S, _ASK_S = 20.0, 3.0  # a backend that starts beside us reads its journal first; metres wait for it
 # Real time: with no depth for this long (its host is cut off) keyframes say how the uncertainty grows.
 _SILENT_S = 3.0
 
@@ -65,8 +65,8 @@ class ScaleWorker:
 
     def _go_on(self) -> None:
         """Where a life before this one has learned the map's unit, the backend has heard of it."""
-        self._bus.pulse.working("asking for the map's unit", 3 * _ASK_S)
-        self._bus.await_ready(["backend"], _ASK_S)
+        self._bus.pulse.working("asking for the map's unit", _READY_S + 3 * _ASK_S)
+        self._bus.await_ready(["backend"], _READY_S)
         known = self._bus.ask("map_loaded", _ASK_S)
         if known is not None:
             self._take_over(known)
@@ -114,9 +114,12 @@ class ScaleWorker:
     def _take_over(self, loaded: MapLoaded) -> None:
         """Said at once: where the map is left as it is, no keyframe will."""
         log_scale, sigma, bias_sigma = loaded.log_scale, loaded.scale_sigma, loaded.bias_sigma
-        self._estimator.take_over(loaded.epoch, log_scale, sigma, bias_sigma, loaded.network)
+        if loaded.metric:
+            self._estimator.take_over(loaded.epoch, log_scale, sigma, bias_sigma, loaded.network)
+        else:
+            self._estimator.begin(loaded.epoch)
         known = log_scale, math.hypot(sigma, bias_sigma), sigma
-        self._bus.publish("scale", ros.scale(self._stamp_ns, self._map_frame, *known, metric=True))
+        self._bus.publish("scale", ros.scale(self._stamp_ns, self._map_frame, *known, metric=loaded.metric))
 
     def _do_without_depth(self, keyframe_id: int) -> None:
         log.warning("keyframe %d has no depth after %.0f s: going on without", keyframe_id, self._patience_s)

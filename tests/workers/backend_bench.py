@@ -51,13 +51,18 @@ def gate_of(keyframe: Keyframe, weight: float = 1.0) -> Gate:
 
 
 def hear(
-    made: BackendWorker, bus: ListBus, told: list[Keyframe], teller: Teller, log_scale: float = 0.25
+    made: BackendWorker,
+    bus: ListBus,
+    told: list[Keyframe],
+    teller: Teller,
+    log_scale: float = 0.25,
+    metric: bool = True,
 ) -> None:
     """Keyframes as they come in real time, each with all that belongs to it, solved one by one."""
     for keyframe in told:
         bus.give("depth", depth_of(keyframe, teller))
         bus.give("gate", gate_of(keyframe))
-        bus.give("log_scale", scale_of(keyframe, log_scale, bias_sigma=0.07))
+        bus.give("log_scale", scale_of(keyframe, log_scale, bias_sigma=0.07, metric=metric))
         bus.give("keyframe", keyframe)
         made._realtime()
 

@@ -128,8 +128,10 @@ def test_depth_that_can_t_be_used_is_ignored(changes):
         assert keyframe.depths is None or not keyframe.depths.any()
 
 
-@pytest.mark.parametrize("changes", [{"log_scale": NAN}, {"log_scale": float("inf")}, {"epoch": 2}])
-def test_a_scale_that_is_no_number_is_ignored(changes):
+@pytest.mark.parametrize(
+    "changes", [{"log_scale": NAN}, {"log_scale": float("inf")}, {"epoch": 2}, {"metric": False}]
+)
+def test_a_scale_that_is_no_number_or_a_guess_is_ignored(changes):
     bus, (teller, told) = ListBus("keyframe"), keyframes(3)
     bus.give("depth", *(depth_of(k, teller) for k in told))
     bus.give("log_scale", scale_of(told[0], 0.25), scale_of(told[1], **changes))

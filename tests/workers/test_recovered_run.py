@@ -76,6 +76,21 @@ def test_the_next_run_has_the_map_and_says_so(tmp_path: Path) -> None:
     assert snapshot(runs.backend([], teller, life=1, again=True)).keyframes.tolist() == [0, 1, 2, 3, 4, 5]
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_what_is_known_of_its_unit_outlives_a_scale_that_knows_nothing(tmp_path: Path, known: bool) -> None:
+    runs = Runs(tmp_path)
+    teller, told = keyframes(5)
+    (tmp_path / "run-0").mkdir()
+    for life, new, scale in ((0, told[:3], (0.25, known)), (1, told[3:], (0.0, False))):
+        bus = ListBus("keyframe")
+        bus.life, bus.first_id, bus.run_directory = life, life * IDS_A_LIFE, tmp_path / "run-0"
+        hear(worker.BackendWorker(runs.config, bus), bus, new, teller, *scale)
+    after = runs.backend([], teller, goes_on=True)
+    assert len(snapshot(after).keyframes) == 5
+    (loaded,) = after.of("map_loaded")
+    assert (loaded.log_scale, loaded.metric) == (0.25 if known else 0.0, known)
+
+
 def test_it_is_recovered_once_more_where_that_run_was_cut_off_too(tmp_path: Path) -> None:
     runs = Runs(tmp_path)
     teller, told = keyframes(5, epoch=7)

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from prism_edge.config import Config, GateConfig, ScaleConfig
+from prism_edge.config import Config, GateConfig, ScaleConfig, SupervisorConfig
 from prism_edge.messages import IDS_A_LIFE, Acknowledged, EndOfStream, Gate, MapLoaded, Scale
 from prism_edge.workers.scale import ScaleWorker, main
 from tests.scale.scene import depth_of, keyframe_of_wall
@@ -73,6 +73,43 @@ def test_a_scale_that_was_started_again_goes_on_from_what_the_backend_has_heard(
         assert said.filter_sigma < 0.05
 
 
+def test_it_waits_for_a_backend_that_starts_beside_it_and_reads_a_long_journal(bus, start):
+    """Nobody would answer before that, and what begins at 1 would take the place of what was known."""
+    asks = "asking for the map's unit"
+    waits_s, ready = [], []
+
+    def await_ready(processes, timeout_s):
+        waits_s.append(timeout_s)
+        if timeout_s >= 15.0:
+            ready.extend(processes)
+        return set(processes) - set(ready)
+
+    def ask(topic, timeout_s):
+        waits_s.append(timeout_s)
+        return MapLoaded(3, np.log(1.5), 0.03, 0.1, "wall") if "backend" in ready else None
+
+    bus.await_ready, bus.ask = await_ready, ask
+    bus.life, bus.first_id = 1, IDS_A_LIFE
+    start()
+    bus.wait_for("scale", 1)
+    assert bus.of("scale")[0].scale == pytest.approx(1.5)
+    assert sum(waits_s) < bus.budgets_s[asks] < SupervisorConfig().start_s, "it is not killed for it"
+
+
+def test_a_map_of_whose_unit_nothing_is_known_is_not_said_to_be_metric(bus, start):
+    bus.give("map_loaded", MapLoaded(3, 0.0, 0.3, metric=False))
+    start()
+    bus.wait_for("scale", 1)
+    assert not bus.of("scale")[0].metric
+    keyframe = keyframe_of_wall(7, 2.0, epoch=3)
+    bus.give("keyframe", keyframe)
+    bus.give("depth", replace(depth_of(keyframe), valid=False, reason="constant"))
+    bus.wait_for("scale", 2)
+    assert not bus.of("scale")[1].metric
+    (said,) = bus.of("log_scale")
+    assert (said.epoch, said.metric) == (3, False)
+
+
 @pytest.mark.parametrize("life", [0, 1])
 def test_where_nothing_is_known_it_begins_afresh(bus, start, life):
     asked = []
@@ -95,6 +132,7 @@ def test_each_pair_gives_scale_gate_and_the_public_scale(bus, start):
     bus.wait_for("scale", 12)
     scales = bus.of("log_scale")
     assert [s.keyframe for s in scales] == list(range(12))
+    assert all(s.metric for s in scales)
     assert all(isinstance(s, Scale) for s in scales)
     assert scales[0].log_scale == 0.0
     assert 0.02 < scales[-1].log_scale < np.log(1.1)
@@ -164,6 +202,7 @@ def test_an_unusable_depth_is_answered_without_an_observation(bus, start):
     assert np.isnan(scale.observation)
     assert not scale.accepted
     assert scale.log_scale == 0.0
+    assert not scale.metric
     assert not bus.of("scale")[0].metric
 
 
