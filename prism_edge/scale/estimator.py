@@ -155,8 +155,7 @@ class ScaleEstimator:
         if math.isfinite(said) and 0.0 <= said <= 2.0 and said != self._config.frame_sigma:
             self._config = replace(self._config, frame_sigma=said)
             self._says_spread = True
-            if self._filter.is_open:
-                self._filter = ScaleFilter(self._config, self._kalman)
+            self._filter.assume(self._config)
 
     def gate_images(self) -> tuple[Floats, Floats] | None:
         """u and w of every pixel of the newest keyframe's depth map (h, w); None where the gate was open."""

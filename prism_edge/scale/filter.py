@@ -42,7 +42,7 @@ class ScaleFilter:
         self.accepted = 0  # observations
         self.rejected = 0
         self._support = 0  # observations that the present belief rests on
-        self._unit_fixed = False
+        self._unit_fixed = self._taken_over = False
         self._contradicting: deque[float] = deque(maxlen=REOPEN_AFTER[1])
         self._state = np.zeros(2)  # x, f
         self._covariance = np.diag([config.initial_sigma**2, config.frame_sigma**2])
@@ -69,8 +69,17 @@ class ScaleFilter:
 
     def expect(self, frame_sigma: float) -> None:
         """What the network at hand is thought to spread; heard before anything has been seen of it."""
-        if self.is_open:
-            self._spread = FrameSpread(frame_sigma)
+        if self._is_unseen:
+            learned, self._spread = self.learned_sigma, FrameSpread(frame_sigma)
+            if self._taken_over and self.learned_sigma > 0.0:  # what was known stays as well known
+                self._covariance[0, 0] *= (learned / self.learned_sigma) ** 2
+
+    def assume(self, config: ScaleConfig) -> None:
+        """Another model of the noise; heard before anything has been seen of the network at hand."""
+        if self._is_unseen:
+            sigma = self.learned_sigma if self._taken_over else config.initial_sigma
+            self._covariance = np.diag([sigma**2, config.frame_sigma**2])
+            self._config, self._spread = config, FrameSpread(config.frame_sigma)
 
     def correlation(self, elapsed_s: float) -> float:
         """Of what the pixels of a keyframe share with those of another, so long apart."""
@@ -81,6 +90,11 @@ class ScaleFilter:
     def is_open(self) -> bool:
         """Whether nothing, neither unit nor observation, has come yet."""
         return not self._unit_fixed and self.accepted == 0
+
+    @property
+    def _is_unseen(self) -> bool:
+        """Whether nothing has come of the network at hand, though another may have been gone on from."""
+        return self.accepted == 0 and (self._taken_over or not self._unit_fixed)
 
     def predict(self, time_s: float, travelled: float) -> None:
         """Moves on to a time (s) and a path length since the start (map units)."""
@@ -121,7 +135,7 @@ class ScaleFilter:
         known = min(max(sigma, 1e-3), _MAX_LOG)
         self._state = np.array([log_scale, 0.0])
         self._covariance = np.diag([known**2, self._config.frame_sigma**2])
-        self._unit_fixed = True
+        self._unit_fixed = self._taken_over = True
 
     def widen(self, sigma: float) -> None:
         """What is known may be off by so much more."""

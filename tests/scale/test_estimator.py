@@ -80,6 +80,43 @@ def test_a_stored_map_is_gone_on_with_in_its_own_unit():
     assert estimator.process(keyframe_of_wall(9, 3.0, epoch=0), None) is None  # of the map before
 
 
+def test_a_sensor_s_own_word_counts_as_much_where_a_map_is_gone_on_with():
+    """A filter that begins with a map has seen no more of its source of depth than one that begins."""
+    said = {}
+    for known in (False, True):
+        estimator = ScaleEstimator(CONFIG)
+        if known:
+            estimator.take_over(0, 0.0, 0.01, bias_sigma=0.01, network="wall")
+        for k in range(6):
+            keyframe = keyframe_of_wall(k, 0.4 * k)
+            depth = replace(depth_of(keyframe), frame_sigma=0.02, bias_sigma=0.01)
+            said[known], _ = estimator.process(keyframe, depth)
+            if k == 0 and known:
+                assert said[known].filter_sigma == pytest.approx(0.01, rel=0.15)
+        assert estimator._filter._config.frame_sigma == 0.02
+        assert said[known].accepted
+    wild = keyframe_of_wall(6, 2.4)
+    answer, _ = estimator.process(wild, replace(depth_of(wild, 1.3), frame_sigma=0.02, bias_sigma=0.01))
+    assert not answer.accepted, "no sensor errs by 30 %"
+    assert 0.005 < said[True].filter_sigma < said[False].filter_sigma
+
+
+def test_what_was_known_stays_as_well_known_whatever_the_network_spreads():
+    for bias in (0.02, 0.05, 0.1, 0.3):
+        estimator = ScaleEstimator(CONFIG)
+        estimator.take_over(0, np.log(1.2), 0.02, bias_sigma=bias, network="wall")
+        keyframe = keyframe_of_wall(0, 0.0)
+        blind = replace(depth_of(keyframe), bias_sigma=bias, valid=False)
+        for _ in range(2):
+            assert estimator.process(keyframe, blind)[0].filter_sigma == pytest.approx(0.02)
+        spread = estimator._filter._spread.sigma
+        assert spread == pytest.approx(0.15 * bias / 0.1)
+        seen = estimator.process(keyframe, replace(blind, valid=True))[0]
+        assert seen.accepted
+        expected = 0.02 * spread / np.hypot(0.02, spread)  # as Kalman's gain has it for such a spread
+        assert seen.filter_sigma == pytest.approx(expected, rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("network", "bias_sigma"), [("wall", 0.0), ("", 0.0), ("another", np.hypot(0.05, 0.1))]
 )
