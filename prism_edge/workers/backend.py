@@ -148,32 +148,43 @@ class BackendWorker:
         for keyframe in ([first] if first is not None else []) + self._keyframes.drain():
             if keyframe.epoch >= self._mapper.epoch:  # else of a map that is gone
                 self._waiting.append((now, keyframe))
+        late = set()
         for depth in self._depths.drain():
             if depth.epoch == self._mapper.epoch and depth.keyframe in self._mapper.world.keyframes:
-                self._take_late(depth)
+                if self._take_late(depth):
+                    late.add(depth.keyframe)
             elif depth.keyframe >= 0:  # else a probe's, which is for the tracker
                 self._early[depth.keyframe] = depth
         for gate in self._gates.drain():
             self._gated[gate.keyframe] = gate
             self._mapper.add_gate(gate)
+            if gate.epoch == self._mapper.epoch and gate.keyframe in self._mapper.world.keyframes:
+                late.add(gate.keyframe)
         for scale in self._scales.drain():
             self._scaled.add(scale.keyframe)
             # A scale process that knows nothing yet takes nothing from what is known here.
             if scale.epoch == self._mapper.epoch and scale.metric and np.isfinite(scale.log_scale):
                 told = scale.log_scale, scale.filter_sigma, scale.bias_sigma, scale.network
                 self._scale = KnownScale(*told)
+        for number in sorted(late):
+            self._keeper.note_late(number, self._scale)
 
-    def _take_late(self, depth: Depth) -> None:
-        """Depth that its keyframe has not waited for serves the windows and loops that are still to come."""
-        if depth.valid and self._use_depth:
+    def _take_late(self, depth: Depth) -> bool:
+        """Depth that its keyframe has not waited for serves the windows and loops that are still to come.
+
+        Whether it had anything for them.
+        """
+        useful = depth.valid and self._use_depth
+        if useful:
             self._mapper.add_late_depth(
                 depth.keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma
             )
         if not self._close_loops:
-            return
+            return useful
         known = self._mapper.loops.add_place(depth.keyframe, depth.descriptor, depth.model)
         if known and self._ticks is None:  # in lockstep nothing is late but what had no time limit
             self._late = max(depth.keyframe, -1 if self._late is None else self._late)
+        return useful or known
 
     def _absorb(self, keyframe: Keyframe) -> None:
         if keyframe.epoch != self._mapper.epoch:

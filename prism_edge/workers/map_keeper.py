@@ -102,7 +102,19 @@ class MapKeeper:
             if first or self._overhauled or self._journal.is_long or not self._journal.is_open:
                 self._begin_journal(self._journal, scale)
             else:
-                self._journal.append(self._record(message, scale))
+                self._journal.append(self._record(message.id, scale, codec.pack(message)))
+        except MapError as error:
+            self._say(error)
+
+    def note_late(self, number: int, scale: KnownScale) -> None:
+        """Depth, place or weights have come of a keyframe that was noted without them.
+
+        Where no record can be added now, the next base will have them.
+        """
+        if self._journal is None or self._overhauled or not self._journal.is_open:
+            return
+        try:
+            self._journal.append(self._record(number, scale))
         except MapError as error:
             self._say(error)
 
@@ -180,24 +192,30 @@ class MapKeeper:
         known = {**stored, **own, **scale.info, "model": self._config.depth.network, **info}
         return map_file.pack(known, arrays)
 
-    def _record(self, message: Keyframe, scale: KnownScale) -> bytes:
-        keyframe = self._mapper.world.keyframes[message.id]
+    def _record(self, number: int, scale: KnownScale, message: bytes = b"") -> bytes:
+        """A keyframe as its message has it and what belongs to it; without the message, what came late."""
+        keyframe = self._mapper.world.keyframes[number]
         depths, weights = keyframe.depths, keyframe.weights
-        place = self._mapper.loops.index.get(message.id)
+        place = self._mapper.loops.index.get(number)
         arrays: Arrays = {
-            "keyframe": np.frombuffer(codec.pack(message), np.uint8),
+            "keyframe": np.frombuffer(message, np.uint8),
             "depths": np.zeros(0, np.float32) if depths is None else depths.astype(np.float32),
             "weights": np.zeros(0, np.float32) if weights is None else weights.astype(np.float32),
             "place": np.zeros(0, np.float32) if place is None else place,
         }
-        info = {"places_of": self._mapper.loops.index.network, "depth_sigma": keyframe.depth_sigma}
-        return map_file.pack({**scale.info, **info}, arrays)
+        told = {"places_of": self._mapper.loops.index.network, "depth_sigma": keyframe.depth_sigma}
+        return map_file.pack({**scale.info, **told, "number": number}, arrays)
 
     def _absorb(self, record: bytes) -> KnownScale:
         info, arrays = map_file.unpack(record)
-        message = codec.unpack(arrays["keyframe"].tobytes(), Keyframe)
-        self._mapper.absorb(replace(message, epoch=self._mapper.epoch))
-        keyframe = self._mapper.world.keyframes[message.id]
+        number = info.get("number")
+        if arrays["keyframe"].size:
+            message = codec.unpack(arrays["keyframe"].tobytes(), Keyframe)
+            self._mapper.absorb(replace(message, epoch=self._mapper.epoch))
+            number = message.id
+        keyframe = self._mapper.world.keyframes.get(number) if isinstance(number, int) else None
+        if keyframe is None:  # what came late for one that has gone since
+            return KnownScale.of(info)
         if len(arrays["depths"]) == len(keyframe.pixels):
             keyframe.depths = arrays["depths"].astype(np.float64)
             sigma = info.get("depth_sigma")  # records of earlier builds don't say
@@ -205,7 +223,7 @@ class MapKeeper:
         if len(arrays["weights"]) == len(keyframe.pixels):
             keyframe.weights = arrays["weights"].astype(np.float64)
         if len(arrays["place"]):
-            self._mapper.loops.add_place(message.id, arrays["place"], str(info.get("places_of", "")))
+            self._mapper.loops.add_place(keyframe.id, arrays["place"], str(info.get("places_of", "")))
         return KnownScale.of(info)
 
     def _say(self, error: MapError) -> None:
