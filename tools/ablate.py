@@ -123,6 +123,7 @@ def recording(shared: Path, out: Path, sequence: Sequence) -> Path:
         with redirect_stdout(sys.stderr):
             if make_distractors.main(words):
                 raise RuntimeError(f"{sequence.name} can't be made")
+        shutil.rmtree(made, ignore_errors=True)
         half.rename(made)
     return made
 

@@ -124,7 +124,7 @@ def write(path: Path, data: bytes, durable: bool = True) -> None:
     With ``durable`` even after a power cut. Raises MapError, with nothing left behind, where it can't be
     written (a full disk, say).
     """
-    sweep(path, _FORSAKEN_S)
+    _sweep_forsaken_maps(path.parent)
     new = ""
     try:
         descriptor, new = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
@@ -147,11 +147,18 @@ def write(path: Path, data: bytes, durable: bool = True) -> None:
         raise MapError(f"can't write {path}: {error.strerror or error}") from None
 
 
-def sweep(path: Path, older_than_s: float = 0.0) -> None:
-    """Remove what is left of :meth:`write` where it was killed: a file that nobody would ever read."""
+def sweep(path: Path) -> None:
+    """Remove what is left of :func:`write` where it was killed: a file that nobody would ever read."""
     for left in path.parent.glob(f".{glob.escape(path.name)}.*"):
         with contextlib.suppress(OSError):
-            if time.time() - left.stat().st_mtime >= older_than_s:
+            left.unlink()
+
+
+def _sweep_forsaken_maps(folder: Path) -> None:
+    """The same for all maps of a folder, where another may just be being written."""
+    for left in folder.glob(f".*{SUFFIX}.*"):
+        with contextlib.suppress(OSError):
+            if time.time() - left.stat().st_mtime > _FORSAKEN_S:
                 left.unlink()
 
 

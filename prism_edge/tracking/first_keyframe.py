@@ -32,7 +32,7 @@ class FirstKeyframe:
 
     @property
     def awaits_answer(self) -> bool:
-        """Whether the network may yet say what its depth is."""
+        """Whether the network may yet say what its depth is; a probe would take its picture's place."""
         return self._depth_ns is None and not self._useless
 
     def gives_way(self, stamp_ns: int) -> bool:

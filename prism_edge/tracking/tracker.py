@@ -123,7 +123,7 @@ class Tracker:
                 self._lost, self._looked_ns, self._looking_at = True, 0, stamp_ns
                 self.places.begin()
                 log.info("lost at frame %d", index)
-            waits = self._waiting is not None and self._first.awaits_answer  # a probe would take its place
+            waits = self.may_map and self._waiting is not None and self._first.awaits_answer  # no probe
             self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES and not waits
             if self._lost and self.may_map:
                 self._look_on(index, stamp_ns, camera, features)

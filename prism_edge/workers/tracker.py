@@ -312,7 +312,8 @@ class TrackerWorker:
 
     def _apply_scale(self, message: Scale) -> None:
         numbers = (message.log_scale, message.sigma, message.local_sigma)
-        if message.epoch == self._tracker.epoch and np.isfinite(numbers).all():
+        # One that was started again and knows nothing yet takes nothing from what was known.
+        if message.epoch == self._tracker.epoch and message.metric and np.isfinite(numbers).all():
             self._tracker.log_scale = message.log_scale
             self._scale_sigma = message.sigma
             self._status.metres.scale(message.observation, message.accepted)

@@ -192,14 +192,20 @@ class TestFiles:
 def test_what_a_killed_writer_left_goes_once_it_is_old(tmp_path: Path) -> None:
     path = tmp_path / "lab[1].prismmap"
     old, young = tmp_path / f".{path.name}.a1", tmp_path / f".{path.name}.b2"
-    other = tmp_path / ".lab.prismmap.c3"
-    for left in (old, young, other):
+    other, stranger = tmp_path / ".lab.prismmap.c3", tmp_path / ".profile"
+    for left in (old, young, other, stranger):
         left.write_bytes(b"half")
-    os.utime(old, (1.0, 1.0))
-    os.utime(other, (1.0, 1.0))
+        os.utime(left, (1.0, 1.0))
+    os.utime(young)
     map_file.write(path, GOOD)
     assert path.read_bytes() == GOOD
-    assert sorted(p.name for p in tmp_path.glob(".*")) == sorted([young.name, other.name])
-    map_file.sweep(path)
-    assert not young.exists()
-    assert other.exists(), "another map's"
+    assert sorted(p.name for p in tmp_path.glob(".*")) == sorted([young.name, stranger.name])
+
+
+def test_what_was_left_of_one_file_is_swept_at_any_age(tmp_path: Path) -> None:
+    mine, other = tmp_path / ".base.a1", tmp_path / ".based.b2"
+    mine.write_bytes(b"half")
+    other.write_bytes(b"half")
+    map_file.sweep(tmp_path / "base")
+    assert not mine.exists()
+    assert other.exists(), "another file's"

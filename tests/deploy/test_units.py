@@ -70,3 +70,9 @@ def test_what_a_restart_can_not_mend_is_not_restarted() -> None:
     codes = re.search(r"^RestartPreventExitStatus=(.*)$", UNIT.read_text(), re.MULTILINE)
     assert codes
     assert {int(code) for code in codes[1].split()} == {2, ConfigError.exit_code, ModelError.exit_code}
+
+
+@pytest.mark.parametrize("unit", [UNIT, TEMPLATE], ids=lambda unit: unit.name)
+def test_a_state_directory_in_memory_outlives_a_restart(unit: Path) -> None:
+    assert re.search(r"^RuntimeDirectory=prism-edge", unit.read_text(), re.MULTILINE)
+    assert re.search(r"^RuntimeDirectoryPreserve=restart$", unit.read_text(), re.MULTILINE)

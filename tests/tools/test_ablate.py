@@ -135,6 +135,7 @@ def test_a_void_run_is_none(tmp_path: Path):
 def test_a_dynamic_recording_that_was_cut_off_is_made_anew(tmp_path: Path, monkeypatch):
     sequence = next(s for s in ablate.TABLES["dynamic"][1] if s.distractors is not None)
     made: list[Path] = []
+    (tmp_path / "recordings" / sequence.name / "left").mkdir(parents=True)  # by an earlier build
 
     def make(words: list[str]) -> int:
         made.append(Path(words[1]))

@@ -130,6 +130,14 @@ def test_no_probe_takes_the_place_of_the_picture_that_a_part_waits_for() -> None
     assert run.tracker.wants_probe or max(run.keyframes) > part, "it has been answered"
 
 
+def test_where_no_part_may_be_mapped_none_is_waited_for() -> None:
+    room = other_room(40)
+    run = astray(room)
+    run.tracker.may_map = False
+    run.feed(0, room[0][0], at=max(run.results) + 1)
+    assert run.tracker.wants_probe
+
+
 def test_a_part_of_slow_depth_is_not_lost_with_the_first_blurred_image() -> None:
     room = other_room(40)
     run = astray(room)

@@ -139,9 +139,16 @@ def test_depth_that_can_t_be_used_is_ignored(bus, world, changes):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"log_scale": NAN}, {"log_scale": float("inf")}, {"sigma": NAN}, {"sigma": float("inf")}, {"epoch": 3}],
+    [
+        {"log_scale": NAN},
+        {"log_scale": float("inf")},
+        {"sigma": NAN},
+        {"sigma": float("inf")},
+        {"epoch": 3},
+        {"metric": False},
+    ],
 )
-def test_a_scale_that_is_no_number_is_ignored(bus, world, changes):
+def test_a_scale_that_says_nothing_is_ignored(bus, world, changes):
     world.scale = lambda keyframe: scale_of(keyframe, **({"log_scale": 0.4} | changes))
     run(bus, [frame(i) for i in range(20)])
     assert np.linalg.norm(positions(bus)[19] - true_position(19)) < 0.03
