@@ -123,8 +123,8 @@ class Tracker:
                 self._lost, self._looked_ns, self._looking_at = True, 0, stamp_ns
                 self.places.begin()
                 log.info("lost at frame %d", index)
-            waits = self.may_map and self._waiting is not None and self._first.awaits_answer  # no probe
-            self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES and not waits
+            awaited = self.may_map and self._waiting is not None and self._first.awaits_answer
+            self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES and not awaited
             if self._lost and self.may_map:
                 self._look_on(index, stamp_ns, camera, features)
             if not self.initialised:
