@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 
 from prism_edge.bus.commands import Reply, on_or_off
-from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.pack import grey
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config, TrackingConfig
@@ -40,6 +39,7 @@ from prism_edge.tracking.local_map import LocalKeyframe
 from prism_edge.tracking.map_correction import flaw
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import FrameResult, Tracker
+from prism_edge.workers.answers_due import PATIENCE_S, AnswersDue
 from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.map_adoption import MapAdoption
 from prism_edge.workers.pose_publisher import PosePublisher
@@ -50,7 +50,6 @@ log = logging.getLogger("prism_edge.tracker")
 _LOOK_S = 0.02  # between frames, for what the others have sent
 _FRAME_S = 5.0
 _MOST_BETWEEN = 2  # frames tracked while a keyframe joins the map: more would put that off for long
-_PATIENCE_S = 30.0  # lockstep: an answer that takes longer isn't coming
 _PROBE_NS = 300_000_000  # between two looks of the network at what a lost camera sees
 SEED_DEPTH_SIGMA = 0.2  # relative error of one pixel of network depth
 UNKNOWN_SCALE_SIGMA = 1.0
@@ -76,8 +75,7 @@ class TrackerWorker:
         self._scale_sigma = UNKNOWN_SCALE_SIGMA
         self._travelled = 0.0
         self._update_sequence = -1
-        self._expected: list[tuple[int, str, int]] = []  # lockstep: due at frame, topic, keyframe
-        self._early: dict[tuple[str, int], Any] = {}
+        self._answers = AnswersDue(bus, self._inboxes, self._peers, config.lockstep)
         self._last_index, self._dropped, self._between = -1, 0, 0
         self._probed_ns = -_PROBE_NS
         self._now_ns = 0  # stamp of the newest frame
@@ -96,7 +94,7 @@ class TrackerWorker:
                 self._tracker.reset()  # a later epoch than any map that the backend may have found after all
         self._bus.pulse.ready()
         if self._lockstep:
-            self._bus.await_ready(self._peers, _PATIENCE_S)
+            self._bus.await_ready(self._peers, PATIENCE_S)
         self._show(INITIALISING, 0, time.time_ns())
         while not self._bus.stopped.is_set():
             self._desk.serve()
@@ -241,9 +239,7 @@ class TrackerWorker:
         picture = picture_message(frame, probe_of(frame.index), self._tracker.epoch)
         self._bus.publish("keyframe_image", picture)
         if self._lockstep:
-            due = frame.index + self._config.lockstep.depth_lag
-            self._expected.append((due, "depth", probe_of(frame.index)))
-            self._expected.sort(key=lambda due: due[0])
+            self._answers.probe(frame.index, picture.keyframe)
         return True
 
     def _announce(self, keyframe: LocalKeyframe, frame: Frame, travelled: float) -> None:
@@ -252,15 +248,7 @@ class TrackerWorker:
         if "depth" in self._peers:
             self._status.metres.keyframe(keyframe.id, keyframe.stamp_ns)
         if self._lockstep:
-            lags = self._config.lockstep
-            for topic, producer, lag in (
-                ("depth", "depth", lags.depth_lag),
-                ("log_scale", "scale", lags.depth_lag),
-                ("map_update", "backend", lags.map_lag),
-            ):
-                if producer in self._peers:
-                    self._expected.append((frame.index + lag, topic, keyframe.id))
-            self._expected.sort(key=lambda due: due[0])
+            self._answers.keyframe(frame.index, keyframe.id)
 
     # -- what the others send ---------------------------------------------------------------------
 
@@ -271,31 +259,13 @@ class TrackerWorker:
             "log_scale": self._apply_scale,
             "map_update": self._apply_update,
         }
-        if not self._lockstep:
-            for topic, inbox in self._inboxes.items():
-                for message in inbox.drain():
-                    apply[topic](message)
-            return
-        while self._expected and self._expected[0][0] <= index:
-            _, topic, keyframe = self._expected.pop(0)
-            message = self._await(topic, keyframe, self._inboxes[topic])
-            if message is not None:
+        if self._lockstep:
+            for topic, message in self._answers.take(index):
                 apply[topic](message)
-
-    def _await(self, topic: str, keyframe: int, inbox: Inbox) -> Any | None:
-        if (topic, keyframe) not in self._early:
-            # Of others, which a starved machine keeps waiting too: no hang of this process.
-            self._bus.pulse.working(f"waiting for {topic} of keyframe {keyframe}", _PATIENCE_S + _FRAME_S)
-        deadline = time.monotonic() + _PATIENCE_S
-        while (topic, keyframe) not in self._early:
-            message = inbox.take(0.2)
-            if message is not None:
-                about = message.based_on if isinstance(message, MapUpdate) else message.keyframe
-                self._early[topic, about] = message
-            elif self._bus.stopped.is_set() or time.monotonic() > deadline:
-                log.warning("no %s of keyframe %d: going on without", topic, keyframe)
-                return None
-        return self._early.pop((topic, keyframe))
+            return
+        for topic, inbox in self._inboxes.items():
+            for message in inbox.drain():
+                apply[topic](message)
 
     def _apply_depth(self, message: Depth) -> None:
         if message.epoch == self._tracker.epoch:
@@ -343,7 +313,7 @@ class TrackerWorker:
         self._travelled = self._maps.travelled
         self._tracker.may_map = not self._localise_only
         self._drift.forget()
-        self._expected.clear()
+        self._answers.forget()
         return True
 
     def _prove(self, camera: Camera) -> None:
@@ -359,6 +329,7 @@ class TrackerWorker:
 
     def _reset(self, argument: str) -> Reply:
         self._tracker.reset()
+        self._answers.forget()
         self._travelled, self._scale_sigma, self._localise_only = 0.0, UNKNOWN_SCALE_SIGMA, False
         self._unproven = self._recovering = False  # there is nothing left of an earlier run's map
         return Reply(True, "a new map begins with the next image, and is built on; odom goes on")

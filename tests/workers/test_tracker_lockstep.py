@@ -11,8 +11,9 @@ from prism_edge.messages import (
     IDS_A_LIFE,
     Acknowledged,
 )
-from prism_edge.workers import tracker as worker
+from prism_edge.workers import answers_due
 from tests.workers.list_bus import ListBus
+from tests.workers.test_tracker_commands import when_frames_left
 from tests.workers.tracker_bench import (
     LOCKSTEP,
     World,
@@ -68,14 +69,14 @@ def test_lockstep_twice_is_the_same_to_the_last_bit():
 
 
 def test_lockstep_goes_on_without_an_answer_that_never_comes(bus, world, monkeypatch, caplog):
-    monkeypatch.setattr(worker, "_PATIENCE_S", 0.02)
+    monkeypatch.setattr(answers_due, "PATIENCE_S", 0.02)
     world.update = world.scale = None
     run(bus, [frame(i) for i in range(12)], LOCKSTEP)
     assert [a.index for a in bus.of("acknowledged")] == list(range(12))
     assert len(bus.of("pose")) == 9
     assert "no map_update of keyframe 0" in caplog.text
     waiting = bus.budgets_s["waiting for map_update of keyframe 0"]
-    assert waiting > worker._PATIENCE_S, "the others' time, not ours"
+    assert waiting > answers_due.PATIENCE_S, "the others' time, not ours"
     assert bus.budgets_s["frame 11"] == 5.0
 
 
@@ -101,3 +102,19 @@ def test_a_process_that_was_started_anew_numbers_its_keyframes_anew(bus, world):
     run(bus, [frame(i) for i in range(50, 53)])
     assert bus.of("keyframe")[0].id == IDS_A_LIFE
     assert bus.of("tracked")[-1].dropped == 0, "what came while it was down was not dropped by it"
+
+
+def test_a_map_that_was_given_up_is_owed_no_answers(bus, world, monkeypatch, caplog):
+    """What the others dropped with it never comes: each would be waited for half a minute."""
+    monkeypatch.setattr(answers_due, "PATIENCE_S", 0.02)
+
+    def heard(topic, message):
+        world.update = update_of if topic == "keyframe" and message.epoch else None
+        World.heard(world, topic, message)
+
+    bus.hear = heard
+    when_frames_left(bus, 10, "reset")
+    run(bus, [frame(i) for i in range(12)], LOCKSTEP)
+    assert [reply.ok for reply in bus.desk.replies] == [True]
+    assert {k.epoch for k in bus.of("keyframe")} == {0, 1}
+    assert "going on without" not in caplog.text
