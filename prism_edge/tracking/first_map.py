@@ -7,18 +7,20 @@ from enum import Enum
 
 import numpy as np
 
-from prism_edge.geometry.poses import transform
+from prism_edge.geometry.poses import inverse, transform
 from prism_edge.tracking import mapping
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.initialisation import MIN_POINTS
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
-from prism_edge.tracking.matching import match_corners
+from prism_edge.tracking.matching import Index, match_corners
 from prism_edge.tracking.second_look import two_views
+from prism_edge.tracking.triangulation import rays
 
 log = logging.getLogger("prism_edge.tracking")
 
 CAN_WAIT_MATCHES = 100
-MISLED = 2  # times as many match by their looks as tracking finds: a pure turn, rightly tracked, reaches 1.75
+MISLED = 2  # times as many match by their looks as tracking finds
+TURNED = np.radians(1.0)  # so near to where a turn alone takes it a corner says nothing against the turn
 
 
 class SecondView(Enum):
@@ -40,8 +42,8 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
     before, now = match_corners(first.features, frame.features)
     views, ids = two_views(world, first, frame, before, now, seed, MIN_POINTS)
     if views is None:
-        misled = len(before) >= max(CAN_WAIT_MATCHES, MISLED * frame.matched)
-        return SecondView.TOO_NEAR if misled or frame.matched >= CAN_WAIT_MATCHES else SecondView.AGREES
+        wait = frame.matched >= CAN_WAIT_MATCHES or _is_misled(first, frame, before, now)
+        return SecondView.TOO_NEAR if wait else SecondView.AGREES
     if not views.contradicts:
         return SecondView.AGREES
     log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
@@ -58,3 +60,17 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
     kept = np.isin(table.ids, ids[good])
     world.cull_points(np.flatnonzero(table.alive & ~kept & (table.reference == first.id)))
     return SecondView.CONTRADICTS
+
+
+def _is_misled(first: LocalKeyframe, frame: TrackedFrame, before: Index, now: Index) -> bool:
+    """Whether many more corners match by their looks than tracking finds, and not where it has turned them.
+
+    In a large image thousands match, and the first map has a few hundred points: that alone says nothing.
+    """
+    turn = (inverse(first.world_from_camera) @ frame.world_from_camera)[:3, :3]
+    expected = rays(first.camera, first.features.pixels[before]) @ turn
+    seen = rays(frame.camera, frame.features.pixels[now])
+    across = np.linalg.norm(np.cross(expected, seen), axis=1)
+    elsewhere = np.arctan2(across, np.einsum("ij,ij->i", expected, seen)) > TURNED
+    enough = len(before) >= MISLED * frame.matched
+    return bool(enough and np.count_nonzero(elsewhere) >= CAN_WAIT_MATCHES)

@@ -6,6 +6,10 @@ import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import inverse, rotation_angle
+from prism_edge.tracking.first_map import SecondView, begin_structure
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.local_map import NO_POINT
+from tests.tracking.cloud import CAMERA, Cloud, pose_at
 from tests.tracking.film_run import Run
 from tests.tracking.footage import IDENTITY, footage
 
@@ -121,3 +125,31 @@ def test_depths_that_agree_with_the_matches_stay():
     assert np.linalg.norm(error[:3, 3]) < 0.01
     first = run.tracker.world.keyframes[0]
     assert len(first.observed()) > 300, "what the network gave is still there"
+
+
+def after_a_turn(believed: np.ndarray, found: int = 60) -> SecondView:
+    """What becomes of a view turned by 11 degrees, of which tracking has ``found`` points and this pose.
+
+    A thousand corners look alike, as in a large image.
+    """
+    cloud, turned = Cloud(2000), pose_at(0.0, 0.0, 0.0, 0.0, 0.2)
+    world, _ = cloud.mapped([pose_at()], parallax_deg=0.0)
+    first = world.newest()
+    features, _ = cloud.view(turned, noise_px=0.5)
+    points = np.full(len(features), NO_POINT, np.int64)
+    points[:found] = first.points[first.observed()[:found]]
+    frame = TrackedFrame(CAMERA, features, believed, points, np.zeros((6, 6)), found, 1.0)
+    return begin_structure(world, first, frame, seed=0)
+
+
+def test_a_turn_that_tracking_knows_of_may_become_a_keyframe_however_much_looks_alike():
+    """Else the camera that has lost most of its few points waits for parallax until it has lost all."""
+    assert after_a_turn(pose_at(0.0, 0.0, 0.0, 0.0, 0.2)) is SecondView.AGREES
+
+
+def test_a_turn_that_tracking_has_missed_waits():
+    assert after_a_turn(pose_at()) is SecondView.TOO_NEAR
+
+
+def test_a_turn_waits_while_its_points_are_many():
+    assert after_a_turn(pose_at(0.0, 0.0, 0.0, 0.0, 0.2), found=100) is SecondView.TOO_NEAR
