@@ -87,6 +87,13 @@ class LocalMap:
         table.octave[rows] = keyframe.features.octaves[keypoints]
         table.descriptor[rows] = keyframe.features.descriptors[keypoints]
 
+    def look_anew(self) -> None:
+        """Note again from where, and how far, each point was seen last: the map was turned or scaled."""
+        for number in sorted(self.keyframes):
+            keyframe = self.keyframes[number]
+            keypoints = keyframe.observed()
+            self._refresh_appearance(keyframe, keypoints, self.points.rows(keyframe.points[keypoints]))
+
     def add_points(
         self,
         keyframe: LocalKeyframe,

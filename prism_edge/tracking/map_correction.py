@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 
 import numpy as np
@@ -17,6 +18,9 @@ from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.mapping import MATCHING_SIGMA_PX, merge
 from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.pose_refinement import refine_pose
+from prism_edge.tracking.submaps import Parts
+
+log = logging.getLogger("prism_edge.tracking")
 
 MIN_COMMON = 15
 
@@ -53,6 +57,28 @@ def flaw(update: MapUpdate) -> str:
         except ConfigError as error:
             return f"its camera is none ({error})"
     return ""
+
+
+def take_over(
+    world: LocalMap, parts: Parts, update: MapUpdate, last: TrackedFrame | None, scale_factors: Array
+) -> bool:
+    """Do to the map, its parts and the last frame what the backend did; True where points became others."""
+    motion = apply_correction(
+        world, update.based_on, update.keyframes, update.poses,
+        update.points, update.positions, update.parallax_deg, scale_factors,
+    )
+    world.weigh(update.points, update.weights)
+    world.drop_observations(update.dropped_keyframes, update.dropped_points)
+    became = join(world, update)
+    if update.loop_query >= 0 and parts.merge(update.loop_query, update.loop_candidate):
+        log.info("the part of keyframe %d has its place in the map", update.loop_query)
+        world.look_anew()  # it was turned and scaled as a whole: all its points look otherwise from here
+    if last is not None:
+        if became:
+            last.points = np.array([became.get(p, p) for p in last.points.tolist()], np.int64)
+        start = motion @ last.world_from_camera
+        last.world_from_camera = fit(world, last.camera, last.features, last.points, start, scale_factors)
+    return bool(became)
 
 
 def apply_correction(

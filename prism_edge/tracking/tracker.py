@@ -23,7 +23,7 @@ from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.keyframe_culling import cull_keyframes, cull_stand_in, drop_keyframe
 from prism_edge.tracking.keyframe_decision import decide, shown_before
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.map_correction import apply_correction, fit, join, see_through
+from prism_edge.tracking.map_correction import see_through, take_over
 from prism_edge.tracking.motion import ConstantVelocity
 from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.point_table import Ids
@@ -85,6 +85,7 @@ class Tracker:
         if self._lens is not None and self._lens.like(camera):
             camera = self._lens
         features = self._extractor.extract(grey, camera)
+        self._fresh = None  # an older frame that nobody judged
         if not self.world.keyframes:
             self._result = self._begin(index, stamp_ns, camera, features)
         else:
@@ -344,25 +345,8 @@ class Tracker:
         if len(update.camera):
             self._lens = Camera.from_array(PINHOLE, update.camera)
             see_through(self._lens, [*self.world.keyframes.values(), *([self._last] if self._last else [])])
-        motion = apply_correction(
-            self.world, update.based_on, update.keyframes, update.poses,
-            update.points, update.positions, update.parallax_deg, self._factors,
-        )
-        self.world.weigh(update.points, update.weights)
-        self.world.drop_observations(update.dropped_keyframes, update.dropped_points)
-        became = join(self.world, update)
-        if update.loop_query >= 0 and self.parts.merge(update.loop_query, update.loop_candidate):
-            log.info("the part of keyframe %d has its place in the map", update.loop_query)
-        last = self._last
-        if last is None:
-            return
-        if became:
-            last.points = np.array([became.get(p, p) for p in last.points.tolist()], np.int64)
-            self._refresh(last)
-        start = motion @ last.world_from_camera
-        last.world_from_camera = fit(
-            self.world, last.camera, last.features, last.points, start, self._factors
-        )
+        if take_over(self.world, self.parts, update, self._last, self._factors) and self._last is not None:
+            self._refresh(self._last)
 
     def reset(self) -> None:
         """Begin a new map with the next frame: another epoch, at the identity."""

@@ -225,3 +225,16 @@ def test_observations_the_backend_found_wrong_are_dropped():
     assert not np.isin(keyframe.points, wrong).any()
     check(world)
     assert run.feed(30).odometry == OK
+
+
+def test_a_frame_that_nobody_judged_becomes_no_keyframe_under_a_later_picture():
+    """While only localising, frames are tracked and not judged; mapping is on again when nothing is seen."""
+    run = Run()
+    run.play(range(30))
+    made, film = len(run.keyframes), footage()
+    for i in range(30, 60):
+        tracked = run.tracker.process(i, film.stamp_ns(i), film.images[i], film.camera)
+        assert tracked.world_from_camera is not None
+    for i in range(60, 63):
+        assert run.feed(i, BLACK).world_from_camera is None
+    assert len(run.keyframes) == made

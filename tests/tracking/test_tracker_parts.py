@@ -77,6 +77,23 @@ def test_back_in_the_old_map_it_is_found_there(astray):
     assert run.keyframes[found.reference] < 30, "carried by a keyframe of the same part"
 
 
+def bring_home(run: Run, motion: np.ndarray, size: float = 1.0) -> None:
+    """What the backend says once a loop joins the newer part to the first, whose world it then is in."""
+    world = run.tracker.world
+    mine = sorted(k for k in world.keyframes if run.tracker.parts.of(k) >= 0)
+    ids = np.unique(np.concatenate([world.keyframes[k].points for k in mine]))
+    ids = ids[ids >= 0]
+    update = map_update(
+        mine[-1],
+        keyframes=np.array(mine),
+        poses=np.array([motion @ scaled(world.keyframes[k].world_from_camera, size) for k in mine]),
+        points=ids,
+        positions=transform(motion, size * world.points.position[world.points.rows(ids)]),
+        parallax_deg=np.zeros(len(ids), np.float32),
+    )
+    run.tracker.apply_update(replace(update, loop_query=mine[-1], loop_candidate=0))
+
+
 def test_a_loop_between_the_parts_brings_the_camera_home():
     run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3))), other_room(40)
     run.play(range(20))
@@ -85,28 +102,33 @@ def test_a_loop_between_the_parts_brings_the_camera_home():
     visit(run, room, at=32)
     last = run.results[71]
     assert not last.in_map
-    world, motion = run.tracker.world, pose_at(3.0, 0.5, -1.0, 0.2, 0.7, -0.1)
-    mine = sorted(k for k in world.keyframes if run.tracker.parts.of(k) >= 0)
-    ids = np.unique(np.concatenate([world.keyframes[k].points for k in mine]))
-    ids = ids[ids >= 0]
-    run.tracker.apply_update(
-        replace(
-            map_update(
-                mine[-1],
-                keyframes=np.array(mine),
-                poses=np.array([motion @ world.keyframes[k].world_from_camera for k in mine]),
-                points=ids,
-                positions=transform(motion, world.points.position[world.points.rows(ids)]),
-                parallax_deg=np.zeros(len(ids), np.float32),
-            ),
-            loop_query=mine[-1],
-            loop_candidate=0,
-        )
-    )
+    motion = pose_at(3.0, 0.5, -1.0, 0.2, 0.7, -0.1)
+    bring_home(run, motion)
     after = run.feed(0, room[-1][0], at=72)
     assert after.in_map
     off = inverse(motion @ last.world_from_camera) @ after.world_from_camera
     assert np.abs(se3_log(off)).max() < 0.02
+
+
+def test_what_a_part_had_mapped_is_found_again_once_it_is_home():
+    """Points know from where, and from how far, they were seen: that is otherwise since."""
+    shares = []
+    for joined in (False, True):
+        run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3))), other_room(60)
+        run.play(range(20))
+        for i in range(20, 32):
+            run.feed(0, BLACK, at=i)
+        visit(run, room, at=32)
+        world = run.tracker.world
+        if joined:
+            bring_home(run, pose_at(3.0, 0.5, -1.0, 0.0, 2.5, 0.0), size=0.6)
+        before = world.points.ids[world.points.alive].copy()
+        for i, (image, _, _) in enumerate(reversed(room), start=92):
+            assert run.feed(0, image, at=i).world_from_camera is not None
+        way_back = [k.points for k in world.keyframes.values() if k.index >= 92]
+        seen = np.concatenate([points[points >= 0] for points in [*way_back, run.tracker._last.points]])
+        shares.append(np.isin(seen, before).mean())
+    assert shares[1] > 0.9 * shares[0]
 
 
 def test_without_depth_no_part_is_begun_in_vain():
