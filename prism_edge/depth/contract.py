@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 
 from prism_edge.depth.inner_tensor import POOLINGS
+from prism_edge.depth.prediction import OPEN, PROBABILITY
 from prism_edge.errors import ModelError
 
 CONTRACT = 1  # version of the schema
@@ -54,6 +55,7 @@ class ModelCard:
     resize: str = STRETCH  # stretch: the whole image; crop: its centre, with its aspect kept
     depth_output: str = ""  # empty: the file's only output
     confidence_output: str = ""  # empty: the network gives none
+    confidence_kind: str = ""  # probability | open; empty: told by its values
     descriptor_output: str = ""
     descriptor_layer: str = ""  # the tensor that it comes from; without an output, exposed when loaded
     descriptor_pooling: str = ""  # how that becomes one vector: token | mean | max | gem | grid
@@ -168,6 +170,8 @@ def _check_whole(card: ModelCard, where: str) -> None:
         raise ModelError(f"{where}: depth_kind {card.depth_kind} needs scale_bias_sigma (docs/MODELS.md)")
     if (card.dsug_tau is None) != (card.dsug_temperature is None):
         raise ModelError(f"{where}: dsug_tau and dsug_temperature come together or not at all")
+    if card.confidence_kind and not card.confidence_output:
+        raise ModelError(f"{where}: confidence_kind needs a confidence_output")
     if card.descriptor_pooling and not (card.descriptor_output or card.descriptor_layer):
         raise ModelError(f"{where}: descriptor_pooling needs a descriptor_output or a descriptor_layer")
     if card.has_inner_descriptor and not card.descriptor_pooling:
@@ -260,6 +264,7 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "resize": _choice(STRETCH, CROP),
     "depth_output": _text,
     "confidence_output": _text,
+    "confidence_kind": _choice(PROBABILITY, OPEN),
     "descriptor_output": _text,
     "descriptor_layer": _text,
     "descriptor_pooling": _choice(*POOLINGS),

@@ -11,6 +11,8 @@ F32 = NDArray[np.float32]
 
 LEAST_VALID = 0.2  # share of pixels below which a depth map is no use
 LEAST_SPREAD = 1e-4  # relative spread below which it is constant
+PROBABILITY, OPEN = "probability", "open"  # kinds of confidence: 0 to 1, or 1 to infinity
+LEAST_OPEN = np.nextafter(np.float32(1), np.float32(2))  # no probability, and as unsure as 1
 LEAST_NORM = 1e-6  # of a descriptor that says anything
 
 
@@ -25,7 +27,7 @@ class Prediction:
 
     depth: F32  # (h, w) metres
     image_to_depth: NDArray[np.float64]  # (4,)
-    confidence: F32  # (h, w) as the network gives it, (0, 0) for none
+    confidence: F32  # (h, w) in the range of its kind, (0, 0) for none
     descriptor: F32  # (n,) of Euclidean norm 1, (0,) for none
     inference_ms: float
     valid: bool = True
@@ -35,6 +37,18 @@ class Prediction:
 def no_confidence() -> F32:
     """The array that says that the network gives no confidence."""
     return np.zeros((0, 0), np.float32)
+
+
+def in_its_range(confidence: F32, kind: str) -> F32:
+    """Confidence (h, w) held to the range of its ``kind``, by which the gate knows it; as it is for no kind.
+
+    A probability is in [0, 1]; an open-ended one above 1, or 0 where the network masks a pixel. NaN stays.
+    """
+    if kind == PROBABILITY:
+        return np.clip(confidence, np.float32(0), np.float32(1))
+    if kind == OPEN:
+        return np.where(confidence <= 0, np.float32(0), np.maximum(confidence, LEAST_OPEN))
+    return confidence
 
 
 def no_descriptor() -> F32:
@@ -67,7 +81,8 @@ def checked(prediction: Prediction) -> Prediction:
         values = depth[usable].astype(np.float64)
         if np.std(values) < LEAST_SPREAD * np.mean(values):
             reason = f"the depth map is constant ({float(values[0]):.3g} m)"
-    confidence = np.nan_to_num(prediction.confidence, nan=0.0, posinf=0.0, neginf=0.0)
+    most = float(np.finfo(np.float32).max)  # surer than that is no less sure
+    confidence = np.nan_to_num(prediction.confidence, nan=0.0, posinf=most, neginf=0.0)
     return replace(
         prediction,
         depth=np.zeros_like(depth) if reason else np.where(usable, depth, np.float32(0)),

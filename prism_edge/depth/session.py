@@ -15,7 +15,7 @@ from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard
 from prism_edge.depth.inner_tensor import pool
 from prism_edge.depth.placement import Placement, place, tensor
-from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor
+from prism_edge.depth.prediction import Prediction, checked, in_its_range, no_confidence, no_descriptor
 from prism_edge.depth.providers import first_line, start
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
@@ -101,10 +101,13 @@ class OnnxNetwork:
             descriptor = pool(answer["descriptor"], self.card.descriptor_pooling)
         elif "descriptor" in answer:
             descriptor = _descriptor(answer["descriptor"])
+        confidence = no_confidence()
+        if "confidence" in answer:
+            confidence = in_its_range(_plane(answer["confidence"]), self.card.confidence_kind)
         prediction = Prediction(
             depth=depth,
             image_to_depth=placement.image_to_depth(depth.shape[1], depth.shape[0]),
-            confidence=_plane(answer["confidence"]) if "confidence" in answer else no_confidence(),
+            confidence=confidence,
             descriptor=descriptor,
             inference_ms=1e3 * (time.perf_counter() - started),
         )

@@ -78,13 +78,22 @@ def weigh(uncertainty: Floats, parameters: GateParameters) -> Floats:
 
 def spatial_uncertainty(confidence: Floats) -> Floats:
     """Confidence turned round, in [0, 1]: 1 / c for open-ended confidence (1 + exp, as Depth Anything 3's),
-    1 - c for a probability. nan where it is not positive and finite."""
-    known = np.isfinite(confidence) & (confidence > 0)
-    if not known.any():
+    1 - c for a probability. nan where it is not finite, where an open-ended one is 0 or less, which such
+    networks mask pixels with, and everywhere where no pixel is above 0."""
+    known = np.isfinite(confidence)
+    positive = known & (confidence > 0)
+    if not positive.any():
         return np.full(np.shape(confidence), np.nan)
     safe = np.where(known, confidence, 1.0)
-    turned = 1.0 / np.maximum(safe, 1.0) if float(safe.max()) > 1.0 else 1.0 - safe
-    return np.asarray(np.where(known, turned, np.nan))
+    if _is_open_ended(confidence[positive]):
+        return np.asarray(np.where(positive, 1.0 / np.maximum(safe, 1.0), np.nan))
+    return np.asarray(np.where(known, 1.0 - np.clip(safe, 0.0, 1.0), np.nan))
+
+
+def _is_open_ended(positive: Floats) -> bool:
+    """Whether no value is below 1, or most are above it: upsampling takes some probabilities there too."""
+    above = positive > 1.0
+    return bool(above.any() and (positive.min() >= 1.0 or np.mean(above) > 0.5))
 
 
 def combined(spatial: Floats, temporal: Floats, alpha: float) -> Floats:

@@ -51,6 +51,8 @@ def test_a_complete_card_is_read_with_its_types():
         ({"name": "../etc"}, "no name"),
         ({"contract": 2}, "contract is 2"),
         ({"contract": None}, "contract"),
+        ({"confidence_output": "c", "confidence_kind": "percent"}, "none of probability, open"),
+        ({"confidence_kind": "open"}, "needs a confidence_output"),
         ({"surprise": 1}, "unknown key 'surprise'"),
         ({"depth_kind": "metres"}, "none of metric"),
         ({"canonical_focal_length": "long"}, "a number is needed"),
@@ -160,6 +162,7 @@ def test_every_key_comes_back_from_metadata_and_from_yaml(tmp_path: Path):
         "dsug_tau": 0.07,
         "dsug_temperature": 0.02,
         "layout": "NCHW",
+        "confidence_kind": "open",
     }
     assert set(full) - {"contract"} == {field.name for field in fields(ModelCard)}
     card = card_from_mapping(full, "here")

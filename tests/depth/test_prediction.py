@@ -8,7 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor
+from prism_edge.depth.prediction import (
+    OPEN,
+    PROBABILITY,
+    Prediction,
+    checked,
+    in_its_range,
+    no_confidence,
+    no_descriptor,
+)
+from prism_edge.scale.gate import spatial_uncertainty
 
 
 def prediction(depth: np.ndarray, **more: np.ndarray) -> Prediction:
@@ -56,6 +65,29 @@ def test_confidence_and_descriptor_never_carry_nan():
     assert out.valid
     assert out.confidence[0, 0] == 0
     assert out.descriptor.size == 0
+
+
+def test_what_is_infinitely_sure_is_no_less_sure_than_the_rest():
+    sure = np.full((10, 10), 3.0, np.float32)
+    sure[0, 0], sure[0, 1] = np.inf, -np.inf
+    out = checked(prediction(SLOPE, confidence=sure)).confidence
+    assert out[0, 0] == np.finfo(np.float32).max
+    assert out[0, 1] == 0
+
+
+@pytest.mark.parametrize(
+    ("kind", "given", "uncertainty"),
+    [
+        (PROBABILITY, [-0.1, 0.0, 0.25, 1.2, np.inf], [1.0, 1.0, 0.75, 0.0, 0.0]),
+        (OPEN, [-0.1, 0.0, 0.25, 1.0, 1.0], [np.nan, np.nan, 1.0, 1.0, 1.0]),  # no idea anywhere
+        (OPEN, [0.5, 0.5, 0.5, 2.0, np.inf], [1.0, 1.0, 1.0, 0.5, 0.0]),
+    ],
+)
+def test_confidence_of_a_kind_that_is_said_is_not_guessed_from_its_values(kind, given, uncertainty):
+    held = in_its_range(np.array([given] * 5, np.float32), kind)
+    depth = SLOPE[:5, :5]
+    u = spatial_uncertainty(checked(prediction(depth, confidence=held)).confidence)
+    np.testing.assert_allclose(u[0], uncertainty, atol=1e-6)
 
 
 @settings(max_examples=60, deadline=None)

@@ -80,6 +80,13 @@ def test_confidence_and_descriptor_are_stated_not_invented(tmp_path: Path, tiny:
     assert np.ptp(given.descriptor) > 0
 
 
+def test_confidence_is_held_to_the_kind_that_the_card_names(tmp_path: Path):
+    what = TinyNetwork(confidence=True)  # between 1 and 2
+    card = replace(what.card(), confidence_kind="probability")
+    save(tmp_path / "net.onnx", tiny_graph(what), card)
+    assert np.all(OnnxNetwork(tmp_path / "net.onnx").infer(slanted_wall()[0], CAMERA).confidence == 1.0)
+
+
 @pytest.mark.parametrize("resize", ["stretch", "crop"])
 @pytest.mark.parametrize("shape", [[1, 3, 3], [3, 3], [1, 1, 3, 3]])
 def test_a_networks_own_intrinsics_come_in_pixels_of_the_image(tmp_path: Path, resize: str, shape):

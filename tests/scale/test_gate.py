@@ -151,6 +151,24 @@ def test_confidence_is_turned_round_and_never_invented():
     assert np.isnan(spatial_uncertainty(np.zeros(3))).all()
 
 
+def test_a_probability_of_zero_is_no_trust_and_one_that_overshoots_turns_nothing_round():
+    probability = np.full((6, 8), 0.9, np.float32)
+    probability[:, :3] = 0.0
+    probability[0, 0], probability[0, 7] = -0.02, 1.09  # as cubic upsampling makes them
+    u = spatial_uncertainty(probability)
+    np.testing.assert_allclose(u[:, :3], 1.0)
+    np.testing.assert_allclose(u[1:, 3:], 0.1, atol=1e-6)
+    assert u[0, 7] == 0.0
+
+
+def test_an_open_ended_confidence_is_known_by_its_values_also_where_hardly_any_is_above_one():
+    unsure = np.ones((6, 8))
+    unsure[0, 0] = 1.5
+    np.testing.assert_allclose(spatial_uncertainty(unsure)[1:], 1.0)
+    wide = np.linspace(0.2, 8.0, 20)  # goes below 1, as a softplus does
+    np.testing.assert_allclose(spatial_uncertainty(wide), 1.0 / np.maximum(wide, 1.0))
+
+
 def test_u_is_the_mix_and_of_one_that_is_missing_the_other():
     spatial, temporal = np.array([0.4, np.nan, 0.4, np.nan]), np.array([0.1, 0.1, np.nan, np.nan])
     np.testing.assert_allclose(combined(spatial, temporal, 0.25), [0.175, 0.1, 0.4, np.nan])

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard, card_from_mapping
+from prism_edge.depth.prediction import OPEN
 from prism_edge.errors import ModelError
 from tools.export_da3 import convert, parity
 from tools.export_da3.checkpoints import METRIC_FOCAL_LENGTH, NON_COMMERCIAL, Checkpoint
@@ -129,7 +130,8 @@ def card(job: Job, network: torch.nn.Module, precision: str) -> ModelCard:
     if kind == FOCAL_NORMALISED:
         values |= {"canonical_focal_length": METRIC_FOCAL_LENGTH, "scale_bias_sigma": job.scale_bias_sigma}
     if "confidence" in outputs:
-        values |= {"confidence_output": "confidence", "dsug_tau": _TAU, "dsug_temperature": _TEMPERATURE}
+        values |= {"confidence_output": "confidence", "confidence_kind": OPEN}
+        values |= {"dsug_tau": _TAU, "dsug_temperature": _TEMPERATURE}
     if "sky" in outputs:
         values |= {"sky_output": "sky", "sky_limit": SKY_LIMIT}
     if "descriptor" in outputs:

@@ -21,6 +21,7 @@ import torch
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard
+from prism_edge.depth.prediction import OPEN
 from tools.train_nano.judge import Verdict, judge
 from tools.train_nano.network import Exported, Nano
 from tools.train_nano.pictures import Views
@@ -80,6 +81,7 @@ def card(verdict: Verdict, revision: str) -> ModelCard:
         std=STD,
         depth_output=OUTPUTS[0],
         confidence_output=OUTPUTS[1],
+        confidence_kind=OPEN,
         descriptor_output=OUTPUTS[2],
         canonical_focal_length=CANONICAL_FOCAL,
         scale_bias_sigma=round(max(LEAST_BIAS, verdict.world_spread), 3),
