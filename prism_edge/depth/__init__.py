@@ -13,7 +13,7 @@ from prism_edge.depth.folders import folders
 from prism_edge.depth.pairing import PairedNetwork
 from prism_edge.depth.prediction import Prediction
 from prism_edge.depth.pulled import find_pulled
-from prism_edge.depth.registry import entries, find
+from prism_edge.depth.registry import File, entries, find
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -65,16 +65,16 @@ def networks_of(spec: str) -> list[str]:
 def open_onnx(spec: str, config: DepthConfig) -> OnnxNetwork:
     """One network of any kind by file or registered name, warmed up. Raises ModelError."""
     path = locate(spec)
-    # A file found through its registered name must be that file.
-    return OnnxNetwork(path, config, "" if path == Path(spec).expanduser() else pinned_digest(spec))
+    # Files found through a registered name, or one that they were pulled under, must be those files.
+    return OnnxNetwork(path, config, () if path == Path(spec).expanduser() else pinned_files(spec))
 
 
-def pinned_digest(name: str) -> str:
-    """SHA-256 of the network file of that name, registered or pulled; empty where it is not known."""
+def pinned_files(name: str) -> tuple[File, ...]:
+    """The files of the network of that name, registered or pulled, with their digests; none where unknown."""
     entry, pulled = find(name), find_pulled(name)
     if entry and entry.card:
-        return entry.card.sha256
-    return pulled.files[0].sha256 if pulled and pulled.runnable else ""
+        return entry.files
+    return pulled.files if pulled and pulled.runnable else ()
 
 
 def locate(spec: str) -> Path:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from prism_edge.depth.contract import ModelCard, card_from_metadata, card_from_sidecar
-from prism_edge.depth.registry import Entry, find, find_digest, sha256_of
+from prism_edge.depth.registry import File, find, find_digest, sha256_of
 from prism_edge.depth.vetting import Vetted
 from prism_edge.errors import ModelError
 
@@ -15,12 +15,13 @@ def sidecar_of(path: Path) -> Path:
     return path.with_name(path.name + ".yaml")
 
 
-def card_of(path: Path, vetted: Vetted) -> ModelCard:
+def card_of(path: Path, vetted: Vetted, pinned: tuple[File, ...] = ()) -> ModelCard:
     """The card of a vetted file; ``path`` is where the user has it, with its sidecar.
 
     A sidecar goes before the file's metadata, and both before the registry, which knows files by
     digest. Raises ModelError where there is none, where the digest is not the one the card pins, where
-    a file bears a registered name without being that file, or where its licence contradicts the registry.
+    a file bears a registered name without being that file, where its licence contradicts the registry, or
+    where its external data are not the registered ones or, of a file not registered, those in ``pinned``.
     """
     digest = vetted.sha256
     registered = find_digest(digest)
@@ -47,20 +48,22 @@ def card_of(path: Path, vetted: Vetted) -> ModelCard:
             f"{registered.licence}"
         )
     if registered:
-        check_data(registered, vetted)
+        check_data(registered.files, vetted, "registered")
+    elif pinned:
+        check_data(pinned, vetted, "pulled")
     return card
 
 
-def check_data(registered: Entry, vetted: Vetted) -> None:
-    """Raises ModelError unless a network's external data are the registered files."""
-    known = {file.name: file.sha256 for file in registered.files[1:]}
+def check_data(files: tuple[File, ...], vetted: Vetted, how: str) -> None:
+    """Raises ModelError unless external data are ``files`` but the first, which are known as ``how`` says."""
+    known = {file.name: file.sha256 for file in files[1:]}
     if {path.name for path in vetted.data} != set(known):
-        raise ModelError(f"{vetted.path}: its external data are not those registered for {registered.name}")
+        raise ModelError(f"{vetted.path}: its external data are not those {how} for {files[0].name}")
     for path in vetted.data:
         digest = sha256_of(path)
         if digest != known[path.name]:
             raise ModelError(
-                f"{path}: its SHA-256 is {digest[:12]}..., not the registered {known[path.name][:12]}..."
+                f"{path}: its SHA-256 is {digest[:12]}..., not the {how} {known[path.name][:12]}..."
             )
 
 

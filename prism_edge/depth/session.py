@@ -17,6 +17,7 @@ from prism_edge.depth.inner_tensor import pool
 from prism_edge.depth.placement import Placement, place, tensor
 from prism_edge.depth.prediction import Prediction, checked, in_its_range, no_confidence, no_descriptor
 from prism_edge.depth.providers import first_line, start
+from prism_edge.depth.registry import File
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -32,12 +33,12 @@ class OnnxNetwork:
     ModelError where the file is no ONNX model, has no card, or is not what its card says.
     """
 
-    def __init__(self, path: Path, config: DepthConfig | None = None, pinned: str = "") -> None:
-        """``pinned`` is the SHA-256 that the file must have; empty: any."""
+    def __init__(self, path: Path, config: DepthConfig | None = None, pinned: tuple[File, ...] = ()) -> None:
+        """``pinned`` is what the file and its external data must be; empty: anything."""
         self.path = path
-        vetted = vet(path, pinned)
+        vetted = vet(path, pinned[0].sha256 if pinned else "")
         self.digest = vetted.sha256
-        self.card: ModelCard = card_of(path, vetted)
+        self.card: ModelCard = card_of(path, vetted, pinned)
         inner = self.card.descriptor_layer if self.card.has_inner_descriptor else ""
         started = start(vetted, config or DepthConfig(), inner)
         self._session, self.provider, self.nodes = started.session, started.provider, started.nodes

@@ -22,7 +22,7 @@ from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from tests.depth.test_vetting import split
 from tests.depth.web_server import WebServer, web_server
-from tests.synthetic.network import TinyNetwork, write_tiny_network
+from tests.synthetic.network import TinyNetwork, write_sidecar, write_tiny_network
 
 HASTY = Patience(stall_s=0.3, attempts=2, pause_s=0.0)
 
@@ -278,6 +278,13 @@ def test_weights_beside_a_network_from_anywhere_come_with_it(server, models: Pat
     with pytest.raises(ModelError, match="table of keys"):
         open_onnx("mine", DepthConfig())
     # its own digest does not vouch for its weights
+    write_sidecar(models / "mine" / "mine.onnx", TinyNetwork().card())
+    assert open_onnx("mine", DepthConfig()).card.name == "tiny_tint"
+    weights = models / "mine" / "split.onnx.data"
+    weights.write_bytes(bytes(reversed(weights.read_bytes())))
+    with pytest.raises(ModelError, match=r"split.onnx.data: its SHA-256 is .* not the pulled"):
+        open_onnx("mine", DepthConfig())
+    assert open_onnx(str(models / "mine" / "mine.onnx"), DepthConfig())  # a path is taken at its word
     pinned = from_url(f"{server.url}/split.onnx", models, digest(server.files["/split.onnx"]), "other")
     with pytest.raises(ModelError, match=r"no SHA-256 of split.onnx.data is known"):
         get(pinned)
