@@ -8,6 +8,7 @@ Arrays carry their dtype and shape in the field's metadata; -1 stands for a free
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,6 +28,8 @@ RECOVERED = "recovered"
 # Epochs, keyframes, points and map updates have numbers that never come again.
 IDS_A_LIFE = 10**10  # a process's lives begin to number things so far apart: months of mapping in each
 LARGEST_ID = 2**55  # of what comes from outside: gtsam has 56 bits for a number, and others follow it
+
+_DIGEST = re.compile(r"@[0-9a-f]{12}")  # in a network's identity
 
 
 def beyond(largest: int) -> int:
@@ -157,6 +160,13 @@ class KeyframeImage:
     image: U8 = array("uint8", -1, -1)  # as in Frame
 
 
+def same_network(one: str, other: str) -> bool:
+    """Whether two identities may be one network's; maps of earlier builds have the bare name."""
+    if _DIGEST.search(one) and _DIGEST.search(other):
+        return one == other
+    return _DIGEST.sub("", one) == _DIGEST.sub("", other)
+
+
 @dataclass(frozen=True)
 class Depth:
     """Metric depth of one keyframe at the network's resolution.
@@ -169,7 +179,7 @@ class Depth:
     index: int
     stamp_ns: int
     epoch: int
-    model: str
+    model: str  # identity of the network, NAME@DIGEST (depth/fingerprint.py)
     bias_sigma: float  # log-scale error of this network that never averages out
     inference_ms: float
     valid: bool  # False: the network's answer was unusable (all NaN, constant, ...)

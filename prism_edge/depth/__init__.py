@@ -25,6 +25,7 @@ class DepthNetwork(Protocol):
     """Anything that gives metric depth for an image."""
 
     name: str
+    identity: str  # whose answers can be compared with whose (depth/fingerprint.py)
     bias_sigma: float  # log-scale error that never averages out
     dsug: tuple[float, float]  # the uncertainty gate's tau and T fitted for it; (nan, nan): not fitted
     provider: str  # execution provider it really runs on

@@ -94,6 +94,7 @@ class PairedNetwork:
         self._relative, self._metric = relative, metric
         self.card = metric.card
         self.name = f"nested:{relative.name},{metric.name}"
+        self.identity = f"nested:{relative.identity},{metric.identity}"
         self.bias_sigma = metric.bias_sigma
         self.dsug = relative.dsug  # fitted to the confidence, which is the relative network's
         self.provider = ", ".join(dict.fromkeys((relative.provider, metric.provider)))

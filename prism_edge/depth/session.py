@@ -13,6 +13,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth.agreement import roles
 from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard
+from prism_edge.depth.fingerprint import fingerprint
 from prism_edge.depth.inner_tensor import pool
 from prism_edge.depth.placement import Placement, place, tensor
 from prism_edge.depth.prediction import Prediction, checked, in_its_range, no_confidence, no_descriptor
@@ -29,8 +30,9 @@ class OnnxNetwork:
     """A loaded, verified and warmed-up network.
 
     ``card`` is its contract, ``provider`` the execution provider it really runs on, ``nodes`` how many
-    nodes of it each provider runs, ``name``, ``bias_sigma`` and ``dsug`` what messages carry. Raises
-    ModelError where the file is no ONNX model, has no card, or is not what its card says.
+    nodes of it each provider runs, ``name`` what people read, ``identity``, ``bias_sigma`` and ``dsug`` what
+    messages carry. Raises ModelError where the file is no ONNX model, has no card, or is not what its card
+    says.
     """
 
     def __init__(self, path: Path, config: DepthConfig | None = None, pinned: tuple[File, ...] = ()) -> None:
@@ -43,6 +45,7 @@ class OnnxNetwork:
         started = start(vetted, config or DepthConfig(), inner)
         self._session, self.provider, self.nodes = started.session, started.provider, started.nodes
         self.name = self.card.name
+        self.identity = f"{self.name}@{fingerprint(self.card, vetted)}"
         self.bias_sigma = self.card.scale_bias_sigma or 0.0
         self.dsug = self.card.dsug
         self.counters: dict[str, int] = {}

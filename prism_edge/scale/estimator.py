@@ -10,7 +10,7 @@ import numpy as np
 from prism_edge.config import GateConfig, ScaleConfig
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
-from prism_edge.messages import F32, Depth, Gate, Keyframe, Scale
+from prism_edge.messages import F32, Depth, Gate, Keyframe, Scale, same_network
 from prism_edge.scale.filter import ScaleFilter
 from prism_edge.scale.gate import Floats
 from prism_edge.scale.gate_keyframes import KeyframeGate
@@ -145,7 +145,7 @@ class ScaleEstimator:
 
     def _meet(self, depth: Depth) -> None:
         """Another network has other metres: they are off by its bias and by that of the one before."""
-        if self._network and depth.model and depth.model != self._network:
+        if self._network and depth.model and not same_network(depth.model, self._network):
             self._filter.widen(math.hypot(self._bias_sigma, depth.bias_sigma))
         self._network = depth.model or self._network
 

@@ -13,6 +13,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.messages import same_network
+
 F32 = NDArray[np.float32]
 
 log = logging.getLogger("prism_edge.tracking")
@@ -88,7 +90,7 @@ class PlaceIndex:
         return [(ids[i], float(similarity[i])) for i in order]
 
     def _is_foreign(self, network: str) -> bool:
-        return bool(network and self.network) and network != self.network
+        return bool(network and self.network) and not same_network(network, self.network)
 
 
 def _direction(rows: NDArray[np.float64]) -> NDArray[np.float64]:

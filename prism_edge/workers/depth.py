@@ -157,13 +157,13 @@ def answer(network: DepthNetwork | SensorNetwork | None, image: KeyframeImage) -
             prediction = network.infer(rgb(image), camera)
     except Exception as error:  # native code and foreign graphs raise anything; tracking goes on
         line = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
-        return _without(image, network.name, network.bias_sigma, f"inference failed: {line}")
+        return _without(image, network.identity, network.bias_sigma, f"inference failed: {line}")
     return Depth(
         keyframe=image.keyframe,
         index=image.index,
         stamp_ns=image.stamp_ns,
         epoch=image.epoch,
-        model=network.name,
+        model=network.identity,
         bias_sigma=network.bias_sigma,
         inference_ms=prediction.inference_ms,
         valid=prediction.valid,

@@ -21,7 +21,7 @@ from prism_edge.bus import codec
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.errors import BusError, MapError
-from prism_edge.messages import Keyframe, WholeMap
+from prism_edge.messages import Keyframe, WholeMap, same_network
 from prism_edge.workers.cut_off import OWN_JOURNAL, goes_on
 from prism_edge.workers.map_flaw import map_flaw, pyramid_flaw
 from prism_edge.workers.state_directory import kept_journal, map_names, map_path
@@ -152,7 +152,7 @@ class MapKeeper:
         """Whether another network than ours has described a stored map's places, as far as is known here."""
         theirs, ours = info.get("places_of"), self._mapper.loops.index.network
         if theirs:  # as it calls itself; where ours is yet to speak, PlaceIndex will see
-            return bool(ours) and theirs != ours
+            return bool(ours) and not same_network(theirs, ours)
         return info.get("model") != self._config.depth.network
 
     def whole(self, scale: KnownScale) -> WholeMap | None:

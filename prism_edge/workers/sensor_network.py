@@ -26,7 +26,7 @@ class SensorNetwork:
     Raises ModelError where the source carries no depth images.
     """
 
-    name = "sensor (not monocular)"
+    name = identity = "sensor (not monocular)"
     provider = "none"
     bias_sigma = 0.01  # of a depth camera's metres
     frame_sigma = 0.02  # what the pixels of one of its images share

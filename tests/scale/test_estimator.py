@@ -118,16 +118,23 @@ def test_what_was_known_stays_as_well_known_whatever_the_network_spreads():
 
 
 @pytest.mark.parametrize(
-    ("network", "bias_sigma"), [("wall", 0.0), ("", 0.0), ("another", np.hypot(0.05, 0.1))]
+    ("network", "own", "bias_sigma"),
+    [
+        ("wall", "wall", 0.0),
+        ("", "wall", 0.0),
+        ("another", "wall", np.hypot(0.05, 0.1)),
+        ("wall", "wall@0123456789ab", 0.0),  # as a map of an earlier build names it
+        ("wall@ba9876543210", "wall@0123456789ab", np.hypot(0.05, 0.1)),
+    ],
 )
-def test_another_network_s_word_for_a_map_s_unit_is_kept_but_doubted(network, bias_sigma):
+def test_another_network_s_word_for_a_map_s_unit_is_kept_but_doubted(network, own, bias_sigma):
     estimator = ScaleEstimator(ScaleConfig())
     estimator.take_over(0, np.log(1.2), 0.02, bias_sigma=0.05, network=network)
     first = keyframe_of_wall(0, 0.0)
-    said = estimator.process(first, replace(depth_of(first), valid=False))[0]
+    said = estimator.process(first, replace(depth_of(first), valid=False, model=own))[0]
     assert said.log_scale == pytest.approx(np.log(1.2))
-    assert said.network == "wall"
-    again = estimator.process(first, replace(depth_of(first), valid=False))[0]
+    assert said.network == own
+    again = estimator.process(first, replace(depth_of(first), valid=False, model=own))[0]
     for scale in (said, again):  # once
         assert estimator._filter.sigma == pytest.approx(np.hypot(0.02, bias_sigma))
         assert scale.filter_sigma == pytest.approx(estimator._filter.learned_sigma)

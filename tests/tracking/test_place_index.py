@@ -100,6 +100,16 @@ def test_another_network_s_descriptors_take_the_place_of_the_rest(
     assert caplog.text.count("another network names places now") == 1
 
 
+def test_a_name_with_another_digest_is_another_network() -> None:
+    index = PlaceIndex()
+    assert index.add(0, np.ones(4, np.float32), "one")  # as maps of earlier builds have it
+    assert index.add(1, np.ones(4, np.float32), "one@0123456789ab")
+    assert len(index) == 2
+    assert index.rank(np.ones(4, np.float32), range(9), "one@ba9876543210") == []
+    assert index.add(2, np.ones(4, np.float32), "one@ba9876543210")
+    assert len(index) == 1
+
+
 def test_who_does_not_say_its_name_is_no_other_network() -> None:
     index = PlaceIndex()
     assert index.add(0, np.ones(4, np.float32), "one")

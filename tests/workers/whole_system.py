@@ -33,7 +33,8 @@ def in_turn(*spoils: Spoil) -> Spoil:
 class FilmNetwork:
     """Gives the film's true depth, with a descriptor; ``spoil`` may change it (None: no answer)."""
 
-    name, bias_sigma, dsug, provider = "film", 0.05, (0.17, 0.05), "none"
+    name = identity = "film"
+    bias_sigma, dsug, provider = 0.05, (0.17, 0.05), "none"
 
     def __init__(self, spoil: Spoil, bad: range, delay: int) -> None:
         self.counters: dict[str, int] = {}
