@@ -91,7 +91,7 @@ class OnnxNetwork:
         return placement.to_image(fx, fy, cx, cy)
 
     def raw(self, rgb: NDArray[np.uint8]) -> tuple[Prediction, Placement]:
-        """The network's unchecked answer in its own unit, sky set to 0, and where the image lay in it."""
+        """The network's unchecked answer in its own unit, without sky, and where the image lay in it."""
         started = time.perf_counter()
         placement = place(self.card, rgb.shape[1], rgb.shape[0])
         image = tensor(rgb, self.card, placement)
@@ -99,7 +99,9 @@ class OnnxNetwork:
         answer = dict(zip(self._outputs, values, strict=True))
         depth = _plane(answer["depth"])
         if "sky" in answer:
-            depth = np.where(_plane(answer["sky"]) < self.card.sky_limit, depth, np.float32(0))
+            # Inverse depth 0 is as good as any: what isn't there must be told apart from it.
+            nothing = np.float32(0 if self.card.has_metres else np.nan)
+            depth = np.where(_plane(answer["sky"]) < self.card.sky_limit, depth, nothing)
         descriptor = no_descriptor()
         if self.card.has_inner_descriptor:
             descriptor = pool(answer["descriptor"], self.card.descriptor_pooling)

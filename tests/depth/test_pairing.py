@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from onnx import TensorProto, helper
 
 from prism_edge.depth.pairing import PairedNetwork, fit_inverse_depth, metres
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
-from tests.synthetic.network import TinyNetwork, write_tiny_network
+from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
 from tests.synthetic.sequence import synthetic_camera
 from tests.synthetic.tint import tinted
 
@@ -107,6 +109,23 @@ def test_relative_detail_comes_in_the_metric_networks_metres(tmp_path: Path, kin
     assert paired.bias_sigma == metric.bias_sigma > 0
     assert paired.name == "nested:fine,coarse"
     assert paired.counters == {"unpaired": 0}
+
+
+@pytest.mark.parametrize("kind", ["relative", "inverse_relative"])
+def test_sky_has_no_depth_in_a_pair_either_and_bends_nothing(tmp_path: Path, kind: str):
+    what = TinyNetwork(name="sees_sky", depth_kind=kind, width=640, height=480)
+    graph = tiny_graph(what)
+    sign = "Neg" if kind == "inverse_relative" else "Identity"
+    graph.node.append(helper.make_node(sign, ["log_depth"], ["sky"]))  # beyond 2.7 m, most of one wall
+    graph.output.append(helper.make_tensor_value_info("sky", TensorProto.FLOAT, [1, 1, 120, 160]))
+    save(tmp_path / "sky.onnx", graph, replace(what.card(), sky_output="sky", sky_limit=1.0))
+    paired = PairedNetwork(OnnxNetwork(tmp_path / "sky.onnx"), network(tmp_path, "m", width=160, height=120))
+    image, depth = view()
+    answer = paired.infer(image, CAMERA)
+    truth = cv2.resize(depth, (160, 120), interpolation=cv2.INTER_AREA)
+    assert not answer.depth[truth > 2.8].any()
+    seen = truth < 2.6
+    assert np.percentile(np.abs(np.log(answer.depth[seen] / truth[seen])), 95) < 0.03
 
 
 @pytest.mark.parametrize("misbehaviour", ["nan", "zero", "negative", "constant"])
