@@ -1,7 +1,7 @@
 """A relative network's detail in a metric network's metres.
 
-A relative network knows inverse depth up to an unknown scale and shift for each image. Both are fitted
-to the metric network's answer for the same image: 1 / z = slope * d + shift.
+A relative network knows inverse depth, or depth, up to an unknown scale and shift for each image. Both are
+fitted to the metric network's answer for the same image: 1 / z = slope * d + shift, or z itself.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ _HUBER = 1.345  # sigmas; 95 % efficient on Gaussian noise
 
 @dataclass(frozen=True)
 class Fit:
-    """1 / z = slope * d + shift; ``spread`` is the median of |z (slope d + shift) - 1|."""
+    """1 / z = slope * d + shift, or z where ``of_depth``; ``spread`` is the median relative residual."""
 
     slope: float
     shift: float
     spread: float
+    of_depth: bool = False
 
 
 def fit_inverse_depth(relative: F64, metric: F64) -> Fit | None:
@@ -45,6 +46,21 @@ def fit_inverse_depth(relative: F64, metric: F64) -> Fit | None:
     relative residual, AbsRel 0.175 against 0.195: docs/MODELS.md). The first weights come from a line
     through the medians of the nearest and the farthest third, so that outliers do not choose the basin.
     """
+    return _fit(relative, metric, of_depth=False)
+
+
+def fit_depth(relative: F64, metric: F64) -> Fit | None:
+    """As :func:`fit_inverse_depth` of relative depths (n,): the better fit of 1 / z by 1 / d and of z by d.
+
+    The latter, which alone knows a shift of depth, is of relative residuals, else the far would outweigh all.
+    """
+    positive = relative > 0
+    d, z = relative[positive], metric[positive]
+    fits = (_fit(1.0 / d, z, of_depth=False), _fit(d, z, of_depth=True))
+    return min((fit for fit in fits if fit), key=lambda fit: fit.spread, default=None)
+
+
+def _fit(relative: F64, metric: F64, of_depth: bool) -> Fit | None:
     usable = np.isfinite(relative) & np.isfinite(metric) & (metric > 0)
     d, z = relative[usable], metric[usable]
     if d.size < LEAST_SAMPLES:
@@ -54,8 +70,10 @@ def fit_inverse_depth(relative: F64, metric: F64) -> Fit | None:
     if not extent > 1e-6 * max(abs(low), abs(high)):
         return None
     d = (d - middle) / extent  # well conditioned whatever the network's unit
-    design, target = np.stack([d, np.ones_like(d)], axis=1), 1.0 / z
+    design, target = np.stack([d, np.ones_like(d)], axis=1), z if of_depth else 1.0 / z
     solution: F64 = _line_through_thirds(d, target)
+    if of_depth:
+        design, target = design / z[:, None], np.ones_like(z)
     for _ in range(_ITERATIONS):
         residual = np.abs(design @ solution - target)
         sigma = max(1.4826 * float(np.median(residual)), 1e-9)
@@ -64,16 +82,19 @@ def fit_inverse_depth(relative: F64, metric: F64) -> Fit | None:
         if np.linalg.cond(normal) > 1e12:
             return None
         solution = np.asarray(np.linalg.solve(normal, design.T @ (weight * target)), dtype=np.float64)
-    spread = float(np.median(z * np.abs(design @ solution - target)))
+    spread = float(np.median(np.abs(design @ solution - target) / target))
     slope, shift = float(solution[0] / extent), float(solution[1] - solution[0] * middle / extent)
     if not np.isfinite([slope, shift, spread]).all() or slope <= 0.0 or spread > WORST_SPREAD:
         return None
-    return Fit(slope, shift, spread)
+    return Fit(slope, shift, spread, of_depth)
 
 
 def metres(relative: F32, fit: Fit, farthest: float) -> F32:
-    """Depth (h, w) in metres of relative inverse depth (h, w); 0 where it lies beyond ``farthest``."""
-    inverse = fit.slope * relative.astype(np.float64) + fit.shift
+    """Depth (h, w) in metres of what was fitted (h, w); 0 where it lies beyond ``farthest``."""
+    fitted = fit.slope * relative.astype(np.float64) + fit.shift
+    if fit.of_depth:
+        return np.where((fitted > 0) & (fitted <= farthest), fitted, 0.0).astype(np.float32)
+    inverse = fitted
     usable = np.isfinite(inverse) & (inverse >= 1.0 / farthest)
     return np.where(usable, 1.0 / np.where(usable, inverse, 1.0), 0.0).astype(np.float32)
 
@@ -123,34 +144,37 @@ class PairedNetwork:
         return replace(paired, descriptor=descriptor, inference_ms=took)
 
     def _pair(self, raw: Prediction, metric: Prediction) -> Prediction | None:
-        inverse = raw.depth
-        if self._relative.card.depth_kind == RELATIVE:
-            inverse = np.where(raw.depth > 0, 1.0 / np.maximum(raw.depth, 1e-6), np.nan).astype(np.float32)
-        fit = fit_inverse_depth(*_samples(inverse, raw.image_to_depth, metric))
+        is_depth = self._relative.card.depth_kind == RELATIVE
+        samples = _samples(raw.depth, raw.image_to_depth, metric)
+        fit = fit_depth(*samples) if is_depth else fit_inverse_depth(*samples)
         if fit is None:
             return None
         # Beyond the farthest the metric network saw, inverse depth near zero blows up.
+        values = raw.depth
+        if is_depth:
+            inverse = 1.0 / np.maximum(values, 1e-6)
+            values = np.where(values > 0, values if fit.of_depth else inverse, np.nan).astype(np.float32)
         farthest = 1.5 * float(np.percentile(metric.depth[metric.depth > 0], 99))
-        paired = checked(replace(raw, depth=metres(inverse, fit, farthest)))
+        paired = checked(replace(raw, depth=metres(values, fit, farthest)))
         return paired if paired.valid else None
 
 
-def _samples(inverse: F32, image_to_inverse: F64, metric: Prediction) -> tuple[F64, F64]:
+def _samples(relative: F32, image_to_relative: F64, metric: Prediction) -> tuple[F64, F64]:
     """Both networks' values at a grid of points common to their fields of view."""
-    a, b, c, d = image_to_inverse
+    a, b, c, d = image_to_relative
     e, f, g, h = metric.image_to_depth
-    rows, columns = inverse.shape
+    rows, columns = relative.shape
     x, y = np.meshgrid(np.linspace(0, columns - 1, GRID[0]), np.linspace(0, rows - 1, GRID[1]))
     mx, my = e * (x - b) / a + f, g * (y - d) / c + h  # by way of the image
     inside = (mx >= 0) & (mx <= metric.depth.shape[1] - 1) & (my >= 0) & (my <= metric.depth.shape[0] - 1)
     # Nearest pixels: blending across the 0 of an invalid one would invent a depth.
     z = cv2.remap(metric.depth, mx.astype(np.float32), my.astype(np.float32), cv2.INTER_NEAREST)
-    values = inverse[np.round(y).astype(int), np.round(x).astype(int)]
+    values = relative[np.round(y).astype(int), np.round(x).astype(int)]
     return values[inside].astype(np.float64), z[inside].astype(np.float64)
 
 
-def _line_through_thirds(d: F64, inverse: F64) -> F64:
+def _line_through_thirds(d: F64, target: F64) -> F64:
     near, far = d >= np.percentile(d, 67), d <= np.percentile(d, 33)
     run = float(np.median(d[near]) - np.median(d[far]))
-    slope = float(np.median(inverse[near]) - np.median(inverse[far])) / run if run > 0 else 0.0
-    return np.array([slope, float(np.median(inverse)) - slope * float(np.median(d))])
+    slope = float(np.median(target[near]) - np.median(target[far])) / run if run > 0 else 0.0
+    return np.array([slope, float(np.median(target)) - slope * float(np.median(d))])

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper
 
-from prism_edge.depth.pairing import PairedNetwork, fit_inverse_depth, metres
+from prism_edge.depth.pairing import Fit, PairedNetwork, fit_depth, fit_inverse_depth, metres
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -71,6 +71,45 @@ def test_any_values_give_a_finite_fit_or_none(values, seed):
     relative = np.array(values)
     fit = fit_inverse_depth(relative, np.random.default_rng(seed).uniform(0.5, 5.0, len(values)))
     assert fit is None or np.isfinite([fit.slope, fit.shift, fit.spread]).all()
+
+
+@pytest.mark.parametrize("shift", [0.8, 0.4, 0.0, -2.0])
+def test_depth_up_to_scale_and_shift_is_found_as_such(shift: float):
+    rng = np.random.default_rng(3)
+    relative = (DEPTHS - shift) / 7
+    metric = DEPTHS * np.exp(rng.normal(0, 0.1, DEPTHS.size))
+    spoilt = rng.random(DEPTHS.size) < 0.2
+    metric[spoilt] = rng.uniform(4.0, 8.0, spoilt.sum())
+    fit = fit_depth(relative, metric)
+    assert fit is not None
+    values = relative if fit.of_depth else 1 / relative
+    out = metres(values[None], fit, farthest=1e3)[0]
+    assert np.median(np.abs(out / DEPTHS - 1)) < 0.03
+    assert np.percentile(np.abs(out / DEPTHS - 1), 95) < 0.15
+
+
+def test_depth_up_to_scale_alone_is_exact_too():
+    fit = fit_depth(DEPTHS / 7, DEPTHS)
+    assert fit is not None
+    out = metres(np.array([[0.5 / 7, -1.0, np.nan]]), Fit(7.0, 0.0, 0.0, of_depth=True), farthest=9.0)
+    assert out[0] == pytest.approx([0.5, 0, 0])
+    assert fit.spread < 1e-6
+
+
+def test_a_shift_of_relative_depth_is_found_in_a_pair(tmp_path: Path):
+    what = TinyNetwork(name="shifted", depth_kind="relative", width=640, height=480)
+    graph = tiny_graph(what)
+    graph.output[0].name = "moved"
+    value = helper.make_tensor("shift", TensorProto.FLOAT, [1], [-0.45])  # the nearest is at 0.5 m
+    graph.node.append(helper.make_node("Constant", [], ["shift"], value=value))
+    graph.node.append(helper.make_node("Add", ["depth", "shift"], ["moved"]))
+    save(tmp_path / "shifted.onnx", graph, replace(what.card(), depth_output="moved"))
+    paired = PairedNetwork(OnnxNetwork(tmp_path / "shifted.onnx"), network(tmp_path, "m"))
+    image, depth = view()
+    answer = paired.infer(image, CAMERA)
+    truth = cv2.resize(depth, (160, 120), interpolation=cv2.INTER_AREA)
+    assert paired.counters == {"unpaired": 0}
+    assert np.percentile(np.abs(np.log(answer.depth / truth)), 95) < 0.03
 
 
 def test_nothing_lies_beyond_the_farthest():
