@@ -26,7 +26,9 @@ def roles(session: Any, card: ModelCard, file: str) -> tuple[str, dict[str, str]
     if len(shape) != 4 or not all(free_or_equal):
         raise ModelError(f"{file}: input {name!r} has shape {shape}, but its card says {list(expected)}")
     outputs = {item.name: item for item in session.get_outputs()}
-    depth = card.depth_output or (next(iter(outputs)) if len(outputs) == 1 else "")
+    # An inner tensor is an output by our own doing: the file has but those beside it.
+    own = [output for output in outputs if not card.has_inner_descriptor or output != card.descriptor_layer]
+    depth = card.depth_output or (own[0] if len(own) == 1 else "")
     if not depth:
         raise ModelError(f"{file}: its card must name depth_output, one of {', '.join(outputs)}")
     by_role = {

@@ -130,6 +130,13 @@ def test_a_layer_that_is_not_there_or_cannot_be_pooled_is_refused(tmp_path: Path
     assert "\n" not in str(error.value)
 
 
+def test_an_exposed_layer_leaves_the_only_output_the_only_one(tmp_path: Path):
+    path = write_tiny_network(tmp_path / "a.onnx", TinyNetwork(describes_itself=False))
+    card = replace(TinyNetwork().card(), depth_output="", descriptor_layer="small", descriptor_pooling="grid")
+    write_sidecar(path, card)
+    assert OnnxNetwork(path).raw(np.full((48, 64, 3), 90, np.uint8))[0].descriptor.size == 12
+
+
 @pytest.mark.realdata
 @pytest.mark.parametrize(
     ("file", "size"), [("fastdepth_nyu_224", 1504), ("depth_anything_v2_small_252x336_int8", 1536)]
