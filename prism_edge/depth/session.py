@@ -13,6 +13,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth.agreement import roles
 from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard
+from prism_edge.depth.data_watch import DataWatch
 from prism_edge.depth.fingerprint import fingerprint
 from prism_edge.depth.inner_tensor import pool
 from prism_edge.depth.placement import Placement, place, tensor
@@ -39,6 +40,7 @@ class OnnxNetwork:
         """``pinned`` is what the file and its external data must be; empty: anything."""
         self.path = path
         vetted = vet(path, pinned[0].sha256 if pinned else "")
+        self._data = DataWatch(vetted.data)  # before they are hashed and loaded
         self.digest = vetted.sha256
         self.card: ModelCard = card_of(path, vetted, pinned)
         inner = self.card.descriptor_layer if self.card.has_inner_descriptor else ""
@@ -91,7 +93,11 @@ class OnnxNetwork:
         return placement.to_image(fx, fy, cx, cy)
 
     def raw(self, rgb: NDArray[np.uint8]) -> tuple[Prediction, Placement]:
-        """The network's unchecked answer in its own unit, without sky, and where the image lay in it."""
+        """The network's unchecked answer in its own unit, without sky, and where the image lay in it.
+
+        Raises ModelError where weights beside the file were overwritten since it was loaded.
+        """
+        self._data.check()
         started = time.perf_counter()
         placement = place(self.card, rgb.shape[1], rgb.shape[0])
         image = tensor(rgb, self.card, placement)

@@ -77,6 +77,24 @@ def test_a_network_with_weights_beside_it_runs_like_the_whole_one(tmp_path: Path
     assert np.array_equal(one.depth, other.depth)
 
 
+def test_weights_overwritten_under_a_running_network_are_noticed(tmp_path: Path):
+    network = OnnxNetwork(split(tmp_path / "split.onnx"))
+    image, camera = np.full((240, 320, 3), 90, np.uint8), Camera(320, 240, 300.0, 300.0, 160.0, 120.0)
+    image[:, 100:] = 120
+    before = network.infer(image, camera)
+    weights = tmp_path / "weights.bin"
+    other = np.frombuffer(weights.read_bytes(), np.float32) * np.float32(5)
+    (tmp_path / "new").write_bytes(other.tobytes())
+    kept = tmp_path / "kept"
+    os.link(weights, kept)
+    os.replace(tmp_path / "new", weights)  # as mv does
+    assert np.array_equal(network.infer(image, camera).depth, before.depth)
+    os.replace(kept, weights)
+    os.utime(weights, ns=(0, 1))  # a write within the clock's tick would go unseen
+    with pytest.raises(ModelError, match=r"weights.bin: was overwritten while the network runs"):
+        network.infer(image, camera)
+
+
 def test_a_link_to_a_network_is_followed_to_its_weights(tmp_path: Path):
     (tmp_path / "store").mkdir()
     (tmp_path / "links").mkdir()
