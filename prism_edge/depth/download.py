@@ -1,7 +1,8 @@
 """A file from the web: resumed where it broke off, held to its size and digest, never left half.
 
 What has come so far lies in ``<file>.<tag>.part`` beside the file's place, the tag standing for the version
-that the server named, so that two versions are never joined. Nothing else is ever left behind.
+that the server named, so that two versions are never joined; where it names none (tag 0) only a SHA-256 lets
+them be told apart, and without one a part is not gone on with. Nothing else is ever left behind.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from prism_edge.depth.web import (
+    UNNAMED,
     CompleteError,
     StaleError,
     TransientError,
@@ -107,9 +109,10 @@ def _fetched(wanted: Wanted, patience: Patience, progress: Progress) -> tuple[Pa
         before = _have(wanted.file)
         try:
             return _attempt(wanted, patience, progress), fresh
-        except CompleteError:
-            return parts_of(wanted.file)[0], fresh
-        except StaleError:
+        except (CompleteError, StaleError) as error:
+            part = next(iter(_resumable(wanted)), None)
+            if part and isinstance(error, CompleteError) and str(error) in (UNNAMED, _tag(part)):
+                return part, fresh
             for part in parts_of(wanted.file):
                 part.unlink()
             fresh = True
@@ -119,9 +122,19 @@ def _fetched(wanted: Wanted, patience: Patience, progress: Progress) -> tuple[Pa
             failures = 1 if _have(wanted.file) > before else failures + 1
             reason = str(error)
         if failures >= patience.attempts:
-            kept = "; what has come is kept, pull again to go on" if _have(wanted.file) else ""
+            kept = "; what has come is kept, pull again to go on" if _resumable(wanted) else ""
             raise ModelError(f"{wanted.url}: {reason}{kept}")
         time.sleep(patience.pause_s * 2 ** (failures - 1))
+
+
+def _tag(part: Path) -> str:
+    """The version that a part is of."""
+    return part.name.split(".")[-2]
+
+
+def _resumable(wanted: Wanted) -> list[Path]:
+    """Parts to go on with: of a version that can be told, now or by the digest in the end."""
+    return [part for part in parts_of(wanted.file) if wanted.sha256 or _tag(part) != UNNAMED]
 
 
 def _have(file: Path) -> int:
@@ -130,8 +143,7 @@ def _have(file: Path) -> int:
 
 def _attempt(wanted: Wanted, patience: Patience, progress: Progress) -> Path:
     """One request, from where the last one ended."""
-    parts = parts_of(wanted.file)
-    old = parts[0] if parts else None
+    parts, old = parts_of(wanted.file), next(iter(_resumable(wanted)), None)
     have = old.stat().st_size if old else 0
     if wanted.size and have == wanted.size and old:
         return old

@@ -13,6 +13,7 @@ from urllib.parse import quote, unquote, urljoin, urlsplit
 from prism_edge.depth import contract, download
 from prism_edge.depth.contract import card_from_metadata
 from prism_edge.depth.download import Patience, Progress, Wanted
+from prism_edge.depth.onnx_file import Outline
 from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, manifest_of, write_manifest
 from prism_edge.depth.registry import Entry, File, find, find_digest, read_file_item, sha256_of
 from prism_edge.depth.vetting import LARGEST_DATA, LARGEST_FILE, check_location, inspect
@@ -113,7 +114,7 @@ def _fetch(plan: Pulled, file: File, progress: ProgressOf, patience: Patience) -
 
 def _described(plan: Pulled, part: Path) -> tuple[list[File], str]:
     """Files of external data that an unregistered network needs, and the licence that it states."""
-    digest, outline = inspect(part)
+    digest, outline = _inspected(part)
     registered = find_digest(digest)
     card = card_from_metadata(outline.metadata, plan.files[0].name) if registered is None else registered.card
     extra = []
@@ -126,9 +127,19 @@ def _described(plan: Pulled, part: Path) -> tuple[list[File], str]:
     return extra, card.licence if card else ""
 
 
+def _inspected(part: Path) -> tuple[str, Outline]:
+    """As vetting.inspect; a part that is refused is removed, or the next pull would take it for complete."""
+    try:
+        return inspect(part)
+    except ModelError:
+        if part.suffix == ".part":
+            part.unlink(missing_ok=True)
+        raise
+
+
 def _check_licence(plan: Pulled, part: Path) -> None:
     """Raises ModelError where a registered file states another licence, or needs files not registered."""
-    _, outline = inspect(part)
+    _, outline = _inspected(part)
     card = card_from_metadata(outline.metadata, plan.files[0].name)
     if card and card.licence != plan.licence:
         raise ModelError(

@@ -18,6 +18,7 @@ from prism_edge.errors import ModelError
 
 SCHEMES = ("http", "https")
 MOST_REDIRECTIONS = 5
+UNNAMED = "0"  # the tag of a version that the server does not name
 _CHUNK = 1 << 16
 _TRANSIENT = {408, 425, 429, 500, 502, 503, 504}
 
@@ -31,7 +32,7 @@ class StaleError(Exception):
 
 
 class CompleteError(Exception):
-    """The server has nothing beyond what is here."""
+    """The server has nothing beyond what is here; the version that it names (:func:`version_tag`)."""
 
 
 def check_url(url: str) -> None:
@@ -63,7 +64,7 @@ def request(url: str, have: int, stall_s: float) -> Iterator[Any]:
         error.close()
         if error.code == http.client.REQUESTED_RANGE_NOT_SATISFIABLE:
             whole = error.headers.get("Content-Range", "") == f"bytes */{have}"
-            raise (CompleteError if whole else StaleError) from None
+            raise (CompleteError(version_tag(error.headers)) if whole else StaleError) from None
         if error.code in _TRANSIENT:
             raise TransientError(f"the server answers {error.code} {error.reason}") from None
         hint = "; it wants a login: fetch it by hand" if error.code in (401, 403) else ""
@@ -118,9 +119,9 @@ def _opener() -> urllib.request.OpenerDirector:
 
 
 def version_tag(headers: Message) -> str:
-    """Stands for the version of the file that the server names; '0' where it names none."""
+    """Stands for the version of the file that the server names; UNNAMED where it names none."""
     version = headers.get("ETag") or headers.get("Last-Modified") or ""
-    return hashlib.sha256(version.encode("utf-8", "replace")).hexdigest()[:12] if version else "0"
+    return hashlib.sha256(version.encode("utf-8", "replace")).hexdigest()[:12] if version else UNNAMED
 
 
 def content_range(headers: Message) -> tuple[int, int]:

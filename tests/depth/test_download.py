@@ -7,6 +7,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,10 @@ def file(tmp_path: Path) -> Path:
 
 def wanted(server: WebServer, file: Path, **more: object) -> Wanted:
     return Wanted(f"{server.url}/net.onnx", file, **{"sha256": DIGEST, "size": len(CONTENT), **more})
+
+
+def digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()
 
 
 def refused(want: Wanted, says: str, patience: Patience = HASTY) -> None:
@@ -139,6 +144,28 @@ def test_two_versions_are_never_joined(server: WebServer, file: Path):
     newer = bytes(reversed(CONTENT))
     server.files["/net.onnx"] = newer
     assert fetch(want, HASTY).read_bytes() == newer
+
+
+def test_a_part_of_no_named_version_is_gone_on_with_only_where_a_digest_can_tell(server, file: Path):
+    server.etags = False
+    unknown = wanted(server, file, sha256="", size=0)
+    for want in (unknown, wanted(server, file)):
+        server.plan = ["truncate"]
+        refused(want, "broke off", Patience(0.3, 1))
+        newer = bytes(reversed(CONTENT))
+        server.files["/net.onnx"] = newer
+        assert fetch(replace(want, sha256=want.sha256 and digest(newer)), HASTY).read_bytes() == newer
+        assert server.asked[-1][1] == ""
+        server.files["/net.onnx"] = CONTENT
+        for part in parts_of(file):
+            part.unlink()
+
+
+def test_a_complete_part_of_another_version_of_the_same_length_is_fetched_again(server, file: Path):
+    want = wanted(server, file, sha256="", size=0)
+    fetch(want, HASTY)
+    server.files["/net.onnx"] = bytes(reversed(CONTENT))
+    assert fetch(want, HASTY).read_bytes() == bytes(reversed(CONTENT))
 
 
 def test_a_part_that_was_complete_is_not_fetched_again(server: WebServer, file: Path):

@@ -314,7 +314,10 @@ def test_what_is_no_network_is_not_kept(server, models: Path, content: bytes):
     server.files["/page.onnx"] = content
     with pytest.raises(ModelError, match="no ONNX model"):
         get(from_url(f"{server.url}/page.onnx", models), unverified=True)
-    assert only_parts(models / "page")
+    assert not (models / "page").exists()
+    server.files["/page.onnx"] = server.files["/tiny.onnx"]
+    get(from_url(f"{server.url}/page.onnx", models), unverified=True)
+    assert open_onnx("page", DepthConfig()).card.name == "tiny_tint"
 
 
 @pytest.mark.parametrize(

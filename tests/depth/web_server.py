@@ -69,6 +69,8 @@ class WebServer:
         if start >= len(whole) > 0 and span:
             request.send_response(416)
             request.send_header("Content-Range", f"bytes */{len(whole)}")
+            if self.etags:
+                request.send_header("ETag", f'"{hashlib.md5(whole).hexdigest()}"')
             request.send_header("Content-Length", "0")
             request.end_headers()
             return
