@@ -10,6 +10,7 @@ import pytest
 from prism_edge.geometry.poses import from_rt
 from prism_edge.sources.sim.floorplan import make_plan
 from tools.train_nano import pictures
+from tools.train_nano.parity import relative_difference
 from tools.train_nano.pictures import Views, spoilt
 from tools.train_nano.render import HEIGHT, HELD_OUT_SEED, WIDTH, overlaps, pair, render
 from tools.train_nano.ruler import CANONICAL_FOCAL
@@ -123,3 +124,15 @@ def test_spoiling_keeps_a_picture_a_picture() -> None:
         assert out.shape == clean.shape
         assert out.dtype == np.uint8
         assert np.corrcoef(out.astype(float).mean(axis=(0, 2)), clean[0, :, 0].astype(float))[0, 1] > 0.4
+
+
+def test_an_answer_that_is_not_finite_is_as_far_off_as_can_be() -> None:
+    """max(0, nan) is 0 in Python: such a file was kept."""
+    expected = np.array([[1.0, -4.0]], np.float32)
+    assert relative_difference(expected, expected) == 0.0
+    assert relative_difference(expected + np.float32(0.2), expected) == pytest.approx(0.05)
+    for spoilt_value in (np.nan, np.inf):
+        assert relative_difference(np.array([[1.0, spoilt_value]], np.float32), expected) == np.inf
+        assert relative_difference(expected, np.array([[spoilt_value, 1.0]], np.float32)) == np.inf
+    assert relative_difference(expected, np.zeros((1, 2), np.float32)) > 1.0
+    assert relative_difference(np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32)) == 0.0

@@ -24,6 +24,7 @@ from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard
 from prism_edge.depth.prediction import OPEN
 from tools.train_nano.judge import Verdict, judge
 from tools.train_nano.network import Exported, Nano
+from tools.train_nano.parity import relative_difference
 from tools.train_nano.pictures import Views
 from tools.train_nano.ruler import CANONICAL_FOCAL, HEIGHT, MEAN, STD, WIDTH
 
@@ -127,7 +128,7 @@ def difference(exported: Exported, file: Path, images: np.ndarray) -> float:
         expected = exported(torch.from_numpy(image[None]))
         answer = session.run(list(OUTPUTS), {"image": image[None]})
         for a, b in zip(answer, expected, strict=True):
-            worst = max(worst, float(np.abs(a - b.numpy()).max() / np.abs(b.numpy()).max()))
+            worst = max(worst, relative_difference(a, b.numpy()))
     return worst
 
 
