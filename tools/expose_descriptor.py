@@ -5,7 +5,8 @@
 
 Nothing is trained and the depth stays what it was, bit for bit: the written file is run against the
 original before it is kept. Without --layer the one that the network's card names is taken, else one is
-chosen: of the encoder's maps the middle one at a sixteenth of the input's size. Needs the package `onnx`
+chosen: of the encoder's maps the middle one at a sixteenth of the input's size. An input of free size has the
+card's size in the written file. Needs the package `onnx`
 (the extra `dev`). The daemon itself does the same to a file whose card names a layer but no output
 (docs/MODELS.md); this tool makes files that need no such card, for any other use of them.
 """
@@ -73,7 +74,20 @@ def read(path: Path) -> tuple[onnx.ModelProto, ModelCard]:
         model = onnx.load(str(path))
     except Exception as error:  # protobuf's, onnx's and the file system's, without a common root
         raise ModelError(f"{path}: no ONNX model ({str(error).splitlines()[0][:100]})") from None
-    return model, card_of(path, vetted)
+    card = card_of(path, vetted)
+    _fix_input(model, card)
+    return model, card
+
+
+def _fix_input(model: onnx.ModelProto, card: ModelCard) -> None:
+    """Gives free dimensions of the input their size by the card, else no inner shape would follow."""
+    weights = {tensor.name for tensor in model.graph.initializer}
+    for value in model.graph.input:
+        if value.name == card.input_name or (not card.input_name and value.name not in weights):
+            sizes = (1, 3, card.input_height, card.input_width)
+            for dim, size in zip(value.type.tensor_type.shape.dim, sizes, strict=False):
+                if dim.dim_value < 1:
+                    dim.dim_value = size
 
 
 def poolable(model: onnx.ModelProto) -> dict[str, tuple[int, ...]]:

@@ -103,6 +103,22 @@ def test_a_layer_is_chosen_in_the_encoder_and_written_in_the_card(tool, tmp_path
     assert "bit for bit" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_an_input_of_free_size_is_of_its_cards(tool, tmp_path, capsys, named):
+    what = TinyNetwork()
+    graph = tiny_graph(what)
+    for value in (*graph.input, *graph.output):
+        for dim in value.type.tensor_type.shape.dim:
+            dim.dim_param = "free"
+    graph.input[0].type.tensor_type.shape.dim[1].dim_value = 3
+    path, out = tmp_path / "free.onnx", tmp_path / "out.onnx"
+    save(path, graph, replace(what.card(), input_name="image" if named else ""))
+    assert tool.main([str(path), "--list"]) == 0
+    assert "small  [1, 3, 60, 80]" in capsys.readouterr().out
+    assert tool.main([str(path), str(out), "--layer", "small", "--pooling", "grid"]) == 0
+    assert OnnxNetwork(out).raw(np.full((48, 64, 3), 90, np.uint8))[0].descriptor.size == 12
+
+
 def test_what_cannot_be_done_is_refused_in_one_line_and_leaves_no_file(tool, tmp_path, capsys):
     path, out = write_tiny_network(tmp_path / "tiny.onnx"), tmp_path / "out.onnx"
     foreign = write_tiny_network(tmp_path / "foreign.onnx", TinyNetwork(describes_itself=False))
