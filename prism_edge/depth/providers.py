@@ -57,14 +57,14 @@ class Started:
     nodes: dict[str, int]  # empty where this onnxruntime does not tell
 
 
-def full_name(name: str) -> str:
-    """onnxruntime's name of a provider. Raises ModelError for a name that none can have."""
+def full_name(name: str, setting: str = "depth.providers") -> str:
+    """onnxruntime's name of a provider. Raises ModelError for a name that none can have, in ``setting``."""
     if name.lower() in SHORT:
         return SHORT[name.lower()]
     if name.endswith("ExecutionProvider"):
         return name
     raise ModelError(
-        f"depth.providers: there is no execution provider {name!r}; take some of {', '.join(SHORT)}, "
+        f"{setting}: there is no execution provider {name!r}; take some of {', '.join(SHORT)}, "
         "or onnxruntime's name of another one"
     )
 
@@ -82,7 +82,8 @@ def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
     that ``depth.required`` names is not there or does not start, or where no provider takes the file.
     """
     names = tuple(dict.fromkeys(full_name(name) for name in (*config.providers, "cpu")))
-    required = {full_name(name) for name in config.required}
+    required = {full_name(name, "depth.required") for name in config.required}
+    given_options(config)  # a wrong setting is no fault of the file
     asked = {full_name(name) for name in config.providers}
     if required - asked:
         raise ModelError(f"depth.required: {_words(required - asked)} is not among depth.providers")
@@ -184,7 +185,7 @@ def session_options(config: DepthConfig) -> Any:
 def provider_options(name: str, config: DepthConfig) -> dict[str, str]:
     """Options of one provider: engine cache and threads, then what ``depth.provider_options`` sets.
 
-    Raises ModelError for one that is not of the form PROVIDER.KEY=VALUE.
+    Raises ModelError as :func:`given_options` does.
     """
     options: dict[str, str] = {}
     if name == SHORT["tensorrt"]:
@@ -195,13 +196,19 @@ def provider_options(name: str, config: DepthConfig) -> dict[str, str]:
         options = {"cache_dir": str(engine_cache(config)), "num_of_threads": str(config.threads)}
     elif name == SHORT["qnn"]:
         options = {"backend_path": "QnnHtp.dll" if os.name == "nt" else "libQnnHtp.so"}
+    return options | given_options(config).get(name, {})
+
+
+def given_options(config: DepthConfig) -> dict[str, dict[str, str]]:
+    """What ``depth.provider_options`` sets, by provider; ModelError for one that is no PROVIDER.KEY=VALUE."""
+    options: dict[str, dict[str, str]] = {}
     for item in config.provider_options:
         place, equals, value = item.partition("=")
         provider, dot, key = place.partition(".")
         if not (equals and dot and key.strip()):
             raise ModelError(f"depth.provider_options: {item!r} is not of the form PROVIDER.KEY=VALUE")
-        if full_name(provider.strip()) == name:
-            options[key.strip()] = value.strip()
+        name = full_name(provider.strip(), "depth.provider_options")
+        options.setdefault(name, {})[key.strip()] = value.strip()
     return options
 
 

@@ -132,9 +132,10 @@ def test_a_required_one_that_starts_is_no_error(network, monkeypatch):
     [
         (DepthConfig(providers=("abacus",)), "no execution provider 'abacus'; take some of cpu, cuda"),
         (DepthConfig(required=("cuda",)), "cuda is not among depth.providers"),
-        (DepthConfig(provider_options=("cpu",)), "PROVIDER.KEY=VALUE"),
+        (DepthConfig(provider_options=("cpu",)), "^depth.provider_options: 'cpu' is not .* PROVIDER.KEY"),
         (DepthConfig(provider_options=("cpu.=1",)), "PROVIDER.KEY=VALUE"),
-        (DepthConfig(provider_options=("abacus.rods=9",)), "no execution provider 'abacus'"),
+        (DepthConfig(provider_options=("abacus.rods=9",)), "^depth.provider_options: .* provider 'abacus'"),
+        (DepthConfig(required=("abacus",)), "^depth.required: there is no execution provider 'abacus'"),
     ],
 )
 def test_a_wrong_setting_is_one_line(network, config, says):
