@@ -7,6 +7,8 @@ import sys
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -23,6 +25,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth import entries, find, open_onnx, pulling
 from prism_edge.depth.download import Patience
 from prism_edge.depth.folders import download_folder, folders
+from prism_edge.depth.prediction import checked
 from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of
 from prism_edge.depth.registry import File, is_non_commercial, sha256_of
 from prism_edge.errors import ModelError
@@ -171,15 +174,30 @@ def _digests(name: str) -> tuple[str, bool]:
 
 
 def _runs(name: str) -> tuple[str, bool]:
-    """Whether it can be loaded and run, and if not, whether that is as it should be."""
+    """Whether it can be loaded and run to some use, and if not, whether that is as it should be."""
     entry, pulled = find(name), find_pulled(name)
     if (entry and entry.card is None) or (pulled and not pulled.runnable):
         return "needs export", True
     try:
         network = open_onnx(name, DepthConfig())
+        answer = checked(network.raw(_picture())[0])
     except ModelError as error:
         return str(error), False
+    if not answer.valid:
+        return f"on {network.provider}, but its answer is of no use: {answer.reason}", False
     return f"on {network.provider}", True
+
+
+def _picture() -> NDArray[np.uint8]:
+    """A view (480, 640, 3) with some texture: boxes before a wall, on a floor that comes nearer."""
+    rng = np.random.default_rng(0)
+    picture = np.full((480, 640, 3), 150, np.uint8)
+    picture[240:] = np.linspace(70, 130, 240, dtype=np.uint8)[:, None, None]
+    for _ in range(24):
+        x, y = rng.integers(0, 560), rng.integers(80, 380)
+        width, height = rng.integers(30, 160, 2)
+        picture[y : y + height, x : x + width] = rng.integers(20, 235, 3)
+    return np.clip(picture + rng.normal(0.0, 8.0, picture.shape), 0, 255).astype(np.uint8)
 
 
 def _remove(console: Console, name: str, yes: bool) -> int:

@@ -205,6 +205,14 @@ def test_what_comes_along_need_not_be_pulled(capsys):
     assert "--model prism_nano" in out
 
 
+@pytest.mark.parametrize(("misbehaviour", "says"), [("nan", "NaN"), ("constant", "constant")])
+def test_verify_judges_the_answer(tmp_path: Path, capsys, misbehaviour: str, says: str):
+    what = TinyNetwork(misbehaviour=misbehaviour)
+    out = said(capsys, "verify", str(write_tiny_network(tmp_path / "useless.onnx", what)), code=5)
+    assert "of no use" in out
+    assert says in out
+
+
 def test_verify_says_what_is_wrong_with_a_file(tmp_path: Path, capsys):
     good, bad = write_tiny_network(tmp_path / "good.onnx"), tmp_path / "bad.onnx"
     bad.write_bytes(good.read_bytes()[:200])
