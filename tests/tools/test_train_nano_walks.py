@@ -64,3 +64,16 @@ def test_closeness_is_overlap_lessened_by_distance(tmp_path: Path) -> None:
             metres = np.linalg.norm(position[i] - position[j])
             assert close[i, j] == pytest.approx(shared[i, j] * np.exp(-(metres**2) / 2), abs=1e-6)
     assert np.median(shared[np.arange(0, 12, 2), np.arange(1, 12, 2)]) > 0.3
+
+
+def test_too_few_worlds_for_a_batch_are_an_error_and_no_endless_search(tmp_path: Path) -> None:
+    count = 3 * 40
+    np.save(tmp_path / "images.npy", np.zeros((count, 24, 32, 3), np.uint8))
+    np.save(tmp_path / "depth.npy", np.ones((count, 12, 16), np.float16))
+    views = {"world": np.repeat([1, 2, 3], 40), "focal": np.full(count, 20.0)}
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    np.savez(tmp_path / "views.npz", overlap=np.zeros((count, 40), np.float16), pose=poses, **views)
+    with pytest.raises(ValueError, match="takes 4 worlds or more, here are 3"):
+        Views(tmp_path).check_worlds()
+    with pytest.raises(ValueError, match="here are 3"):
+        Views(tmp_path).batch(16, 12, 0.85, 1, 5, 1)

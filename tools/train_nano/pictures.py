@@ -87,8 +87,14 @@ class Views:
         """The rows of one world."""
         return np.flatnonzero(self.world == world)
 
+    def check_worlds(self) -> None:
+        """Raises ValueError where there are fewer worlds than a batch takes different ones."""
+        if len(self._first) < WORLDS:
+            raise ValueError(f"training takes {WORLDS} worlds or more, here are {len(self._first)}")
+
     def _choose(self, rng: np.random.Generator) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
         """Rows of a batch, and which are mirrored: whole worlds, since a mirrored place is another place."""
+        self.check_worlds()
         rows, flips, taken = [], [], set[int]()
         while len(taken) < WORLDS:
             world = int(self.world[rng.integers(self.pose_count)])

@@ -38,7 +38,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tools.train_nano.judge import judge
 from tools.train_nano.losses import total
 from tools.train_nano.network import Nano
-from tools.train_nano.pictures import WORLDS, Batch, Views
+from tools.train_nano.pictures import Batch, Views
 from tools.train_nano.ruler import HEIGHT, WIDTH
 
 FULL = (WIDTH, HEIGHT)
@@ -103,9 +103,13 @@ def main() -> None:
         mean.count = earlier["count"]
     others = Views(arguments.held_out) if arguments.held_out else None
     views = Views(arguments.data)
-    if len(set(views.world.tolist())) < WORLDS:
-        parser.error(f"{arguments.data}: training takes {WORLDS} worlds or more")
     walks = Views(arguments.walks) if arguments.walks else None
+    for folder, pictures in ((arguments.data, views), (arguments.walks, walks)):
+        try:
+            if pictures is not None:
+                pictures.check_worlds()
+        except ValueError as error:
+            parser.error(f"{folder}: {error}")
     if len(steps) == len(SIZES) and walks is None:
         parser.error("the last stage takes --walks")
     for stage in range(first, len(steps)):
