@@ -7,6 +7,7 @@ nodes that load compiled code; the first are held to plain files beside the netw
 from __future__ import annotations
 
 import hashlib
+import os
 import stat
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -102,6 +103,11 @@ def _data_file(path: Path, location: str, least: int) -> Path:
             raise ModelError(f"{path}: its external data {shown} is a symbolic link, which is not followed")
         found = file.lstat()
     except (OSError, RuntimeError, ValueError) as error:
+        if path.is_symlink() and os.path.exists(path.parent / location):  # as in Hugging Face's cache
+            raise ModelError(
+                f"{path}: is a link, and its external data {shown} lies beside the link alone; copy both "
+                "files, not the links, into one folder"
+            ) from None
         reason = getattr(error, "strerror", "") or "can't be read"
         raise ModelError(f"{path}: its external data {shown} is not beside it ({reason})") from None
     if not stat.S_ISREG(found.st_mode):

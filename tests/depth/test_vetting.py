@@ -95,6 +95,17 @@ def test_weights_overwritten_under_a_running_network_are_noticed(tmp_path: Path)
         network.infer(image, camera)
 
 
+def test_a_folder_of_links_says_what_to_do(tmp_path: Path):
+    blobs, shown = tmp_path / "blobs", tmp_path / "snapshot"
+    blobs.mkdir()
+    shown.mkdir()
+    split(shown / "net.onnx")
+    for name, blob in (("net.onnx", "aa"), ("weights.bin", "bb")):
+        os.replace(shown / name, blobs / blob)
+        (shown / name).symlink_to(blobs / blob)
+    refused(shown / "net.onnx", "'weights.bin' lies beside the link alone; copy both files, not the links")
+
+
 def test_a_link_to_a_network_is_followed_to_its_weights(tmp_path: Path):
     (tmp_path / "store").mkdir()
     (tmp_path / "links").mkdir()
