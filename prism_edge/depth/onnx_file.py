@@ -29,6 +29,7 @@ _VARINT, _FIXED64, _LENGTH, _FIXED32 = 0, 1, 2, 5
 
 DEEPEST = 16  # graphs within graphs; exported networks have two
 MOST_ENTRIES = 1_000  # of metadata
+LONGEST_TEXT = 65_536  # bytes
 
 
 @dataclass(frozen=True)
@@ -48,7 +49,7 @@ class Outline:
     ir_version: int = 0
     has_graph: bool = False
     opsets: dict[str, int] = field(default_factory=dict)  # domain ("" is ONNX's own): version
-    metadata: dict[str, str] = field(default_factory=dict)
+    metadata: dict[str, str] = field(default_factory=dict)  # without values longer than LONGEST_TEXT
     operators: set[str] = field(default_factory=set)
     external: list[External] = field(default_factory=list)
 
@@ -86,8 +87,9 @@ def _model_field(outline: Outline, number: int, value: int | Bytes) -> None:
         if len(outline.metadata) >= MOST_ENTRIES:
             raise _NotOnnxError("more metadata than any model has")
         parts = dict(_fields(_message(value)))
-        key = _text(parts.get(_ENTRY_KEY, b""))
-        outline.metadata[key] = _text(parts.get(_ENTRY_VALUE, b""))
+        key, said = _text(parts.get(_ENTRY_KEY, b"")), parts.get(_ENTRY_VALUE, b"")
+        if isinstance(said, int) or len(said) <= LONGEST_TEXT:  # else somebody's training log: no card's
+            outline.metadata[key] = _text(said)
     elif number == _MODEL_FUNCTIONS:
         for inner, node in _fields(_message(value)):
             if inner == _FUNCTION_NODE:
@@ -201,8 +203,8 @@ def _integer(value: int | Bytes) -> int:
 def _text(value: int | Bytes | bytes) -> str:
     if isinstance(value, int):
         raise _NotOnnxError("a number where text belongs")
-    if len(value) > 65_536:
-        raise _NotOnnxError("a text of more than 65536 bytes")
+    if len(value) > LONGEST_TEXT:
+        raise _NotOnnxError(f"a text of more than {LONGEST_TEXT} bytes")
     try:
         return bytes(value).decode("utf-8")
     except UnicodeDecodeError:

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
-from prism_edge.depth.onnx_file import External, Outline, read_outline
+from prism_edge.depth.onnx_file import LONGEST_TEXT, External, Outline, read_outline
 from prism_edge.errors import ModelError
 from tests.synthetic.network import TinyNetwork, write_tiny_network
 
@@ -207,3 +207,14 @@ def test_any_damage_is_a_model_error_or_an_outline(tiny: bytes, data: st.DataObj
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_model_error_or_an_outline(content: bytes):
     assert "\n" not in attempt(content)[1]
+
+
+def test_metadata_longer_than_any_card_is_passed_over(tmp_path: Path):
+    path = write_tiny_network(tmp_path / "net.onnx")
+    model = onnx.load(path)
+    for key, length in (("training_config", LONGEST_TEXT + 1), ("short", LONGEST_TEXT)):
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, "x" * length
+    outline = read_outline(memoryview(model.SerializeToString()), "net.onnx")
+    assert "training_config" not in outline.metadata
+    assert {"short", "prism_edge.name"} <= set(outline.metadata)
