@@ -64,7 +64,10 @@ def sensor_files(folder: Path) -> tuple[list[Path | None], float, float]:
     table = folder / "depth.txt"
     if not table.is_file():
         raise SourceError(f"{folder} has no sensor depth: neither depth.txt nor frame-NNNNNN.depth.png")
-    rows = [line.split() for line in table.read_text().splitlines() if line and not line.startswith("#")]
+    lines = (line.split() for line in table.read_text().splitlines() if not line.startswith("#"))
+    rows = [words for words in lines if len(words) > 1]
+    if not rows:
+        raise SourceError(f"{table} lists no depth images")
     stamps = np.array([parse_seconds(words[0]) for words in rows])
     nearest = [int(np.argmin(np.abs(stamps - stamp))) for stamp in listing.stamps_ns]
     near = [abs(int(stamps[i]) - t) < 30_000_000 for i, t in zip(nearest, listing.stamps_ns, strict=True)]

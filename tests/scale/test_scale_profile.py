@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from prism_edge.config import ScaleConfig
+from prism_edge.errors import SourceError
 from prism_edge.scale.least_squares import Observation
+from tests.synthetic.sequence import write_sequence
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "scale_profile.py"
 
@@ -33,6 +35,13 @@ def correlated(count, gap_s, sigma, time_constant_s, seed=0):
     for _ in range(count - 1):
         values.append(phi * values[-1] + rng.normal(0, sigma * np.sqrt(1 - phi**2)))
     return np.arange(count) * gap_s, np.array(values)
+
+
+def test_a_recording_that_lists_no_depth_is_one_line(tool, tmp_path):
+    folder = write_sequence(tmp_path, frames=3)
+    (folder / "depth.txt").write_text("# timestamp filename\n")
+    with pytest.raises(SourceError, match=r"depth.txt lists no depth images"):
+        tool.sensor_files(folder)
 
 
 def test_autocorrelation_finds_the_time_constant(tool):
