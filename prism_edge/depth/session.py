@@ -111,6 +111,9 @@ class OnnxNetwork:
         descriptor = no_descriptor()
         if self.card.has_inner_descriptor:
             descriptor = pool(answer["descriptor"], self.card.descriptor_pooling)
+            if descriptor.size > _LARGEST_DESCRIPTOR:
+                layer = f"descriptor_layer {self.card.descriptor_layer!r}"
+                raise ModelError(f"{layer} gives {descriptor.size} numbers, more than {_LARGEST_DESCRIPTOR}")
         elif "descriptor" in answer:
             descriptor = _descriptor(answer["descriptor"])
         confidence = no_confidence()

@@ -130,6 +130,19 @@ def test_a_layer_that_is_not_there_or_cannot_be_pooled_is_refused(tmp_path: Path
     assert "\n" not in str(error.value)
 
 
+def test_a_pooled_descriptor_is_no_longer_than_an_output_may_be(tmp_path: Path):
+    graph = tiny_graph(TinyNetwork())
+    for node in (  # 3 x 240 x 320 numbers as tokens of 23040
+        helper.make_node("Constant", [], ["wide"], value_ints=[1, 10, 23040]),
+        helper.make_node("Reshape", ["image", "wide"], ["tokens"]),
+    ):
+        graph.node.append(node)
+    card = replace(TinyNetwork().card(), descriptor_layer="tokens", descriptor_pooling="mean")
+    save(tmp_path / "a.onnx", graph, card)
+    with pytest.raises(ModelError, match="'tokens' gives 23040 numbers, more than 16384"):
+        OnnxNetwork(tmp_path / "a.onnx")
+
+
 def test_an_exposed_layer_leaves_the_only_output_the_only_one(tmp_path: Path):
     path = write_tiny_network(tmp_path / "a.onnx", TinyNetwork(describes_itself=False))
     card = replace(TinyNetwork().card(), depth_output="", descriptor_layer="small", descriptor_pooling="grid")
