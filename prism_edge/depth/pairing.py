@@ -6,6 +6,7 @@ fitted to the metric network's answer for the same image: 1 / z = slope * d + sh
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, replace
 
 import cv2
@@ -13,13 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.depth.contract import RELATIVE
-from prism_edge.depth.prediction import Prediction, checked, no_confidence, normalised
+from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor, normalised
+from prism_edge.depth.providers import first_line
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 
 F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
+
+log = logging.getLogger("prism_edge.depth")
 
 GRID = (64, 48)  # columns and rows of samples: enough for two unknowns
 LEAST_SAMPLES = 100
@@ -131,9 +135,16 @@ class PairedNetwork:
         has none: neither confidences nor descriptors of two networks can be compared.
         """
         metric = self._metric.infer(rgb, camera)
-        raw, _ = self._relative.raw(rgb)
-        took = metric.inference_ms + raw.inference_ms
         own = self._relative.card.descriptor_output or self._relative.card.descriptor_layer
+        try:
+            raw, _ = self._relative.raw(rgb)
+        except Exception as error:  # native code raises anything, and the metric answer is there
+            parts = self._relative.name, self._metric.name
+            log.warning("%s fails, %s stands alone: %s", *parts, first_line(error))
+            self.counters["unpaired"] += metric.valid
+            descriptor = no_descriptor() if own else metric.descriptor
+            return replace(metric, confidence=no_confidence(), descriptor=descriptor)
+        took = metric.inference_ms + raw.inference_ms
         descriptor = normalised(raw.descriptor) if own else metric.descriptor
         paired = self._pair(raw, metric) if metric.valid else None
         if paired is None:

@@ -177,6 +177,22 @@ def test_the_metric_network_stands_alone_where_the_relative_one_fails(tmp_path: 
     assert paired.counters == {"unpaired": 1}
 
 
+def test_the_metric_answer_outlives_a_relative_network_that_raises(tmp_path: Path, monkeypatch, caplog):
+    relative = network(tmp_path, "r", depth_kind="inverse_relative", descriptor=True)
+    metric = network(tmp_path, "m", descriptor=True)
+    paired, (image, _) = PairedNetwork(relative, metric), view()
+
+    def fails(rgb: np.ndarray) -> None:
+        raise RuntimeError("out of memory")
+
+    monkeypatch.setattr(relative, "raw", fails)
+    answer = paired.infer(image, CAMERA)
+    assert np.array_equal(answer.depth, metric.infer(image, CAMERA).depth)
+    assert answer.descriptor.size == 0  # the metric network's can't be compared with the pair's
+    assert paired.counters == {"unpaired": 1}
+    assert "r fails, m stands alone: out of memory" in caplog.text
+
+
 def test_a_pairs_descriptors_come_from_one_network_whether_it_fits_or_not(tmp_path: Path):
     image, _ = view()
     for relative_has_one in (True, False):
