@@ -136,3 +136,13 @@ def test_an_answer_that_is_not_finite_is_as_far_off_as_can_be() -> None:
         assert relative_difference(expected, np.array([[spoilt_value, 1.0]], np.float32)) == np.inf
     assert relative_difference(expected, np.zeros((1, 2), np.float32)) > 1.0
     assert relative_difference(np.zeros((1, 2), np.float32), np.zeros((1, 2), np.float32)) == 0.0
+
+
+def test_training_can_not_stop_behind_its_last_step(tmp_path: Path, monkeypatch, capsys) -> None:
+    pytest.importorskip("torch")
+    from tools.train_nano import train
+
+    monkeypatch.setattr("sys.argv", ["train", "data", str(tmp_path), "--steps", "5,7", "--stop", "8"])
+    with pytest.raises(SystemExit):
+        train.main()
+    assert "--stop 8: the last stage has 7 steps" in capsys.readouterr().err

@@ -93,6 +93,8 @@ def main() -> None:
     steps = [int(word) for word in arguments.steps.split(",")]
     if len(steps) > len(SIZES):
         parser.error(f"--steps {arguments.steps}: there are {len(SIZES)} stages")
+    if not 0 <= arguments.stop <= steps[-1]:
+        parser.error(f"--stop {arguments.stop}: the last stage has {steps[-1]} steps")
     network, first = Nano().to(memory_format=torch.channels_last), 0
     mean = Mean(network)
     if arguments.resume:
