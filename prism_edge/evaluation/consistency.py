@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prism_edge.evaluation.recording import Published, Recording
-from prism_edge.evaluation.trajectory import NS, Trajectory, associate, nearest_rows
+from prism_edge.evaluation.trajectory import Trajectory, associate, rows_apart
 from prism_edge.geometry.poses import Array, inverse, se3_log, skew
 
 _FLOOR = 1e-12  # m^2, rad^2: below what is published, so that an exact direction doesn't divide by 0
@@ -33,7 +33,7 @@ NO_NEES = Nees(0, None, None, None)
 def relative_nees(
     recording: Recording, truth: Trajectory, base_from_camera: Array, delta_s: float = 1.0
 ) -> Nees:
-    """NEES of the motion between published poses ``delta_s`` apart (to half a frame interval).
+    """NEES of the motion between published poses ``delta_s`` apart (`rows_apart`).
 
     Of what a published covariance consists of, two poses share the error of scale, which moves a
     pose by its distance from the start, and the drift since the map's beginning, a random walk; `tracked`
@@ -51,16 +51,14 @@ def relative_nees(
     estimate = Trajectory.of((p.stamp_ns, p.map_from_camera) for p in poses)
     covariances = {p.stamp_ns: p.covariance for p in poses}
     estimate, truth = associate(estimate, truth)
-    stamps, delta = estimate.stamps, round(delta_s * NS)
-    if len(stamps) < 2:
+    stamps = estimate.stamps
+    starts, ends = rows_apart(stamps, delta_s)
+    if not len(starts):
         return NO_NEES
-    slack = max(int(np.median(np.diff(stamps))) // 2, 1)
-    ends = nearest_rows(stamps, stamps + delta)
-    starts = np.flatnonzero(np.abs(stamps[ends] - stamps - delta) <= slack)
     camera_from_base = inverse(base_from_camera)
     sigmas, drift_m, drift_rad, walk_m, walk_rad = np.array([shared[int(s)] for s in stamps]).T
     sums = np.zeros(3)
-    for i, j in zip(starts, ends[starts], strict=True):
+    for i, j in zip(starts, ends, strict=True):
         own = []
         for k in (i, j):
             covariance = covariances[int(stamps[k])]
@@ -82,8 +80,6 @@ def relative_nees(
         for n, part in enumerate((slice(0, 6), slice(0, 3), slice(3, 6))):
             e = error[part]
             sums[n] += float(e @ np.linalg.solve(covariance[part, part], e)) / len(e)
-    if not len(starts):
-        return NO_NEES
     return Nees(len(starts), *(sums / len(starts)).tolist())
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.evaluation.trajectory import NS, Trajectory, associate, nearest_rows
+from prism_edge.evaluation.trajectory import Trajectory, associate, rows_apart
 from prism_edge.geometry.alignment import Alignment, DegenerateAlignment, align
 from prism_edge.geometry.poses import Array, inverse
 
@@ -103,19 +103,14 @@ def rpe(
 ) -> tuple[float | None, float | None]:
     """Relative pose error over ``delta_s``: RMS translation (m) and rotation (deg), nothing aligned.
 
-    Over all pairs of poses whose stamps are ``delta_s`` apart, within half the median interval:
+    Over all pairs of poses whose stamps are ``delta_s`` apart (`rows_apart`):
     E = (Q_i^-1 Q_j)^-1 (P_i^-1 P_j), Q true and P estimated (Sturm et al., IROS 2012, equation 1).
     The arguments are associated already; None where no two poses are that far apart.
     """
-    if len(truth) < 2:
-        return None, None
-    stamps, delta = truth.stamps, round(delta_s * NS)
-    slack = max(int(np.median(np.diff(stamps))) // 2, 1)
-    ends = nearest_rows(stamps, stamps + delta)
-    starts = np.flatnonzero(np.abs(stamps[ends] - stamps - delta) <= slack)
+    starts, ends = rows_apart(truth.stamps, delta_s)
     if not len(starts):
         return None, None
-    errors = _relative_errors(estimate.poses, truth.poses, starts, ends[starts])
+    errors = _relative_errors(estimate.poses, truth.poses, starts, ends)
     return _rms(np.linalg.norm(errors[:, :3, 3], axis=1)), float(np.degrees(_rms(_angles(errors[:, :3, :3]))))
 
 

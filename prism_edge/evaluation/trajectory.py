@@ -82,6 +82,23 @@ def nearest_rows(stamps: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArra
     return np.where(np.abs(stamps[after] - wanted) < np.abs(stamps[before] - wanted), after, before)
 
 
+def rows_apart(stamps: NDArray[np.int64], delta_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows (starts, ends) of ``stamps`` (n,), ascending, that are ``delta_s`` apart, one end for each start.
+
+    To half the median interval, and a quarter of ``delta_s`` at most: where stamps are sparser than that,
+    the nearest to a second later may be another second off, or the very row itself.
+    """
+    nobody = np.zeros(0, dtype=np.intp)
+    if len(stamps) < 2:
+        return nobody, nobody
+    delta = round(delta_s * NS)
+    slack = min(max(int(np.median(np.diff(stamps))) // 2, 1), delta // 4)
+    ends = nearest_rows(stamps, stamps + delta)
+    rows = np.arange(len(stamps))
+    starts = np.flatnonzero((ends > rows) & (np.abs(stamps[ends] - stamps - delta) <= slack))
+    return starts, ends[starts]
+
+
 def tum_line(stamp_ns: int, pose: Array) -> str:
     """One line of a TUM file: stamp (s, nine decimals, exact), position, quaternion x y z w."""
     numbers = (*pose[:3, 3], *quaternion_from_rotation(pose[:3, :3]))

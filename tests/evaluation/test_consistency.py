@@ -122,6 +122,12 @@ def test_without_pairs_there_is_none():
     assert relative_nees(Recording(broken, recording.frames), truth, MOUNT).all is None
 
 
+def test_truth_that_is_too_sparse_for_a_second_judges_nothing():
+    recording, truth = drawn(np.random.default_rng(0))
+    nees = relative_nees(recording, truth.at(np.arange(0, FRAMES, 11)), MOUNT)  # every 2.2 s
+    assert (nees.pairs, nees.all) == (0, None)
+
+
 def test_scale_errors_in_sigmas():
     error, to_bias = scale_errors(float(np.exp(-0.25)), 0.125, 0.1)
     assert error == pytest.approx(2.0)

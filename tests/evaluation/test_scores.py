@@ -126,6 +126,17 @@ def test_a_constant_velocity_error_gives_its_rpe() -> None:
     assert rot == pytest.approx(5.0, abs=1e-6)
 
 
+@pytest.mark.parametrize(("interval_s", "known"), [(1 / 3, True), (1.0, True), (1.4, False), (2.5, False)])
+def test_truth_that_is_too_sparse_for_a_second_has_no_rpe(interval_s: float, known: bool) -> None:
+    """The pose nearest to a second later must be one that is about a second later, not the pose itself."""
+    estimate = walk(2, n=600)
+    truth = disturbed(estimate, 3).at(np.arange(0, 600, round(30 * interval_s)))
+    scores = score(estimate, truth)
+    assert scores.pairs == len(truth)
+    assert (scores.rpe_trans_m is not None, scores.rpe_rot_deg is not None) == (known, known)
+    assert not known or scores.rpe_trans_m > 0.0
+
+
 def kitti_loop(estimate: Trajectory, truth: Trajectory, lengths: list[float], step: int) -> float:
     """The benchmark's definition, a segment at a time."""
     distances = [0.0]
