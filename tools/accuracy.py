@@ -93,6 +93,16 @@ def slower_beside_global(metrics: Metrics) -> float | None:
     return None if during is None or not otherwise else float(during) / float(otherwise)
 
 
+def judged_percent(every: int = 1) -> Callable[[Metrics], float | None]:
+    """Share of the tracked frames that the final figures rest on; ``every`` so manieth image has truth."""
+
+    def figure(metrics: Metrics) -> float | None:
+        tracked = int(metrics["tracked"])
+        return 100.0 * every * float(metrics["final"]["pairs"]) / tracked if tracked else None
+
+    return figure
+
+
 def dropped_percent(metrics: Metrics) -> float:
     """Share of the recording's frames that were never tracked."""
     return 100.0 * float(metrics["dropped_frames"]) / max(int(metrics["frames"]), 1)
@@ -107,6 +117,15 @@ class Sequence:
     bars: tuple[Bar, ...]
     truth: str = ""  # below the shared folder; empty: the sequence's own
     lockstep: bool = True
+
+
+def whole(every: int = 1) -> tuple[Bar, ...]:
+    """What every run owes: else its errors are those of a part, or of a map that wasn't finished."""
+    return (
+        Bar("tracked frames that are judged", judged_percent(every), 95.0, "%", at_least=True, worst=True),
+        Bar("tracked frames without a final pose", at("final_missing"), 0, worst=True),
+        Bar("the map was finished", at("final_settled"), 1, at_least=True, worst=True),
+    )
 
 
 BESIDE_GLOBAL = at("adjustments", "latency_p99_ms", "during_global")
@@ -145,6 +164,7 @@ SEQUENCES = (
             Bar("window adjustment, median", at("adjustments", "window_ms", "p50"), 250.0, "ms"),
             Bar("longest global adjustment", at("adjustments", "global_cpu_s"), 3.0, "s of CPU"),
             Bar("memory (PSS)", at("peak_pss_mb", "total"), 550.0, "MB"),
+            *whole(every=10),
         ),
         truth="data/7scenes_redkitchen/sfm_reference.tum",
         lockstep=False,
@@ -155,6 +175,7 @@ SEQUENCES = (
         (
             Bar("coverage", at("coverage"), 0.95, at_least=True),
             Bar("final ATE Sim(3)", at("final", "ate_sim3_m", factor=100), 1.2, "cm"),
+            *whole(),
         ),
     ),
     Sequence(
@@ -163,6 +184,7 @@ SEQUENCES = (
         (
             Bar("coverage", at("coverage"), 0.9, at_least=True),
             Bar("live ATE Sim(3)", at("live", "ate_sim3_m"), 0.5, "m"),
+            *whole(),
         ),
     ),
     Sequence(
@@ -172,6 +194,7 @@ SEQUENCES = (
             Bar("coverage", at("coverage"), 0.8, at_least=True),
             Bar("live ATE Sim(3)", at("live", "ate_sim3_m"), 1.0, "m", binding=False),
             Bar("final ATE Sim(3)", at("final", "ate_sim3_m"), 0.3, "m"),
+            *whole(),
         ),
     ),
 )

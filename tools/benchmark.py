@@ -130,6 +130,12 @@ def _both(row: Row, which: str, factor: float) -> str:
     return " / ".join(_figure(row, at(which, key, factor=factor)) for key in ("ate_sim3_m", "ate_se3_m"))
 
 
+def _met(row: Row) -> str:
+    """Poses that have a true one at their time, of the frames tracked."""
+    pairs, tracked = (_figure(row, at(*path), ".0f") for path in (("live", "pairs"), ("tracked",)))
+    return f"{pairs} of {tracked}"
+
+
 def _number(value: float | None, factor: float = 1.0) -> str:
     return "-" if value is None else f"{factor * value:g}"
 
@@ -145,16 +151,23 @@ def line(row: Row) -> str:
     ate = " / ".join(_number(value, paper_factor) for value in printed) or "-"
     cells = [name]
     if row.failure:
-        cells += [f"failed: {row.failure.replace('|', '/')}", "", "", ""]
+        cells += [f"failed: {row.failure.replace('|', '/')}", "", "", "", ""]
     else:
         cells += [
             _figure(row, at("coverage"), ".3f"),
+            _met(row),
             _both(row, "live", factor),
             _both(row, "final", factor),
             _figure(row, at("live", "t_rel_percent"), ".2f"),
         ]
     cells += [ate, _number(paper.t_rel_percent) if paper else "-"]
     return f"| {' | '.join(cells)} |"
+
+
+def warnings(row: Row) -> list[str]:
+    """What its runs warn of, each once; a run of an earlier build has none."""
+    said = [f"{row.folder.name}: {text}." for run in row.runs for text in run.get("warnings", [])]
+    return list(dict.fromkeys(said))
 
 
 def tables(rows: list[Row], args: argparse.Namespace) -> str:
@@ -169,9 +182,10 @@ def tables(rows: list[Row], args: argparse.Namespace) -> str:
         unit = "m" if dataset.startswith("KITTI") else "cm"
         parts.append(
             f"### {dataset}\n\n"
-            f"| sequence | coverage | live, {unit} | final, {unit} | live t_rel, % "
-            f"| *paper*: ATE, {unit} | *paper*: t_rel, % |\n|---|---|---|---|---|---|---|\n"
+            f"| sequence | coverage | true poses found | live, {unit} | final, {unit} | live t_rel, % "
+            f"| *paper*: ATE, {unit} | *paper*: t_rel, % |\n|---|---|---|---|---|---|---|---|\n"
             + "\n".join(line(row) for row in rows if row.dataset == dataset)
+            + "".join(f"\n\n{text}" for row in rows if row.dataset == dataset for text in warnings(row))
             + (f"\n\n{NOTES[dataset]}" if dataset in NOTES else "")
         )
     return "\n\n".join(parts)

@@ -22,6 +22,9 @@ def show(metrics: dict[str, Any], out: Path) -> None:
         ("t_rel", "t_rel_percent", 1.0, "%"),
     ):
         errors.add_row(label, *(_number(metrics[which][key], factor, unit) for which in ("live", "final")))
+    if metrics["truth"]:
+        met = (f"{metrics[which]['pairs']} of {metrics['tracked']}" for which in ("live", "final"))
+        errors.add_row("true poses found", *met)
     console.print(errors)
 
     latency, cpu, void = metrics["latency_ms"], metrics["cpu_ms_per_frame"], metrics["timings_void"]
@@ -48,6 +51,8 @@ def show(metrics: dict[str, Any], out: Path) -> None:
         console.print("depth came from the recording's own sensor: not a monocular run", soft_wrap=True)
     if metrics["truth"]:
         console.print(f"scored against {metrics['truth']}", highlight=False, soft_wrap=True)
+    for warning in metrics["warnings"]:
+        console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
     console.print(f"written to {out}", highlight=False, soft_wrap=True)
 
 

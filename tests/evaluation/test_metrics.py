@@ -127,9 +127,29 @@ def test_a_map_of_no_numbers_is_null_not_a_crash(tmp_path: Any) -> None:
     assert (len(final), missing) == (0, 1)
 
 
+def test_truth_of_another_time_is_said(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+    truth = circle(1.0)
+    later = report(truth=Trajectory(truth.stamps + 1_000_000_000 * NS, truth.poses))
+    show(later, tmp_path)
+    shown = capsys.readouterr().out
+    assert "0 of 60" in shown
+    assert "warning: 0 of 60 poses have a true one at their time" in shown
+    assert "the poses are of 0.000 to 1.967 s, the 60 true ones of 1000000000.000 to" in shown
+    few = report(truth=truth.at(np.arange(N) < 29), live=circle(1.1).at(np.arange(N) >= 20))
+    assert few["live"]["pairs"] == 9
+    assert len(few["warnings"]) == 1
+
+
+def test_sparse_truth_that_is_all_met_is_no_cause_to_warn() -> None:
+    assert report(truth=circle(1.0).at(np.arange(0, N, 10)))["warnings"] == []
+    assert report()["warnings"] == report(live=Trajectory.of([]))["warnings"] == []
+
+
 def test_the_table_shows_the_figures(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
     show(report(), tmp_path)
     shown = capsys.readouterr().out
+    assert "60 of 60" in shown
+    assert "warning" not in shown
     assert "0.909" in shown  # scale ratio
     assert "15 ms" in shown
     assert "140 MB" in shown

@@ -44,9 +44,11 @@ def ran(monkeypatch) -> list[list[str]]:
         errors = {"ate_sim3_m": metres, "ate_se3_m": 2 * metres, "t_rel_percent": 1.5}
         report = {
             "coverage": 0.5,
-            "live": errors,
+            "tracked": 100,
+            "live": {**errors, "pairs": 99},
             "final": {**errors, "ate_se3_m": None},
             "violations": [],
+            "warnings": ["3 of 100 poses have a true one"] if "elsewhen" in words[1] else [],
             "config": {
                 "source": {"uri": words[1], "camera": ""},
                 "depth": {"model": option["--model"]},
@@ -81,13 +83,13 @@ def test_ours_and_the_papers_figures_are_side_by_side_and_labelled(tmp_path: Pat
     out, err = capsys.readouterr()
     assert len(ran) == 15
     # Medians of three runs: 2 cm; the paper's in the columns that say so.
-    ours = ["0.500", "2.0 / 4.0", "2.0 / -", "1.50"]
+    ours = ["0.500", "99 of 100", "2.0 / 4.0", "2.0 / -", "1.50"]
     first = "tum/rgbd_dataset_freiburg1_xyz (fr1/xyz)"
     assert row(out, "freiburg1_xyz") == [first, *ours, "2.86 / 3.04", "-"]
     assert row(out, "balloon2")[-2:] == ["14 / 17.7", "-"]
     assert row(out, "seq-01")[-2:] == ["3.6 / 12.1", "-"]
-    metres = ["sequences/03 (seq 03)", "0.500", "0.0 / 0.0", "0.0 / -", "1.50", "- / 4.3", "2.29"]
-    assert row(out, "sequences/03") == metres
+    metres = ["0.0 / 0.0", "0.0 / -", "1.50", "- / 4.3", "2.29"]
+    assert row(out, "sequences/03") == ["sequences/03 (seq 03)", "0.500", "99 of 100", *metres]
     assert row(out, "desk")[-2:] == ["-", "-"]
     assert "### BONN Dynamic" in out
     assert out.count("*paper*: ATE") == 4
@@ -103,6 +105,13 @@ def test_a_folder_that_fails_has_the_reason_in_its_line_and_the_others_go_on(tmp
     assert row(out, "broken")[1] == "failed: there is no / image"
     assert row(out, "desk")[1] == "0.500"
     assert all("--lockstep" in words for words in ran)
+
+
+def test_what_a_run_warns_of_is_said_below_its_table(tmp_path: Path, ran, capsys):
+    folders = [layout(tmp_path / name, "tum") for name in ("elsewhen", "desk")]
+    words = [*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--runs", "2"]
+    assert benchmark.main(words) == 0
+    assert capsys.readouterr().out.count("\nelsewhen: 3 of 100 poses have a true one.\n") == 1
 
 
 def test_a_finished_run_with_the_same_settings_is_not_repeated(tmp_path: Path, ran, capsys):
