@@ -41,12 +41,17 @@ Fault = Callable[[Bench], contextlib.AbstractContextManager[None]]
 
 @dataclass(frozen=True)
 class Kind:
-    """``length_s``: between doing and undoing it; ``far``: it stops only who listens behind the router."""
+    """``length_s``: between doing and undoing it; ``far``: it stops only who listens behind the router.
+
+    ``stops``: no pose can come while it lasts, so its length is not the service's. All others are
+    bystanders, whatever their length: poses must go on beside them.
+    """
 
     name: str
     length_s: float
     fault: Fault
     far: bool = False
+    stops: bool = False
     new_run: bool = False  # the service ends with it; the next run goes on in the map
 
 
@@ -56,10 +61,11 @@ def kinds(disk: bool, clock: bool) -> tuple[list[Kind], dict[str, str]]:
     ``clock``: the service's wall clock can be faked.
     """
     found = [Kind(f"SIGKILL {name}", 0.0, _kill(name), new_run=name == "supervisor") for name in EVERYBODY]
-    found += [Kind(f"SIGSTOP {name}", STOPPED_S, _stop(name)) for name in EVERYBODY]
+    for name in EVERYBODY:
+        found.append(Kind(f"SIGSTOP {name}", STOPPED_S, _stop(name), stops=name in ("source", "tracker")))
     found += [Kind(f"memory limit {name}", STOPPED_S, _starve(name)) for name in WORKERS]
     found += [
-        Kind("camera gone", STOPPED_S, _camera_gone),
+        Kind("camera gone", STOPPED_S, _camera_gone, stops=True),
         Kind("truncated frames", STOPPED_S, _truncated),
         Kind("200 ms delay", STOPPED_S, _delayed),
         Kind("router restarted", 0.0, _router_restarted, far=True),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import random
 import socket
 import struct
@@ -10,13 +12,14 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from prism_edge.backend import map_file
 from prism_edge.errors import MapError
 from tools import faults
-from tools.faults_kinds import draw, kinds, named
+from tools.faults_kinds import EVERYBODY, draw, kinds, named
 from tools.faults_relay import Relay
 from tools.faults_service import Watcher, build_clock
 from tools.fuzz_files import mutate, sealed
@@ -65,12 +68,48 @@ def outcome(**changes: object) -> faults.Outcome:
 
 class Quiet:
     not_numbers = 0
+    well, epoch = True, 0
+    poses = far_poses = (0.0,)
+
+    def keyframes(self) -> int:
+        return 20
+
+    def longest_gap(self, *_: object) -> float:
+        return 4.95
 
 
-def unmet(*outcomes: faults.Outcome, leftovers: tuple[str, ...] = (), files: int = 10) -> list[str]:
-    numbers = {"descriptors": {"tracker": 10}}, {"descriptors": {"tracker": files}}
+def unmet(*outcomes: faults.Outcome, leftovers: tuple[str, ...] = (), files: int | None = 10) -> list[str]:
+    """``files``: that the tracker has open at the end; None: it is not there."""
+    counts = {} if files is None else {"tracker": files}
+    numbers = {"descriptors": {"tracker": 10}}, {"descriptors": counts}
     found = faults.bars(list(outcomes), True, 0, Quiet(), list(leftovers), [], *numbers)  # type: ignore[arg-type]
     return [name for name, bar in found.items() if not bar["met"]]
+
+
+@pytest.mark.parametrize(
+    ("name", "stops"),
+    [
+        *((f"SIGSTOP {name}", name in ("source", "tracker")) for name in EVERYBODY),
+        *((f"SIGKILL {name}", False) for name in EVERYBODY),
+        *((f"memory limit {name}", False) for name in ("tracker", "depth")),
+        *((name, False) for name in ("full disk", "truncated frames", "200 ms delay", "router restarted")),
+        ("camera gone", True),
+    ],
+)
+def test_only_a_fault_that_stops_poses_by_itself_excuses_its_length(
+    name: str, stops: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nearly five seconds without poses are none too many while the camera is away; else they are."""
+    now = [0.0]
+    monkeypatch.setattr(faults.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(faults.time, "sleep", lambda seconds: now.__setitem__(0, now[0] + seconds))
+    monkeypatch.setattr(faults, "_until_well", lambda *_: now[0])
+    (kind,) = [kind for kind in kinds(disk=True, clock=True)[0] if kind.name == name]
+    harmless = dataclasses.replace(kind, fault=lambda _: contextlib.nullcontext())
+    bench = SimpleNamespace(service=SimpleNamespace(exits=[]), rng=random.Random(0))
+    seen = faults.one(harmless, bench, Quiet(), 0.0)  # type: ignore[arg-type]
+    assert seen.gap_s == 4.95
+    assert seen.beyond_s == (0.0 if stops else 4.95)
 
 
 def test_every_bar_can_be_missed() -> None:
@@ -84,6 +123,13 @@ def test_every_bar_can_be_missed() -> None:
     assert unmet(outcome(exits=1)) == ["the service never ended of itself"]
     assert unmet(outcome(), leftovers=("python",)) == ["no process, folder or shared memory left"]
     assert unmet(outcome(), files=50) == ["no descriptors leaked"]
+    assert unmet(outcome(), files=None) == ["no descriptors leaked"]
+    assert unmet(outcome(recovered_s=None)) == ["well again within 60 s of each fault"]
+
+
+def test_a_map_is_lost_where_it_shrinks_or_nobody_has_it() -> None:
+    assert unmet(outcome(keyframes=(20, 14))) == unmet(outcome(keyframes=(20, -1))) == ["no map lost"]
+    assert unmet(outcome(keyframes=(20, 16))) == unmet(outcome(keyframes=(-1, 20))) == []
 
 
 @pytest.fixture
