@@ -181,6 +181,15 @@ class Service:
                 self._popen = self._start()
 
 
+def one_run(exits: list[int], code: int | None) -> tuple[str, bool]:
+    """For a report: whether the service ran through and ended with 0 when it was told to.
+
+    ``exits`` are those before: one that dies altogether is started anew, and all its counts with it.
+    """
+    before = f", and before that by itself with {', '.join(map(str, exits))}" if exits else ""
+    return f"{code}{before}", code == 0 and not exits
+
+
 def service_config(uri: str, room: Room, state: Path, **source: Any) -> Config:
     """The configuration of a trial: an endpoint of its own, a state directory of its own."""
     return Config(

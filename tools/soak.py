@@ -24,7 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.evaluation.resources import cpu_s, machine_cpu
 from prism_edge.geometry.poses import Array, inverse, rotation_angle
-from tools.faults_service import Service, Watcher, draw_room, long_recording, service_config
+from tools.faults_service import Service, Watcher, draw_room, long_recording, one_run, service_config
 
 SETTLED_S = 600.0  # from when on memory counts
 SAMPLE_S = 10.0
@@ -32,6 +32,7 @@ GROWTH_MB = 3.0
 FLAT = 1.2  # p99 latency of the last third by that of the first, at most
 SCALE = ("log_scale", "rejected")  # no bar: but a map whose unit has gone is worth a line
 SLACK_MS = 2.0  # a difference that small is none
+GAP_S = 1.0  # the longest time without a pose
 SLOWEST = 100  # poses of which the report says when they came
 RATE = 30.0  # pictures a second
 WANDER_CM, WANDER_DEG = 2.0, 0.5  # that the place of one and the same picture may move
@@ -118,9 +119,8 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
         f"a picture's place stays within {WANDER_CM:g} cm, {WANDER_DEG:g} degrees": (
             f"{centimetres:.2f} cm, {degrees:.2f} degrees", centimetres <= WANDER_CM and degrees <= WANDER_DEG
         ),
-        "no process started again": (json.dumps(restarts), set(restarts.values()) == {"0"}),
+        **lasted(gap, restarts, service.exits, code),
         "no NaN published": (str(watcher.not_numbers), not watcher.not_numbers),
-        "ends with 0": (str(code), code == 0),
     }
     return {
         "seconds": seconds,
@@ -163,6 +163,17 @@ def markdown(report: dict[str, Any]) -> str:
     lines += ["", f"Log scale from {low:.2f} to {high:.2f}, {report['scales_refused']} observations refused."]
     lines += ["", f"Growth by process (MB): {by_process}. Without files' pages: {anonymous:+.1f} MB in all."]
     return "\n".join(lines) + "\n"
+
+
+def lasted(
+    gap_s: float, restarts: dict[str, str], exits: list[int], code: int | None
+) -> dict[str, tuple[str, bool]]:
+    """Whether it was one run, in which no process and not the service itself was started again."""
+    return {
+        f"never longer than {GAP_S:g} s without a pose": (f"{gap_s:.3f} s", gap_s <= GAP_S),
+        "no process started again": (json.dumps(restarts), set(restarts.values()) == {"0"}),
+        "one run, that ends with 0": one_run(exits, code),
+    }
 
 
 def wander(path: list[tuple[float, Array]], pictures: int) -> list[tuple[float, float]]:

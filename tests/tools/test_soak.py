@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import Array, from_rt, so3_exp
-from tools.soak import RATE, wander
+from tools.faults_service import one_run
+from tools.soak import RATE, lasted, wander
 
 
 def looped(pictures: int, rounds: int, motion: Array) -> list[tuple[float, Array]]:
@@ -30,3 +31,18 @@ def test_rounds_that_are_not_whole_are_left_out_and_none_says_nothing() -> None:
     assert [cm for cm, _ in wander(path[11:], 20)] == pytest.approx([1.0])  # nine pictures of the first
     assert [cm for cm, _ in wander(path[3:33], 20)] == pytest.approx([1.0])
     assert wander(path[:29], 20) == wander([], 20) == []
+
+
+def test_a_service_that_died_altogether_did_not_last_though_no_process_was_started_again() -> None:
+    restarts = {"tracker": "0", "source": "0"}
+
+    def missed(**changed: object) -> list[str]:
+        given = {"gap_s": 0.08, "restarts": restarts, "exits": [], "code": 0} | changed
+        return [name for name, (_, met) in lasted(**given).items() if not met]  # type: ignore[arg-type]
+
+    assert missed() == []
+    assert missed(gap_s=1.2) == ["never longer than 1 s without a pose"]
+    again = ["no process started again"]
+    assert missed(restarts={**restarts, "tracker": "1"}) == missed(restarts={}) == again
+    assert missed(exits=[-9]) == missed(code=1) == missed(code=None) == ["one run, that ends with 0"]
+    assert one_run([-9], 0)[0] == "0, and before that by itself with -9"
