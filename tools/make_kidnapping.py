@@ -24,16 +24,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import PrismError
-from prism_edge.evaluation.trajectory import Trajectory, nearest_rows, read_tum, write_tum
+from prism_edge.evaluation.trajectory import Trajectory, read_tum, write_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, so3_exp
 from prism_edge.sources import open_source
 from prism_edge.sources.base import Image
 from prism_edge.sources.seven_scenes import RATE_HZ
 from prism_edge.sources.stamps import at_rate
-from prism_edge.sources.truth import read_truth
-
-TOGETHER_NS = 10_000_000  # a reference's pose and the image that it is of
+from tools.true_poses import own_truth, pose_of_image
 
 
 def roll_of(degrees: float) -> Array:
@@ -62,18 +60,17 @@ def write(
     reference = None if poses is None else read_tum(poses)
     numbers: dict[int, int] = {}  # of images, by stamp
     source = open_source(SourceConfig(uri=folder))
-    truth = read_truth(folder)
+    truth = own_truth(folder)
     with source:
         if not source.camera.is_ideal:
             raise SystemExit("the camera has distortion: its images would have to be undistorted first")
-        known = {} if truth is None else dict(zip(truth[0].tolist(), truth[1], strict=True))
         out.mkdir(parents=True, exist_ok=True)
         describe(source.camera, out / "camera.yaml")
         count = 0
         while (image := source.read()) is not None and image.index < most:
             if not isinstance(image, Image):
                 continue
-            pixels, pose = image.pixels, known.get(image.stamp_ns)
+            pixels, pose = image.pixels, pose_of_image(truth, image.stamp_ns)
             if dark[0] <= image.index < dark[1]:
                 pixels = np.zeros_like(pixels)
             elif image.index >= dark[1]:
@@ -96,13 +93,10 @@ def kidnapped(
 ) -> Trajectory:
     """The reference's poses of those images (``numbers`` by stamp) that show something, turned alike."""
     rows = []
-    stamps = np.array(sorted(numbers), np.int64)
-    nearest = nearest_rows(stamps, reference.stamps) if len(stamps) else []
-    for row, pose, stamp in zip(nearest, reference.poses, reference.stamps, strict=True):
-        number = numbers[int(stamps[row])]
-        if abs(int(stamps[row]) - int(stamp)) <= TOGETHER_NS and not dark[0] <= number < dark[1]:
-            made = at_rate(number, RATE_HZ)
-            rows.append((made, pose @ roll_of(degrees) if number >= dark[1] else pose))
+    for stamp, number in numbers.items():
+        pose = pose_of_image(reference, stamp)
+        if pose is not None and not dark[0] <= number < dark[1]:
+            rows.append((at_rate(number, RATE_HZ), pose @ roll_of(degrees) if number >= dark[1] else pose))
     return Trajectory.of(rows)
 
 

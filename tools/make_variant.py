@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,14 +24,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import PrismError
-from prism_edge.evaluation.trajectory import Trajectory, nearest_rows, read_tum, write_tum
+from prism_edge.evaluation.trajectory import Trajectory, read_tum, write_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.sources import open_source
 from prism_edge.sources.base import Image
 from prism_edge.sources.stamps import write_seconds
-from prism_edge.sources.truth import read_truth
-from tools.make_kidnapping import TOGETHER_NS, describe
+from tools.make_kidnapping import describe
+from tools.true_poses import own_truth, pose_of_image
 
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
@@ -67,7 +66,7 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -
     if variant.every < 1 or variant.ways < 1:
         raise SystemExit("--every, --ways: a number, 1 or more")
     reference = None if poses is None else read_tum(poses)
-    truth = read_truth(folder)
+    truth = own_truth(folder)
     taken: list[tuple[int, str]] = []  # stamp, file
     source = open_source(SourceConfig(uri=folder))
     with source:
@@ -89,28 +88,19 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -
     now = {old: variant.stamps(old, first, last) for old, _ in taken}
     lines = sorted((stamp, name) for old, name in taken for stamp in now[old])
     (out / "rgb.txt").write_text("".join(f"{write_seconds(ns)} {name}\n" for ns, name in lines))
-    if truth is not None:
-        write_tum(out / "groundtruth.txt", carried(zip(*truth, strict=True), now, variant))
+    if len(truth):
+        write_tum(out / "groundtruth.txt", carried(truth, now, variant))
     if reference is not None:
-        write_tum(
-            out / "reference.tum",
-            carried(zip(reference.stamps, reference.poses, strict=True), now, variant),
-        )
+        write_tum(out / "reference.tum", carried(reference, now, variant))
     return len(lines)
 
 
-def carried(poses: Iterable[tuple[int, Array]], now: dict[int, list[int]], variant: Variant) -> Trajectory:
+def carried(truth: Trajectory, now: dict[int, list[int]], variant: Variant) -> Trajectory:
     """The poses of those images that are taken (``now`` by their old stamps), as they are played."""
-    known = list(poses)
-    stamps = np.array(sorted(now), np.int64)
-    nearest = stamps[nearest_rows(stamps, np.array([int(stamp) for stamp, _ in known], np.int64))]
-    rows = [
-        (then, variant.pose(pose))
-        for old, (stamp, pose) in zip(nearest, known, strict=True)
-        if abs(int(old) - int(stamp)) <= TOGETHER_NS
-        for then in now[int(old)]
-    ]
-    return Trajectory.of(sorted(rows, key=lambda row: row[0]))
+    known = ((thens, pose_of_image(truth, old)) for old, thens in now.items())
+    return Trajectory.of(
+        (then, variant.pose(pose)) for thens, pose in known if pose is not None for then in thens
+    )
 
 
 def main() -> None:

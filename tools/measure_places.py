@@ -28,7 +28,7 @@ from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import PrismError
 from prism_edge.sources.base import Image
 from prism_edge.sources.open import open_source
-from prism_edge.sources.truth import read_truth
+from tools.true_poses import own_truth, pose_of_image
 
 F64 = NDArray[np.float64]
 
@@ -80,8 +80,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 def describe(folder: str, network: OnnxNetwork, every: int) -> tuple[NDArray[np.int64], F64, F64]:
     """Frame indices (n,), their true poses (n, 4, 4) and descriptors (n, m) of each ``every``-th frame."""
-    truth = read_truth(folder)
-    pose_at = dict(zip(truth[0].tolist(), truth[1], strict=True)) if truth else {}
+    truth = own_truth(folder)
     indices, poses, descriptors = [], [], []
     with open_source(SourceConfig(uri=folder)) as source:
         while (slot := source.peek()) is not None:
@@ -89,7 +88,7 @@ def describe(folder: str, network: OnnxNetwork, every: int) -> tuple[NDArray[np.
                 source.skip()
                 continue
             image = source.read()
-            pose = pose_at.get(image.stamp_ns) if isinstance(image, Image) else None
+            pose = pose_of_image(truth, image.stamp_ns) if isinstance(image, Image) else None
             if pose is None or not isinstance(image, Image):
                 continue
             pixels = image.pixels
