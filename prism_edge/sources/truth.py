@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -41,7 +42,8 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
         poses = (path.with_name(path.name.split(".")[0] + ".pose.txt") for path in listing.files)
         rows = _seven_scenes(zip(listing.stamps_ns, poses, strict=True))
     elif listing.layout == "KITTI odometry":
-        absolute = folder.absolute()
+        # Without `..`, which is no sequence's name; a link keeps its own, as it may be the only one.
+        absolute = Path(os.path.abspath(folder))
         benchmarks = absolute.parent.parent / "poses" / f"{absolute.name}.txt"  # of / the parent is / itself
         rows = _kitti(folder, (folder / "poses.txt", benchmarks))
     if not rows:

@@ -57,6 +57,29 @@ def test_kitti_beside_the_images_or_as_the_benchmark_has_it(tmp_path: Path) -> N
     np.testing.assert_allclose(inside[1][:, 2, 3], [0, 1, 2])
 
 
+@pytest.mark.parametrize(
+    ("inside", "uri"), [("06", "../07"), ("07/image_0", ".."), ("07", "."), ("", "06/../07")]
+)
+def test_kitti_as_the_benchmark_has_it_is_found_from_any_folder(
+    inside: str, uri: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tiny.write_kitti(tmp_path / "dataset" / "sequences" / "07")
+    (tmp_path / "dataset" / "sequences" / "06").mkdir()
+    (tmp_path / "dataset" / "poses").mkdir()
+    (folder / "poses.txt").rename(tmp_path / "dataset" / "poses" / "07.txt")
+    monkeypatch.chdir(tmp_path / "dataset" / "sequences" / inside)
+    assert read_truth(uri) is not None
+
+
+def test_a_linked_kitti_sequence_goes_by_the_links_name(tmp_path: Path) -> None:
+    folder = tiny.write_kitti(tmp_path / "elsewhere" / "raw")
+    (tmp_path / "dataset" / "sequences").mkdir(parents=True)
+    (tmp_path / "dataset" / "sequences" / "07").symlink_to(folder)
+    (tmp_path / "dataset" / "poses").mkdir()
+    (folder / "poses.txt").rename(tmp_path / "dataset" / "poses" / "07.txt")
+    assert read_truth(str(tmp_path / "dataset" / "sequences" / "07")) is not None
+
+
 def test_kittis_colour_camera_has_a_path_of_its_own(tmp_path: Path) -> None:
     folder = tiny.write_kitti(tmp_path, cameras=("image_0", "image_2"))
     # K = [80 0 30; 0 50 20; 0 0 1], t = (0.06, -0.02, 0.003): camera 2 is 6 cm to the left
