@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from prism_edge.evaluation.recording import Published, Recording
-from prism_edge.evaluation.trajectory import Trajectory, associate, rows_apart
+from prism_edge.evaluation.trajectory import Trajectory, paired, rows_apart
 from prism_edge.geometry.poses import Array, inverse, se3_log, skew
 
 _FLOOR = 1e-12  # m^2, rad^2: below what is published, so that an exact direction doesn't divide by 0
@@ -50,7 +50,7 @@ def relative_nees(
         return NO_NEES
     estimate = Trajectory.of((p.stamp_ns, p.map_from_camera) for p in poses)
     covariances = {p.stamp_ns: p.covariance for p in poses}
-    estimate, truth = associate(estimate, truth)
+    estimate, truth = paired(estimate, truth)
     stamps = estimate.stamps
     starts, ends = rows_apart(stamps, delta_s)
     if not len(starts):

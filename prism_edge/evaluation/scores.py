@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.evaluation.trajectory import Trajectory, associate, rows_apart
+from prism_edge.evaluation.trajectory import Trajectory, paired, rows_apart
 from prism_edge.geometry.alignment import Alignment, DegenerateAlignment, align
 from prism_edge.geometry.poses import Array, inverse
 
@@ -51,7 +51,7 @@ def score(
     ``split_ns`` parts the two halves of ``scale_ratio_halves``; by default it is midway in time
     between the first and the last pair.
     """
-    estimate, truth = associate(estimate, truth, tolerance_s)
+    estimate, truth = paired(estimate, truth, tolerance_s)
     if not len(truth):
         return UNKNOWN
     if split_ns is None:

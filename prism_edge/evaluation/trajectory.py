@@ -66,6 +66,23 @@ def associate(
     return _nearest(first, second, tolerance_s)
 
 
+def paired(
+    estimate: Trajectory, truth: Trajectory, tolerance_s: float = 0.01
+) -> tuple[Trajectory, Trajectory]:
+    """As `associate`, but that each estimated pose counts once, with the true one nearest to it.
+
+    evo's shorter list leads. Dense truth of a part of the run is such a one, and has several poses within the
+    tolerance of each frame: the frame would count with each, and be judged against where it was 10 ms off.
+    """
+    mine, his = associate(estimate, truth, tolerance_s)
+    if len(truth) > len(estimate) or not len(mine):
+        return mine, his
+    order = np.lexsort((np.abs(his.stamps - mine.stamps), mine.stamps))
+    first = np.concatenate([[True], np.diff(mine.stamps[order]) > 0])
+    rows = np.sort(order[first])
+    return mine.at(rows), his.at(rows)
+
+
 def _nearest(longer: Trajectory, shorter: Trajectory, tolerance_s: float) -> tuple[Trajectory, Trajectory]:
     if not len(shorter):
         return longer.at(np.zeros(0, dtype=np.intp)), shorter

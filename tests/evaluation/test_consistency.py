@@ -128,6 +128,14 @@ def test_truth_that_is_too_sparse_for_a_second_judges_nothing():
     assert (nees.pairs, nees.all) == (0, None)
 
 
+def test_a_pose_with_several_true_ones_near_it_is_judged_once():
+    recording, truth = drawn(np.random.default_rng(0))
+    part = truth.at(np.arange(FRAMES // 4))  # RATE is 5 Hz; three true poses within 10 ms of each
+    rows = zip(part.stamps, part.poses, strict=True)
+    dense = [(int(stamp) + ms * 1_000_000, pose) for stamp, pose in rows for ms in (-4, 0, 4)]
+    assert relative_nees(recording, Trajectory.of(dense), MOUNT) == relative_nees(recording, part, MOUNT)
+
+
 def test_scale_errors_in_sigmas():
     error, to_bias = scale_errors(float(np.exp(-0.25)), 0.125, 0.1)
     assert error == pytest.approx(2.0)

@@ -93,6 +93,16 @@ def test_sparse_truth_scores_only_what_it_covers() -> None:
     assert scores.ate_sim3_m == pytest.approx(evo_ate(mine, his, True), abs=1e-6)
 
 
+def test_frames_are_judged_once_where_dense_truth_covers_a_part() -> None:
+    """A perfect estimate at 20 Hz, truth at 240 Hz of its beginning: no error of 10 ms of motion."""
+    exact = walk(6, n=4800, rate_hz=240.0, step_m=0.002)
+    frames = exact.at(np.arange(0, 4800, 12))
+    scores = score(frames, exact.at(np.arange(298)))
+    assert scores.pairs == 25
+    assert scores.ate_se3_m == pytest.approx(0.0, abs=1e-9)
+    assert scores.rpe_trans_m == pytest.approx(0.0, abs=1e-9)
+
+
 @settings(max_examples=20, deadline=None)
 @given(SEEDS, st.floats(0.2, 5.0))
 def test_scale_ratio_carries_the_estimate_to_the_truth(seed: int, factor: float) -> None:

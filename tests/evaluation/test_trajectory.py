@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from prism_edge.errors import EvaluationError
-from prism_edge.evaluation.trajectory import NS, Trajectory, associate, read_tum, tum_line, write_tum
+from prism_edge.evaluation.trajectory import NS, Trajectory, associate, paired, read_tum, tum_line, write_tum
 
 
 def random_trajectory(stamps_ns: np.ndarray, seed: int = 0) -> Trajectory:
@@ -137,6 +137,31 @@ def test_pairs_are_evos(first_ms: np.ndarray, second_ms: np.ndarray) -> None:
         return
     for mine, his in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(mine.stamps / NS, his.timestamps, atol=1e-9)
+
+
+def test_dense_truth_of_a_part_of_the_run_counts_each_pose_once() -> None:
+    """120 Hz in the first 1.5 of ten seconds at 20 Hz: fewer true poses than frames, so truth leads."""
+    frames = random_trajectory(np.arange(200) * NS // 20)
+    truth = random_trajectory(np.arange(178) * NS // 120 + 1_000_000)
+    assert len(associate(frames, truth)[0]) > 60
+    mine, his = paired(frames, truth)
+    assert mine.stamps.tolist() == frames.stamps[:30].tolist()
+    assert (his.stamps - mine.stamps).tolist() == [1_000_000] * 30
+    within = paired(frames.at(np.arange(30)), truth)  # the same frames, when truth doesn't lead
+    assert within[1].stamps.tolist() == his.stamps.tolist()
+
+
+@settings(max_examples=40, deadline=None)
+@given(MILLISECONDS, MILLISECONDS)
+def test_pairs_are_evos_but_for_those_that_share_a_frame(first_ms: np.ndarray, second_ms: np.ndarray) -> None:
+    frames = random_trajectory(first_ms * 1_000_000)
+    truth = random_trajectory(second_ms * 1_000_000 + 300_000)
+    evos = list(zip(*(t.stamps.tolist() for t in associate(frames, truth)), strict=True))
+    ours = list(zip(*(t.stamps.tolist() for t in paired(frames, truth)), strict=True))
+    assert set(ours) <= set(evos)
+    assert [mine for mine, _ in ours] == sorted({mine for mine, _ in evos})
+    for mine, his in ours:
+        assert abs(his - mine) == min(abs(t - s) for s, t in evos if s == mine)
 
 
 def test_nothing_pairs_with_nothing() -> None:
