@@ -31,7 +31,7 @@ if str(ROOT) not in sys.path:  # run from a checkout
 
 from prism_edge.errors import PrismError, SourceError  # noqa: E402
 from tools.distractors.plan import MOST_COVERED, plan  # noqa: E402
-from tools.distractors.recording import Recording  # noqa: E402
+from tools.distractors.recording import Recording, empty  # noqa: E402
 from tools.distractors.solids import Distractor, draw, texture  # noqa: E402
 
 Array = NDArray[np.float64]
@@ -127,8 +127,7 @@ def main(arguments: list[str] | None = None) -> int:
             raise SourceError(f"--coverage {args.coverage:g} is not within 0.05 and 0.35")
         if not 0.0 <= args.contrast <= 1.0:
             raise SourceError(f"--contrast {args.contrast:g} is not within 0 and 1")
-        if args.out.exists() and any(args.out.iterdir()):
-            raise SourceError(f"{args.out} is there already and not empty; name a new folder")
+        empty(args.out)
         recording = Recording(args.sequence, args.poses)
         things = plan(recording, args.seed, args.coverage)
         args.out.mkdir(parents=True, exist_ok=True)

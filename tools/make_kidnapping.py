@@ -31,6 +31,7 @@ from prism_edge.sources import open_source
 from prism_edge.sources.base import Image
 from prism_edge.sources.seven_scenes import RATE_HZ
 from prism_edge.sources.stamps import at_rate
+from tools.distractors.recording import empty
 from tools.true_poses import own_truth, pose_of_image
 
 
@@ -55,8 +56,9 @@ def write(
 ) -> int:
     """Writes the recording; returns how many images it has.
 
-    Raises PrismError where FOLDER, or the reference ``poses``, is unusable.
+    Raises PrismError where FOLDER, OUT, or the reference ``poses``, is unusable.
     """
+    empty(out)
     reference = None if poses is None else read_tum(poses)
     numbers: dict[int, int] = {}  # of images, by stamp
     source = open_source(SourceConfig(uri=folder))

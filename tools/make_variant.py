@@ -30,6 +30,7 @@ from prism_edge.geometry.poses import Array
 from prism_edge.sources import open_source
 from prism_edge.sources.base import Image
 from prism_edge.sources.stamps import write_seconds
+from tools.distractors.recording import empty
 from tools.make_kidnapping import describe
 from tools.true_poses import own_truth, pose_of_image
 
@@ -62,9 +63,10 @@ class Variant:
 
 
 def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -> int:
-    """Writes the recording; returns how many images it has. Raises PrismError for an unusable FOLDER."""
+    """Writes the recording; returns how many images it has. Raises PrismError for unusable folders."""
     if variant.every < 1 or variant.ways < 1:
         raise SystemExit("--every, --ways: a number, 1 or more")
+    empty(out)
     reference = None if poses is None else read_tum(poses)
     truth = own_truth(folder)
     taken: list[tuple[int, str]] = []  # stamp, file

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import SourceConfig
+from prism_edge.errors import SourceError
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources import open_source
@@ -83,3 +84,13 @@ def test_an_unusable_recording_is_one_line(tool, tmp_path, monkeypatch):
         tool.main()
     assert "nothing" in str(ended.value)
     assert "\n" not in str(ended.value)
+
+
+def test_a_folder_that_holds_something_is_refused_and_left_as_it_is(tool, tmp_path):
+    """Images of an earlier, longer recording would be played as well."""
+    source, out = write_sequence(tmp_path / "in", frames=9, width=160, height=120), tmp_path / "out"
+    tool.write(str(source), out, (3, 6), 20.0, 8)
+    before = sorted(out.rglob("*"))
+    with pytest.raises(SourceError, match="not empty"):
+        tool.write(str(source), out, (3, 6), 20.0, 8)
+    assert sorted(out.rglob("*")) == before

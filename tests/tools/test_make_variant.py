@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import SourceConfig
+from prism_edge.errors import SourceError
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import from_rt, inverse, so3_exp, transform
@@ -112,3 +113,13 @@ def test_what_makes_no_sense_is_one_line(tmp_path, monkeypatch, argument, says):
     with pytest.raises(SystemExit, match=says) as ended:
         make_variant.main()
     assert "\n" not in str(ended.value)
+
+
+def test_a_folder_that_holds_something_is_refused_and_left_as_it_is(tmp_path):
+    """Images of an earlier, longer recording would be played as well."""
+    source, out = write_sequence(tmp_path / "in", frames=9, width=160, height=120), tmp_path / "out"
+    write(str(source), out, Variant())
+    before = sorted(out.rglob("*"))
+    with pytest.raises(SourceError, match="not empty"):
+        write(str(source), out, Variant())
+    assert sorted(out.rglob("*")) == before

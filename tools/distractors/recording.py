@@ -20,6 +20,12 @@ Array = NDArray[np.float64]
 SEVEN_SCENES_DEPTH_FOCAL = 585.0  # pixels at 640; the depth camera of a 7-Scenes folder isn't registered
 
 
+def empty(out: Path) -> None:
+    """Raises SourceError where a folder for a recording holds something, which would be played too."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise SourceError(f"{out} is there already and not empty; name a new folder")
+
+
 class Recording:
     """A TUM RGB-D or 7-Scenes folder with depth; ``stamps`` in seconds, ``poses`` world_from_camera."""
 
