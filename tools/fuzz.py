@@ -18,20 +18,24 @@ import subprocess
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.bus.links import open_session
-from prism_edge.topics import COMMANDS, TOPICS
+from prism_edge.topics import COMMANDS
 from tests.sources.live.servers import mjpeg_server
 from tools.faults_service import ROOT, Service, Watcher, draw_room, service_config
 from tools.fuzz_files import mutate
+from tools.fuzz_messages import damaged, example, topics
 
 LIVE_SHARE = 0.12  # of the inputs go into the running daemon
 CLI_EACH = 4  # files of each kind that the command line is given, as a user would
 QUERY_S = 2.0
+MAD = 30  # messages that are sound but for their values, at most
+WELL_S = 60.0  # within which all must be well again
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -91,17 +95,17 @@ def files(folder: Path, count: int, seed: int, budget_s: float, out: Path) -> di
 
 
 def command_line(folder: Path, seed: int) -> dict[str, Any]:
-    """A few damaged files as a user would give them: one line, a documented exit code, no traceback."""
+    """A few damaged files as a user would give them: taken, or refused in one line with its exit code."""
     rng, found, inputs = random.Random(seed), [], 0
     config = b"robot: rover\ntracking:\n  features: 700\nsource: {uri: none, loop: true}\n"
     for _ in range(CLI_EACH):
-        for name, example, options in (
-            ("c.yaml", config, ("config", "--check")),
-            ("net.onnx", (folder / "files" / "sound.onnx").read_bytes(), ("models", "info")),
-            ("run.yaml", config, ("run", "--config")),
+        for name, sound, options, codes in (
+            ("c.yaml", config, ("config", "--check"), (0, 3)),
+            ("net.onnx", (folder / "files" / "sound.onnx").read_bytes(), ("models", "info"), (0, 5)),
+            ("run.yaml", config, ("run", "--config"), (3, 4, 5, 6)),
         ):
             path = folder / name
-            path.write_bytes(mutate(example, rng))
+            path.write_bytes(mutate(sound, rng))
             inputs += 1
             line = [sys.executable, "-m", "prism_edge.cli", *options, str(path)]
             try:
@@ -109,9 +113,19 @@ def command_line(folder: Path, seed: int) -> dict[str, Any]:
             except subprocess.TimeoutExpired:
                 found.append({"case": "command line", "what": f"{' '.join(options)} did not end"})
                 continue
-            if done.returncode < 0 or "Traceback" in done.stderr:
-                found.append({"case": "command line", "what": f"{options}: {done.stderr[-300:]}"})
+            if what := misbehaved(done, codes):
+                found.append({"case": "command line", "what": f"{' '.join(options)}: {what}"})
     return {"inputs": inputs, "found": found}
+
+
+def misbehaved(done: subprocess.CompletedProcess[str], codes: tuple[int, ...]) -> str | None:
+    """What is wrong with how a command ended that was to end with one of ``codes`` (`prism-edge --help`)."""
+    if "Traceback" in done.stderr or done.returncode not in codes:
+        return f"exit code {done.returncode}: {done.stderr[-300:]}"
+    said = [line for line in done.stderr.splitlines() if not line.startswith("prism-edge: warning: ")]
+    if done.returncode and len(said) != 1:
+        return f"{len(said)} lines with exit code {done.returncode}: {done.stderr[-300:]}"
+    return None
 
 
 def daemon(folder: Path, count: int, seed: int, budget_s: float, out: Path) -> dict[str, Any]:
@@ -120,13 +134,16 @@ def daemon(folder: Path, count: int, seed: int, budget_s: float, out: Path) -> d
     room = draw_room(folder)
     run = folder / "run"
     run.mkdir()
-    inputs = {"queries": 0, "messages": 0, "map files": 0, "camera bytes": 0}
+    inputs = {"queries": 0, "messages": 0, "map files": 0, "camera bytes": 0, "mad messages": 0}
     found: list[dict[str, str]] = []
     with contextlib.ExitStack() as stack:
         server = stack.enter_context(mjpeg_server())
         server.period_s = 0.05
         server.picture = lambda k: room.pictures[k % len(room.pictures)]
         config = service_config(server.address(), room, run / "state")
+        # Mad messages come faster than processes may die.
+        patient = replace(config.supervisor, max_restarts=1000, window_s=1.0)
+        config = replace(config, supervisor=patient)
         service = stack.enter_context(Service(run, config))
         stack.callback(lambda: (out / "daemon.log").write_bytes(service.log.read_bytes()))
         watcher = Watcher(config)
@@ -139,13 +156,13 @@ def daemon(folder: Path, count: int, seed: int, budget_s: float, out: Path) -> d
         sound = (run / "state" / "maps" / "sound.prismmap").read_bytes()
         before = _files(run)
 
-        def damage(data: bytes) -> bytes:
+        def cut_up(data: bytes) -> bytes:
             if rng.random() < 0.1:
                 inputs["camera bytes"] += 1
                 return mutate(data, rng)
             return data
 
-        server.mangle = damage
+        server.mangle = cut_up
         deadline = time.monotonic() + budget_s
         for number in range(count):
             if time.monotonic() > deadline:
@@ -159,16 +176,27 @@ def daemon(folder: Path, count: int, seed: int, budget_s: float, out: Path) -> d
                 _query(session, rng)
             else:
                 inputs["messages"] += 1
-                topic = rng.choice([t for t in TOPICS.values() if t.key != "internal/heartbeat"])
-                session.put(f"prism/robot/{topic.key}", mutate(b"PRSM" + rng.randbytes(40), rng))
+                topic = rng.choice(topics())
+                session.put(f"prism/robot/{topic.key}", damaged(topic.type, rng))
         server.mangle = bytes
         for switch in ("pause", "localise_only"):  # a query may have thrown them
             _command(session, switch, "off")
-        if not _well_within(watcher, 60.0):
+        if not _well_within(watcher, WELL_S):
             found.append({"case": "daemon", "what": f"no poses afterwards: {watcher.health}"})
         for name, row in watcher.health.items():
             if row.get("restarts", "0") != restarts.get(name, "0"):
                 found.append({"case": "daemon", "what": f"{name} died: {row.get('last_exit')}"})
+        tracebacks = service.log.read_text(errors="replace").count("Traceback")
+        if tracebacks:
+            found.append({"case": "daemon", "what": f"{tracebacks} tracebacks in its log"})
+        while inputs["mad messages"] < min(MAD, count // 10) and time.monotonic() < deadline:
+            topic = rng.choice(topics(heard=True))
+            inputs["mad messages"] += 1
+            session.put(f"prism/robot/{topic.key}", example(topic.type, rng))
+            time.sleep(1.0)  # a process that dies of it is noticed within a moment
+            if not _well_within(watcher, WELL_S):
+                found.append({"case": "daemon", "what": f"no poses after {topic.key}: {watcher.health}"})
+                break
         if watcher.not_numbers:
             found.append({"case": "daemon", "what": f"{watcher.not_numbers} poses with NaN"})
         state = str(run / "state")
@@ -177,9 +205,6 @@ def daemon(folder: Path, count: int, seed: int, budget_s: float, out: Path) -> d
         code = service.stop()
         if code != 0 or service.exits:
             found.append({"case": "daemon", "what": f"ended with {service.exits}, at last {code}"})
-        tracebacks = service.log.read_text(errors="replace").count("Traceback")
-        if tracebacks:
-            found.append({"case": "daemon", "what": f"{tracebacks} tracebacks in its log"})
     return {"inputs": inputs, "found": found}
 
 

@@ -19,11 +19,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.backend import map_file
 from prism_edge.backend.stored_map import from_arrays, to_arrays
-from prism_edge.bus import codec
+from prism_edge.bus import codec, ros
 from prism_edge.bus.commands import parse_query, parse_reply
 from prism_edge.config import Config
 from prism_edge.config_file import dump, load
@@ -110,6 +112,10 @@ def cases(folder: Path) -> dict[str, tuple[bytes, Callable[[bytes, random.Random
         "model metadata": (card, file("card.yaml", card_from_sidecar)),
         "network": (network, file("net.onnx", OnnxNetwork)),
         "message": (message, lambda data, rng: void(codec.unpack(data, _kind(rng)))),
+        "public message": (
+            ros.serialise(ros.POSE, ros.pose_with_covariance(1, "map", np.eye(4), np.eye(6))),
+            lambda data, _: void(ros.deserialise(ros.POSE, data)),
+        ),
         "query": (
             b'{"argument": "lab"}',
             lambda data, rng: void(parse_query(rng.choice(list(COMMANDS.values())), data)),
