@@ -5,9 +5,10 @@
 
 FOLDER is any TUM RGB-D, BONN, 7-Scenes or KITTI odometry sequence. Each is played N times (default 1; medians
 count), in real time or lockstep; run n has seed n - 1. Files go to DIR/<folder>-<mode>-<n> (default:
-build/benchmark), and a run that is finished there with the same settings is not repeated: stop it when you
-like, and go on later. A folder that fails has the reason in its line, and the others go on. Tables go to
-stdout, all else to stderr. Exit code 1: a folder has failed.
+build/benchmark), and a run that is finished there with the same settings and versions, after the network's
+file was written, is not repeated: stop it when you like, and go on later. The tables say which were. A folder
+that fails has the reason in its line, and the others go on. Tables go to stdout, all else to stderr. Exit
+code 1: a folder has failed.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ if str(ROOT) not in sys.path:  # run from a checkout
 
 from prism_edge.cli.main import main as prism_edge  # noqa: E402
 from prism_edge.errors import PrismError  # noqa: E402
+from prism_edge.evaluation.metrics import versions  # noqa: E402
 from prism_edge.sources.open import find_listing  # noqa: E402
 from tools.accuracy import at  # noqa: E402
 from tools.published_figures import NOTES, dataset_of, published  # noqa: E402
@@ -45,6 +47,7 @@ class Row:
     dataset: str
     runs: list[Metrics] = field(default_factory=list)
     failure: str = ""
+    reused: int = 0  # of the runs
 
 
 class _Overheard(io.StringIO):
@@ -85,7 +88,7 @@ def place(out: Path, folder: Path, mode: str, run: int) -> Path:
 
 
 def finished(where: Path, folder: Path, args: argparse.Namespace, seed: int) -> Metrics | None:
-    """The metrics of a run that is there and was made with these settings; None: it is to be played."""
+    """The metrics of a run that is there and was made with all this; None: it is to be played."""
     try:
         metrics: Metrics = json.loads((where / "metrics.json").read_text())
         made = metrics["config"]
@@ -95,17 +98,27 @@ def finished(where: Path, folder: Path, args: argparse.Namespace, seed: int) -> 
             and made["depth"]["model"] == args.model
             and made["mode"] == args.mode
             and made["seed"] == seed
+            and metrics["versions"] == versions()
+            and not _newer(Path(args.model), where / "metrics.json")
         )
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return metrics if same and not metrics.get("violations") else None
 
 
+def _newer(network: Path, file: Path) -> bool:
+    """Whether a network's file was written after another; a name that is no file's stands for one network."""
+    return network.is_file() and network.stat().st_mtime > file.stat().st_mtime
+
+
 def play(row: Row, args: argparse.Namespace, run: int) -> int:
     """One run into its row, or why there is none; returns `eval`'s exit code."""
     where, seed = place(args.out, row.folder, args.mode, run), run - 1
     metrics = finished(where, row.folder, args, seed)
-    if metrics is None:
+    if metrics is not None:
+        row.reused += 1
+        print(f"reused: {where}", file=sys.stderr)
+    else:
         words = ["eval", str(row.folder), "--model", args.model, "--out", str(where), "--seed", str(seed)]
         words += ["--camera", args.camera] if args.camera else []
         words += ["--lockstep"] if args.mode == "lockstep" else []
@@ -165,8 +178,13 @@ def line(row: Row) -> str:
 
 
 def warnings(row: Row) -> list[str]:
-    """What its runs warn of, each once; a run of an earlier build has none."""
+    """What its runs warn of, each once; a run of an earlier build has none, and may be of another commit."""
     said = [f"{row.folder.name}: {text}." for run in row.runs for text in run.get("warnings", [])]
+    if row.reused:
+        said.append(
+            f"{row.folder.name}: {row.reused} of {len(row.runs)} run(s) were there already, of this version "
+            f"({versions()['prism_edge']}) but maybe of another commit."
+        )
     return list(dict.fromkeys(said))
 
 

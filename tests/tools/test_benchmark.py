@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from pathlib import Path
 
 import pytest
 
+from prism_edge.evaluation.metrics import versions
 from tools import benchmark
 from tools.published_figures import published
 
@@ -48,6 +50,7 @@ def ran(monkeypatch) -> list[list[str]]:
             "live": {**errors, "pairs": 99},
             "final": {**errors, "ate_se3_m": None},
             "violations": [],
+            "versions": versions(),
             "warnings": ["3 of 100 poses have a true one"] if "elsewhen" in words[1] else [],
             "config": {
                 "source": {"uri": words[1], "camera": ""},
@@ -120,6 +123,7 @@ def test_a_finished_run_with_the_same_settings_is_not_repeated(tmp_path: Path, r
     assert benchmark.main([*words, "net.onnx"]) == 0
     assert benchmark.main([*words, "net.onnx"]) == 0
     assert len(ran) == 1
+    assert "\ndesk: 1 of 1 run(s) were there already, of this version" in capsys.readouterr().out
     assert benchmark.main([*words, "other.onnx"]) == 0
     assert len(ran) == 2
     assert benchmark.main([*words, "other.onnx", "--lockstep"]) == 0
@@ -128,6 +132,23 @@ def test_a_finished_run_with_the_same_settings_is_not_repeated(tmp_path: Path, r
     metrics.write_text('{"config": ')  # cut off in the middle
     assert benchmark.main([*words, "other.onnx"]) == 0
     assert len(ran) == 4
+
+
+def test_a_run_of_another_version_or_older_network_is_repeated(tmp_path: Path, ran, capsys, monkeypatch):
+    network = tmp_path / "net.onnx"
+    network.touch()
+    os.utime(network, (1e9, 1e9))
+    words = [str(layout(tmp_path / "desk", "tum")), "--out", str(tmp_path / "out"), "--model", str(network)]
+    assert [benchmark.main(words) for _ in range(2)] == [0, 0]
+    assert len(ran) == 1
+    os.utime(network, (4e9, 4e9))  # another one in its place
+    assert benchmark.main(words) == 0
+    assert len(ran) == 2
+    os.utime(network, (1e9, 1e9))
+    monkeypatch.setattr(benchmark, "versions", lambda: {**versions(), "prism_edge": "99"})
+    assert benchmark.main(words) == 0
+    assert len(ran) == 3
+    assert "were there already" not in capsys.readouterr().out.rpartition("`prism_edge` with")[2]
 
 
 def test_folders_that_would_share_a_place_are_refused(tmp_path: Path, ran, capsys):
