@@ -134,6 +134,12 @@ def test_of_some_figures_the_worst_run_counts() -> None:
     assert text.count("**missed**") == 1
 
 
+def test_a_wrong_loop_in_any_run_counts() -> None:
+    text, good = accuracy.table(KITCHEN, [GOOD, GOOD, changed(loops={"precision": 0.75})])
+    assert not good
+    assert "| loops that are right, worst | ≥ 100 % | 75 | 75 to 100 | **missed** |" in text
+
+
 def test_a_figure_that_one_run_lacks_has_no_median() -> None:
     text, good = accuracy.table(KITCHEN, [GOOD, GOOD, changed(first_pose_s=None)])
     assert not good
