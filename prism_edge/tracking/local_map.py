@@ -79,20 +79,32 @@ class LocalMap:
         self._refresh_appearance(keyframe, keypoints, rows)
 
     def _refresh_appearance(self, keyframe: LocalKeyframe, keypoints: Index, rows: Index) -> None:
+        features, centre = keyframe.features, keyframe.world_from_camera[:3, 3]
+        self._note_view(rows, centre, features.octaves[keypoints], features.descriptors[keypoints])
+
+    def _note_view(
+        self, rows: Index, centres: Array, octaves: NDArray[np.intp], descriptors: NDArray[np.uint64]
+    ) -> None:
+        """How points are seen from ``centres`` (3,) or (n, 3); of several views of one the last counts."""
         table = self.points
-        offset = keyframe.world_from_camera[:3, 3] - table.position[rows]
+        offset = centres - table.position[rows]
         distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
         table.direction[rows] = offset / distance[:, None]
         table.distance[rows] = distance
-        table.octave[rows] = keyframe.features.octaves[keypoints]
-        table.descriptor[rows] = keyframe.features.descriptors[keypoints]
+        table.octave[rows] = octaves
+        table.descriptor[rows] = descriptors
 
     def look_anew(self) -> None:
-        """Note again from where, and how far, each point was seen last: the map was turned or scaled."""
-        for number in sorted(self.keyframes):
-            keyframe = self.keyframes[number]
-            keypoints = keyframe.observed()
-            self._refresh_appearance(keyframe, keypoints, self.points.rows(keyframe.points[keypoints]))
+        """Note again from where, and how far, each point was seen last: a loop has moved what sees it."""
+        views = [self.keyframes[number] for number in sorted(self.keyframes)]
+        seen = [view.observed() for view in views]
+        if not sum(map(len, seen)):
+            return
+        rows = self.points.rows(np.concatenate([v.points[o] for v, o in zip(views, seen, strict=True)]))
+        centres = np.array([view.world_from_camera[:3, 3] for view in views])
+        octaves = np.concatenate([v.features.octaves[o] for v, o in zip(views, seen, strict=True)])
+        words = np.concatenate([v.features.descriptors[o] for v, o in zip(views, seen, strict=True)])
+        self._note_view(rows, np.repeat(centres, list(map(len, seen)), axis=0), octaves, words)
 
     def add_points(
         self,

@@ -70,9 +70,10 @@ def take_over(
     world.weigh(update.points, update.weights)
     world.drop_observations(update.dropped_keyframes, update.dropped_points)
     became = join(world, update)
-    if update.loop_query >= 0 and parts.merge(update.loop_query, update.loop_candidate):
-        log.info("the part of keyframe %d has its place in the map", update.loop_query)
-        world.look_anew()  # it was turned and scaled as a whole: all its points look otherwise from here
+    if update.loop_query >= 0:
+        if parts.merge(update.loop_query, update.loop_candidate):
+            log.info("the part of keyframe %d has its place in the map", update.loop_query)
+        world.look_anew()  # a part, or one end of the map, was turned and scaled: it is seen from elsewhere
     if last is not None:
         if became:
             last.points = np.array([became.get(p, p) for p in last.points.tolist()], np.int64)

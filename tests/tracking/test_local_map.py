@@ -8,6 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from prism_edge.geometry.poses import scaled, transform
 from prism_edge.tracking import mapping
 from prism_edge.tracking.local_map import LocalMap
 from tests.tracking.cloud import Cloud, check, observations, pose_at
@@ -179,3 +180,25 @@ def test_points_look_as_they_did_last(world):
     assert world.points.distance[rows] == pytest.approx(distance)
     assert world.points.direction[rows] == pytest.approx(offset / distance[:, None])
     assert np.array_equal(world.points.octave[rows], newest.features.octaves[keypoints])
+
+
+def test_points_know_from_where_they_were_seen_last_once_their_map_was_turned_and_scaled():
+    world, _ = Cloud(200).mapped([pose_at(0.1 * i) for i in range(4)])
+    table, motion = world.points, pose_at(3.0, 0.5, -1.0, 0.0, 2.5, 0.0)
+    for keyframe in world.keyframes.values():
+        keyframe.world_from_camera = motion @ scaled(keyframe.world_from_camera, 0.5)
+    table.position[:] = transform(motion, 0.5 * table.position)
+    world.look_anew()
+    for row, point in enumerate(table.ids.tolist()):
+        last = max(k for k, keyframe in world.keyframes.items() if point in keyframe.points)
+        keyframe = world.keyframes[last]
+        keypoint = int(np.flatnonzero(keyframe.points == point)[0])
+        way = keyframe.world_from_camera[:3, 3] - table.position[row]
+        assert table.distance[row] == pytest.approx(np.linalg.norm(way))
+        assert table.direction[row] * table.distance[row] == pytest.approx(way)
+        assert table.octave[row] == keyframe.features.octaves[keypoint]
+        assert (table.descriptor[row] == keyframe.features.descriptors[keypoint]).all()
+
+
+def test_an_empty_map_has_nothing_to_look_at():
+    LocalMap().look_anew()
