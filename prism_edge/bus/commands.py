@@ -43,11 +43,10 @@ class CommandDesk:
     def __init__(self, session: Any, robot: str, handlers: Mapping[str, Handler]) -> None:
         """``handlers`` maps names of ``topics.COMMANDS`` to what does them; it may raise PrismError."""
         self._handlers = dict(handlers)
+        self._keys = {name: keys.key(robot, COMMANDS[name]) for name in handlers}
         self._queryables = {
-            name: session.declare_queryable(
-                keys.key(robot, COMMANDS[name]), zenoh.handlers.RingChannel(_WAITING), complete=True
-            )
-            for name in handlers
+            name: session.declare_queryable(key, zenoh.handlers.RingChannel(_WAITING), complete=True)
+            for name, key in self._keys.items()
         }
 
     def serve(self) -> None:
@@ -55,7 +54,8 @@ class CommandDesk:
         for name, queryable in self._queryables.items():
             while (query := queryable.handler.try_recv()) is not None:
                 with query:
-                    self._serve(COMMANDS[name], query)
+                    if names(str(query.key_expr), COMMANDS[name]):
+                        self._serve(COMMANDS[name], query)
                 del query  # the asker waits until it is gone
 
     def close(self) -> None:
@@ -76,9 +76,19 @@ class CommandDesk:
         level = logging.INFO if command.changes else logging.DEBUG
         log.log(level, "command %s: %s%s", command.name, "" if reply.ok else "refused: ", reply.said)
         try:
-            query.reply(query.key_expr, pack_reply(reply), encoding=zenoh.Encoding.APPLICATION_JSON)
+            # On our own key: of replies on one key, such as `prism/*/command/info`, Zenoh hands on only one.
+            key, json_text = self._keys[command.name], zenoh.Encoding.APPLICATION_JSON
+            query.reply(key, pack_reply(reply), encoding=json_text)
         except zenoh.ZError as error:
             log.warning("command %s: the asker has gone: %s", command.name, error)
+
+
+def names(asked: str, command: Command) -> bool:
+    """Whether who asks for this key expression means the command; one that reads ``prism/**`` does not.
+
+    The robot may be a wildcard: ``prism/*/command/pause`` is meant for every robot.
+    """
+    return asked.endswith(f"/{command.key}")
 
 
 def send(session: Any, robot: str, command: Command, argument: str | None, timeout_s: float) -> Reply:

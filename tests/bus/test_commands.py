@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import threading
+from dataclasses import replace
 
 import pytest
 import zenoh
@@ -77,6 +78,53 @@ def test_an_error_is_one_line_and_the_next_command_is_served(session):
     assert not failed.ok
     assert "RuntimeError" in failed.said
     assert send(session, "robot", INFO, None, 10).ok
+
+
+@pytest.mark.parametrize(
+    "asked",
+    ["prism/robot/**", "**", "prism/robot/command/*", "prism/*/*/pause", "prism/robot/command/pa$*"],
+)
+def test_what_reads_by_wildcard_commands_nothing_and_is_not_left_waiting(session, served, asked):
+    replies = session.get(asked, timeout=60)
+    found, ended = [], threading.Event()
+
+    def collect():
+        found.extend(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+        ended.set()
+
+    threading.Thread(target=collect, daemon=True).start()
+    assert ended.wait(30), "it was left to wait until its time was over"
+    assert not [key for key in found if "/command/" in key]
+    assert send(session, "robot", PAUSE, "off", 10).ok
+    assert served == ["off"]
+
+
+def test_a_command_to_all_robots_is_done_and_answered_by_each(config, session, served, eventually):
+    done = threading.Event()
+
+    def serve(desk):
+        while not done.wait(0.01):
+            desk.serve()
+
+    def answers():
+        """As most programs ask: Zenoh hands on one reply of those on the same key."""
+        return {
+            str(reply.ok.key_expr): parse_reply(reply.ok.payload.to_bytes()).said
+            for reply in session.get("prism/*/command/pause", timeout=10)
+            if reply.ok is not None
+        }
+
+    with Bus.open(replace(config, robot="second"), "source") as second:
+        desk = second.commands({"pause": lambda argument: Reply(True, "second stands")})
+        thread = threading.Thread(target=serve, args=(desk,))
+        thread.start()
+        try:
+            eventually(lambda: len(answers()) == 2)
+            said = {"prism/robot/command/pause": "said on", "prism/second/command/pause": "second stands"}
+            assert answers() == said
+        finally:
+            done.set()
+            thread.join()
 
 
 def test_nobody_who_answers_is_an_error(session):
