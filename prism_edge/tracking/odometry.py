@@ -6,6 +6,8 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array, inverse, normalised, scaled, se3_log
 
+STILL_S = 0.1  # for so long, or for two intervals, a velocity holds through exact copies
+
 
 class MetricOdometry:
     """Integrates motion between consecutive frames, measured in one state of the map and turned to metres."""
@@ -31,3 +33,12 @@ class MetricOdometry:
                 self.twist, self.interval_s = se3_log(step) / elapsed, elapsed
         self._stamp_ns = stamp_ns
         return self.odom_from_camera
+
+    def repeat(self, stamp_ns: int) -> None:
+        """An exact copy of the last frame: after some of them the velocity is not known any more.
+
+        A camera that stands and one that hangs show the same; the way since is then of no known time either.
+        """
+        last_ns = stamp_ns if self._stamp_ns is None else self._stamp_ns
+        if (stamp_ns - last_ns) * 1e-9 > max(2.0 * self.interval_s, STILL_S):
+            self.twist, self.interval_s, self._stamp_ns = np.zeros(6), 0.0, None

@@ -214,7 +214,9 @@ class TrackerWorker:
     def _publish(self, frame: Frame, result: FrameResult, before: Any, repeated: bool) -> None:
         assert result.world_from_camera is not None
         tracker = self._tracker
-        if not repeated:
+        if repeated:
+            self._odometry.repeat(frame.stamp_ns)
+        else:
             self._odometry.advance(before, result.world_from_camera, tracker.log_scale, frame.stamp_ns)
             if before is not None:
                 self._travelled += float(np.linalg.norm(result.world_from_camera[:3, 3] - before[:3, 3]))

@@ -96,6 +96,25 @@ def test_a_step_after_copies_takes_their_time_too():
     assert odometry.interval_s == pytest.approx(2.0)
 
 
+def test_a_velocity_holds_for_a_few_copies_and_is_then_unknown():
+    odometry = MetricOdometry()
+    odometry.repeat(0)  # nothing was there to copy: harmless
+    odometry.advance(None, np.eye(4), 0.0, 0)
+    odometry.advance(np.eye(4), pose_at(0.1), 0.0, SECOND // 10)
+    for tenths in (2, 3):
+        odometry.repeat(tenths * SECOND // 10)
+        assert (odometry.twist[0], odometry.interval_s) == pytest.approx((1.0, 0.1))
+    odometry.repeat(4 * SECOND // 10)
+    assert not odometry.twist.any()
+    assert odometry.interval_s == 0.0
+    # How long the way after it took is not known: the camera may have hung, or stood.
+    odometry.advance(pose_at(0.1), pose_at(0.3), 0.0, 5 * SECOND // 10)
+    assert odometry.odom_from_camera[0, 3] == pytest.approx(0.3)
+    assert odometry.interval_s == 0.0
+    odometry.advance(pose_at(0.3), pose_at(0.4), 0.0, 6 * SECOND // 10)
+    assert (odometry.twist[0], odometry.interval_s) == pytest.approx((1.0, 0.1))
+
+
 def test_it_stays_a_rigid_pose_over_thousands_of_steps():
     odometry, step = MetricOdometry(), pose_at(0.001, 0.0, 0.002, 0.01, -0.02, 0.005)
     for _ in range(5_000):

@@ -33,6 +33,18 @@ def test_the_velocity_after_a_copy_is_of_both_periods(bus, world):
     assert speed[20] == pytest.approx(true, rel=0.3)
 
 
+def test_a_camera_that_hangs_is_not_said_to_move_on(bus, world):
+    copies = [frame(i, of=19, duplicate=True) for i in range(20, 50)]
+    run(bus, [*(frame(i) for i in range(20)), *copies, frame(50, of=20), frame(51, of=21)])
+    velocity = {ros.stamp_ns(m): m.twist for m in bus.of("odom")}
+    linear = {i: velocity[frame(i).stamp_ns].twist.linear for i in (19, 20, 49, 50, 51)}
+    sigma = {i: velocity[frame(i).stamp_ns].covariance[0] ** 0.5 for i in linear}
+    assert linear[20] == linear[19]
+    assert (linear[49].x, linear[49].y, linear[49].z) == (0.0, 0.0, 0.0)
+    assert sigma[49] == sigma[50] == 100.0
+    assert sigma[20] < 10.0 > sigma[51]
+
+
 def test_a_copy_whose_original_was_dropped_is_looked_at(bus, world):
     # Of the later images, each of which comes twice, only the copies get through.
     of = {i: i for i in range(20)} | {2 * i - 19: i for i in range(20, 50)}
