@@ -26,6 +26,8 @@ FORGET_ABOVE = 2  # times as many keyframes remembered as there are
 COHERENT_S = 1.0  # for so long the local map is off by the same share; speed is averaged over as long
 COHERENT_M = 1.0  # and, between two places, at least over so much of the way, however slow the camera is now
 LONGEST_S = 0.5  # between two frames: longer than that nothing was seen
+# Of a camera that nobody sees: one that is covered or carried off often stood before, and is then carried.
+UNSEEN_M_S, UNSEEN_RAD_S = 0.5, 0.5
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Drift:
 
     def __init__(self, config: CovarianceConfig) -> None:
         self._config = config
-        self._speed = 0.0  # metres a second
+        self._speed = self._turn = 0.0  # metres and radians a second
         self._stamp_ns: int | None = None
         self.local_sigma = 0.0  # of the log scale here about the published one, as last heard
         self.total = self.here = NO_DRIFT
@@ -64,6 +66,13 @@ class Drift:
     def forget(self) -> None:
         """Another map, whose keyframes have numbers of this one's; `odom` goes on."""
         self._keyframes, self.local_sigma = {}, 0.0
+
+    def miss(self, seconds: float) -> None:
+        """Of so long a way before the next frame nothing is known, neither how far it went nor where to."""
+        metres = max(self._speed, UNSEEN_M_S) * seconds
+        radians = min(max(self._turn, UNSEEN_RAD_S) * seconds, math.pi)
+        self.total += Walk(metres**2, radians**2)
+        self._stamp_ns = None
 
     def advance(
         self, before: Array | None, result: FrameResult, log_scale: float, stamp_ns: int | None = None
@@ -125,6 +134,7 @@ class Drift:
             now = math.exp(log_scale) * float(np.linalg.norm(motion[:3, 3])) / elapsed_s
             share = 1.0 - math.exp(-elapsed_s / COHERENT_S) if self._speed > 0.0 else 1.0
             self._speed += share * (now - self._speed)
+            self._turn += share * (rotation_angle(motion[:3, :3]) / elapsed_s - self._turn)
 
     def _until(self, keyframe: LocalKeyframe, log_scale: float) -> Walk:
         """Of a keyframe; of one that an earlier life made, as the crow flies from the map's beginning."""

@@ -37,8 +37,12 @@ class MetricOdometry:
     def repeat(self, stamp_ns: int) -> None:
         """An exact copy of the last frame: after some of them the velocity is not known any more.
 
-        A camera that stands and one that hangs show the same; the way since is then of no known time either.
+        A camera that stands and one that hangs show the same.
         """
         last_ns = stamp_ns if self._stamp_ns is None else self._stamp_ns
         if (stamp_ns - last_ns) * 1e-9 > max(2.0 * self.interval_s, STILL_S):
-            self.twist, self.interval_s, self._stamp_ns = np.zeros(6), 0.0, None
+            self.lose()
+
+    def lose(self) -> None:
+        """How fast the camera is isn't known, and the next step says nothing of it: it took any time."""
+        self.twist, self.interval_s, self._stamp_ns = np.zeros(6), 0.0, None

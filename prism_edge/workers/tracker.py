@@ -39,6 +39,7 @@ from prism_edge.tracking.local_map import LocalKeyframe
 from prism_edge.tracking.map_correction import flaw
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import FrameResult, Tracker
+from prism_edge.tracking.unseen import Sight
 from prism_edge.workers.answers_due import PATIENCE_S, AnswersDue
 from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.map_adoption import MapAdoption
@@ -69,7 +70,7 @@ class TrackerWorker:
         self._maps = MapAdoption(config, bus)
         self._ends = bus.queue("end")
         self._tracker = Tracker(_tracking(config), config.seed, bus.first_id)
-        self._odometry = MetricOdometry()
+        self._odometry, self._sight = MetricOdometry(), Sight()
         self._publisher = PosePublisher(bus, config.frames, config.covariance.refinement)
         self._drift, self._status = Drift(config.covariance), TrackerStatus(bus)
         self._scale_sigma = UNKNOWN_SCALE_SIGMA
@@ -148,6 +149,8 @@ class TrackerWorker:
             self._status.say(RECOVERED, frame.stamp_ns)
         if result.world_from_camera is not None:
             self._publish(frame, result, before, repeated)
+        else:
+            self._sight.miss(result.odometry)
         keyframe = None if repeated or self._localise_only else tracker.maybe_keyframe(judge)
         if keyframe is not None:
             self._drift.add_keyframe(tracker.world, keyframe, tracker.log_scale)
@@ -217,6 +220,12 @@ class TrackerWorker:
         if repeated:
             self._odometry.repeat(frame.stamp_ns)
         else:
+            began_ns = tracker.world.keyframes[result.reference].stamp_ns
+            step = self._sight.see(tracker.epoch, tracker.parts.current, began_ns, frame.stamp_ns)
+            if step.lost:
+                self._odometry.lose()
+            if step.unseen_s:
+                self._drift.miss(step.unseen_s)
             self._odometry.advance(before, result.world_from_camera, tracker.log_scale, frame.stamp_ns)
             if before is not None:
                 self._travelled += float(np.linalg.norm(result.world_from_camera[:3, 3] - before[:3, 3]))

@@ -193,3 +193,31 @@ def test_speed_is_an_average_of_a_second_and_a_gap_says_nothing_of_it():
     before = drift.total.metres2
     drift.advance(pose_at(5.2), result(pose_at(15.2)), 0.0, 9_000_000_000)  # found again, far away
     assert drift.total.metres2 - before == pytest.approx(0.05**2 * speed * 10.0)
+
+
+def test_a_way_that_nobody_saw_goes_on_as_fast_as_before_and_never_slower_than_a_hand():
+    fast, slow = Drift(CONFIG), Drift(CONFIG)
+    driven(fast, 2.0, 3.0, metres=0.5)
+    driven(slow, 0.1, 3.0)
+    for drift, speed in ((fast, 2.0), (slow, 0.5)):
+        known = drift.total
+        drift.miss(3.0)
+        assert drift.total.metres2 - known.metres2 == pytest.approx((3.0 * speed) ** 2)
+        assert drift.total.radians2 - known.radians2 == pytest.approx(1.5**2)
+        drift.advance(np.eye(4), result(pose_at(0.2)), 0.0, 6_100_000_000)
+        again = drift.total
+        drift.miss(1.0)
+        said = drift.total.metres2 - again.metres2
+        assert said == pytest.approx(speed**2), "the step after it says nothing of the speed"
+
+
+def test_a_turn_goes_on_too_and_half_of_one_is_the_most():
+    drift, turned = Drift(CONFIG), np.eye(4)
+    for k in range(20):
+        before, turned = turned, turned @ from_rt(so3_exp(np.array([0, 0.1, 0])), np.array([0, 0, 0.01]))
+        drift.advance(before, result(turned), 0.0, 100_000_000 * k)
+    known = drift.total.radians2
+    drift.miss(2.0)
+    assert drift.total.radians2 - known == pytest.approx(2.0**2)
+    drift.miss(60.0)
+    assert drift.total.radians2 - known == pytest.approx(2.0**2 + np.pi**2)

@@ -115,6 +115,17 @@ def test_a_velocity_holds_for_a_few_copies_and_is_then_unknown():
     assert (odometry.twist[0], odometry.interval_s) == pytest.approx((1.0, 0.1))
 
 
+def test_after_a_loss_the_way_counts_and_the_velocity_is_unknown():
+    odometry = MetricOdometry()
+    odometry.advance(None, np.eye(4), 0.0, 0)
+    odometry.lose()
+    odometry.advance(np.eye(4), pose_at(2.0), 0.0, SECOND)
+    assert odometry.odom_from_camera[0, 3] == pytest.approx(2.0)
+    assert (odometry.interval_s, odometry.twist.any()) == (0.0, False)
+    odometry.advance(pose_at(2.0), pose_at(3.0), 0.0, 2 * SECOND)
+    assert (odometry.twist[0], odometry.interval_s) == pytest.approx((1.0, 1.0))
+
+
 def test_it_stays_a_rigid_pose_over_thousands_of_steps():
     odometry, step = MetricOdometry(), pose_at(0.001, 0.0, 0.002, 0.01, -0.02, 0.005)
     for _ in range(5_000):

@@ -290,6 +290,13 @@ def test_a_camera_carried_off_in_the_dark_is_lost_and_found_again(bus, world):
     words = [s.status[0].message for s in bus.of("status")]
     assert "lost relocalising" in words
     assert words[-1].startswith("ok")
+    # The map has the way from there to here, so `odom` goes it, and not how fast the camera is now.
+    film, found = footage(), min(i for i in placed if i >= 30)
+    moved = next(m for m in bus.of("odom") if ros.stamp_ns(m) == film.stamp_ns(found))
+    assert np.linalg.norm(ros.pose_matrix(moved.pose.pose)[:3, 3] - true_position(found - 50)) < 0.05
+    assert moved.twist.covariance[0] == 100.0**2
+    walk = {t.index: t.walk_m for t in bus.of("tracked")}
+    assert walk[found] < walk[29] + 0.05
 
 
 def test_the_network_is_shown_what_a_lost_camera_sees(bus, world):

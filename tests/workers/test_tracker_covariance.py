@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prism_edge.bus import ros
 from tests.synthetic import messages
 from tests.tracking.footage import IDENTITY, footage, other_room
 from tests.workers.list_bus import ListBus
@@ -52,3 +53,12 @@ def test_a_new_map_s_unit_is_unknown_until_the_scale_process_says_something_of_i
     sigma = {tracked.index: tracked.scale_sigma for tracked in bus.of("tracked")}
     assert sigma[firsts[1] - 1] == pytest.approx(0.1)
     assert sigma[91] == 1.0
+    # `odom` goes on where it was, and says that nobody saw the way from there to the new map.
+    seen = [film.stamp_ns(i) for i in range(92)]
+    moved = {seen.index(ros.stamp_ns(m)): m for m in bus.of("odom")}
+    last, first = max(i for i in moved if i < firsts[1]), min(i for i in moved if i > firsts[1])
+    place = {i: ros.pose_matrix(moved[i].pose.pose)[:3, 3] for i in (last, first)}
+    assert np.linalg.norm(place[first] - place[last]) < 0.1
+    walk = {tracked.index: tracked.walk_m for tracked in bus.of("tracked")}
+    assert walk[first] > 0.5 * (firsts[1] - last) / 30.0 > 10.0 * walk[last]
+    assert moved[first].twist.covariance[0] == 100.0**2 > moved[first + 1].twist.covariance[0]
