@@ -24,11 +24,17 @@ cd "$folder"
 
 new_key() { openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256 -out "$1" 2> /dev/null; }
 
-if [[ ! -e ca.key ]]; then
-    new_key .ca.key
-    openssl req -x509 -new -key .ca.key -sha256 -days "$((days * 4))" -subj "/CN=prism_edge lab" -out ca.pem \
+if [[ -e ca.pem && ! -e ca.key ]]; then
+    # A new authority would be none for the certificates that this one has signed.
+    echo "make_certificates.sh: error: ca.pem is here without ca.key: bring it back, or take another folder" >&2
+    exit 2
+fi
+if [[ ! -e ca.pem ]]; then
+    # Each file is whole once it has its name, and a key is kept: an interrupted run is gone on with.
+    [[ -e ca.key ]] || { new_key .ca.key; mv .ca.key ca.key; }
+    openssl req -x509 -new -key ca.key -sha256 -days "$((days * 4))" -subj "/CN=prism_edge lab" -out .ca.pem \
         -addext basicConstraints=critical,CA:TRUE,pathlen:0 -addext keyUsage=critical,keyCertSign,cRLSign
-    mv .ca.key ca.key  # last, so that an interrupted run begins again
+    mv .ca.pem ca.pem
     echo "made ca.pem, the authority; keep ca.key off the robots"
 fi
 for given in "$@"; do

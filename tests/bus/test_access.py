@@ -198,6 +198,33 @@ def test_certificates_are_kept_and_added_to(lab: Path, tmp_path: Path) -> None:
     assert all(path.stat().st_mode & 0o077 == 0 for path in tmp_path.glob("*.key"))
 
 
+@needs_openssl
+def test_an_authority_whose_key_was_put_away_is_kept(tmp_path: Path) -> None:
+    folder = tmp_path / "lab"
+    subprocess.run([str(MAKE), str(folder), "robot1"], check=True, timeout=60, capture_output=True)
+    (folder / "ca.key").rename(tmp_path / "ca.key")
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    done = subprocess.run([str(MAKE), str(folder), "robot2"], capture_output=True, timeout=60, text=True)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert "ca.key" in done.stderr
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@needs_openssl
+def test_an_interrupted_run_is_gone_on_with(tmp_path: Path) -> None:
+    """The key is there and the authority is not: what it may have signed holds."""
+    make = [str(MAKE), str(tmp_path), "robot1"]
+    subprocess.run(make, check=True, timeout=60, capture_output=True)
+    key = (tmp_path / "ca.key").read_bytes()
+    (tmp_path / "ca.pem").rename(tmp_path / ".ca.pem")
+    (tmp_path / ".ca.pem").write_text("half")
+    subprocess.run(make, check=True, timeout=60, capture_output=True)
+    assert (tmp_path / "ca.key").read_bytes() == key
+    verify = ["openssl", "verify", "-CAfile", str(tmp_path / "ca.pem"), str(tmp_path / "robot1.pem")]
+    assert subprocess.run(verify, capture_output=True, timeout=60).returncode == 0
+
+
 @pytest.mark.parametrize("name", ["", "a b", "../x", "ca", "-x y", "a,b c", "a/b"])
 def test_names_that_can_not_be_are_refused(name: str, tmp_path: Path) -> None:
     done = subprocess.run([str(MAKE), str(tmp_path / "new"), name], capture_output=True, timeout=60)
