@@ -85,6 +85,10 @@ def tls(network: NetworkConfig) -> dict[str, Any]:
     return {"transport/link/tls": settings}
 
 
+# All public topics and nothing else: internal ones, tokens and commands have a chunk more. In one rule, since
+# who asks for `prism/robot/*` is let in where one rule holds all of that.
+_PUBLIC = "prism/*/*"
+
 # Loopback by TCP, as our own processes link: a TLS client on this host is as good as its certificate.
 _HERE: list[dict[str, Any]] = [
     {"id": "here", "interfaces": ["lo"], "link_protocols": ["tcp"]},
@@ -104,10 +108,9 @@ def access_control(network: NetworkConfig, listener: bool) -> dict[str, Any]:
     ours = {"subjects": [subject["id"] for subject in _HERE], "rules": ["everything"]}
     if not listener:
         return _deny_but([everything], _HERE, [ours])
-    public = [f"prism/*/{topic.key}" for topic in TOPICS.values() if not topic.internal]
     rules: list[dict[str, Any]] = [
         everything,
-        *_rules("read", _HEAR, public),
+        *_rules("read", _HEAR, [_PUBLIC]),
         *_rules("presence", _SEE_TOKENS, ["prism/*/alive/*"]),
         *_rules("command", _ASK, ["prism/*/command/*"]),
     ]

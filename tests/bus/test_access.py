@@ -5,22 +5,22 @@ from __future__ import annotations
 import shutil
 import subprocess
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import zenoh
 
-from prism_edge.bus import links, ros
+from prism_edge.bus import access, links, ros
 from prism_edge.bus.access import check_network
 from prism_edge.bus.commands import Reply, send
-from prism_edge.bus.keys import check_loopback
+from prism_edge.bus.keys import alive_key, check_loopback, key, ready_key
 from prism_edge.bus.links import open_session
 from prism_edge.bus.session import Bus
 from prism_edge.config import BusConfig, Config, NetworkConfig
 from prism_edge.errors import BusError, ConfigError
-from prism_edge.topics import COMMANDS
+from prism_edge.topics import COMMANDS, TOPICS
 from tests.bus.conftest import free_endpoint
 
 MAKE = Path(__file__).resolve().parents[2] / "deploy" / "make_certificates.sh"
@@ -114,6 +114,28 @@ class TestByCertificate:
             tokens = {str(r.ok.key_expr) for r in session.liveliness().get("prism/robot/alive/*", timeout=10)}
             assert "prism/robot/alive/tracker" in tokens
 
+    @pytest.mark.parametrize("several", ["prism/robot/*", "prism/*/*", "prism/*/status"])
+    def test_several_topics_at_once_are_read_as_each_is(
+        self, robot: Config, lab: Path, several: str, eventually: Callable[..., None]
+    ) -> None:
+        with client(robot, shown(lab, "viewer")) as session:
+            with session.declare_subscriber(several, zenoh.handlers.RingChannel(256)) as subscriber:
+                eventually(lambda: subscriber.handler.try_recv() is not None)
+            last = {str(r.ok.key_expr) for r in session.get(several, timeout=10) if r.ok}
+            assert "prism/robot/status" in last
+            assert not [key for key in last if key.count("/") > 2]
+
+    def test_what_spans_more_than_is_public_hears_nothing(self, robot: Config, lab: Path) -> None:
+        spans = ("prism/robot/**", "prism/**", "prism/robot/*/*", "prism/*/command/*", "**")
+        # Another hears what it may meanwhile: one link hands on to all who listen behind it.
+        viewer = shown(lab, "viewer")
+        with client(robot, viewer) as session, client(robot, viewer) as other:
+            asking = [session.declare_subscriber(key, zenoh.handlers.RingChannel(256)) for key in spans]
+            hears(other, messages=60)
+            assert not [s for s in asking if s.handler.try_recv() is not None]
+            for asked in spans:
+                assert not [r for r in session.get(asked, timeout=1) if r.ok]
+
     def test_an_operator_commands(self, robot: Config, lab: Path) -> None:
         with client(robot, shown(lab, "operator")) as session:
             for name in ("pause", "info"):
@@ -173,6 +195,15 @@ class TestByCertificate:
         fooled = replace(shown(lab, "viewer"), ca=str(lab / "theirs" / "ca.pem"))
         with pytest.raises(BusError), client(robot, fooled) as session:
             send(session, "robot", COMMANDS["info"], None, 1.0)
+
+
+def test_what_the_network_reads_is_what_is_public() -> None:
+    read = zenoh.KeyExpr(access._PUBLIC)
+    for topic in TOPICS.values():
+        assert read.intersects(zenoh.KeyExpr(key("robot", topic))) != topic.internal
+    others = [key("robot", command) for command in COMMANDS.values()]
+    others += [alive_key("robot", "tracker"), ready_key("robot", "tracker")]
+    assert not [other for other in others if read.intersects(zenoh.KeyExpr(other))]
 
 
 @needs_openssl
