@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from prism_edge.config import Config
 
 WAIT_S = 0.2  # the screen is brought up to date at least this often
+LINKED_S = 1.0  # a running daemon is linked long before; one that does not run is waited for no longer
 
 
 def add_parser(subparsers: Any) -> None:
@@ -64,8 +65,11 @@ class Listener:
         self._poses = bus.queue("pose", 1024)
         self._odometry = bus.queue("odom", 1024)
         self._scale, self._status = bus.latest("scale"), bus.latest("status")
+        here = on_this_host(config.bus.endpoint)
         # Monotonic clocks can be compared on one host only.
-        self._tracked = bus.queue("tracked") if on_this_host(config.bus.endpoint) else None
+        self._tracked = bus.queue("tracked") if here else None
+        if here:  # from elsewhere the link is up once the bus is open
+            bus.await_ready({"tracker", "scale"}, LINKED_S)
         for inbox, topic in ((self._keep_scale, "scale"), (self._keep_status, "status")):
             last = bus.ask(topic, 0.3)  # published before we came
             if last is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import threading
 import time
 from collections.abc import Iterator
@@ -14,9 +13,10 @@ import pytest
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.cli.main import main
-from prism_edge.cli.watch import on_this_host
+from prism_edge.cli.watch import Listener, on_this_host
 from prism_edge.config import BusConfig, Config
 from prism_edge.messages import Tracked
+from tests.bus.conftest import free_endpoint
 
 MS = 1_000_000
 COVARIANCE = np.diag([0.01, 0.01, 0.02, 0, 0, 0])
@@ -32,9 +32,7 @@ def pose_at(x: float) -> np.ndarray:
 @pytest.fixture
 def endpoint() -> Iterator[str]:
     """Where a daemon publishes: one metre a second along x, 33 ms a frame, until the test is over."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    endpoint = free_endpoint()
     over = threading.Event()
 
     def publish() -> None:
@@ -70,6 +68,25 @@ def test_prints_one_line_a_pose(endpoint: str, capsys: pytest.CaptureFixture[str
     assert "state ok building" in last
     latency_ms = float(last.partition("latency ")[2].split()[0])
     assert 20.0 <= latency_ms < 5000.0
+
+
+def test_a_daemon_that_stands_still_tells_what_it_said_last() -> None:
+    """Paused, it publishes nothing: what it said before is asked for once it is linked."""
+    config = Config(robot="fake", bus=BusConfig(free_endpoint(), retry_ms=50))
+    with (
+        Bus.open(config, "supervisor", listen=True) as supervisor,
+        Bus.open(config, "tracker") as tracker,
+        Bus.open(config, "scale") as scale,
+    ):
+        tracker.publish("status", ros.diagnostics(MS, [("tracking", 0, "ok building", {})]))
+        scale.publish("scale", SCALE)
+        for process in (tracker, scale):
+            process.pulse.ready()
+        assert supervisor.await_ready(["tracker", "scale"], 10.0) == set()
+        with Bus.open(config, "watch") as bus:
+            view = Listener(bus, config).view
+    assert view.state == "ok building"
+    assert view.scale == pytest.approx(1.5)
 
 
 def test_records_the_cameras_poses(endpoint: str, tmp_path: Path) -> None:
