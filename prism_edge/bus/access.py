@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from typing import Any
 
-from prism_edge.bus.keys import check_endpoint, protocol_of
+from prism_edge.bus.keys import check_endpoint, collide, protocol_of
 from prism_edge.config import NetworkConfig
 from prism_edge.errors import ConfigError
 from prism_edge.processes import PROCESSES
@@ -32,9 +32,12 @@ _KINDS = (_HEAR, _SAY, _SEE_TOKENS, _HOLD_TOKENS)
 _EVERYTHING = sorted({message for kind in _KINDS for messages in kind.values() for message in messages})
 
 
-def check_network(network: NetworkConfig) -> None:
-    """Whether the settings can be here: ConfigError names what can't, BusError a malformed endpoint."""
-    check_settings(network)
+def check_network(network: NetworkConfig, bus: str) -> None:
+    """Whether the settings can be here, beside the endpoint of the bus.
+
+    ConfigError names what can't, BusError a malformed endpoint.
+    """
+    check_settings(network, bus)
     for problem in unreadable(network):
         raise ConfigError(problem)
 
@@ -49,10 +52,12 @@ def unreadable(network: NetworkConfig) -> list[str]:
     ]
 
 
-def check_settings(network: NetworkConfig) -> None:
+def check_settings(network: NetworkConfig, bus: str) -> None:
     """Whether the settings can be, whatever files are there; raises as :func:`check_network` does."""
     if network.endpoint:
         check_endpoint(network.endpoint, "network.endpoint")
+        if collide(bus, network.endpoint):
+            raise ConfigError(f"network.endpoint: the bus has its port already ({bus}): take another")
     secure = protocol_of(network.endpoint) in _SECURE
     if network.operators and not secure:
         raise ConfigError("network.operators: only a tls/ network.endpoint asks for certificates")

@@ -12,6 +12,7 @@ _SPECIAL = "/*$#?"
 # Links that Zenoh knows and that carry messages of any size reliably.
 _PROTOCOLS = ("tcp", "tls", "quic", "ws", "unixsock-stream")
 
+_BY_TCP = ("tcp", "tls", "ws")
 _LOOPBACK = re.compile(r"localhost|127(\.[0-9]{1,3}){3}|\[::1\]")
 
 
@@ -51,6 +52,11 @@ def protocol_of(endpoint: str) -> str:
     return endpoint.partition("/")[0]
 
 
+def address_of(endpoint: str) -> str:
+    """What it listens on or connects to, such as ``HOST:PORT``, without settings behind it."""
+    return re.split(r"[?#]", endpoint.partition("/")[2], maxsplit=1)[0]
+
+
 def check_loopback(endpoint: str) -> str:
     """The listener's endpoint, if only this host can reach it; else ConfigError, or BusError if malformed."""
     check_endpoint(endpoint)
@@ -62,13 +68,21 @@ def check_loopback(endpoint: str) -> str:
     return endpoint
 
 
+def collide(loopback: str, other: str) -> bool:
+    """Whether a port can't be listened on for both: an endpoint on loopback, and any other."""
+    if {protocol_of(loopback), protocol_of(other)} - set(_BY_TCP):
+        return False
+    (host, _, port), (other_host, _, other_port) = (address_of(e).rpartition(":") for e in (loopback, other))
+    everywhere = ("[::]",) if host.startswith("[") else ("[::]", "0.0.0.0")
+    return port == other_port and other_host in (host, *everywhere)
+
+
 def check_endpoint(endpoint: str, setting: str = "bus.endpoint") -> str:
     """The endpoint, if Zenoh could listen on it or connect to it; else BusError.
 
     Without this, a mistyped endpoint would be retried for ever.
     """
-    protocol, _, rest = endpoint.partition("/")
-    address = re.split(r"[?#]", rest, maxsplit=1)[0]
+    protocol, address = protocol_of(endpoint), address_of(endpoint)
     problem = ""
     if protocol not in _PROTOCOLS:
         problem = f"it must start with one of {', '.join(p + '/' for p in _PROTOCOLS)}"

@@ -12,7 +12,7 @@ from typing import Any
 import zenoh
 
 from prism_edge.bus.access import access_control, tls
-from prism_edge.bus.keys import check_endpoint
+from prism_edge.bus.keys import address_of, check_endpoint
 from prism_edge.config import BusConfig, NetworkConfig
 from prism_edge.errors import BusError
 from prism_edge.topics import Topic
@@ -59,8 +59,10 @@ def open_session(
         rules = {} if links["mode"] == "client" else access_control(network, listen)
         return zenoh.open(_zenoh_config(links | rules | tls(network), config.retry_ms))
     except zenoh.ZError as error:
-        opened = f"{endpoint} and {network.endpoint}" if listen and network.endpoint else endpoint
-        raise BusError(_why_not(opened, str(error))) from None
+        setting, failed = "bus.endpoint", endpoint
+        if listen and _is_of(str(error), network.endpoint):
+            setting, failed = "network.endpoint", network.endpoint
+        raise BusError(f"{setting}: {_why_not(failed, str(error))}") from None
 
 
 def _direct(endpoint: str) -> str:
@@ -111,15 +113,21 @@ def _zenoh_config(links: dict[str, Any], retry_ms: int) -> Any:
     return config
 
 
+def _is_of(error: str, endpoint: str) -> bool:
+    """Whether Zenoh's error names the endpoint's address."""
+    address = re.escape(address_of(endpoint))
+    return bool(address) and re.search(rf"(?<![\w.]){address}(?!\d)", error) is not None
+
+
 def _why_not(endpoint: str, error: str) -> str:
     # The last is a socket's, which Zenoh holds by a lock beside it.
     if "in use" in error or "os error 98" in error or "Unable to acquire lock" in error:
-        return f"bus.endpoint: {endpoint} is in use already; is another prism-edge running?"
+        return f"{endpoint} is in use already; is another prism-edge running?"
     if "Unable to connect" in error:
-        return f"bus.endpoint: nobody answers at {endpoint}; is prism-edge running there?"
+        return f"nobody answers at {endpoint}; is prism-edge running there?"
     # without the place in Zenoh's own source
     reason = re.sub(r" at /\S+\.rs:\d+\.?\]?", "", error.splitlines()[0])
-    return f"bus.endpoint: can't open {endpoint}: {reason[:160]}"
+    return f"can't open {endpoint}: {reason[:160]}"
 
 
 def encoding(topic: Topic) -> Any:

@@ -25,7 +25,7 @@ def check_config(config: Config) -> list[str]:
     Raises PrismError for what is wrong in the configuration itself, whichever machine it is for.
     """
     check_robot_name(config.robot)
-    check_settings(config.network)
+    check_settings(config.network, config.bus.endpoint)
     missing = _endpoint(config) + unreadable(config.network)  # the service's key is there only while it runs
     return missing + _extras(config) + _source(config.source) + _model(with_network(config))
 

@@ -48,7 +48,7 @@ def check(config: Config) -> None:
 
     check_robot_name(config.robot)
     check_loopback(config.bus.endpoint)
-    check_network(config.network)
+    check_network(config.network, config.bus.endpoint)
     open_source(config.source)
     if config.source.camera == AUTO and not config.depth.network:
         raise ConfigError("camera auto needs a depth network that predicts intrinsics (--model)")

@@ -124,7 +124,7 @@ class Supervisor:
         """
         check_robot_name(self._config.robot)
         check_loopback(self._config.bus.endpoint)
-        check_network(self._config.network)
+        check_network(self._config.network, self._config.bus.endpoint)
         if not self._config.depth.network:
             log.warning("depth %s", no_network().message)
         try:

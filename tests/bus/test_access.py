@@ -25,6 +25,7 @@ from tests.bus.conftest import free_endpoint
 
 MAKE = Path(__file__).resolve().parents[2] / "deploy" / "make_certificates.sh"
 STATUS = ros.diagnostics(1, [("tracking", 0, "ok building", {})])
+BUS = "tcp/127.0.0.1:7447"
 HEARTBEAT = "prism/robot/internal/heartbeat"
 
 needs_openssl = pytest.mark.skipif(not shutil.which("openssl"), reason="no openssl here")
@@ -271,18 +272,19 @@ def test_names_that_can_not_be_are_refused(name: str, tmp_path: Path) -> None:
         (NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=("source",)), "can't run elsewhere"),
         (NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=("nonsense",)), "can't run elsewhere"),
         (NetworkConfig(endpoint="tls/0.0.0.0:7448"), "TLS needs"),
+        (NetworkConfig(endpoint="tcp/0.0.0.0:7447"), f"network.endpoint: the bus has its port.*{BUS}"),
         (NetworkConfig(certificate="x.pem"), "belong together"),
         (NetworkConfig(ca="/nowhere/ca.pem"), "can't read /nowhere/ca.pem"),
     ],
 )
 def test_settings_that_can_not_be_are_named(network: NetworkConfig, words: str) -> None:
     with pytest.raises(ConfigError, match=words):
-        check_network(network)
+        check_network(network, BUS)
 
 
 def test_a_malformed_endpoint_of_the_network_is_named() -> None:
     with pytest.raises(BusError, match=r"network\.endpoint"):
-        check_network(NetworkConfig(endpoint="nonsense"))
+        check_network(NetworkConfig(endpoint="nonsense"), BUS)
 
 
 @pytest.mark.parametrize(

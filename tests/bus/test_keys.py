@@ -7,7 +7,7 @@ import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.bus.keys import alive_key, check_endpoint, check_robot_name, key, ready_key
+from prism_edge.bus.keys import alive_key, check_endpoint, check_robot_name, collide, key, ready_key
 from prism_edge.errors import BusError, ConfigError
 from prism_edge.topics import TOPICS
 
@@ -67,3 +67,21 @@ def test_a_mistyped_endpoint_is_named(endpoint):
 def test_an_address_out_of_range_is_no_endpoint(endpoint):
     with pytest.raises(BusError, match="is no endpoint"):
         check_endpoint(endpoint)
+
+
+@pytest.mark.parametrize(
+    ("bus", "network", "same"),
+    [
+        ("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7447", True),
+        ("tcp/localhost:7447", "tls/[::]:7447#x=y", True),
+        ("tcp/127.0.0.1:7447", "ws/127.0.0.1:7447", True),
+        ("tcp/[::1]:7447", "tcp/[::]:7447", True),
+        ("tcp/[::1]:7447", "tcp/0.0.0.0:7447", False),
+        ("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7448", False),
+        ("tcp/127.0.0.1:7447", "tls/192.168.1.7:7447", False),
+        ("tcp/127.0.0.1:7447", "quic/0.0.0.0:7447", False),  # by UDP
+        ("unixsock-stream//run/x", "tcp/0.0.0.0:7447", False),
+    ],
+)
+def test_two_endpoints_on_one_port_are_told(bus, network, same):
+    assert collide(bus, network) is same

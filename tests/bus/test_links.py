@@ -10,7 +10,7 @@ import zenoh
 
 from prism_edge.bus import links
 from prism_edge.bus.links import encoding, on_this_host, open_session, quality
-from prism_edge.config import BusConfig, Config
+from prism_edge.config import BusConfig, Config, NetworkConfig
 from prism_edge.errors import BusError
 from prism_edge.topics import TOPICS
 from tests.bus.conftest import free_endpoint
@@ -21,6 +21,18 @@ def test_an_endpoint_in_use_is_named(config):
         open_session(config.bus, listen=True)
     assert config.bus.endpoint in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_of_two_endpoints_the_one_that_fails_is_named(config):
+    free, taken = free_endpoint(), config.bus.endpoint
+    with open_session(config.bus, listen=True):
+        for ours, theirs, setting in ((free, taken, "network"), (taken, free, "bus")):
+            with pytest.raises(BusError, match=rf"^{setting}\.endpoint: {taken} is in use already") as caught:
+                open_session(BusConfig(endpoint=ours), listen=True, network=NetworkConfig(endpoint=theirs))
+            assert free not in str(caught.value)
+    elsewhere = NetworkConfig(endpoint="tcp/192.0.2.1:7447")
+    with pytest.raises(BusError, match=r"^network\.endpoint: can't open tcp/192\.0\.2\.1:7447"):
+        open_session(BusConfig(endpoint=free), listen=True, network=elsewhere)
 
 
 def test_a_socket_in_use_is_named(tmp_path):
