@@ -10,6 +10,7 @@ from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import U8
 from prism_edge.sources.base import Image, Unreadable
+from prism_edge.sources.stamps import fits_ros
 
 # Stands in where nobody needs intrinsics: whoever calibrates is about to find them.
 UNCALIBRATED = Camera(1, 1, 1.0, 1.0, 0.0, 0.0)
@@ -65,9 +66,13 @@ class FrameChecks:
     _stamp_ns: int | None = None  # of the last image released
     _pixels: U8 | None = None
 
-    def goes_back(self, stamp_ns: int) -> bool:
-        """Whether an image with this stamp will be refused for it."""
-        return self._stamp_ns is not None and stamp_ns <= self._stamp_ns
+    def bad_stamp(self, stamp_ns: int) -> str:
+        """Why an image with this stamp will be refused for it, in a few words; empty where it won't."""
+        if not fits_ros(stamp_ns):
+            return "is beyond what a ROS message can hold"
+        if self._stamp_ns is None or stamp_ns > self._stamp_ns:
+            return ""
+        return f"{'repeats' if stamp_ns == self._stamp_ns else 'goes back before'} the last one"
 
     def late(self) -> None:
         """An item was passed over unseen."""
@@ -87,14 +92,10 @@ class FrameChecks:
         if isinstance(item, Unreadable):
             self.counts.unreadable += 1
             return Verdict(False, kind="unreadable", reason=item.reason)
-        if self.goes_back(item.stamp_ns):
+        if why := self.bad_stamp(item.stamp_ns):
             self.counts.bad_stamps += 1
-            how = "repeats" if item.stamp_ns == self._stamp_ns else "goes back before"
-            return Verdict(
-                False,
-                kind="bad_stamps",
-                reason=f"image {item.index}: its stamp {item.stamp_ns / 1e9:.6f} s {how} the last one",
-            )
+            stamp = f"{item.stamp_ns / 1e9:.6f} s"
+            return Verdict(False, kind="bad_stamps", reason=f"image {item.index}: its stamp {stamp} {why}")
         height, width = item.pixels.shape[:2]
         if (width, height) != (self.camera.width, self.camera.height):
             self.counts.wrong_size += 1

@@ -10,7 +10,7 @@ from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unread
 from prism_edge.sources.checks import check_camera_size
 from prism_edge.sources.image_file import ask_for, read_image
 from prism_edge.sources.listing import Listing
-from prism_edge.sources.stamps import usual_period_ns
+from prism_edge.sources.stamps import fits_ros, usual_period_ns, write_seconds
 
 AHEAD = 15  # images: a disk may take a quarter of a second for one
 
@@ -29,9 +29,15 @@ class ImageSequence(Source):
         self._next = self._ahead = 0
 
     def open(self) -> None:
-        """Raises SourceError where no image can be read, ConfigError where they don't fit the camera."""
+        """Raises SourceError where no image can be read, or has a stamp that can be published.
+
+        ConfigError where they don't fit the camera.
+        """
         self._next = self._ahead = 0
-        reason = ""
+        stamps, reason = self._listing.stamps_ns, ""
+        if not any(map(fits_ros, stamps)):
+            first = write_seconds(stamps[0])
+            raise SourceError(f"{self._folder}: no ROS message can hold its stamps, such as {first} s")
         for path in self._listing.files:
             pixels = read_image(path)
             if not isinstance(pixels, str):

@@ -10,6 +10,7 @@ import numpy as np
 
 _NS = Decimal(10**9)
 _LIMIT = Decimal(2**63 - 1)
+_ROS_NS = 2**31 * 10**9  # builtin_interfaces/Time has 32 bits for seconds: until January 2038
 
 
 def parse_seconds(text: str) -> int:
@@ -21,6 +22,11 @@ def parse_seconds(text: str) -> int:
     if not value.is_finite() or abs(value) > _LIMIT:
         raise ValueError(f"{text!r} is no time in seconds")
     return int(value.to_integral_value())
+
+
+def fits_ros(stamp_ns: int) -> bool:
+    """Whether a ROS message can carry the stamp."""
+    return -_ROS_NS <= stamp_ns < _ROS_NS
 
 
 def write_seconds(stamp_ns: int) -> str:

@@ -138,14 +138,15 @@ class SourceWorker:
         catching_up = CatchingUp()
         while (slot := self._source.peek()) is not None:
             self._source.read_ahead()
-            if not self._sleep_until(schedule.due_ns(slot)):
+            # A stamp that is to be refused is due long ago or in a hundred years: it is taken at once.
+            refused = bool(self._checks.bad_stamp(slot.stamp_ns))
+            if not self._sleep_until(0 if refused else schedule.due_ns(slot)):
                 return
             if self._pause.on:
                 schedule = schedule.put_off(self._hold())
                 continue
-            # A stamp that goes back is due long ago, but it is not we who are late: it is to be refused.
             now_ns = time.monotonic_ns()
-            if not self._checks.goes_back(slot.stamp_ns) and schedule.is_late(slot, now_ns):
+            if not refused and schedule.is_late(slot, now_ns):
                 if self._gains(catching_up, slot.index, schedule.periods_late(slot, now_ns)):
                     self._source.skip()
                     self._checks.late()
@@ -156,7 +157,7 @@ class SourceWorker:
             if item is None or isinstance(item, Absent):
                 return
             # Where the stamp was a guess until now (video), the true one may lie ahead.
-            due_ns = schedule.due_ns(Slot(item.index, item.stamp_ns))
+            due_ns = now_ns if refused else schedule.due_ns(Slot(item.index, item.stamp_ns))
             if not self._sleep_until(due_ns):
                 return
             self._pass_on(item, due_ns)

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sources.tiny_datasets import picture
 
+from prism_edge.bus import ros
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import Image, Unreadable
@@ -52,6 +53,17 @@ def test_stamps_that_repeat_or_go_back_are_refused() -> None:
     assert checks.counts == Counts(frames=7, released=4, bad_stamps=3)
     assert "repeats" in verdicts[2].reason
     assert "goes back" in verdicts[3].reason
+
+
+def test_a_stamp_that_no_ros_message_holds_is_refused() -> None:
+    checks, last = FrameChecks(CAMERA), 2**31 * 10**9 - 1
+    verdicts = [checks.check(image(i, s)) for i, s in enumerate([-(2**31) * 10**9 - 1, 5, last + 1, last])]
+    assert [v.released for v in verdicts] == [False, True, False, True]
+    assert checks.counts == Counts(frames=4, released=2, bad_stamps=2)
+    assert "image 2: its stamp 2147483648.000000 s is beyond" in verdicts[2].reason
+    for stamp in (-(2**31) * 10**9, last):
+        message = ros.pose_stamped(stamp, "map", np.eye(4))
+        assert ros.stamp_ns(ros.deserialise(ros.TRUTH, ros.serialise(ros.TRUTH, message))) == stamp
 
 
 def test_a_refused_image_leaves_no_trace() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from prism_edge.config import SourceConfig
+from prism_edge.errors import SourceError
 from prism_edge.sources import image_sequence as module
 from prism_edge.sources import open_source
 from prism_edge.sources.image_file import ask_for
@@ -96,3 +97,16 @@ def test_what_can_not_be_opened_is_no_error(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for name in ("missing", ".", "pipe"):
         ask_for(tmp_path / name)
+
+
+def test_a_recording_none_of_whose_stamps_can_be_published_is_an_error(tmp_path: Path) -> None:
+    folder = write_tum(tmp_path)
+    table = folder / "rgb.txt"
+    rows = [line for line in table.read_text().splitlines() if not line.startswith("#")]
+    names = [row.split()[1] for row in rows]
+    table.write_text("".join(f"{4000000000 + i}.5 {name}\n" for i, name in enumerate(names)))
+    with pytest.raises(SourceError, match=r"no ROS message can hold its stamps, such as 4000000000\.5"):
+        open_source(SourceConfig(str(folder))).open()
+    table.write_text("".join(f"{4000000000 * (i > 0) + i}.5 {name}\n" for i, name in enumerate(names)))
+    with open_source(SourceConfig(str(folder))) as source:
+        assert source.read() is not None

@@ -109,6 +109,18 @@ def test_mishaps_do_not_disturb_the_schedule(mishaps: Path) -> None:
     assert {frame.index for frame in frames} <= {0, 1, 2, 6, 7, 8, 9}
 
 
+def test_an_image_of_the_next_century_is_not_waited_for(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path, count=4)
+    rows = [line.split() for line in (folder / "rgb.txt").read_text().splitlines() if line[0] != "#"]
+    rows[1][0] = "4000000000.0"
+    (folder / "rgb.txt").write_text("\n".join(" ".join(row) for row in rows) + "\n")
+    with playing(settings(folder)) as bus:
+        frames, end = bus.until_end()
+        bad = int(bus.pulse.values["bad_stamps"])
+    assert (frames[0].index, bad, end.unreadable) == (0, 1, 1)
+    assert end.frames == 4
+
+
 def test_lockstep_waits_for_everyone_of_the_run(tmp_path: Path) -> None:
     config = replace(settings(tiny.write_tum(tmp_path), "lockstep"), depth=DepthConfig(model="some.onnx"))
     with playing(config) as bus:
