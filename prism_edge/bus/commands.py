@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -97,6 +98,7 @@ def send(session: Any, robot: str, command: Command, argument: str | None, timeo
     Raises BusError where nobody answers in time: the process is down, or may not be asked from here.
     """
     payload = b"" if argument is None else json.dumps({"argument": argument}).encode()
+    until_s = time.monotonic() + timeout_s
     try:
         replies = session.get(
             keys.key(robot, command),
@@ -109,8 +111,10 @@ def send(session: Any, robot: str, command: Command, argument: str | None, timeo
                 return parse_reply(reply.ok.payload.to_bytes())
     except zenoh.ZError as error:
         raise BusError(f"{command.name}: {error}") from None
+    # Where nobody is to ask, that shows at once.
+    waited = f" in {timeout_s:g} s" if time.monotonic() >= until_s else ""
     raise BusError(
-        f"{command.name}: no answer in {timeout_s:g} s; is the daemon of {robot!r} running there, "
+        f"{command.name}: no answer{waited}; is the daemon of {robot!r} running there, "
         "and may you command it?"
     )
 

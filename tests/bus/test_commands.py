@@ -132,6 +132,20 @@ def test_nobody_who_answers_is_an_error(session):
         send(session, "other", PAUSE, "on", 0.3)
 
 
+def test_only_who_waited_says_how_long(config, session, eventually):
+    def said(robot, timeout_s):
+        with (
+            open_session(config.bus, listen=False, client=True) as asker,
+            pytest.raises(BusError) as caught,
+        ):
+            send(asker, robot, PAUSE, "on", timeout_s)
+        return str(caught.value)
+
+    assert said("other", 60).startswith("pause: no answer; is")
+    with session.declare_queryable("prism/mute/command/pause", zenoh.handlers.FifoChannel(1000)):
+        eventually(lambda: said("mute", 0.3).startswith("pause: no answer in 0.3 s; is"))
+
+
 @pytest.mark.parametrize(
     "payload", [b"\xff\xfe", b"[", b"[1]", b'{"argument": 5}', b'{"other": "x"}', b"9" * (LARGEST_QUERY + 1)]
 )
