@@ -250,8 +250,8 @@ class Bus:
         try:
             return _ros().deserialise(kind, data) if isinstance(kind, str) else codec.unpack(data, kind)
         except BusError as error:
-            self.pulse.count("malformed")
-            log.warning("%s: %s", sample.key_expr, error)
+            if self.pulse.count("malformed") == 1:
+                log.warning("%s: %s (more are only counted)", sample.key_expr, error)
             return None
 
 

@@ -175,6 +175,18 @@ def test_malformed_messages_are_counted_and_skipped(join, outside, caplog, paylo
     assert "prism/robot/internal/acknowledged: malformed Acknowledged message" in caplog.text
 
 
+def test_a_flood_of_malformed_messages_is_one_line(join, outside, caplog):
+    supervisor = join("supervisor", listen=True)
+    inbox = supervisor.queue("acknowledged")
+    client = outside()
+    for _ in range(50):
+        client.put("prism/robot/internal/acknowledged", b"garbage")
+    client.put("prism/robot/internal/acknowledged", pack(m.Acknowledged("depth", 5)))
+    assert inbox.take(10.0) == m.Acknowledged("depth", 5)
+    assert supervisor.pulse.values["malformed"] == "50"
+    assert len([r for r in caplog.records if "malformed" in r.message]) == 1
+
+
 def test_malformed_public_messages_are_skipped_too(join, outside):
     supervisor = join("supervisor", listen=True)
     inbox = supervisor.queue("status")
