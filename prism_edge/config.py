@@ -22,7 +22,7 @@ def text(default: str, help: str) -> Any:
 
 
 def named(default: str, help: str) -> Any:
-    """A dataclass field of a name: not empty, and no two of its section alike."""
+    """A dataclass field of a name: not empty, no slash in front, and no two of its section alike."""
     return field(default=default, metadata={"name": True, "help": help})
 
 

@@ -69,7 +69,7 @@ class Leaf:
     choices: tuple[str, ...] = ()
     length: int | None = None  # of a list
     unit: bool = False  # a list whose Euclidean norm is 1, within a per cent
-    name: bool = False  # text that is not blank, and differs from its section's other names
+    name: bool = False  # not blank, no slash in front, and unlike its section's other names
     help: str = ""
     reload: tuple[str, ...] = ()  # who takes it up on SIGHUP; nobody: only a restart will do
 
@@ -254,6 +254,8 @@ def _checked(leaf: Leaf, value: Any, place: str, node: yaml.Node | None = None) 
     blank = leaf.name and isinstance(result, str) and not result.strip()
     if result is None or blank or (leaf.choices and result not in leaf.choices):
         raise refuse(value)
+    if leaf.name and result.startswith("/"):
+        raise ConfigError(f"{place}: tf2 takes no name with a slash in front; write {result.lstrip('/')!r}")
     if (leaf.low is not None and result < leaf.low) or (leaf.high is not None and result > leaf.high):
         raise refuse(value)
     return result

@@ -222,6 +222,7 @@ def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
         ("frames.base_from_camera_xyzw", "[1, 0, 0, .nan]", "a list of 4 numbers"),
         ("frames.odom", "", "expected a name, got ''"),
         ("frames.camera", " ", "expected a name"),
+        ("frames.map", "/map", "tf2 takes no name with a slash in front; write 'map'"),
         ("depth.providers", "CPU", "expected a list of words, got the text 'CPU'; write [CPU]"),
         ("depth.providers", "cuda, cpu", "write [cuda, cpu]"),
         ("frames.base_from_camera_xyz", "1", "expected a list of 3 numbers, got 1"),
@@ -242,6 +243,9 @@ def test_a_mount_is_a_rotation_and_frames_differ(file: Path) -> None:
     assert "frames.odom: is 'world' like frames.map" in refusal(file, "frames: {map: world, odom: world}\n")
     assert "frames.camera: is 'odom' like frames.odom" in refusal(file, "frames: {camera: odom}\n")
     assert refusal(file, "frames:\n  map: ''\n").startswith(":2: frames.map: expected a name")
+    assert refusal(file, "frames:\n  odom: /a/b\n").startswith(":2: frames.odom: tf2 takes no name")
+    file.write_text("frames: {odom: r1/odom}\n")
+    assert load(file).frames.odom == "r1/odom"
     file.write_text("frames: {base_from_camera_xyzw: [-0.502, 0.5, -0.5, 0.5]}\n")  # rounded by hand
     assert load(file).frames.base_from_camera_xyzw[0] == -0.502
 
