@@ -136,6 +136,27 @@ def check_zenoh(config: Config) -> Iterator[Finding]:
             yield Finding(OK, "zenoh", f"loopback round trip in {seconds * 1e3:.1f} ms")
 
 
+def check_certificates(config: Config) -> Iterator[Finding]:
+    """Whether the network's settings can be, and the files that they name be read."""
+    network = config.network
+    if not (network.endpoint or network.ca or network.certificate):
+        return
+    try:
+        from prism_edge.bus.access import check_settings, unreadable
+
+        check_settings(network, config.bus.endpoint)
+    except PrismError as error:
+        yield Finding(FAIL, "network", str(error))
+        return
+    except ImportError:  # said by check_wheels
+        return
+    missing = unreadable(network)
+    for line in missing:
+        yield Finding(FAIL, "network", line, "run as who is to read it; under systemd see docs/SECURITY.md")
+    if not missing:
+        yield Finding(OK, "network", network.endpoint or "a client's certificate")
+
+
 def _round_trip(zenoh: Any) -> float | None:
     """Seconds from put to arrival between two sessions over loopback TCP; None if it did not arrive."""
     def settings(**entries: Any) -> Any:
@@ -230,6 +251,7 @@ def all_checks(config: Config) -> Iterator[Callable[[], Iterator[Finding]]]:
     yield lambda: check_providers(config)
     yield lambda: check_model(config)
     yield lambda: check_zenoh(config)
+    yield lambda: check_certificates(config)
     yield check_limits
     yield check_memory
     yield check_disk

@@ -13,8 +13,8 @@ def add_parser(subparsers: Any) -> None:
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "doctor",
         help="check that this machine has what the daemon needs",
-        description="Check Python, native wheels, the depth network, Zenoh, limits, memory, disk and "
-        "cameras: one line each, ok, warn or fail. Exits with 1 if anything fails.",
+        description="Check Python, native wheels, the depth network, Zenoh, certificates, limits, memory, "
+        "disk and cameras: one line each, ok, warn or fail. Exits with 1 if anything fails.",
     )
     parser.add_argument("--model", metavar="MODEL", help="load and run this depth network too")
     add_common(parser)

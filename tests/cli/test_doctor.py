@@ -11,7 +11,7 @@ import pytest
 from prism_edge.cli import checks
 from prism_edge.cli.checks import FAIL, OK, WARN, Finding
 from prism_edge.cli.main import main
-from prism_edge.config import BusConfig, Config, DepthConfig
+from prism_edge.config import BusConfig, Config, DepthConfig, NetworkConfig
 
 
 def levels(findings: Iterator[Finding]) -> list[str]:
@@ -43,6 +43,22 @@ def test_wheel_that_does_not_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert finding.found == "libGL.so.1: cannot open"
     assert "broken-wheel" in finding.advice
     assert levels(checks.check_wheels({"no_such_module": "nothing"})) == [FAIL]
+
+
+def test_certificates_that_can_not_be_read_or_used(tmp_path: Path) -> None:
+    files = {name: str(tmp_path / f"{name}.pem") for name in ("ca", "certificate", "key")}
+    config = Config(network=NetworkConfig(endpoint="tls/0.0.0.0:7448", **files))
+    assert levels(checks.check_certificates(config)) == [FAIL] * 3
+    for file in files.values():
+        Path(file).touch()
+    assert levels(checks.check_certificates(config)) == [OK]
+    Path(files["key"]).unlink()
+    [finding] = checks.check_certificates(config)
+    assert files["key"] in finding.found
+    bare = Config(network=NetworkConfig(endpoint="tls/0.0.0.0:7448"))
+    assert levels(checks.check_certificates(bare)) == [FAIL]
+    assert levels(checks.check_certificates(Config())) == []
+    assert sum(levels(check()).count(FAIL) for check in checks.all_checks(bare)) == 1
 
 
 def test_model_that_is_no_network(tmp_path: Path) -> None:
