@@ -226,8 +226,10 @@ class Supervisor:
             if heartbeat is not None and heartbeat.process in self._remote:
                 self._remote[heartbeat.process].heard(heartbeat, now)
             if heartbeat is not None and heartbeat.process in self._watches:
-                self._watches[heartbeat.process].heard(heartbeat, now)
-                if heartbeat.process == "source" and heartbeat.state == "ended":
+                watch = self._watches[heartbeat.process]
+                watch.heard(heartbeat, now)
+                # By its watch, which hears only the process that was started: another may say so too.
+                if heartbeat.process == "source" and watch.state == "ended":
                     self._source_ended_s = self._source_ended_s or now
         self._desk.serve()
         if now - self._looked_s > PAUSED_S:

@@ -297,6 +297,21 @@ class TestSupervisor:
             run.run(in_time(lambda: run.ended))
 
 
+    def test_only_the_source_that_was_started_says_that_the_recording_is_over(
+        self, config: Config, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        with supervisor(config, "source:steady", "tracker:steady") as run:
+            run.run(in_time(lambda: run.ready))
+            watch, pids = run._watches["source"], []
+            hear = watch.heard
+            monkeypatch.setattr(watch, "heard", lambda beat, now: (pids.append(beat.pid), hear(beat, now)))
+            with Bus.open(config, "source") as stranger:
+                stranger.pulse.ended()
+                run.run(in_time(lambda: pids.count(os.getpid()) > 3))
+            assert run._source_ended_s is None
+            assert watch.state != "ended"
+
+
 def told(run: Supervisor, config: Config) -> Reply:
     """What `ctl info` gets."""
     heard: list[Reply] = []
