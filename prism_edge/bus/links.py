@@ -12,7 +12,8 @@ from typing import Any
 import zenoh
 
 from prism_edge.bus.access import access_control, tls
-from prism_edge.bus.keys import address_of, check_endpoint
+from prism_edge.bus.keys import address_of, check_endpoint, protocol_of
+from prism_edge.bus.leftovers import sweep
 from prism_edge.config import BusConfig, NetworkConfig
 from prism_edge.errors import BusError
 from prism_edge.topics import Topic
@@ -55,6 +56,8 @@ def open_session(
         }
     else:
         links = {"mode": "client", "connect/endpoints": [endpoint], "connect/timeout_ms": _REACH_MS}
+    if links["mode"] == "peer" and protocol_of(endpoint) == _SOCKET:
+        sweep(address_of(endpoint))
     try:
         rules = {} if links["mode"] == "client" else access_control(network, listen)
         return zenoh.open(_zenoh_config(links | rules | tls(network), config.retry_ms))
