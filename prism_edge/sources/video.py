@@ -19,6 +19,10 @@ log = logging.getLogger("prism_edge.sources")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened
 _QUIET = cv2.utils.logging.LOG_LEVEL_ERROR
 
+# OpenCV says the same of a packet that can't be decoded as of the end, but of the end again and at once.
+_ENDED = 100  # times in a row
+_EARLY = 0.9  # of the time that the container says
+
 
 class Video(Source):
     """Plays a video file with the stamps of its container; one without any (.h264), at ``rate_hz``.
@@ -41,14 +45,18 @@ class Video(Source):
         self._capture: cv2.VideoCapture | None = None
         self._next = 0
         self._last_stamp_ns = 0
+        self._coming: list[bool] = []  # taken from the container already; False: could not be decoded
+        self._decoded = False  # the one taken last
+        self._said_ns = 0  # how long the container says it is; 0: it doesn't
+        self._warned = False
 
     def open(self) -> None:
         """Raises SourceError where it is no video, ConfigError where its frames don't fit the camera."""
         self._rewind()
-        item = self.read()
-        if not isinstance(item, Image):
+        image = next((item for item in iter(self.read, None) if isinstance(item, Image)), None)
+        if image is None:
             raise SourceError(f"{self._path} has no readable frame")
-        check_camera_size(self.camera, self.camera_origin, item.pixels, str(self._path))
+        check_camera_size(self.camera, self.camera_origin, image.pixels, str(self._path))
         stampless = self._advance() is not None and self._position_ns() == 0
         said, self._stampless = self._stampless, stampless
         self._rewind()
@@ -69,8 +77,9 @@ class Video(Source):
         if 0.1 <= rate <= 1000.0:
             self.period_ns = round(1e9 / rate)
         self.frame_count = count if count > 0 else None
+        self._said_ns = max(count, 0) * self.period_ns
         self._capture = capture
-        self._next = 0
+        self._next, self._coming = 0, []
         self._last_stamp_ns = -self.period_ns
 
     def peek(self) -> Slot | None:
@@ -82,7 +91,7 @@ class Video(Source):
         slot = self._advance()
         if slot is None or self._capture is None:
             return None
-        readable, pixels = self._capture.retrieve()
+        readable, pixels = self._capture.retrieve() if self._decoded else (False, None)
         if not readable or pixels is None:
             return Unreadable(slot.index, slot.stamp_ns, f"{self._path}: frame {slot.index} is damaged")
         return Image(slot.index, slot.stamp_ns, pixels)
@@ -91,19 +100,36 @@ class Video(Source):
         self._advance()
 
     def _advance(self) -> Slot | None:
-        """Takes the next frame from the container; at the end, lets go of it."""
+        """Goes on to the next frame, or to where one could not be decoded; lets go of the file at its end."""
         if self._capture is None:
             return None
-        if not self._capture.grab():
-            self.close()
-            return None
-        stamp_ns = self._position_ns()
-        if stamp_ns == 0 and self._next > 0:  # none: in a bare stream, and at an AVI's end behind B-frames
-            stamp_ns = self._last_stamp_ns + self.period_ns
-        slot = Slot(self._next, stamp_ns)
+        if not self._coming:
+            failed = next((k for k in range(_ENDED) if self._capture.grab()), None)
+            if failed is None:
+                self._end()
+                return None
+            self._coming = [False] * failed + [True]
+        self._decoded = self._coming.pop(0)
+        slot = Slot(self._next, self._stamp_ns())
         self._next += 1
-        self._last_stamp_ns = slot.stamp_ns
+        if self._decoded:
+            self._last_stamp_ns = slot.stamp_ns
         return slot
+
+    def _end(self) -> None:
+        self.close()
+        reached_ns = self._last_stamp_ns + self.period_ns
+        if 0 < reached_ns < _EARLY * self._said_ns and not self._warned:
+            self._warned = True
+            words = "%s ends after %.1f s and should last %.1f s: it is damaged or was cut short"
+            log.warning(words, self._path, reached_ns / 1e9, self._said_ns / 1e9)
+
+    def _stamp_ns(self) -> int:
+        """Of the frame taken last; about when it was where there is none."""
+        position_ns = self._position_ns() if self._decoded else 0
+        if position_ns == 0 and self._next > 0:  # in a bare stream, and at an AVI's end behind B-frames
+            return self._last_stamp_ns + self.period_ns
+        return position_ns
 
     def _position_ns(self) -> int:
         """The stamp of the frame taken last, 0 where it has none."""

@@ -11,7 +11,7 @@ from sources import tiny_datasets as tiny
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import SourceError
-from prism_edge.sources import Image, Source, open_source
+from prism_edge.sources import Image, Source, Unreadable, open_source
 
 
 def opened(path: Path) -> Source:
@@ -46,12 +46,12 @@ def test_skipping_and_what_comes_next(tmp_path: Path) -> None:
         assert (slot.index, slot.stamp_ns) == (item.index, item.stamp_ns) == (2, 100_000_000)
 
 
-def write_h264(path: Path, kind: str, count: int = 8) -> Path:
-    """At 20 Hz and with B-frames; "h264" is a bare stream, which has no stamps."""
+def write_h264(path: Path, kind: str, count: int = 8, **options: str) -> Path:
+    """At 20 Hz and with B-frames; kind "h264" is a bare stream, which has no stamps."""
     av = pytest.importorskip("av", reason="OpenCV can't write H.264 here, and PyAV is not installed")
     (path.parent / "camera.yaml").write_text(tiny.CAMERA)
     with av.open(str(path), "w", format=kind) as container:
-        stream = container.add_stream("libx264", rate=20, options={"bf": "2"})
+        stream = container.add_stream("libx264", rate=20, options={"bf": "2"} | options)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
         for i in range(count):
             container.mux(stream.encode(av.VideoFrame.from_ndarray(tiny.picture(i), format="bgr24")))
@@ -107,14 +107,50 @@ def test_it_plays_again_once_reopened(tmp_path: Path) -> None:
         assert source.read() is None
 
 
-def test_a_truncated_video_ends_early(tmp_path: Path) -> None:
+def test_a_truncated_video_ends_early(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tiny.write_video(tmp_path / "clip.avi", count=20)
+    list(played(path))
+    assert "should last" not in caplog.text
     tiny.truncate(path, 0.5)
+    assert 1 <= len(played(path)) < 20
+    assert "should last 1.0 s" in caplog.text
+
+
+def played(path: Path) -> list[Image | Unreadable]:
     with opened(path) as source:
-        count = 0
-        while source.read() is not None:
-            count += 1
-    assert 1 <= count < 20
+        return [item for item in iter(source.read, None) if isinstance(item, Image | Unreadable)]
+
+
+@pytest.mark.parametrize("damaged", [[4], [0, 1, 8], [5, 6, 7]])
+def test_what_comes_behind_damaged_packets_is_played(tmp_path: Path, damaged: list[int]) -> None:
+    path = write_h264(tmp_path / "clip.mp4", "mp4", count=10, g="1", bf="0")
+    whole = played(path)
+    spoil(path, damaged)
+    items = played(path)
+    assert [item.index for item in items] == list(range(10))
+    assert [item.index for item in items if isinstance(item, Unreadable)] == damaged
+    for item in items:
+        if isinstance(item, Image):
+            assert item.stamp_ns == whole[item.index].stamp_ns
+
+
+def test_nothing_but_damage_is_no_video(tmp_path: Path) -> None:
+    path = write_h264(tmp_path / "clip.mp4", "mp4", count=10, g="1", bf="0")
+    spoil(path, list(range(10)))
+    with pytest.raises(SourceError, match="no readable frame"):
+        played(path)
+
+
+def spoil(path: Path, packets: list[int]) -> None:
+    """Overwrites what these packets hold."""
+    import av
+
+    with av.open(str(path)) as container:
+        sizes = [(packet.pos, packet.size) for packet in container.demux(video=0) if packet.size]
+    data = bytearray(path.read_bytes())
+    for begin, size in (sizes[k] for k in packets):
+        data[begin : begin + size] = b"\xff" * size
+    path.write_bytes(data)
 
 
 @pytest.mark.parametrize("content", [b"", b"no video", b"RIFF\x10\0\0\0AVI LIST", b"\0" * 500])
