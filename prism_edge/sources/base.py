@@ -82,8 +82,8 @@ class Source(ABC):
         """The next image, or why there is none in its place; None at the end. Only a live one is Absent."""
 
     @abstractmethod
-    def skip(self) -> None:
-        """Pass over what :meth:`read` would give next, as cheaply as can be."""
+    def skip(self) -> bool:
+        """Pass over what :meth:`read` would give next, as cheaply as can be; False where that was the end."""
 
     def read_ahead(self) -> None:
         """Before a wait for the next image: what follows may be brought nearer meanwhile."""

@@ -61,8 +61,9 @@ class ImageSequence(Source):
             return Unreadable(slot.index, slot.stamp_ns, pixels)
         return Image(slot.index, slot.stamp_ns, pixels)
 
-    def skip(self) -> None:
+    def skip(self) -> bool:
         self._next += 1
+        return self._next <= len(self._listing.files)
 
     def read_ahead(self) -> None:
         self._ahead = max(self._ahead, self._next)

@@ -47,12 +47,16 @@ class Looped(Source):
             item, index=item.index + self._index_offset, stamp_ns=item.stamp_ns + self._stamp_offset
         )
 
-    def skip(self) -> None:
-        if self.peek() is not None:
+    def skip(self) -> bool:
+        slot = self._source.peek()
+        skipped = self._source.skip()
+        if not skipped and self._passed:
+            self._rewind()
             slot = self._source.peek()
-            self._source.skip()
-            if slot is not None:
-                self._pass(slot)
+            skipped = self._source.skip()
+        if skipped and slot is not None:
+            self._pass(slot)
+        return skipped
 
     def read_ahead(self) -> None:
         self._source.read_ahead()

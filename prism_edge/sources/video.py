@@ -12,6 +12,7 @@ from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import check_camera_size
+from prism_edge.sources.stamps import usual_period_ns
 
 log = logging.getLogger("prism_edge.sources")
 
@@ -22,6 +23,7 @@ _QUIET = cv2.utils.logging.LOG_LEVEL_ERROR
 # OpenCV says the same of a packet that can't be decoded as of the end, but of the end again and at once.
 _ENDED = 100  # times in a row
 _EARLY = 0.9  # of the time that the container says
+_LOOKED_AT = 15  # frames, for the usual time between them
 
 
 class Video(Source):
@@ -41,29 +43,45 @@ class Video(Source):
         self.period_ns = round(1e9 / DEFAULT_RATE_HZ)
         self._path = path
         self._rate_hz = rate_hz
-        self._stampless = False
         self._capture: cv2.VideoCapture | None = None
         self._next = 0
         self._last_stamp_ns = 0
         self._coming: list[bool] = []  # taken from the container already; False: could not be decoded
         self._decoded = False  # the one taken last
+        self._known = False
         self._said_ns = 0  # how long the container says it is; 0: it doesn't
         self._warned = False
 
     def open(self) -> None:
         """Raises SourceError where it is no video, ConfigError where its frames don't fit the camera."""
-        self._rewind()
+        capture = self._rewind()
+        if not self._known:
+            self._look(capture)
+            self._rewind()
+
+    def _look(self, capture: cv2.VideoCapture) -> None:
+        """At its first frames: whether they fit, and when they come."""
+        rate, count = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        if 0.1 <= rate <= 1000.0:
+            self.period_ns = round(1e9 / rate)
+        self._said_ns = round(1e9 * count / rate) if count > 0 and rate > 0 else 0
         image = next((item for item in iter(self.read, None) if isinstance(item, Image)), None)
         if image is None:
             raise SourceError(f"{self._path} has no readable frame")
         check_camera_size(self.camera, self.camera_origin, image.pixels, str(self._path))
-        stampless = self._advance() is not None and self._position_ns() == 0
-        said, self._stampless = self._stampless, stampless
-        self._rewind()
-        if stampless and not said:
+        stamps_ns = [self._position_ns()]
+        while len(stamps_ns) < _LOOKED_AT and self._advance() is not None:
+            stamps_ns.append(self._position_ns())
+        if stamps_ns[1:2] == [0]:
+            if self._rate_hz:
+                self.period_ns = round(1e9 / self._rate_hz)
             log.info("%s has no stamps: taken to run at %.4g Hz", self._path, 1e9 / self.period_ns)
+        self.period_ns = usual_period_ns(stamps_ns, self.period_ns)
+        # Where the container says no rate FFmpeg guesses one, say 1000 Hz, and the number of frames by it.
+        self.frame_count = count if count > 0 and self.period_ns * rate < 2e9 else None
+        self._known = True
 
-    def _rewind(self) -> None:
+    def _rewind(self) -> cv2.VideoCapture:
         self.close()
         cv2.utils.logging.setLogLevel(_QUIET)
         # One decoding thread: the cores belong to the tracker.
@@ -71,16 +89,10 @@ class Video(Source):
         if not capture.isOpened():
             raise SourceError(f"{self._path} is no video that can be read (and no folder of images)")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # intrinsics belong to frames as stored
-        rate, count = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        if self._stampless and self._rate_hz:
-            rate = self._rate_hz
-        if 0.1 <= rate <= 1000.0:
-            self.period_ns = round(1e9 / rate)
-        self.frame_count = count if count > 0 else None
-        self._said_ns = max(count, 0) * self.period_ns
         self._capture = capture
         self._next, self._coming = 0, []
         self._last_stamp_ns = -self.period_ns
+        return capture
 
     def peek(self) -> Slot | None:
         if self._capture is None:
@@ -96,8 +108,8 @@ class Video(Source):
             return Unreadable(slot.index, slot.stamp_ns, f"{self._path}: frame {slot.index} is damaged")
         return Image(slot.index, slot.stamp_ns, pixels)
 
-    def skip(self) -> None:
-        self._advance()
+    def skip(self) -> bool:
+        return self._advance() is not None
 
     def _advance(self) -> Slot | None:
         """Goes on to the next frame, or to where one could not be decoded; lets go of the file at its end."""

@@ -83,8 +83,8 @@ class SourceWorker:
         """Started again, a recording goes on after the last frame that was tracked."""
         last = self._bus.ask("tracked")
         while last is not None and (slot := self._source.peek()) is not None and slot.index <= last.index:
-            self._source.skip()
-            self._checks.earlier()
+            if self._source.skip():
+                self._checks.earlier()
 
     def _play_live(self) -> None:
         """A camera: what it takes goes out at once; while it is away we say so, and wait for it."""
@@ -148,8 +148,8 @@ class SourceWorker:
             now_ns = time.monotonic_ns()
             if not refused and schedule.is_late(slot, now_ns):
                 if self._gains(catching_up, slot.index, schedule.periods_late(slot, now_ns)):
-                    self._source.skip()
-                    self._checks.late()
+                    if self._source.skip():
+                        self._checks.late()
                     self._show()
                     continue
                 schedule = schedule.put_off(now_ns - schedule.due_ns(slot))

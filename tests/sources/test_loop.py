@@ -29,6 +29,14 @@ def test_indices_and_stamps_go_on(tmp_path: Path, kind: str) -> None:
     assert stamps == [100_000_000 * i for i in range(13)]
 
 
+def test_skipping_over_the_end_of_a_video_leaves_no_gap(tmp_path: Path) -> None:
+    with looped(tiny.write_video(tmp_path / "clip.avi", 3, 10.0)) as source:
+        assert all(source.skip() for _ in range(7))
+        item = source.read()
+        assert item is not None
+        assert (item.index, item.stamp_ns) == (7, 700_000_000)
+
+
 def test_looking_ahead_and_skipping_agree_with_reading(tmp_path: Path) -> None:
     with looped(tiny.write_tum(tmp_path, count=3)) as source:
         seen = []

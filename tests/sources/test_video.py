@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,25 @@ def test_a_rate_leaves_the_stamps_of_a_container(tmp_path: Path) -> None:
     path = tiny.write_video(tmp_path / "clip.avi", count=3)
     with open_source(SourceConfig(uri=str(path), rate_hz=5.0)) as source:
         assert [item.stamp_ns for item in iter(source.read, None) if item] == [0, 50_000_000, 100_000_000]
+
+
+def test_the_usual_time_between_frames_is_that_of_their_stamps(tmp_path: Path) -> None:
+    """A browser's recording says no rate, and FFmpeg takes it to run at 1000 Hz."""
+    av = pytest.importorskip("av", reason="OpenCV can't write a stream without a rate")
+    path = tmp_path / "clip.webm"
+    path.with_name("camera.yaml").write_text(tiny.CAMERA)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libvpx", rate=1000)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for i in range(20):
+            frame = av.VideoFrame.from_ndarray(tiny.picture(i), format="bgr24")
+            frame.pts, frame.time_base = 33 * i + i % 2, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    with opened(path) as source:
+        assert 32_000_000 <= source.period_ns <= 34_000_000
+        assert source.frame_count is None  # FFmpeg's is that of milliseconds
+        assert [source.skip() for _ in range(22)] == [True] * 20 + [False] * 2
 
 
 def test_a_stamp_that_goes_back_is_left_to_the_checks(

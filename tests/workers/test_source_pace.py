@@ -40,8 +40,9 @@ class SlowSource(Source):
         index, self._next = self._next, self._next + 1
         return Image(index, index * 1_000_000, np.roll(item.pixels, index, axis=1))
 
-    def skip(self) -> None:
+    def skip(self) -> bool:
         self._next += 1
+        return self._next <= 50
 
     def read_ahead(self) -> None:
         self.asked.append(self._next)
@@ -64,6 +65,26 @@ def test_a_late_source_skips_and_counts(tmp_path: Path) -> None:
     assert skipped == 50 - len(frames) > 0
     for frame in frames:  # none of those that went out was late by more than a period when it was read
         assert frame.captured_monotonic_ns - frames[0].captured_monotonic_ns == frame.stamp_ns
+
+
+class Surprised(SlowSource):
+    """Learns of its end by going there, as a video does."""
+
+    def peek(self) -> Slot | None:
+        return Slot(self._next, self._next * 1_000_000) if self._next <= 50 else None
+
+
+def test_the_end_is_no_frame_that_was_skipped(tmp_path: Path) -> None:
+    config = settings(tiny.write_tum(tmp_path), loop=True)
+
+    def work(bus: Recorder) -> None:
+        with Surprised(open_source(config.source)) as source:
+            SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
+
+    with running(work) as bus:
+        frames, end = bus.until_end()
+        assert int(bus.pulse.values["skipped"]) == 50 - len(frames)
+    assert end.frames == 50
 
 
 def test_what_follows_is_asked_for_before_the_wait_for_it(tmp_path: Path) -> None:
@@ -93,9 +114,9 @@ class Heavy(SlowSource):
         self.now_ns += 3_000_000
         return replace(self.image, index=self._passed(), stamp_ns=(self._next - 1) * 1_000_000)
 
-    def skip(self) -> None:
+    def skip(self) -> bool:
         self.now_ns += 3_000_000
-        self._passed()
+        return self._passed() < 50
 
     def open(self) -> None:
         super().open()

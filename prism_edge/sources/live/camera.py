@@ -108,10 +108,11 @@ class LiveCamera(Source):
         self._watch.look(pixels, grab.captured_ns)
         return Image(index, stamp_ns, pixels, grab.captured_ns)
 
-    def skip(self) -> None:
+    def skip(self) -> bool:
         """Forgets the newest image."""
         with self._changed:
             self._newest = None
+        return True
 
     def health(self) -> dict[str, str]:
         """``camera`` (streaming or reconnecting, and why), ``reconnects``; ``warning`` where there is one."""

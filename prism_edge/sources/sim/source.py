@@ -91,9 +91,10 @@ class SimSource(Source):
         self._next += 1
         return self.image(slot.index)
 
-    def skip(self) -> None:
+    def skip(self) -> bool:
         """Passes over a frame, which costs nothing: it never was."""
         self._next += 1
+        return self._next <= self.frame_count
 
     def stamp_ns(self, index: int) -> int:
         """When frame ``index`` is taken: the middle of its exposure."""
