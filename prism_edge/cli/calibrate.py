@@ -42,7 +42,7 @@ def add_parser(subparsers: Any) -> None:
         "--out", metavar="FILE", default="camera.yaml", help="camera file to write (default: camera.yaml)"
     )
     parser.add_argument(
-        "--picture", metavar="FILE", help="picture of the coverage (default: beside the file, .png)"
+        "--picture", metavar="FILE", help="picture of the coverage (default: beside the file, .coverage.png)"
     )
     parser.add_argument("--overwrite", action="store_true", help="replace files that are there")
 
@@ -51,11 +51,12 @@ def run(args: argparse.Namespace) -> int:
     """Gather, solve, judge, write. Raises ConfigError, SourceError or CalibrationError."""
     from prism_edge.calibration.board import Board
     from prism_edge.cli.board_views import gather
+    from prism_edge.sources.image_folder import COVERAGE
     from prism_edge.sources.open import open_source
 
     board = Board.parse(args.board)
     out = Path(args.out)
-    picture = Path(args.picture) if args.picture else out.with_suffix(".png")
+    picture = Path(args.picture) if args.picture else out.with_suffix(COVERAGE)
     for path in (out, picture):
         if path.exists() and not args.overwrite:
             raise ConfigError(f"{path} is there already: name another with --out, or give --overwrite")

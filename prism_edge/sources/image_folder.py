@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from pathlib import Path
 
 from prism_edge.sources.base import DEFAULT_RATE_HZ
@@ -10,11 +11,22 @@ from prism_edge.sources.known_cameras import by_name
 from prism_edge.sources.listing import Listing, files_in
 from prism_edge.sources.stamps import at_rate
 
+COVERAGE = ".coverage.png"  # what calibrate calls its picture, behind the stem of its camera file
+
 
 def find(folder: Path, rate_hz: float) -> Listing | None:
     """The images in a folder, stamped at ``rate_hz`` (0: 30 Hz); None where there are none."""
-    images = tuple(path for path in files_in(folder) if path.suffix.lower() in SUFFIXES)
+    files = files_in(folder)
+    others = {path.stem for path in files if path.suffix.lower() not in SUFFIXES}
+    images = tuple(
+        path for path in files if path.suffix.lower() in SUFFIXES and not _is_coverage(path.name, others)
+    )
     if not images:
         return None
     stamps = tuple(at_rate(i, rate_hz or DEFAULT_RATE_HZ) for i in range(len(images)))
     return Listing("folder of images", images, stamps, lambda: by_name(folder))
+
+
+def _is_coverage(name: str, stems: Set[str]) -> bool:
+    """Whether an image is the picture beside a camera file, by the stems of what is no image."""
+    return name.endswith(COVERAGE) and name.removesuffix(COVERAGE) in stems

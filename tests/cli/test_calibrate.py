@@ -18,6 +18,7 @@ from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.live.driver import Grab
+from prism_edge.sources.open import find_listing
 from tests.calibration.board_scene import PINHOLE_CAMERA, gallery
 
 SPEC = "charuco:9x7"
@@ -41,15 +42,26 @@ def test_a_folder_of_images(recording: Path, tmp_path: Path, capsys: pytest.Capt
     assert calibrate(recording, "--board", SPEC, "--out", out) == 0
     camera = read_camera(out)
     assert camera.fx == pytest.approx(PINHOLE_CAMERA.fx, rel=0.003)
-    assert cv2.imread(str(tmp_path / "camera.png")).shape == (480, 640, 3)
+    assert cv2.imread(str(tmp_path / "camera.coverage.png")).shape == (480, 640, 3)
     printed = capsys.readouterr().out
     assert "reprojection error 0." in printed
     assert "board found in 16 of 16 images" in printed
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["camera.png", "camera.yaml"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["camera.coverage.png", "camera.yaml"]
     # What is there stays there, unless told.
     assert calibrate(recording, "--board", SPEC, "--out", out) == 3
     assert "--overwrite" in capsys.readouterr().err
     assert calibrate(recording, "--board", SPEC, "--out", out, "--overwrite") == 0
+
+
+def test_the_picture_is_no_image_of_the_recording(recording: Path, tmp_path: Path) -> None:
+    images = sorted(recording.glob("[0-9]*.png"))
+    for image in images:
+        (tmp_path / image.name).write_bytes(image.read_bytes())
+    assert calibrate(tmp_path, "--board", SPEC, "--out", tmp_path / "camera.yaml") == 0
+    assert len(find_listing(tmp_path).files) == len(images)
+    # An image of that name without a camera file is the recording's own.
+    (tmp_path / "1.coverage.png").write_bytes(images[0].read_bytes())
+    assert len(find_listing(tmp_path).files) == len(images) + 1
 
 
 def test_a_video(recording: Path, tmp_path: Path) -> None:
@@ -103,7 +115,7 @@ def test_images_of_different_sizes(tmp_path: Path, capsys: pytest.CaptureFixture
         (["SOURCE", "--out", "/nowhere/c.yaml"], 3, "no folder"),
         (["SOURCE", "--out", "/proc/c.yaml"], 3, "can't be written"),
         (["SOURCE", "--out", "/proc", "--overwrite"], 3, "/proc"),
-        (["SOURCE", "--out", "OUT/c.png"], 3, "both the camera file and the picture"),
+        (["SOURCE", "--out", "OUT/c.png", "--picture", "OUT/c.png"], 3, "both the camera file"),
     ],
 )
 def test_what_can_not_be_meant(
