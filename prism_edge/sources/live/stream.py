@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import logging
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -22,11 +23,14 @@ from prism_edge.sources.live.arrival_clock import ArrivalClock
 from prism_edge.sources.live.backlog import Backlog
 from prism_edge.sources.live.driver import CameraLostError, Grab
 
+log = logging.getLogger("prism_edge.sources")
+
 SCHEMES = ("rtsp", "rtsps", "http", "https")
 
 # What a server may make FFmpeg open: nothing but connections to itself.
 _PROTOCOLS = "rtsp,rtp,srtp,tcp,udp,tls,http,https,httpproxy,crypto"
 _ESCAPES = "in a password write # as %23, @ as %40, / as %2F and ? as %3F"
+_SHORT_NS = 1_000_000_000  # the clock's window where stamps run too fast: it lags by less than that
 _MJPEG = "mpjpeg"  # FFmpeg's name of multipart JPEG
 
 
@@ -106,7 +110,7 @@ class StreamConnection:
         self.period_ns = round(1e9 / rate) if rate and not is_mjpeg and 0.1 <= rate <= 1000 else 0
         self._packets: Iterator[Any] = container.demux(self._stream)
         self._clock = ArrivalClock()
-        self._backlog, self._left_out = Backlog(), 0
+        self._backlog, self._left_out, self._misled = Backlog(), 0, False
         self._decoded: deque[Grab] = deque()
 
     def grab(self) -> Grab | None:
@@ -114,6 +118,7 @@ class StreamConnection:
         if self._decoded:
             return self._decoded.popleft()
         errors = _pyav().error
+        asked_ns = time.monotonic_ns()
         try:
             packet = next(self._packets, None)
             arrival_ns = time.monotonic_ns()
@@ -125,7 +130,10 @@ class StreamConnection:
                 stamp_ns = _ns(packet.pts, packet.time_base)
                 self._clock.observe(stamp_ns, arrival_ns)
                 late_ns = arrival_ns - self._clock.host_ns(stamp_ns)
-                if self._backlog.leaves_out(late_ns, packet.is_keyframe):
+                leaves_out = self._backlog.leaves_out(late_ns, arrival_ns - asked_ns, packet.is_keyframe)
+                if self._backlog.misled and not self._misled:
+                    self._distrust(stamp_ns, arrival_ns)
+                if leaves_out:
                     self._left_out += 1
                     return None
             try:
@@ -137,6 +145,13 @@ class StreamConnection:
         for frame in frames:
             self._decoded.append(self._grab(self._captured_ns(frame, arrival_ns), frame))
         return self._decoded.popleft() if self._decoded else None
+
+    def _distrust(self, stamp_ns: int, arrival_ns: int) -> None:
+        """The sender's clock runs faster than its images come: it is followed over short times only."""
+        self._misled = True
+        self._clock = ArrivalClock(_SHORT_NS)
+        self._clock.observe(stamp_ns, arrival_ns)
+        log.warning("the stream's stamps run faster than its images come: stamps go by the arrivals now")
 
     def close(self) -> None:
         with contextlib.suppress(Exception):  # it may be broken already

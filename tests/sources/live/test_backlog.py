@@ -6,6 +6,7 @@ from fractions import Fraction
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from prism_edge.sources.live import stream
@@ -17,10 +18,10 @@ PERIOD_MS, KEY_EVERY = 33, 15
 
 
 class Simulation:
-    """Packets every 33 ms, each taking ``cost_ms`` to decode; time is simulated."""
+    """Packets every 33 ms by their stamps, each taking ``cost_ms`` to decode; time is simulated."""
 
-    def __init__(self, cost_ms: float) -> None:
-        self.cost_ms, self.now_ns = cost_ms, 0
+    def __init__(self, cost_ms: float, real_period_ms: float) -> None:
+        self.cost_ms, self.real_period_ms, self.now_ns = cost_ms, real_period_ms, 0
         self.decoded: list[int] = []
         video = SimpleNamespace(
             codec_context=SimpleNamespace(thread_count=0), average_rate=Fraction(30), thread_type=""
@@ -31,7 +32,8 @@ class Simulation:
     def _packets(self) -> Any:
         k = 0
         while True:
-            self.now_ns = max(self.now_ns, k * PERIOD_MS * MS)  # waits for it, or has it queued already
+            # waits for it, or has it queued already
+            self.now_ns = max(self.now_ns, round(k * self.real_period_ms * MS))
             yield self._packet(k)
             k += 1
 
@@ -48,8 +50,8 @@ class Simulation:
 
 @pytest.fixture
 def simulated(monkeypatch: pytest.MonkeyPatch) -> Any:
-    def make(cost_ms: float) -> tuple[Simulation, StreamConnection]:
-        simulation = Simulation(cost_ms)
+    def make(cost_ms: float, real_period_ms: float = PERIOD_MS) -> tuple[Simulation, StreamConnection]:
+        simulation = Simulation(cost_ms, real_period_ms)
         monkeypatch.setattr(stream.time, "monotonic_ns", lambda: simulation.now_ns)
         return simulation, StreamConnection(simulation.container, Options(), False)
 
@@ -89,11 +91,39 @@ def test_one_pause_is_caught_up_with(simulated: Any) -> None:
     assert len(simulation.decoded) < 200
 
 
+@pytest.mark.parametrize("real_period_ms", [35.0, 41.25, 80.0, 400.0])
+def test_stamps_that_run_faster_than_the_images_cost_none_of_them(
+    simulated: Any, real_period_ms: float, caplog: pytest.LogCaptureFixture
+) -> None:
+    """An encoder that counts 30 images a second, though its camera takes fewer in the dark."""
+    simulation, connection = simulated(10.0, real_period_ms)
+    ages_ms, captured_ns = [], []
+    for _ in range(1500):
+        grab = connection.grab()
+        captured_ns.append(grab.captured_ns)
+        ages_ms.append((simulation.now_ns - grab.captured_ns) / MS)
+    assert len(simulation.decoded) == 1500
+    assert caplog.text.count("stamps run faster") == 1
+    assert max(ages_ms[-500:]) < 1_000 + 10
+    steps = np.diff(captured_ns[-500:]) / MS
+    np.testing.assert_allclose(steps, real_period_ms, rtol=0.05)
+
+
 def test_the_choice() -> None:
     backlog = Backlog()
-    assert not backlog.leaves_out(900 * MS, False)
-    assert backlog.leaves_out(1100 * MS, False)
-    assert not backlog.leaves_out(1000 * MS, True)
-    assert backlog.leaves_out(100 * MS, False)  # in time again, but its forerunner was left out
-    assert not backlog.leaves_out(100 * MS, True)
-    assert not backlog.leaves_out(100 * MS, False)
+    for _ in range(5):
+        assert not backlog.leaves_out(900 * MS, 0, False)
+    assert backlog.leaves_out(1100 * MS, 0, False)
+    assert not backlog.leaves_out(1000 * MS, 0, True)
+    assert backlog.leaves_out(100 * MS, 0, False)  # in time again, but its forerunner was left out
+    assert not backlog.leaves_out(100 * MS, 0, True)
+    assert not backlog.leaves_out(100 * MS, 0, False)
+
+
+def test_what_had_to_be_waited_for_is_no_backlog() -> None:
+    backlog = Backlog()
+    for _ in range(49):
+        assert not backlog.leaves_out(1100 * MS, 30 * MS, False)
+        assert not backlog.misled  # behind a link that was held up a late packet may have to be waited for
+    assert not backlog.leaves_out(1100 * MS, 30 * MS, False)
+    assert backlog.misled
