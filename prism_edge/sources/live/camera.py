@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.messages import U8
 from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import UNCALIBRATED, check_camera_size
 from prism_edge.sources.live.driver import CameraLostError, Connection, Driver, Grab
@@ -53,6 +54,7 @@ class LiveCamera(Source):
         self._asks_camera = camera is None
         self._wall_from_monotonic_ns = time.time_ns() - time.monotonic_ns()
         self._watch = PictureWatch()
+        self._misfit = ""  # how the newest image's size is not the camera's
         self.stopped = threading.Event()  # set from outside, it ends the wait for a camera that isn't there
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -106,6 +108,7 @@ class LiveCamera(Source):
             self._watch.damaged()
             return Unreadable(index, stamp_ns, f"image {index} of {self.name} {pixels}")
         self._watch.look(pixels, grab.captured_ns)
+        self._misfit = self._compare(pixels)
         return Image(index, stamp_ns, pixels, grab.captured_ns)
 
     def skip(self) -> bool:
@@ -119,7 +122,7 @@ class LiveCamera(Source):
         with self._changed:
             why, reconnects = self._lost_why, self._reconnects
         values = {"camera": f"{RECONNECTING}: {why}" if why else STREAMING, "reconnects": str(reconnects)}
-        warning = f"camera: {RECONNECTING} ({why})" if why else self._watch.problem
+        warning = f"camera: {RECONNECTING} ({why})" if why else self._misfit or self._watch.problem
         return values | ({"warning": warning} if warning else {})
 
     def close(self) -> None:
@@ -169,6 +172,14 @@ class LiveCamera(Source):
                 return
             reason = pixels if grab is not None else reason
         raise SourceError(f"{self.name} gives no image ({reason})")
+
+    def _compare(self, pixels: U8) -> str:
+        """A camera whose settings were changed while it was away is back, and nothing of it can be used."""
+        height, width = pixels.shape[:2]
+        wanted = self.camera.width, self.camera.height
+        if self.camera is UNCALIBRATED or (width, height) == wanted:
+            return ""
+        return f"the camera sends {width}x{height}, its intrinsics are for {wanted[0]}x{wanted[1]}"
 
     def _absence(self) -> str:
         """Why there is no image, empty where it is too early to worry."""

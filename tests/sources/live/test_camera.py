@@ -89,6 +89,24 @@ def test_a_lost_camera_is_said_and_comes_back(caplog: pytest.LogCaptureFixture) 
     ]
 
 
+def test_images_of_another_size_are_warned_of_until_they_fit() -> None:
+    size = [64, 48]
+
+    def script(k: int) -> Grab:
+        time.sleep(0.002)
+        return Grab(time.monotonic_ns(), lambda: picture(k, *size))
+
+    with LiveCamera(Bench(script), CAMERA, "a test", QUICK) as camera:
+        next_image(camera)
+        assert "warning" not in camera.health()
+        size[:] = [32, 24]  # as after a factory reset
+        until(lambda: next_image(camera).pixels.shape[0] == 24)
+        assert camera.health()["warning"] == "the camera sends 32x24, its intrinsics are for 64x48"
+        size[:] = [64, 48]
+        until(lambda: next_image(camera).pixels.shape[0] == 48)
+        assert "warning" not in camera.health()
+
+
 @pytest.mark.parametrize("error", [SourceError("refuses 30 Hz"), RuntimeError("X_LINK_ERROR")])
 def test_whatever_a_driver_raises_it_is_tried_again(error: Exception) -> None:
     raised = threading.Event()
