@@ -60,6 +60,15 @@ def of_views(views: Sequence[View], seen: int, width: int, height: int) -> list[
     return problems
 
 
+def of_calibration(views: Sequence[View], seen: int, result: Calibration) -> list[str]:
+    """What is wrong with the views that a result rests on, or with the result."""
+    used = [views[k] for k in result.used]
+    problems = of_views(used, seen, result.camera.width, result.camera.height)
+    if problems and len(used) < len(views):
+        problems[0] += f" ({len(views) - len(used)} that miss by far are left out: hold the board still)"
+    return problems + of_result(result)
+
+
 def of_result(result: Calibration) -> list[str]:
     """What is wrong with the intrinsics."""
     camera, problems = result.camera, []

@@ -106,7 +106,7 @@ def _finish(
     print(f"distortion {', '.join(f'{value:.5f}' for value in camera.distortion)}")
     share = (verdict.covered(used, width, height) > 0).mean()
     print(f"corners in {share:.0%} of the image; picture: {picture}")
-    _refuse(verdict.of_result(result))
+    _refuse(verdict.of_calibration(views, seen, result))
     _write(out, camera_text(result, len(used), name, args.board).encode())
     print(f"camera file: {out}")
     return 0

@@ -49,6 +49,17 @@ def test_views_in_one_part_of_the_image(views: list[View]) -> None:
     assert "of the image, and 60% are needed" in problems
 
 
+def test_views_that_were_left_out_do_not_count(views: list[View], result: Calibration) -> None:
+    assert verdict.of_calibration(views, 20, result) == []
+    few = replace(result, used=result.used[:9])
+    (line,) = verdict.of_calibration(views, 9, few)
+    assert line.startswith("the board was seen in only 9 different ways, and 10 are needed (11 that miss")
+    # What is left may also lie in one part of the image.
+    upper = tuple(k for k in result.used if views[k].pixels[:, 1].max() < 400)
+    assert len(upper) >= 10
+    assert "lower edge" in verdict.of_calibration(views, 20, replace(result, used=upper))[0]
+
+
 def test_a_board_that_is_never_tilted(result: Calibration) -> None:
     tilts = np.zeros((20, 2))
     assert "tilt it left and right" in verdict.of_result(replace(result, tilts=tilts))[0]

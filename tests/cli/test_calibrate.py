@@ -99,6 +99,14 @@ def test_too_few_views(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
     assert "only 5 different ways, and 10 are needed" in error
 
 
+def test_too_few_views_that_are_sharp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    images = gallery(SPEC, PINHOLE_CAMERA)[1][:11]  # two are alike, and one is left out
+    for k, image in enumerate(images):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), image)
+    error = refused(capsys, 9, tmp_path, "--board", SPEC, "--out", tmp_path / "c.yaml")
+    assert "only 9 different ways, and 10 are needed (1 that miss by far" in error
+
+
 def test_images_of_different_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), np.zeros((48, 64), np.uint8))
     cv2.imwrite(str(tmp_path / "1.png"), np.zeros((96, 128), np.uint8))
