@@ -8,14 +8,16 @@ from dataclasses import dataclass, field
 
 from prism_edge.calibration import verdict
 from prism_edge.calibration.board import Board, View
+from prism_edge.calibration.solve import calibrate
 from prism_edge.calibration.views import distinct, outline
 from prism_edge.errors import CalibrationError
+from prism_edge.geometry.cameras import PINHOLE
 from prism_edge.geometry.poses import Array
 from prism_edge.sources import Image, Source
 
 _LOOKED_AT = 300  # images of a recording, evenly chosen, that are searched
 _SPACING_NS = 200_000_000  # between them where nobody knows how many there are
-_ENOUGH = 25  # different views at which a live camera is let go, if they cover the image
+_ENOUGH = 25  # different views at which a live camera is let go, if they cover the image and suffice
 MOST = 60  # views that are used
 
 
@@ -25,7 +27,8 @@ class Gathered:
 
     width: int = 0
     height: int = 0
-    looked: int = 0
+    looked: int = 0  # images
+    found: int = 0  # of them with the board; views that add nothing may be forgotten
     views: list[View] = field(default_factory=list)
     outlines: list[Array] = field(default_factory=list)
 
@@ -43,6 +46,7 @@ class Gathered:
         corners = None if view is None else outline(board, view)
         if view is None or corners is None:
             return False
+        self.found += 1
         self.views.append(view)
         self.outlines.append(corners)
         return True
@@ -52,13 +56,14 @@ class Gathered:
         return distinct(self.outlines, self.width, MOST)
 
 
-def gather(source: Source, board: Board, say: Callable[[str], None]) -> Gathered:
-    """Views from an open source: all of a recording, or of a live camera until they suffice or Ctrl-C."""
+def gather(source: Source, board: Board, say: Callable[[str], None], model: str = PINHOLE) -> Gathered:
+    """Views from an open source: all of a recording, or of a live camera until they suffice for a camera
+    of this ``model``, or Ctrl-C."""
     gathered = Gathered()
     if source.live:
         say("move and tilt the board, also at the edges of the image; Ctrl-C ends it early")
         try:
-            _watch(source, board, gathered, say)
+            _watch(source, board, gathered, say, model)
         except KeyboardInterrupt:
             say("ended")
     else:
@@ -80,8 +85,10 @@ def _play(source: Source, board: Board, gathered: Gathered) -> None:
             gathered.look(board, item)
 
 
-def _watch(source: Source, board: Board, gathered: Gathered, say: Callable[[str], None]) -> None:
-    count, problem = 0, ""
+def _watch(
+    source: Source, board: Board, gathered: Gathered, say: Callable[[str], None], model: str
+) -> None:
+    problem = ""
     while True:
         item = source.read()
         warning = source.health().get("warning", "")
@@ -90,14 +97,26 @@ def _watch(source: Source, board: Board, gathered: Gathered, say: Callable[[str]
             say(warning or "the camera is back")
         if not isinstance(item, Image) or not gathered.look(board, item):
             continue
-        chosen = gathered.different()
+        chosen, newest = gathered.different(), len(gathered.views) - 1
         # What adds nothing is forgotten at once: a camera may run for long.
         gathered.views = [gathered.views[k] for k in sorted(chosen)]
         gathered.outlines = [gathered.outlines[k] for k in sorted(chosen)]
-        if len(chosen) == count:
+        if newest not in chosen:
             continue
-        count = len(chosen)
-        wanting = verdict.of_views(gathered.views, count, gathered.width, gathered.height)
-        say(f"{count} views" + (f": {wanting[0]}" if wanting else ""))
-        if count >= _ENOUGH and not wanting:
+        enough = len(chosen) >= _ENOUGH
+        wanting = _wanting(board, gathered, model if enough else None)
+        say(f"{len(chosen)} views" + (f": {wanting[0]}" if wanting else ""))
+        if enough and not wanting:
             return
+
+
+def _wanting(board: Board, gathered: Gathered, model: str | None) -> list[str]:
+    """What the views lack, and what a calibration by them would, where a ``model`` is given."""
+    views, seen, width, height = gathered.views, gathered.found, gathered.width, gathered.height
+    wanting = verdict.of_views(views, seen, width, height)
+    if wanting or model is None:
+        return wanting
+    try:
+        return verdict.of_calibration(views, seen, calibrate(board, views, width, height, model))
+    except CalibrationError as error:
+        return [str(error)]

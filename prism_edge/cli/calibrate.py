@@ -70,7 +70,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("a simulated camera knows its intrinsics; there is no board in its world")
     with source:
         print(f"looking for {args.board} in {source.name}", flush=True)
-        gathered = gather(source, board, lambda line: print(line, flush=True))
+        gathered = gather(source, board, lambda line: print(line, flush=True), args.model)
     return _finish(args, board, gathered, source.name, out, picture)
 
 
@@ -83,7 +83,7 @@ def _finish(
     from prism_edge.calibration.camera_text import camera_text
     from prism_edge.calibration.solve import calibrate
 
-    seen = len(gathered.views)
+    seen = gathered.found
     if not seen:
         raise CalibrationError(
             f"{args.board} was found in none of {gathered.looked} images: is it the board named, flat, sharp "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -19,7 +20,7 @@ from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.live.driver import Grab
 from prism_edge.sources.open import find_listing
-from tests.calibration.board_scene import PINHOLE_CAMERA, gallery
+from tests.calibration.board_scene import PINHOLE_CAMERA, draw, gallery, poses
 
 SPEC = "charuco:9x7"
 
@@ -152,10 +153,10 @@ def test_a_result_that_can_not_be_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def live(monkeypatch: pytest.MonkeyPatch, enough: int) -> LiveCamera:
+def live(monkeypatch: pytest.MonkeyPatch, enough: int, first: Sequence[np.ndarray] = ()) -> LiveCamera:
     """A camera before which the board is held in one place after the other."""
     monkeypatch.setattr(board_views, "_ENOUGH", enough)
-    images = itertools.cycle(gallery(SPEC, PINHOLE_CAMERA)[1])
+    images = itertools.chain(first, itertools.cycle(gallery(SPEC, PINHOLE_CAMERA)[1]))
 
     def script(k: int) -> Grab:
         time.sleep(0.002)
@@ -171,6 +172,19 @@ def test_a_live_camera_until_it_is_enough(monkeypatch: pytest.MonkeyPatch) -> No
     assert 10 <= len(gathered.views) <= 16
     assert any("different ways" in line for line in said)
     assert said[-1] == f"{len(gathered.views)} views"
+
+
+def test_a_live_camera_is_not_let_go_on_views_that_would_be_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    board = Board.parse(SPEC)
+    squarely = poses(14, board, PINHOLE_CAMERA, tilt_deg=1.0)
+    images = [draw(board, PINHOLE_CAMERA, pose, k) for k, pose in enumerate(squarely)]
+    said: list[str] = []
+    with live(monkeypatch, 10, images) as camera:
+        gathered = board_views.gather(camera, board, said.append)
+    assert any("faces the camera squarely" in line for line in said)
+    assert said[-1] == f"{len(gathered.views)} views"
+    assert len(gathered.views) > 10
+    assert len(gathered.views) < gathered.found <= gathered.looked
 
 
 def test_a_live_camera_until_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
