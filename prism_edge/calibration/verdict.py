@@ -8,7 +8,7 @@ import numpy as np
 
 from prism_edge.calibration.board import View
 from prism_edge.calibration.solve import Calibration
-from prism_edge.geometry.cameras import PINHOLE
+from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.messages import I64
 
 LEAST_VIEWS = 10
@@ -18,6 +18,7 @@ _REACH = 0.15  # of width or height, within which some corner must come to each 
 _TILTED_DEG, _LEAST_TILTED = 12.0, 2
 _RMS, _RMS_WIDTH = 1.0, 1280  # pixels; larger images may have proportionally larger errors
 _SIGMA = 0.005  # of the focal length
+_FOLDED = 0.01  # of the image
 
 
 def covered(views: Sequence[View], width: int, height: int) -> I64:
@@ -86,6 +87,12 @@ def of_result(result: Calibration) -> list[str]:
             f"the corners miss by {result.rms:.2f} pixels, and {limit:.2g} are allowed: "
             f"the images are blurred, the board is not flat or not the one named{hint}"
         )
+    folded = _folded(camera)
+    if folded > _FOLDED:
+        problems.append(
+            f"the lens that was found folds over in {folded:.1%} of the image, and {_FOLDED:.0%} is allowed: "
+            "bring the board further into its corners, or take the lens for a fisheye (--model fisheye)"
+        )
     sigma = max(result.sigmas[0] / camera.fx, result.sigmas[1] / camera.fy)
     if sigma > _SIGMA:
         problems.append(
@@ -99,3 +106,14 @@ def of_result(result: Calibration) -> list[str]:
             "the image is cropped, or the views are too few"
         )
     return problems
+
+
+def _folded(camera: Camera) -> float:
+    """Share of the image that no ray through a pinhole camera's lens comes to."""
+    if camera.model != PINHOLE:
+        return 0.0
+    v, u = np.mgrid[0 : camera.height - 1 : 75j, 0 : camera.width - 1 : 100j]
+    pixels = np.column_stack([u.ravel(), v.ravel()])
+    with np.errstate(all="ignore"):  # a lens that means nothing goes anywhere
+        missed = np.linalg.norm(camera.distort_pixels(camera.undistort_pixels(pixels)) - pixels, axis=1)
+    return float(1.0 - (missed <= 1.0).mean())

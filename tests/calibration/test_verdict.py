@@ -79,6 +79,16 @@ def test_a_fisheye_taken_for_a_pinhole() -> None:
     assert any("--model fisheye" in problem for problem in problems)
 
 
+def test_a_wide_lens_whose_pinhole_folds_over_within_the_image() -> None:
+    """It fits every corner to a third of a pixel, and says nonsense of the image's corners."""
+    wide = replace(FISHEYE_CAMERA, fx=365.0, fy=365.0)  # 101 degrees
+    views = seen(BOARD, wide, poses(25, BOARD, wide), 0.15)
+    (problem,) = verdict.of_result(calibrate(BOARD, views, 640, 480, "pinhole"))
+    assert "folds over in 3." in problem
+    assert "--model fisheye" in problem
+    assert verdict.of_result(calibrate(BOARD, views, 640, 480, "fisheye")) == []
+
+
 def test_large_errors_uncertain_lengths_and_odd_centres(result: Calibration) -> None:
     off = replace(result, residuals=tuple(3.0 + r for r in result.residuals))
     assert "the corners miss by 4" in verdict.of_result(off)[0]
