@@ -4,31 +4,57 @@ from __future__ import annotations
 
 import contextlib
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from prism_edge.messages import U8
 
+U16 = NDArray[np.uint16]
+
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".pgm", ".ppm", ".tif", ".tiff", ".webp")
 
-# Grey stays grey, deeper pixels become 8 bits, alpha goes; intrinsics belong to the image as stored,
-# so a rotation that the file asks for is not made.
-_FLAGS = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
+# Grey stays grey, alpha goes; intrinsics belong to the image as stored, so a rotation that the file asks
+# for is not made.
+_FLAGS = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION
+
+_BITS = (8, 10, 12, 14, 16)  # that cameras have; most store them as they are in files of 16
 
 _JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8\xff", b"\xff\xda", b"\xff\xd9"
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 
 
-def decode(data: bytes) -> U8 | str:
+def decode(data: bytes, bits: int = 16) -> U8 | str:
     """Grey (h, w) or BGR (h, w, 3) image of an encoded one, or the reason why there is none.
+
+    Deeper pixels, of this many ``bits``, become 8.
 
     A JPEG that was cut short decodes without complaint in some versions of OpenCV, its rest grey; so
     its end marker is looked for, behind the last scan: inside a scan the marker can't occur, as every
     0xff there is followed by zero or a restart. A PNG ends with its IEND chunk. What is damaged in
     the middle shows as a failing checksum (PNG); in a JPEG it can't be told from a picture.
     """
+    return _as_8_bits(_decoded(data), bits)
+
+
+def _as_8_bits(pixels: U8 | U16 | str, bits: int) -> U8 | str:
+    if isinstance(pixels, str):
+        return pixels
+    upper = np.minimum(pixels >> (bits - 8), 255) if pixels.dtype == np.uint16 else pixels
+    return upper.astype(np.uint8, copy=False)
+
+
+def bits_used(paths: Sequence[Path]) -> int | None:
+    """How many bits the pixels of these images make use of; None where none is deeper than 8."""
+    images = (_read(path) for path in paths)
+    deep = [image for image in images if not isinstance(image, str) and image.dtype == np.uint16]
+    return next(bits for bits in _BITS if max(image.max() for image in deep) < 1 << bits) if deep else None
+
+
+def _decoded(data: bytes) -> U8 | U16 | str:
     if not data:
         return "is empty"
     if data.startswith(_JPEG_START) and data.rfind(_JPEG_END, max(data.rfind(_JPEG_SCAN), 0)) < 0:
@@ -39,20 +65,24 @@ def decode(data: bytes) -> U8 | str:
         pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
     except cv2.error:
         pixels = None
-    if pixels is None or pixels.dtype != np.uint8 or pixels.ndim not in (2, 3):
+    if pixels is None or pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
         return "is damaged, or no image"
     return pixels
 
 
-def read_image(path: Path) -> U8 | str:
-    """The image in a file, or a line that names the file and says what is wrong with it."""
+def read_image(path: Path, bits: int = 16) -> U8 | str:
+    """The image in a file as :func:`decode` has it, or a line that names the file and says what is wrong."""
+    return _as_8_bits(_read(path), bits)
+
+
+def _read(path: Path) -> U8 | U16 | str:
     try:
         data = path.read_bytes()
     except FileNotFoundError:
         return f"{path} is missing"
     except OSError as error:
         return f"{path} can't be read ({error.strerror})"
-    pixels = decode(data)
+    pixels = _decoded(data)
     return f"{path} {pixels}" if isinstance(pixels, str) else pixels
 
 

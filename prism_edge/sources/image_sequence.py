@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import check_camera_size
-from prism_edge.sources.image_file import ask_for, read_image
+from prism_edge.sources.image_file import ask_for, bits_used, read_image
 from prism_edge.sources.listing import Listing
 from prism_edge.sources.stamps import fits_ros, usual_period_ns, write_seconds
 
+log = logging.getLogger("prism_edge.sources")
+
 AHEAD = 15  # images: a disk may take a quarter of a second for one
+_JUDGED = 8  # images all over the recording: one may be dark
 
 
 class ImageSequence(Source):
@@ -27,6 +31,7 @@ class ImageSequence(Source):
         self._folder = folder
         self._listing = listing
         self._next = self._ahead = 0
+        self._bits: int | None = None  # of deeper pixels; one range for all, or the light would flicker
 
     def open(self) -> None:
         """Raises SourceError where no image can be read, or has a stamp that can be published.
@@ -42,9 +47,18 @@ class ImageSequence(Source):
             pixels = read_image(path)
             if not isinstance(pixels, str):
                 check_camera_size(self.camera, self.camera_origin, pixels, str(path))
+                self._bits = self._bits or self._bits_used(path)
                 return
             reason = reason or f" ({pixels})"
         raise SourceError(f"{self._folder} has no readable image{reason}")
+
+    def _bits_used(self, first: Path) -> int:
+        if bits_used([first]) is None:
+            return 16
+        files = self._listing.files
+        bits = bits_used([first, *files[:: max(1, len(files) // _JUDGED)]]) or 16
+        log.warning("%s: its pixels use %d bits, of which the upper 8 are taken", self._folder, bits)
+        return bits
 
     def peek(self) -> Slot | None:
         if self._next >= len(self._listing.files):
@@ -56,7 +70,7 @@ class ImageSequence(Source):
         if slot is None:
             return None
         self._next += 1
-        pixels = read_image(self._listing.files[slot.index])
+        pixels = read_image(self._listing.files[slot.index], self._bits or 16)
         if isinstance(pixels, str):
             return Unreadable(slot.index, slot.stamp_ns, pixels)
         return Image(slot.index, slot.stamp_ns, pixels)

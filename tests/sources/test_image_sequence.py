@@ -7,14 +7,15 @@ import mmap
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import SourceError
+from prism_edge.sources import Image, open_source
 from prism_edge.sources import image_sequence as module
-from prism_edge.sources import open_source
 from prism_edge.sources.image_file import ask_for
-from tests.sources.tiny_datasets import write_tum
+from tests.sources.tiny_datasets import CAMERA, picture, write_image, write_tum
 from tests.supervisor.test_child import until
 
 needs_hints = pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="no hints to the system here")
@@ -41,6 +42,23 @@ def test_each_image_is_asked_for_once_and_early(
         source.read_ahead()
     assert asked == sorted(asked)
     assert len(set(asked)) == 8
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+def test_pixels_deeper_than_8_bits_have_one_range_for_all(
+    tmp_path: Path, bits: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Most cameras of 12 bits store them as they are in files of 16; the first image may be a dark one."""
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    shades = [picture(k, colour=False) // (8 if k < 3 else 1) for k in range(30)]
+    for k, grey in enumerate(shades):
+        write_image(tmp_path / f"{k}.png", grey.astype(np.uint16) << (bits - 8))
+    with open_source(SourceConfig(str(tmp_path))) as source:
+        items = list(iter(source.read, None))
+    for item, grey in zip(items, shades, strict=True):
+        assert isinstance(item, Image)
+        np.testing.assert_array_equal(item.pixels, grey)
+    assert caplog.text.count(f"its pixels use {bits} bits") == 1
 
 
 def test_what_is_skipped_is_not_asked_for(
