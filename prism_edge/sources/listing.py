@@ -37,7 +37,9 @@ def natural_order(path: Path) -> list[tuple[int, int, str]]:
 def files_in(folder: Path) -> list[Path]:
     """The files of a folder in natural order; raises SourceError where it can't be read."""
     try:
-        return sorted((path for path in folder.iterdir() if path.is_file()), key=natural_order)
+        # ._x.png is what macOS notes about x.png where a disk has no other place for it.
+        files = (path for path in folder.iterdir() if not path.name.startswith("._") and path.is_file())
+        return sorted(files, key=natural_order)
     except OSError as error:
         raise SourceError(f"{folder} can't be read ({error.strerror})") from None
 

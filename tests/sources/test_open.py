@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -69,6 +70,14 @@ def test_the_only_sequence_of_a_scene_is_meant(tmp_path: Path) -> None:
     tiny.write_seven_scenes(tmp_path / "seq-03", count=2)
     (tmp_path / "seq-04").mkdir()  # empty: no choice
     assert len(all_of(opened(tmp_path))) == 2
+
+
+@pytest.mark.parametrize("write", [tiny.write_images, tiny.write_seven_scenes, tiny.write_kitti])
+def test_what_macos_notes_beside_images_is_none(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+    count = len(all_of(opened(write(tmp_path))))
+    for path in list(tmp_path.rglob("*.png")):
+        path.with_name(f"._{path.name}").write_bytes(b"\x00\x05\x16\x07")
+    assert len(all_of(opened(tmp_path))) == count
 
 
 def test_of_several_sequences_one_must_be_named(tmp_path: Path) -> None:
