@@ -19,6 +19,7 @@ _TILTED_DEG, _LEAST_TILTED = 12.0, 2
 _RMS, _RMS_WIDTH = 1.0, 1280  # pixels; larger images may have proportionally larger errors
 _SIGMA = 0.005  # of the focal length
 _FOLDED = 0.01  # of the image
+_STRETCHED = 0.01  # fx against fy
 
 
 def covered(views: Sequence[View], width: int, height: int) -> I64:
@@ -106,6 +107,17 @@ def of_result(result: Calibration) -> list[str]:
             "the image is cropped, or the views are too few"
         )
     return problems
+
+
+def doubt(camera: Camera) -> str:
+    """What is odd about intrinsics that may be right all the same; empty where nothing is."""
+    ratio = camera.fx / camera.fy
+    if abs(ratio - 1.0) <= _STRETCHED:
+        return ""
+    return (
+        f"fx is {ratio:.3f} of fy, and nearly every camera has square pixels: measure whether the board's "
+        "squares are square, as printers stretch them"
+    )
 
 
 def _folded(camera: Camera) -> float:

@@ -106,6 +106,8 @@ def _finish(
     print(f"distortion {', '.join(f'{value:.5f}' for value in camera.distortion)}")
     share = (verdict.covered(used, width, height) > 0).mean()
     print(f"corners in {share:.0%} of the image; picture: {picture}")
+    if doubt := verdict.doubt(camera):
+        print(f"note: {doubt}")
     _refuse(verdict.of_calibration(views, seen, result))
     _write(out, camera_text(result, len(used), name, args.board).encode())
     print(f"camera file: {out}")

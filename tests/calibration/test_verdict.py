@@ -89,6 +89,17 @@ def test_a_wide_lens_whose_pinhole_folds_over_within_the_image() -> None:
     assert verdict.of_result(calibrate(BOARD, views, 640, 480, "fisheye")) == []
 
 
+@pytest.mark.parametrize("stretch", [1.0, 1.03])
+def test_a_board_that_the_printer_has_stretched(stretch: float) -> None:
+    camera = replace(PINHOLE_CAMERA, fy=PINHOLE_CAMERA.fx)
+    places = [pose @ np.diag([1.0, stretch, 1.0, 1.0]) for pose in poses(20, BOARD, camera)]
+    views = seen(BOARD, camera, places, 0.1)
+    result = calibrate(BOARD, views, 640, 480, "pinhole")
+    assert verdict.of_result(result) == []  # nothing else shows it
+    assert bool(verdict.doubt(result.camera)) == (stretch > 1)
+    assert "squares are square" in verdict.doubt(replace(camera, fx=1.02 * camera.fy))
+
+
 def test_large_errors_uncertain_lengths_and_odd_centres(result: Calibration) -> None:
     off = replace(result, residuals=tuple(3.0 + r for r in result.residuals))
     assert "the corners miss by 4" in verdict.of_result(off)[0]

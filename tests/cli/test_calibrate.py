@@ -108,6 +108,13 @@ def test_too_few_views_that_are_sharp(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "only 9 different ways, and 10 are needed (1 that miss by far" in error
 
 
+def test_a_stretched_board_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for k, image in enumerate(gallery(SPEC, PINHOLE_CAMERA)[1]):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), cv2.resize(image, (640, 500)))
+    assert calibrate(tmp_path, "--board", SPEC, "--out", tmp_path / "c.yaml") == 0
+    assert "squares are square" in capsys.readouterr().out
+
+
 def test_images_of_different_sizes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cv2.imwrite(str(tmp_path / "0.png"), np.zeros((48, 64), np.uint8))
     cv2.imwrite(str(tmp_path / "1.png"), np.zeros((96, 128), np.uint8))
