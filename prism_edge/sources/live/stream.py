@@ -141,7 +141,10 @@ class StreamConnection:
             except errors.InvalidDataError:
                 return self._grab(arrival_ns, "is damaged")
         except (errors.FFmpegError, ValueError) as error:
-            raise CameraLostError(reason_of(error, False, self._options.timeout)) from None
+            reason = reason_of(error, False, self._options.timeout)
+            if self._is_mjpeg and isinstance(error, errors.InvalidDataError):
+                reason += "; only multipart JPEG is read, its parts of the type image/jpeg"
+            raise CameraLostError(reason) from None
         for frame in frames:
             self._decoded.append(self._grab(self._captured_ns(frame, arrival_ns), frame))
         return self._decoded.popleft() if self._decoded else None

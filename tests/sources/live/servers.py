@@ -121,6 +121,7 @@ class MjpegServer(ThreadingHTTPServer):
         self.picture: Callable[[int], bytes] = jpeg  # the k-th JPEG
         self.mangle: Callable[[bytes], bytes] = bytes  # what becomes of it
         self.period_s = 0.01
+        self.type = "image/jpeg"  # of each part
         self.raw: bytes | None = None  # sent instead of all images, after the header
         self.sent = 0
 
@@ -151,7 +152,7 @@ class _Handler(BaseHTTPRequestHandler):
                 server.ending.wait(0.01)
                 continue
             data = server.mangle(server.picture(server.sent))
-            head = f"--frame\r\nContent-Type: image/jpeg\r\nContent-Length: {len(data)}\r\n\r\n"
+            head = f"--frame\r\nContent-Type: {server.type}\r\nContent-Length: {len(data)}\r\n\r\n"
             self.wfile.write(head.encode() + data + b"\r\n")
             server.sent += 1
             time.sleep(server.period_s)

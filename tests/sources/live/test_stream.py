@@ -178,6 +178,13 @@ def test_http_errors_are_one_line_without_the_password(status: int, words: str) 
     assert "\n" not in str(error.value)
 
 
+def test_parts_of_another_type_are_refused_with_the_one_that_is_read() -> None:
+    with mjpeg_server() as server:
+        server.type = "image/jpg"  # FFmpeg insists on the right one
+        with pytest.raises(SourceError, match="parts of the type image/jpeg"):
+            watching(server.address()).open()
+
+
 def test_nobody_there() -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
