@@ -60,6 +60,10 @@ def test_the_template_differs_by_its_instance_alone() -> None:
     assert meant(TEMPLATE) == meant(UNIT)
 
 
+def test_what_lies_in_the_state_directory_is_no_program() -> None:
+    assert re.search(r"^ExecStart=\S+/python -P -m prism_edge\.cli ", UNIT.read_text(), re.MULTILINE)
+
+
 def test_the_clock_is_set_before_stamps_are_taken_from_it() -> None:
     after = re.search(r"^After=(.*)$", UNIT.read_text(), re.MULTILINE)
     assert after

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from prism_edge.errors import EvaluationError
-from prism_edge.evaluation.daemon import Daemon, DaemonError, free_endpoint, last_error
+from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, DaemonError, free_endpoint, last_error
 
 # Starts a child of its own, says both process ids, and ignores requests to end.
 STUBBORN = """
@@ -127,3 +127,15 @@ def test_free_endpoints_differ_and_are_loopback() -> None:
     assert first.startswith("tcp/127.0.0.1:")
     assert int(first.rpartition(":")[2]) > 0
     assert second.startswith("tcp/127.0.0.1:")
+
+
+def test_the_daemon_is_this_package_whatever_lies_in_the_folder(tmp_path: Path) -> None:
+    """A checkout, the folder above one, or anything that bears a library's name."""
+    for name in ("prism_edge.py", "numpy.py"):
+        (tmp_path / name).write_text("raise SystemExit('the folder is asked')\n")
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
+    asked = subprocess.run(
+        [*SUPERVISOR, "--help"], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert asked.returncode == 0, asked.stderr
+    assert "--config FILE" in asked.stdout

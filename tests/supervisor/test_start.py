@@ -14,7 +14,9 @@ import pytest
 from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
 from prism_edge.config_file import dump
 from prism_edge.evaluation.daemon import free_endpoint
-from prism_edge.supervisor.start import can_fork
+from prism_edge.processes import PROCESSES
+from prism_edge.supervisor.child import Child
+from prism_edge.supervisor.start import can_fork, spawn_worker
 from tests.sources.tiny_datasets import write_tum
 from tests.supervisor.test_child import until
 
@@ -87,6 +89,22 @@ def test_first_lives_are_forks_and_later_ones_are_not(
         daemon.terminate()
         assert daemon.wait(30) == 0
     assert not any(psutil.pid_exists(worker.pid) for worker in first.values())
+
+
+def test_a_later_life_is_this_package_whatever_lies_in_the_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lines: list[list[str]] = []
+    monkeypatch.setattr(Child, "spawn", lambda line: lines.append(line))
+    spawn_worker(PROCESSES["tracker"], tmp_path / "config.yaml", 1)
+    for name in ("prism_edge.py", "numpy.py"):
+        (tmp_path / name).write_text("raise SystemExit('the folder is asked')\n")
+    environment = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
+    asked = subprocess.run(
+        [*lines[0], "--help"], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert asked.returncode == 0, asked.stderr
+    assert "--parent PID" in asked.stdout
 
 
 def titled(root: psutil.Process, title: str) -> list[psutil.Process]:
