@@ -112,14 +112,15 @@ done
 trap undo EXIT
 trap 'exit 130' INT TERM HUP
 
+# -I: what is asked is the release, not what lies in the folder we are in or what PYTHONPATH names.
 echo "installing into $root/$new"
-"$python" -m venv "$root/$new"
-pip=("$root/$new/bin/python" -m pip --quiet --disable-pip-version-check install)
+"$python" -I -m venv "$root/$new"
+pip=("$root/$new/bin/python" -I -m pip --quiet --disable-pip-version-check install)
 copy_sources
 [[ -z $wheels ]] || pip+=(--no-index --find-links "$wheels")
 "${pip[@]}" --constraint "$checkout/requirements.lock" --constraint "$checkout/requirements-extras.lock" \
     "$sources${extras:+[$extras]}"
-"$root/$new/bin/python" -m prism_edge.cli --version
+"$root/$new/bin/python" -I -m prism_edge.cli --version
 
 written=yes
 mkdir -p "$units" "$rules" "${command%/*}" "$destdir/srv/prism-edge/models"
@@ -134,7 +135,7 @@ ln -sfn "$prefix/current/bin/prism-edge" "$command"
 # An operator's file is never touched; what a release brings lies beside it.
 install -m 644 "$checkout/deploy/config.yaml" "$settings/config.yaml.example"
 [[ -e $settings/config.yaml ]] || install -m 644 "$checkout/deploy/config.yaml" "$settings/config.yaml"
-"$root/$new/bin/python" -m prism_edge.cli config --check "$settings/config.yaml"
+"$root/$new/bin/python" -I -m prism_edge.cli config --check "$settings/config.yaml"
 
 point_at "$new"
 service daemon-reload

@@ -1,13 +1,13 @@
 #!/bin/bash
-# A python for tests of the installer: `-m venv DIR` makes one that says what it is asked, and fails on demand.
+# A python for tests of the installer: `-I -m venv DIR` makes one that says what it is asked, and fails on demand.
 set -eu
 case "$*" in
-    "-m venv "*)
-        mkdir -p "$3/bin"
-        cp "$0" "$3/bin/python"
-        touch "$3/bin/prism-edge"
+    "-I -m venv "*)
+        mkdir -p "$4/bin"
+        cp "$0" "$4/bin/python"
+        touch "$4/bin/prism-edge"
         ;;
-    "-m pip "*)
+    "-I -m pip "*)
         [[ ${FAIL:-} != pip ]]
         # pip builds where the sources lie; what it was given is kept for the test to see.
         printf '%s\n' "$@" > "${0%/*}/asked"
@@ -17,7 +17,8 @@ case "$*" in
         mkdir -p "$sources/build/lib" "$sources/prism_edge.egg-info"
         touch "$sources/build/lib/built" "$sources/prism_edge.egg-info/PKG-INFO"
         ;;
-    "-m prism_edge.cli config --check "*) [[ ${FAIL:-} != config ]] ;;
-    "-m prism_edge.cli --version") echo "prism-edge 0" ;;
+    "-I -m prism_edge.cli config --check "*) [[ ${FAIL:-} != config ]] ;;
+    "-I -m prism_edge.cli --version") [[ ${FAIL:-} != package ]] && echo "prism-edge 0" ;;
+    "-m prism_edge.cli "*) ;; # a sound checkout in the present folder answers
     *) exit 64 ;;
 esac

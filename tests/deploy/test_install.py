@@ -78,7 +78,7 @@ def test_an_upgrade_keeps_configuration_and_one_release_to_go_back_to(installed:
     assert (maps / "lab.map").read_text() == "a map"
 
 
-@pytest.mark.parametrize("fail", ["pip", "config"])
+@pytest.mark.parametrize("fail", ["pip", "package", "config"])
 def test_a_failed_upgrade_leaves_all_as_it_was(installed: Path, fail: str) -> None:
     unit = installed / "etc/systemd/system" / UNITS[0]
     unit.write_text("the old unit\n")
@@ -107,8 +107,9 @@ def test_a_service_that_an_upgrade_has_not_touched_goes_on_running(tmp_path: Pat
     assert not any((tmp_path / "opt/releases").iterdir())
 
 
-def test_a_failed_first_installation_leaves_no_program(tmp_path: Path) -> None:
-    assert install(tmp_path, fail="pip").returncode != 0
+@pytest.mark.parametrize("fail", ["pip", "package"])
+def test_a_failed_first_installation_leaves_no_program(tmp_path: Path, fail: str) -> None:
+    assert install(tmp_path, fail=fail).returncode != 0
     assert set(tree(tmp_path)) == {"opt/prism-edge/.lock"}
 
 
