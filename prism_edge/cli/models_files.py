@@ -26,9 +26,11 @@ from prism_edge.depth import entries, find, open_onnx, pulling
 from prism_edge.depth.download import Patience
 from prism_edge.depth.folders import download_folder, folders
 from prism_edge.depth.prediction import checked
-from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of
-from prism_edge.depth.registry import File, is_non_commercial, sha256_of
+from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of, pulled_files
+from prism_edge.depth.registry import File, find_digest, is_non_commercial, sha256_of
 from prism_edge.errors import ModelError
+
+_AS_REGISTERED, _AS_PULLED = "as registered", "as pulled (unverified then)"
 
 
 def run(args: argparse.Namespace) -> int:
@@ -153,6 +155,8 @@ def _at_hand() -> list[str]:
 
 def _digests(name: str) -> tuple[str, bool]:
     """What the files' digests say, and whether they are right."""
+    if Path(name).expanduser().is_file():
+        return _digests_of_path(Path(name).expanduser())
     entry, pulled = find(name), find_pulled(name)
     files: tuple[File, ...] = ()
     folder = Path()
@@ -162,15 +166,34 @@ def _digests(name: str) -> tuple[str, bool]:
     if entry and place and entry.is_pinned:
         files, folder = entry.files, place.parent
     if not files:
-        return ("none is known" if entry or Path(name).is_file() else "not at hand"), True
+        return ("none is known" if entry else "not at hand"), True
+    wrong = _wrong(folder, files)
+    if wrong:
+        return wrong, False
+    return _AS_REGISTERED if entry and entry.is_pinned else _AS_PULLED, True
+
+
+def _digests_of_path(path: Path) -> tuple[str, bool]:
+    """As :func:`_digests`, of a file that is named by its path."""
+    try:
+        registered, files = find_digest(sha256_of(path)), pulled_files(path)
+        wrong = _wrong(path.parent, files)
+    except ModelError as error:
+        return str(error), False
+    if wrong:
+        return wrong, False
+    if registered:
+        return _AS_REGISTERED, True
+    return _AS_PULLED if files else "none is known", True
+
+
+def _wrong(folder: Path, files: tuple[File, ...]) -> str:
     for file in files:
         if not (folder / file.name).is_file():
-            return f"{file.name} is missing", False
+            return f"{file.name} is missing"
         if sha256_of(folder / file.name) != file.sha256:
-            return f"{file.name} is not the file it should be", False
-    if entry and entry.is_pinned:
-        return "as registered", True
-    return "as pulled (unverified then)", True
+            return f"{file.name} is not the file it should be"
+    return ""
 
 
 def _runs(name: str) -> tuple[str, bool]:

@@ -12,7 +12,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth.folders import folders
 from prism_edge.depth.pairing import PairedNetwork
 from prism_edge.depth.prediction import Prediction
-from prism_edge.depth.pulled import find_pulled
+from prism_edge.depth.pulled import find_pulled, pulled_files
 from prism_edge.depth.registry import File, entries, find
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
@@ -66,8 +66,9 @@ def networks_of(spec: str) -> list[str]:
 def open_onnx(spec: str, config: DepthConfig) -> OnnxNetwork:
     """One network of any kind by file or registered name, warmed up. Raises ModelError."""
     path = locate(spec)
-    # Files found through a registered name, or one that they were pulled under, must be those files.
-    return OnnxNetwork(path, config, () if path == Path(spec).expanduser() else pinned_files(spec))
+    # Files found through a name, or that were pulled, must be those files; any other may be any.
+    by_path = path == Path(spec).expanduser()
+    return OnnxNetwork(path, config, pulled_files(path) if by_path else pinned_files(spec))
 
 
 def pinned_files(name: str) -> tuple[File, ...]:

@@ -59,6 +59,15 @@ def find_pulled(name: str) -> Pulled | None:
     return next(filter(None, (manifest_of(folder / name) for folder in folders())), None)
 
 
+def pulled_files(path: Path) -> tuple[File, ...]:
+    """The files of the network at ``path``, itself first, as pulled into its folder; none where it was not.
+
+    Raises ModelError for a broken manifest.
+    """
+    pulled = manifest_of(path.parent)
+    return pulled.files if pulled and pulled.runnable and pulled.files[0].name == path.name else ()
+
+
 def all_pulled() -> list[Pulled]:
     """Everything that was pulled, by name; of several of one name the one that is found first."""
     found: dict[str, Pulled] = {}

@@ -129,6 +129,24 @@ def test_a_network_that_has_been_tampered_with_fails_verification(server, plain:
     assert "models remove tiny_tint" in said(capsys, "pull", "tiny_tint", code=5)
 
 
+def test_a_file_named_by_its_path_is_held_to_what_was_pulled(server, plain: Path, tmp_path: Path, capsys):
+    """As the service names it: pulled --into a folder of its own."""
+    url = f"{server.url}/tiny.onnx"
+    said(capsys, "pull", url, "--name", "mine", "--unverified", "--into", str(tmp_path / "srv"))
+    path = tmp_path / "srv" / "mine" / "mine.onnx"
+    assert "as registered" in said(capsys, "verify", str(path))
+    write_tiny_network(path, TinyNetwork(name="mine", gain=3.0))
+    out = said(capsys, "verify", str(path), code=5)
+    assert "mine.onnx is not the file it should be" in out
+    assert "its SHA-256 is" in said(capsys, "info", str(path), code=5)
+    path.rename(path.with_name("own.onnx"))  # no file of the pulled ones
+    assert "none is known" in said(capsys, "verify", str(path.with_name("own.onnx")))
+
+
+def test_a_registered_file_is_known_wherever_it_lies(server: WebServer, tmp_path: Path, capsys):
+    assert "as registered" in said(capsys, "verify", str(tmp_path / "made.onnx"))
+
+
 def test_a_network_from_a_url(server: WebServer, plain: Path, capsys, monkeypatch):
     monkeypatch.setattr("prism_edge.depth.download.time.sleep", lambda seconds: None)
     url = f"{server.url}/tiny.onnx"

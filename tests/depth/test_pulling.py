@@ -284,7 +284,10 @@ def test_weights_beside_a_network_from_anywhere_come_with_it(server, models: Pat
     weights.write_bytes(bytes(reversed(weights.read_bytes())))
     with pytest.raises(ModelError, match=r"split.onnx.data: its SHA-256 is .* not the pulled"):
         open_onnx("mine", DepthConfig())
-    assert open_onnx(str(models / "mine" / "mine.onnx"), DepthConfig())  # a path is taken at its word
+    with pytest.raises(ModelError, match="not the pulled"):  # by its path as well: `pull --into`, and a service
+        open_onnx(str(models / "mine" / "mine.onnx"), DepthConfig())
+    (models / "mine" / MANIFEST).unlink()  # a file that nobody pulled is taken at its word
+    assert open_onnx(str(models / "mine" / "mine.onnx"), DepthConfig())
     pinned = from_url(f"{server.url}/split.onnx", models, digest(server.files["/split.onnx"]), "other")
     with pytest.raises(ModelError, match=r"no SHA-256 of split.onnx.data is known"):
         get(pinned)
