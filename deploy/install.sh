@@ -35,6 +35,7 @@ if [[ ! $prefix =~ ^(/[A-Za-z0-9._-]+)+$ ]]; then
     exit 2
 fi
 
+destdir=${destdir:+$(realpath -m "$destdir")} destdir=${destdir%/}
 checkout=$(cd "$(dirname "$0")/.." && pwd)
 root=$destdir$prefix
 units=$destdir/etc/systemd/system
@@ -106,6 +107,15 @@ copy_sources() {
         tar x -C "$sources" --no-same-owner
 }
 
+# pip writes into commands where they were built; where they will run, there is no such place.
+name_final_paths() {
+    local file content
+    while IFS= read -r -d '' file; do
+        content=$(< "$file")
+        printf '%s\n' "${content//"$root/$new"/$prefix/$new}" > "$file"
+    done < <(grep --recursive --files-with-matches --null -I --fixed-strings -e "$root/$new" "$root/$new/bin")
+}
+
 for file in "${files[@]}"; do
     if [[ -e $file || -L $file ]]; then cp -a "$file" "$saved/"; fi
 done
@@ -120,6 +130,7 @@ copy_sources
 [[ -z $wheels ]] || pip+=(--no-index --find-links "$wheels")
 "${pip[@]}" --constraint "$checkout/requirements.lock" --constraint "$checkout/requirements-extras.lock" \
     "$sources${extras:+[$extras]}"
+[[ -z $destdir ]] || name_final_paths
 "$root/$new/bin/python" -I -m prism_edge.cli --version
 
 written=yes

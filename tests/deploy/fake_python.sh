@@ -5,12 +5,13 @@ case "$*" in
     "-I -m venv "*)
         mkdir -p "$4/bin"
         cp "$0" "$4/bin/python"
-        touch "$4/bin/prism-edge"
         ;;
     "-I -m pip "*)
         [[ ${FAIL:-} != pip ]]
         # pip builds where the sources lie; what it was given is kept for the test to see.
         printf '%s\n' "$@" > "${0%/*}/asked"
+        printf '#!%s\nimport prism_edge\n' "$0" > "${0%/*}/prism-edge"
+        chmod +x "${0%/*}/prism-edge"
         sources=${!#}
         sources=${sources%[*}
         (cd "$sources" && find . -type f) > "${0%/*}/sources"

@@ -60,6 +60,20 @@ def test_everything_is_in_its_place(installed: Path) -> None:
     assert os.readlink(installed / "usr/local/bin/prism-edge") == "/opt/prism-edge/current/bin/prism-edge"
 
 
+@pytest.mark.parametrize("relative", [False, True])
+def test_the_command_of_an_image_names_its_python_in_the_image(
+    relative: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = install(Path("an image") if relative else tmp_path / "an image")
+    assert done.returncode == 0, done.stderr
+    program = tmp_path / "an image/opt/prism-edge"
+    command = program / "current/bin/prism-edge"
+    release = os.readlink(program / "current")
+    assert command.read_text() == f"#!/opt/prism-edge/{release}/bin/python\nimport prism_edge\n"
+    assert os.access(command, os.X_OK)
+
+
 def test_an_upgrade_keeps_configuration_and_one_release_to_go_back_to(installed: Path) -> None:
     settings = installed / "etc/prism-edge/config.yaml"
     settings.write_text("robot: mine\n")
