@@ -107,6 +107,14 @@ copy_sources() {
         tar x -C "$sources" --no-same-owner
 }
 
+is_hidden() {  # by ProtectHome= in the units
+    local folder
+    for folder in /root /home /run/user; do
+        [[ $1 != "$(readlink -m "$folder")"/* ]] || return 0
+    done
+    return 1
+}
+
 # pip writes into commands where they were built; where they will run, there is no such place.
 name_final_paths() {
     local file content
@@ -125,6 +133,12 @@ trap 'exit 130' INT TERM HUP
 # -I: what is asked is the release, not what lies in the folder we are in or what PYTHONPATH names.
 echo "installing into $root/$new"
 "$python" -I -m venv "$root/$new"
+interpreter=$(readlink -m "$root/$new/bin/python")
+if [[ -z $destdir || $interpreter != "$destdir"/* ]] && is_hidden "$interpreter"; then
+    echo "install.sh: error: the service, to which /root and /home are closed, could not run $interpreter;" \
+        "name another Python with --python" >&2
+    exit 1
+fi
 pip=("$root/$new/bin/python" -I -m pip --quiet --disable-pip-version-check install)
 copy_sources
 [[ -z $wheels ]] || pip+=(--no-index --find-links "$wheels")

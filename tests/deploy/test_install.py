@@ -127,6 +127,14 @@ def test_a_failed_first_installation_leaves_no_program(tmp_path: Path, fail: str
     assert set(tree(tmp_path)) == {"opt/prism-edge/.lock"}
 
 
+@pytest.mark.parametrize("fail", ["home/ann/bin/python3", "root/.local/python3.12", "run/user/0/python"])
+def test_a_python_that_the_service_can_not_see_is_refused(tmp_path: Path, fail: str) -> None:
+    done = install(tmp_path, fail=fail)
+    assert done.returncode == 1
+    assert f"{Path('/', fail).resolve()}; name another Python with --python" in done.stderr
+    assert set(tree(tmp_path)) == {"opt/prism-edge/.lock"}
+
+
 def test_another_prefix_reaches_the_units(tmp_path: Path) -> None:
     done = install(tmp_path, "--prefix", "/srv/pose")
     assert done.returncode == 0, done.stderr
