@@ -37,6 +37,7 @@ if [[ ! -e ca.pem ]]; then
     mv .ca.pem ca.pem
     echo "made ca.pem, the authority; keep ca.key off the robots"
 fi
+chmod 644 ca.pem  # certificates are public, and a copy keeps this: the service is a user of its own
 for given in "$@"; do
     IFS=, read -r name hosts <<< "$given"
     [[ ! -e $name.pem ]] || { echo "kept $name.pem"; continue; }
@@ -50,6 +51,7 @@ for given in "$@"; do
         keyUsage=critical,digitalSignature extendedKeyUsage=serverAuth,clientAuth > ".$name.ext"
     openssl x509 -req -in ".$name.csr" -CA ca.pem -CAkey ca.key -CAcreateserial -days "$days" -sha256 \
         -extfile ".$name.ext" -out ".$name.pem" 2> /dev/null
+    chmod 644 ".$name.pem"
     mv ".$name.pem" "$name.pem"
     rm -f ".$name.csr" ".$name.ext"
     echo "made $name.pem and $name.key ($alternatives)"
