@@ -48,6 +48,14 @@ if [[ $EUID -ne 0 && -z $destdir ]]; then
     echo "install.sh: error: run it as root, or with --destdir" >&2
     exit 1
 fi
+# pip itself passes over a name that it does not know.
+[[ -z $extras ]] || "$python" -I -c '
+import sys, tomllib
+known = sorted(tomllib.load(open(sys.argv[1], "rb"))["project"]["optional-dependencies"])
+for name in sys.argv[2].split(","):
+    if name not in known:
+        sys.exit(f"install.sh: error: --extra {name!r} is none of {known}")
+' "$checkout/pyproject.toml" "$extras" || exit 2
 # Two at once would each take the other's half for its own.
 install -d -m 755 "$root" "$root/releases"
 exec 9> "$root/.lock"

@@ -9,6 +9,7 @@ case "$*" in
             *) cp "$0" "$4/bin/python" ;;
         esac
         ;;
+    "-I -c "*) exec "$REAL_PYTHON" "$@" ;;
     "-I -m pip "*)
         [[ ${FAIL:-} != pip ]]
         # pip builds where the sources lie; what it was given is kept for the test to see.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+import sys
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ def script(
     name: str, root: Path, *options: str, fail: str = "", checkout: Path = CHECKOUT, umask: int = 0o022
 ) -> subprocess.CompletedProcess[str]:
     command = [str(checkout / "deploy" / name), "--destdir", str(root), *options]
-    environment = {**os.environ, "FAIL": fail}
+    environment = {**os.environ, "FAIL": fail, "REAL_PYTHON": sys.executable}
     return subprocess.run(
         command, capture_output=True, text=True, env=environment, timeout=60, umask=umask
     )
@@ -186,6 +187,17 @@ def test_optional_dependencies_are_held_to_their_versions_too(tmp_path: Path) ->
     held = {Path(value).name for option, value in pairwise(asked) if option == "--constraint"}
     assert held == {"requirements.lock", "requirements-extras.lock"}
     assert asked[-1].endswith("[oak,metrics]")
+
+
+@pytest.mark.parametrize("extras", [("stream",), ("oak", "Metrics"), ("oak,strems",), ("oak,",)])
+def test_an_extra_that_is_none_is_refused_before_anything_is_made(
+    extras: tuple[str, ...], tmp_path: Path
+) -> None:
+    done = install(tmp_path, *(word for name in extras for word in ("--extra", name)))
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "is none of ['dev', 'metrics', 'oak', 'streams']" in done.stderr
+    assert not tree(tmp_path)
 
 
 @pytest.mark.parametrize("prefix", ["relative", "/", "/a b", "/a&b", "/a#b"])
