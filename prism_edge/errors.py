@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import sys
+import traceback
+
+# Of sysexits.h: a file or device that fails, and an error of our own.
+FAILING_FILE, UNEXPECTED = 74, 70
+
 
 class PrismError(Exception):
     """Root of every error that the command line turns into one line."""
@@ -55,3 +61,17 @@ class MapError(PrismError):
     """A stored map can't be read, written or used."""
 
     exit_code = 10
+
+
+def report(error: Exception) -> int:
+    """Says on stderr what ended the program, in one line where a user can mend it; returns the exit code."""
+    if isinstance(error, PrismError):
+        line, code = str(error), error.exit_code
+    elif isinstance(error, OSError):  # a full disk, mostly, which may be any of a program's files
+        file = f"{error.filename}: " if error.filename else ""
+        line, code = file + (error.strerror or str(error) or type(error).__name__), FAILING_FILE
+    else:
+        traceback.print_exception(error)
+        line, code = "unexpected; please report it with the lines above", UNEXPECTED
+    print(f"prism-edge: error: {line}", file=sys.stderr, flush=True)
+    return code

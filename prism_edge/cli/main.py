@@ -8,7 +8,7 @@ import os
 import sys
 
 from prism_edge import __version__
-from prism_edge.errors import PrismError
+from prism_edge.errors import report
 
 # Name: module, one line of help. Only the module that is asked for is imported, so that help comes at once.
 COMMANDS = {
@@ -37,6 +37,7 @@ EXIT_CODES = """exit codes:
   9    views of a board don't give a camera's intrinsics
   10   a stored map can't be read, written or used
   70   an error of prism_edge itself
+  74   a file can't be read or written: a full disk, mostly
   130  ended by Ctrl-C
 """
 
@@ -69,15 +70,23 @@ def main(arguments: list[str] | None = None) -> int:
         code: int = module.run(args)
         sys.stdout.flush()
         return code
-    except PrismError as error:
-        print(f"prism-edge: error: {error}", file=sys.stderr)
-        return error.exit_code
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        # The reader of our output has gone (`| head`); Python would complain once more when it ends.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()  # its reader has gone (`| head`)
         return 0
+    except Exception as error:
+        code = report(error)
+    try:
+        sys.stdout.flush()
+    except OSError:
+        _drop_output()
+    return code
+
+
+def _drop_output() -> None:
+    """What could not be written is tried once more when Python ends, which would complain again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

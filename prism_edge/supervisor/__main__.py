@@ -6,7 +6,7 @@ import argparse
 import sys
 
 from prism_edge.config_file import load
-from prism_edge.errors import PrismError
+from prism_edge.errors import report
 from prism_edge.supervisor.supervise import supervise
 from prism_edge.workers.launch import log_as_configured, log_to_stderr
 
@@ -21,9 +21,8 @@ def main(arguments: list[str] | None = None) -> int:
         config = load(args.config)
         log_as_configured("supervisor", config)
         return supervise(config, reread=lambda: load(args.config))
-    except PrismError as error:
-        print(f"prism-edge: error: {error}", file=sys.stderr, flush=True)
-        return error.exit_code
+    except Exception as error:  # whose last line whoever started us passes on
+        return report(error)
 
 
 if __name__ == "__main__":

@@ -26,10 +26,16 @@ class RunDirectory:
         os.rename(nameless, self.path)
 
     def write(self, name: str, content: str) -> Path:
-        """Write a file of the run, at once or not at all for whoever reads it; returns its path."""
+        """Write a file of the run, at once or not at all for whoever reads it; returns its path.
+
+        Raises OSError, with the file's name.
+        """
         path = self.path / name
         new = self.path / f".new-{name}"
-        new.write_text(content, encoding="utf-8")
+        try:
+            new.write_text(content, encoding="utf-8")
+        except OSError as error:  # of a full disk, which has no name to tell
+            raise OSError(error.errno, error.strerror, str(new)) from None
         os.replace(new, path)
         return path
 

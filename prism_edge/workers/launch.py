@@ -13,14 +13,13 @@ from setproctitle import setproctitle
 
 from prism_edge.config import Config
 from prism_edge.config_file import load
-from prism_edge.errors import PrismError
+from prism_edge.errors import UNEXPECTED, PrismError
 from prism_edge.processes import Process
 from prism_edge.workers.heap import bound_heap, keep_trimmed
 from prism_edge.workers.journal import JournalHandler, stderr_is_the_journal
 from prism_edge.workers.stopping import StopSignals, die_with
 
 TITLE = "prism-edge"  # and the worker's name, where ps shows a command line
-UNEXPECTED = 70  # sysexits.h: internal software error
 
 
 def log_to_stderr(process: str, level: int = logging.INFO) -> None:

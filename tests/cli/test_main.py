@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -50,7 +51,7 @@ def test_exit_codes_are_documented(tmp_path: Path) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "TROUBLESHOOTING.md").read_text(encoding="utf-8")
     kinds = [kind for kind in errors.PrismError.__subclasses__() if kind.__module__ == errors.__name__]
     codes = {kind.exit_code for kind in kinds}
-    for code in {0, 1, 2, 70, *codes}:
+    for code in {0, 1, 2, errors.UNEXPECTED, errors.FAILING_FILE, *codes}:
         assert f"\n| {code} | " in page
         assert f"\n  {code} " in "\n" + EXIT_CODES
 
@@ -127,6 +128,56 @@ def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("prism_edge.cli.config.run", interrupted)
     assert cli.main(["config"]) == 130
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("option", ["--explain", "--robot=r2"])
+def test_output_on_a_full_disk_is_one_line(option: str) -> None:
+    with open("/dev/full", "w") as full:
+        process = subprocess.run(
+            [sys.executable, "-m", "prism_edge.cli", "config", option],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            cwd=Path(__file__).resolve().parents[2],
+        )
+    assert process.stderr == "prism-edge: error: No space left on device\n"
+    assert process.returncode == errors.FAILING_FILE
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (OSError(28, "No space left on device", "/run/x/lock"), "/run/x/lock: No space left on device"),
+        (TimeoutError(), "TimeoutError"),
+        (OSError("no number"), "no number"),
+    ],
+)
+def test_a_file_that_fails_is_one_line(
+    error: OSError, line: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("prism_edge.cli.config.run", raising(error))
+    assert fails(capsys, "config") == (errors.FAILING_FILE, f"prism-edge: error: {line}\n")
+
+
+def test_an_error_of_our_own_shows_where(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("prism_edge.cli.config.run", raising(ValueError("ours")))
+    assert cli.main(["config"]) == errors.UNEXPECTED
+    said = capsys.readouterr().err.splitlines()
+    assert said[0].startswith("Traceback")
+    assert said[-2:] == [
+        "ValueError: ours",
+        "prism-edge: error: unexpected; please report it with the lines above",
+    ]
+
+
+def raising(error: Exception) -> Callable[..., int]:
+    def run(*_: object) -> int:
+        raise error
+
+    return run
 
 
 def test_reader_that_goes_away_is_no_error() -> None:

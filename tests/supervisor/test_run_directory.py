@@ -59,3 +59,14 @@ def test_lies_in_the_runtime_folder_if_any(tmp_path: Path, monkeypatch: pytest.M
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "missing"))
     assert default_parent().is_dir()
     assert os.access(default_parent(), os.W_OK)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_is_named(tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path)
+    full = run.path / ".new-config.yaml"
+    full.symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left on device") as error:
+        run.write("config.yaml", "content")
+    assert error.value.filename == str(full)
+    run.remove()
