@@ -9,19 +9,26 @@ SHELL := /bin/bash
 VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+PLACE := $(VENV)/.place
 
 help: ## show this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
 
 setup: $(STAMP) ## make the environment in .venv
 
+# Commands and the package's place are written into an environment as paths: moved, it is of no use.
+ifneq ($(shell cat $(PLACE) 2>/dev/null),$(CURDIR))
+.PHONY: $(STAMP)
+endif
+
 # The interpreter is tried, not just found: a name on the path may be a shim without a version behind it.
 $(STAMP): requirements.lock pyproject.toml setup.py tools/find_python.sh
 	@python="$$(tools/find_python.sh)"
-	# An environment that was interrupted half way, or whose Python has gone, is made anew.
-	if ! $(BIN)/python -m pip --version >/dev/null 2>&1; then
+	# An environment that was interrupted half way, or moved, or whose Python has gone, is made anew.
+	if [[ "$$(cat $(PLACE) 2>/dev/null)" != "$(CURDIR)" ]] || ! $(BIN)/python -m pip --version >/dev/null 2>&1; then
 	    echo "making $(VENV) with $$python"
 	    "$$python" -m venv --clear $(VENV)
+	    echo "$(CURDIR)" > $(PLACE)
 	fi
 	echo "installing the locked dependencies into $(VENV)"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock

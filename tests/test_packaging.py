@@ -96,6 +96,31 @@ def test_python_that_is_named_is_taken() -> None:
     assert found.stdout == f"{sys.executable}\n"
 
 
+@pytest.mark.skipif(not shutil.which("make"), reason="no make here")
+def test_an_environment_is_made_once_and_anew_where_it_was_moved(tmp_path: Path) -> None:
+    """With a python that only pretends."""
+    python, first, second = tmp_path / "python", tmp_path / "first", tmp_path / "the second"
+    venv = '[[ "$*" != "-m venv "* ]] || { mkdir -p "${!#}/bin"; cp "$0" "${!#}/bin/python"; }'
+    python.write_text(f"#!/bin/bash\n{venv}\n")
+    python.chmod(0o755)
+    (first / "tools").mkdir(parents=True)
+    for name in ("Makefile", "requirements.lock", "pyproject.toml", "setup.py", "tools/find_python.sh"):
+        shutil.copy(CHECKOUT / name, first / name)
+
+    def setup(checkout: Path) -> str:
+        command = ["make", "setup", "VENV=.venv"]
+        environment = {**os.environ, "PYTHON": str(python), "MAKEFLAGS": ""}
+        return subprocess.run(
+            command, cwd=checkout, env=environment, capture_output=True, text=True, check=True, timeout=60
+        ).stdout
+
+    assert "making .venv with" in setup(first)
+    assert "making" not in setup(first)
+    first.rename(second)
+    assert "making .venv with" in setup(second)
+    assert "installing" not in setup(second)
+
+
 def test_the_installed_package_plays_the_demo_from_an_empty_folder(tmp_path: Path) -> None:
     """Built without its tests, tools and checkout, it brings a network and a world, and needs no cache."""
     source, built, empty = tmp_path / "source", tmp_path / "built", tmp_path / "empty"
