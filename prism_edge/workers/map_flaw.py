@@ -15,12 +15,15 @@ LEAST_KEYFRAMES = 2  # a map of fewer is as soon made anew
 
 def map_flaw(arrays: Arrays, tracking: TrackingConfig) -> str:
     """Why the tracker could not go on in a map, in words; empty where it could."""
-    count = _column(arrays, "keyframes").size
-    if count < LEAST_KEYFRAMES:
-        return f"the map has too few keyframes, {count}; a new one is as soon made"
-    if not (_column(arrays, "seen") >= 0).any():
-        return "the map has no points"
-    return pyramid_flaw(arrays, tracking)
+    keyframes, has_points = _column(arrays, "keyframes").size, (_column(arrays, "seen") >= 0).any()
+    return size_flaw(keyframes, bool(has_points)) or pyramid_flaw(arrays, tracking)
+
+
+def size_flaw(keyframes: int, has_points: bool) -> str:
+    """Why a map is too small to be gone on in; empty where it is not."""
+    if keyframes < LEAST_KEYFRAMES:
+        return f"the map has too few keyframes, {keyframes}; a new one is as soon made"
+    return "" if has_points else "the map has no points"
 
 
 def pyramid_flaw(arrays: Arrays, tracking: TrackingConfig) -> str:

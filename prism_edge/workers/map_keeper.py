@@ -23,7 +23,7 @@ from prism_edge.config import Config
 from prism_edge.errors import BusError, MapError
 from prism_edge.messages import Keyframe, WholeMap, same_network
 from prism_edge.workers.cut_off import OWN_JOURNAL, goes_on
-from prism_edge.workers.map_flaw import map_flaw, pyramid_flaw
+from prism_edge.workers.map_flaw import map_flaw, pyramid_flaw, size_flaw
 from prism_edge.workers.state_directory import kept_journal, map_names, map_path
 
 log = logging.getLogger("prism_edge.backend")
@@ -176,6 +176,8 @@ class MapKeeper:
         world = self._mapper.world
         if not world.keyframes:
             raise MapError("there is no map to save yet")
+        if flaw := size_flaw(len(world.keyframes), bool(world.points)):
+            raise MapError(flaw)  # as loading it would
         self._bus.pulse.working("saving the map", 60.0)
         data = self._packed(scale, saved=datetime.now(UTC).isoformat(timespec="seconds"))
         try:

@@ -322,6 +322,13 @@ class TestSaving:
     def test_no_map_no_file(self, tmp_path: Path) -> None:
         bus = run(tmp_path, [], keyframes(1)[0], ask=("lab",))
         assert [(r.ok, r.said) for r in bus.desk.replies] == [(False, "there is no map to save yet")]
+
+    def test_what_would_not_be_loaded_is_not_saved(self, tmp_path: Path) -> None:
+        teller, told = keyframes(1)
+        [reply] = run(tmp_path, told, teller, ask=("lab",)).desk.replies
+        assert not reply.ok
+        assert "too few keyframes, 1" in reply.said
+        assert map_names(CONFIG.state) == []
         assert map_names(CONFIG.state) == []
 
     @pytest.mark.parametrize(
