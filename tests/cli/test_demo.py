@@ -67,7 +67,7 @@ def test_the_summary_gives_errors_scale_rate_and_latency(tmp_path, capsys) -> No
     said = capsys.readouterr().out
     for words in ("99 of 100 frames, 1 dropped", "0.990", "30.0 Hz", "11.0, - ms", "0.0512 m", "0.0204 m"):
         assert words in said
-    assert "SE(3) (2.0 % of the path's 2.56 m)" in said
+    assert "SE(3) (2.0 % of the path's extent, 2.56 m)" in said
     assert "4.0 %" in said  # published metres are 4 % too short
     assert "say little" not in said
     sum_up({**REPORT, "timings_void": True}, tmp_path, None, 0.0)
