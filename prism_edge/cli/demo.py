@@ -151,7 +151,9 @@ def sum_up(report: dict[str, Any], out: Path, picture: Path | None, extent: floa
         return "-" if value is None else form.format(value)
 
     ratio, error = live["scale_ratio"], live["ate_se3_m"]
-    share = f" ({100 * error / extent:.1f} % of the path's extent, {extent:.2f} m)" if error and extent else ""
+    share = ""
+    if error and extent:
+        share = f" ({100 * error / extent:.1f} % of the path's extent, {extent:.2f} m)"
     rows = [
         ("poses", f"{report['tracked']} of {report['frames']} frames, {report['dropped_frames']} dropped"),
         ("coverage", number(report["coverage"], "{:.3f}")),

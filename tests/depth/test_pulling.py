@@ -284,7 +284,7 @@ def test_weights_beside_a_network_from_anywhere_come_with_it(server, models: Pat
     weights.write_bytes(bytes(reversed(weights.read_bytes())))
     with pytest.raises(ModelError, match=r"split.onnx.data: its SHA-256 is .* not the pulled"):
         open_onnx("mine", DepthConfig())
-    with pytest.raises(ModelError, match="not the pulled"):  # by its path as well: `pull --into`, and a service
+    with pytest.raises(ModelError, match="not the pulled"):  # by its path as well, as a service has it
         open_onnx(str(models / "mine" / "mine.onnx"), DepthConfig())
     (models / "mine" / MANIFEST).unlink()  # a file that nobody pulled is taken at its word
     assert open_onnx(str(models / "mine" / "mine.onnx"), DepthConfig())
