@@ -74,7 +74,7 @@ def test_a_snippet_is_about_ten_lines(name):
 
 
 @pytest.mark.parametrize("name", PUBLIC)
-def test_each_snippet_prints_a_message(config, name):
+def test_each_snippet_prints_a_message(config, name, tmp_path):
     message, expected = MESSAGES[name]
     config = replace(config, robot="testbot")
     environment = {**os.environ, "PRISM_ENDPOINT": config.bus.endpoint, "PRISM_ROBOT": "testbot"}
@@ -95,7 +95,7 @@ def test_each_snippet_prints_a_message(config, name):
         try:
             run = subprocess.run(
                 [sys.executable, "-c", snippet(name)],
-                cwd=CHECKOUT,
+                cwd=tmp_path,  # of the project nothing is needed
                 env=environment,
                 capture_output=True,
                 text=True,
