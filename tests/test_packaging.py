@@ -86,14 +86,22 @@ def test_python_too_old_or_absent_is_said_in_one_line(tmp_path: Path) -> None:
     assert found.stderr.count("\n") == 1
 
 
-def test_python_that_is_named_is_taken() -> None:
-    found = subprocess.run(
-        ["/bin/bash", CHECKOUT / "tools" / "find_python.sh"],
-        env={"PATH": "/nowhere", "PYTHON": sys.executable},
-        capture_output=True,
-        text=True,
-    )
-    assert found.stdout == f"{sys.executable}\n"
+@pytest.mark.parametrize("place", ["bin", "a folder with spaces"])
+def test_python_that_is_named_is_taken(place: str, tmp_path: Path) -> None:
+    python = tmp_path / place / "python3"
+    python.parent.mkdir()
+    python.write_text(f'#!/bin/sh\nexec "{sys.executable}" "$@"\n')
+    python.chmod(0o755)
+    (tmp_path / "venv.py").write_text("raise SystemExit('the folder is asked')\n")
+    for given in ({"PATH": "/nowhere", "PYTHON": str(python)}, {"PATH": str(python.parent)}):
+        found = subprocess.run(
+            ["/bin/bash", CHECKOUT / "tools" / "find_python.sh"],
+            env=given,
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        )
+        assert found.stdout == f"{python}\n"
 
 
 @pytest.mark.skipif(not shutil.which("make"), reason="no make here")

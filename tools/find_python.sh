@@ -6,14 +6,15 @@ seen=
 for name in "${PYTHON:-}" python3.13 python3.12 python3.11 python3.14 python3 python; do
     [ -n "$name" ] || continue
     # Every one on the path: the first may be too old, or a shim with nothing behind it.
-    for python in $(type -aP "$name" 2>/dev/null); do
-        "$python" -c "$check" >/dev/null 2>&1 || continue
+    while IFS= read -r python; do
+        # -I: whatever lies in the folder that we are in.
+        "$python" -I -c "$check" >/dev/null 2>&1 </dev/null || continue
         seen=$python
-        if "$python" -c 'import venv, ensurepip' >/dev/null 2>&1; then
+        if "$python" -I -c 'import venv, ensurepip' >/dev/null 2>&1 </dev/null; then
             echo "$python"
             exit 0
         fi
-    done
+    done < <(type -aP "$name" 2>/dev/null)
 done
 if [ -n "$seen" ]; then
     echo "error: $seen can't make virtual environments; install its venv module (Debian: apt install python3-venv)" >&2
