@@ -42,7 +42,7 @@ units=$destdir/etc/systemd/system
 rules=$destdir/etc/udev/rules.d
 settings=$destdir/etc/prism-edge
 command=$destdir/usr/local/bin/prism-edge
-python=${python:-$("$checkout/tools/find_python.sh")}
+python=${python:-$(AVOID='/root /home /run/user' "$checkout/tools/find_python.sh")}  # hidden from the service
 
 if [[ $EUID -ne 0 && -z $destdir ]]; then
     echo "install.sh: error: run it as root, or with --destdir" >&2

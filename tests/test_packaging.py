@@ -104,6 +104,29 @@ def test_python_that_is_named_is_taken(place: str, tmp_path: Path) -> None:
         assert found.stdout == f"{python}\n"
 
 
+def test_a_python_that_is_to_be_avoided_is_the_last_choice(tmp_path: Path) -> None:
+    """By where it really lies: the installer's service sees no home, and shims point there."""
+    home, other = tmp_path / "home", tmp_path / "other"
+    for place in (home, other):
+        place.mkdir()
+        asked, run = f"*realpath*) echo {place}/real", f'*) exec "{sys.executable}" "$@"'
+        (place / "python3").write_text(f'#!/bin/sh\ncase "$*" in {asked} ;; {run} ;; esac\n')
+        (place / "python3").chmod(0o755)
+
+    def found(*folders: Path) -> str:
+        path = ":".join(map(str, folders))
+        return subprocess.run(
+            ["/bin/bash", CHECKOUT / "tools" / "find_python.sh"],
+            env={"PATH": path, "AVOID": f"/nowhere {home}"},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.strip()
+
+    assert found(home, other) == str(other / "python3")
+    assert found(home) == str(home / "python3")
+
+
 @pytest.mark.skipif(not shutil.which("make"), reason="no make here")
 def test_an_environment_is_made_once_and_anew_where_it_was_moved(tmp_path: Path) -> None:
     """With a python that only pretends."""
