@@ -24,12 +24,15 @@ endif
 # The interpreter is tried, not just found: a name on the path may be a shim without a version behind it.
 $(STAMP): requirements.lock pyproject.toml setup.py tools/find_python.sh
 	@python="$$(tools/find_python.sh)"
-	# An environment that was interrupted half way, or moved, or whose Python has gone, is made anew.
-	if [[ "$$(cat $(PLACE) 2>/dev/null)" != "$(CURDIR)" ]] || ! $(BIN)/python -m pip --version >/dev/null 2>&1; then
+	# An environment that was interrupted half way, or whose Python has gone, is made anew, and one that moved
+	# with its checkout. One that lies elsewhere is somebody's own, or two checkouts': it is installed into.
+	was="$$(cat $(PLACE) 2>/dev/null || true)"
+	if ! $(BIN)/python -m pip --version >/dev/null 2>&1 ||
+	    [[ -n "$$was" && "$$was" != "$(CURDIR)" && "$(VENV)" != /* ]]; then
 	    echo "making $(VENV) with $$python"
 	    "$$python" -m venv --clear $(VENV)
-	    echo "$(CURDIR)" > $(PLACE)
 	fi
+	echo "$(CURDIR)" > $(PLACE)
 	echo "installing the locked dependencies into $(VENV)"
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --requirement requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .

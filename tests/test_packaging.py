@@ -138,8 +138,8 @@ def test_an_environment_is_made_once_and_anew_where_it_was_moved(tmp_path: Path)
     for name in ("Makefile", "requirements.lock", "pyproject.toml", "setup.py", "tools/find_python.sh"):
         shutil.copy(CHECKOUT / name, first / name)
 
-    def setup(checkout: Path) -> str:
-        command = ["make", "setup", "VENV=.venv"]
+    def setup(checkout: Path, venv: str | Path = ".venv") -> str:
+        command = ["make", "setup", f"VENV={venv}"]
         environment = {**os.environ, "PYTHON": str(python), "MAKEFLAGS": ""}
         return subprocess.run(
             command, cwd=checkout, env=environment, capture_output=True, text=True, check=True, timeout=60
@@ -150,6 +150,15 @@ def test_an_environment_is_made_once_and_anew_where_it_was_moved(tmp_path: Path)
     first.rename(second)
     assert "making .venv with" in setup(second)
     assert "installing" not in setup(second)
+
+    own = tmp_path / "own"
+    (own / "bin").mkdir(parents=True)
+    shutil.copy(python, own / "bin" / "python")
+    for _ in range(2):
+        said = setup(second, own)
+        assert "installing" in said
+        assert "making" not in said, "an environment that lies elsewhere is never cleared"
+        (own / ".place").write_text("another checkout that uses it too\n")
 
 
 def test_the_installed_package_plays_the_demo_from_an_empty_folder(tmp_path: Path) -> None:

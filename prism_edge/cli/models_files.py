@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import AbstractContextManager, nullcontext, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,10 @@ from rich.table import Table
 
 from prism_edge.config import DepthConfig
 from prism_edge.depth import entries, find, open_onnx, pulling
+from prism_edge.depth.contract import INVERSE_RELATIVE
 from prism_edge.depth.download import Patience
 from prism_edge.depth.folders import download_folder, folders
-from prism_edge.depth.prediction import checked
+from prism_edge.depth.prediction import Prediction, checked
 from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of, pulled_files
 from prism_edge.depth.registry import File, find_digest, is_non_commercial, sha256_of
 from prism_edge.errors import ModelError
@@ -203,12 +205,19 @@ def _runs(name: str) -> tuple[str, bool]:
         return "needs export", True
     try:
         network = open_onnx(name, DepthConfig())
-        answer = checked(network.raw(_picture())[0])
+        answer = checked(_above_zero(network.raw(_picture())[0], network.card.depth_kind))
     except ModelError as error:
         return str(error), False
     if not answer.valid:
         return f"on {network.provider}, but its answer is of no use: {answer.reason}", False
     return f"on {network.provider}", True
+
+
+def _above_zero(raw: Prediction, kind: str) -> Prediction:
+    """Inverse depth that is known up to a shift may be negative."""
+    if kind != INVERSE_RELATIVE or not np.isfinite(raw.depth).any():
+        return raw
+    return replace(raw, depth=raw.depth - raw.depth[np.isfinite(raw.depth)].min())
 
 
 def _picture() -> NDArray[np.uint8]:

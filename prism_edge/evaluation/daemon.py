@@ -20,7 +20,7 @@ import psutil
 from prism_edge.errors import EvaluationError, PrismError
 from prism_edge.workers.stopping import die_with
 
-# -P: this very package, whatever lies in the folder that we are in.
+# -P: the package that is installed, whatever lies in the folder that we are in.
 SUPERVISOR = (sys.executable, "-P", "-m", "prism_edge.supervisor")
 _KILLED_S = 2.0  # for the kernel to clear away what was killed
 _ERROR = ": error: "  # how a process of the daemon begins its one line

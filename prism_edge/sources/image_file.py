@@ -65,6 +65,8 @@ def _decoded(data: bytes) -> U8 | U16 | str:
         pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
     except cv2.error:
         pixels = None
+    if pixels is not None and pixels.dtype == np.int16:  # some TIFFs
+        pixels = np.maximum(pixels, 0).astype(np.uint16)
     if pixels is None or pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
         return "is damaged, or no image"
     return pixels

@@ -41,7 +41,7 @@ def can_fork() -> bool:
 
 def spawn_worker(process: Process, config_file: Path, life: int) -> Child:
     """As :func:`start_worker`, by a command line."""
-    # -P: this very package, whatever lies in the folder that we are in.
+    # -P: the package that is installed, whatever lies in the folder that we are in.
     command = [sys.executable, "-P", "-m", "prism_edge.workers", process.name]
     command += ["--config", str(config_file), "--parent", str(os.getpid()), "--life", str(life)]
     return Child.spawn(command)

@@ -33,8 +33,8 @@ class Sight:
         A part that gets its place in the map, while it is tracked, is another from one frame to the next.
         """
         elsewhere = self._missed and self._map not in (None, (epoch, part))
-        # From its first keyframe on a map that begins has the way.
-        until_ns = reference_ns if self._stamp_ns < reference_ns else stamp_ns
+        # From its first keyframe on a map that begins has the way; a stored one's are of another time.
+        until_ns = reference_ns if self._stamp_ns < reference_ns <= stamp_ns else stamp_ns
         unseen_s = (until_ns - self._stamp_ns) * 1e-9 if elsewhere else 0.0
         step = Step(self._lost or elsewhere, unseen_s)
         self._map, self._stamp_ns = (epoch, part), stamp_ns

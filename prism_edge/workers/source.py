@@ -129,7 +129,12 @@ class SourceWorker:
 
         Where that gains no time (a video that decodes slowly) the schedule is put off instead.
         """
-        first = self._source.peek()
+        # What is refused for its stamp can't be what the others are timed by.
+        while (first := self._source.peek()) is not None and self._checks.bad_stamp(first.stamp_ns):
+            item = self._read()
+            if item is None or isinstance(item, Absent):
+                return
+            self._pass_on(item, time.monotonic_ns())
         if first is None:
             return
         schedule = Schedule(

@@ -231,6 +231,13 @@ def test_verify_judges_the_answer(tmp_path: Path, capsys, misbehaviour: str, say
     assert says in out
 
 
+def test_verify_knows_that_inverse_depth_up_to_a_shift_may_be_negative(tmp_path: Path, capsys):
+    for misbehaviour, code, says in (("negative", 0, "on CPUExecution"), ("constant", 5, "of no use")):
+        what = TinyNetwork(depth_kind="inverse_relative", misbehaviour=misbehaviour)
+        path = write_tiny_network(tmp_path / f"{misbehaviour}.onnx", what)
+        assert says in said(capsys, "verify", str(path), code=code)
+
+
 def test_verify_says_what_is_wrong_with_a_file(tmp_path: Path, capsys):
     good, bad = write_tiny_network(tmp_path / "good.onnx"), tmp_path / "bad.onnx"
     bad.write_bytes(good.read_bytes()[:200])

@@ -109,3 +109,9 @@ def test_reasons_name_the_file(tmp_path: Path) -> None:
         reason = read_image(path)
         assert isinstance(reason, str)
         assert str(path) in reason
+
+
+def test_signed_pixels_are_what_they_are_from_zero_up() -> None:
+    grey = np.linspace(0, 32000, 64 * 48).reshape(48, 64).astype(np.int16)
+    signed, plain = decode(encoded(".tiff", grey)), decode(encoded(".tiff", grey.astype(np.uint16)))
+    np.testing.assert_array_equal(signed, plain)

@@ -54,3 +54,10 @@ def test_a_part_that_gets_its_place_while_it_is_tracked_hides_nothing():
     sight.miss(LOST)
     sight.see(0, 7, 14 * SECOND, 15 * SECOND)
     assert sight.see(0, HOME, 14 * SECOND, 16 * SECOND) == Step()
+
+
+def test_a_stored_map_s_keyframes_are_of_another_time():
+    """Of a later one than this recording's, even: what was not seen is no longer than it was."""
+    sight = begun()
+    sight.miss(LOST)
+    assert sight.see(5, HOME, 1_700_000_000 * SECOND, 12 * SECOND) == Step(lost=True, unseen_s=2.0)

@@ -51,6 +51,19 @@ def test_the_recordings_own_stamps_set_the_pace(tmp_path: Path) -> None:
     assert len(set(steps)) == 1
 
 
+@pytest.mark.parametrize("bad", ["4900000000.0", "-4900000000.0"])
+def test_a_first_stamp_that_is_refused_sets_no_pace(tmp_path: Path, bad: str) -> None:
+    folder = tiny.write_tum(tmp_path, count=4)
+    lines = (folder / "rgb.txt").read_text().splitlines()
+    first = next(i for i, line in enumerate(lines) if not line.startswith("#"))
+    lines[first] = " ".join([bad, *lines[first].split()[1:]])
+    (folder / "rgb.txt").write_text("\n".join(lines) + "\n")
+    with playing(settings(folder)) as bus:
+        frames, end = bus.until_end()
+    assert [f.index for f in frames] == [1, 2, 3]
+    assert end.unreadable == 1
+
+
 def test_grey_recordings_stay_grey(tmp_path: Path) -> None:
     with playing(settings(tiny.write_kitti(tmp_path), rate_hz=50.0)) as bus:
         frames, _ = bus.until_end()
