@@ -98,9 +98,8 @@ def metres(relative: F32, fit: Fit, farthest: float) -> F32:
     fitted = fit.slope * relative.astype(np.float64) + fit.shift
     if fit.of_depth:
         return np.where((fitted > 0) & (fitted <= farthest), fitted, 0.0).astype(np.float32)
-    inverse = fitted
-    usable = np.isfinite(inverse) & (inverse >= 1.0 / farthest)
-    return np.where(usable, 1.0 / np.where(usable, inverse, 1.0), 0.0).astype(np.float32)
+    usable = np.isfinite(fitted) & (fitted >= 1.0 / farthest)
+    return np.where(usable, 1.0 / np.where(usable, fitted, 1.0), 0.0).astype(np.float32)
 
 
 class PairedNetwork:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
 
+from prism_edge.messages import EndOfStream, Frame
 from prism_edge.sources import Image, Slot, Source, open_source
 from prism_edge.workers.source import SourceWorker
 from tests.workers.source_bench import Recorder, running, settings
@@ -51,16 +52,21 @@ class SlowSource(Source):
         self._inner.close()
 
 
-def test_a_late_source_skips_and_counts(tmp_path: Path) -> None:
-    config = settings(tiny.write_tum(tmp_path), loop=True)
+def played(folder: Path, slow: type[SlowSource]) -> tuple[list[Frame], EndOfStream, int]:
+    """What the worker makes of a slow source: its frames, its end and how many it skipped."""
+    config = settings(folder, loop=True)
 
     def work(bus: Recorder) -> None:
-        with SlowSource(open_source(config.source)) as source:
+        with slow(open_source(config.source)) as source:
             SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
 
     with running(work) as bus:
         frames, end = bus.until_end()
-        skipped = int(bus.pulse.values["skipped"])
+        return frames, end, int(bus.pulse.values["skipped"])
+
+
+def test_a_late_source_skips_and_counts(tmp_path: Path) -> None:
+    frames, end, skipped = played(tiny.write_tum(tmp_path), SlowSource)
     assert end.frames == 50
     assert skipped == 50 - len(frames) > 0
     for frame in frames:  # none of those that went out was late by more than a period when it was read
@@ -75,15 +81,8 @@ class Surprised(SlowSource):
 
 
 def test_the_end_is_no_frame_that_was_skipped(tmp_path: Path) -> None:
-    config = settings(tiny.write_tum(tmp_path), loop=True)
-
-    def work(bus: Recorder) -> None:
-        with Surprised(open_source(config.source)) as source:
-            SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
-
-    with running(work) as bus:
-        frames, end = bus.until_end()
-        assert int(bus.pulse.values["skipped"]) == 50 - len(frames)
+    frames, end, skipped = played(tiny.write_tum(tmp_path), Surprised)
+    assert skipped == 50 - len(frames)
     assert end.frames == 50
 
 
