@@ -1,13 +1,15 @@
 """A recording played otherwise: backwards, mirrored, thinned, there and back (other sequences for free).
 
-    python tools/make_variant.py FOLDER OUT [--backwards] [--mirrored] [--every N] [--ways N] [--poses TUM]
+    python tools/make_variant.py FOLDER OUT [--backwards] [--mirrored] [--every N] [--ways N] [--bonnet]
+        [--poses TUM]
 
 FOLDER is any folder of images that `prism-edge run` plays. OUT becomes a folder of the TUM RGB-D layout:
 images, rgb.txt and, where FOLDER has true poses, groundtruth.txt with them as this camera would have moved;
 camera.yaml describes it (`--camera`). Backwards the first stamp and the last change places, and so does all
 between; images left out leave their time free. With several ways it turns back at each end, so that the
 camera is in a known place from the second way on. A mirrored image is that of a mirrored world: M T M for a
-pose T, M = diag(-1, 1, 1). --poses is another reference to be carried along: OUT/reference.tum.
+pose T, M = diag(-1, 1, 1). With --bonnet the lowest fifth of each image is the robot itself, full of corners
+and always the same. --poses is another reference to be carried along: OUT/reference.tum.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
@@ -34,6 +37,7 @@ from tools.distractors.recording import empty
 from tools.make_kidnapping import describe
 from tools.true_poses import own_truth, pose_of_image
 
+BONNET_SHARE, BLOTCH = 5, 8  # one part in so many of the rows; pixels
 MIRROR = np.diag([-1.0, 1.0, 1.0, 1.0])
 
 
@@ -45,6 +49,7 @@ class Variant:
     mirrored: bool = False
     every: int = 1
     ways: int = 1
+    bonnet: bool = False
 
     def stamps(self, stamp_ns: int, first_ns: int, last_ns: int) -> list[int]:
         """When an image comes now: once on each way, and once where one way becomes the next."""
@@ -57,9 +62,24 @@ class Variant:
         """Where this camera is then, (4, 4)."""
         return MIRROR @ world_from_camera @ MIRROR if self.mirrored else world_from_camera
 
+    def image(self, taken: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """What it takes, of an image (h, w) or (h, w, 3)."""
+        pixels = np.ascontiguousarray(taken[:, ::-1]) if self.mirrored else taken.copy()
+        if self.bonnet:
+            pixels[-(len(pixels) // BONNET_SHARE) :] = bonnet(pixels)
+        return pixels
+
     def camera(self, taken: Camera) -> Camera:
         """The camera that takes these images."""
         return replace(taken, cx=taken.width - 1.0 - taken.cx) if self.mirrored else taken
+
+
+def bonnet(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The robot's own part of an image like ``pixels``: soft blotches of all colours, always the same."""
+    height, width = len(pixels) // BONNET_SHARE, pixels.shape[1]
+    few = (max(height // BLOTCH, 2), max(width // BLOTCH, 2), *pixels.shape[2:])
+    blotches = np.random.default_rng(0).integers(0, 256, few, dtype=np.uint8)
+    return np.asarray(cv2.resize(blotches, (width, height), interpolation=cv2.INTER_CUBIC), np.uint8)
 
 
 def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -> int:
@@ -79,8 +99,7 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -
         while (image := source.read()) is not None:
             if not isinstance(image, Image) or image.index % variant.every:
                 continue
-            pixels = np.ascontiguousarray(image.pixels[:, ::-1]) if variant.mirrored else image.pixels
-            name = f"rgb/{image.index:06d}.png"
+            name, pixels = f"rgb/{image.index:06d}.png", variant.image(image.pixels)
             if not cv2.imwrite(str(out / name), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
                 raise SystemExit(f"{out}: can't write images there")
             taken.append((image.stamp_ns, name))
@@ -114,9 +133,10 @@ def main() -> None:
     parser.add_argument("--mirrored", action="store_true", help="left and right change places")
     parser.add_argument("--every", type=int, default=1, help="keep every so manieth image (default 1)")
     parser.add_argument("--ways", type=int, default=1, help="2: there and back; 3: there again")
+    parser.add_argument("--bonnet", action="store_true", help="the robot itself below, never moving")
     parser.add_argument("--poses", type=Path, metavar="TUM", help="a reference to carry along")
     given = parser.parse_args()
-    variant = Variant(given.backwards, given.mirrored, given.every, given.ways)
+    variant = Variant(given.backwards, given.mirrored, given.every, given.ways, given.bonnet)
     try:
         count = write(given.folder, given.out, variant, given.poses)
     except PrismError as error:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from prism_edge.cli.whole_file import check_writable, write_whole
 from prism_edge.config import SourceConfig
 from prism_edge.errors import CalibrationError, ConfigError
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE
@@ -58,11 +58,7 @@ def run(args: argparse.Namespace) -> int:
     out = Path(args.out)
     picture = Path(args.picture) if args.picture else out.with_suffix(COVERAGE)
     for path in (out, picture):
-        if path.exists() and not args.overwrite:
-            raise ConfigError(f"{path} is there already: name another with --out, or give --overwrite")
-        if not path.parent.is_dir():
-            raise ConfigError(f"{path}: there is no folder {path.parent}")
-        _check_writable(path)
+        check_writable(path, args.overwrite)
     if out == picture:
         raise ConfigError(f"{out} can't be both the camera file and the picture")
     source = open_source(SourceConfig(uri=args.source), calibrated=False)
@@ -95,7 +91,7 @@ def _finish(
     _refuse(verdict.of_views(views, seen, width, height))
     result = calibrate(board, views, width, height, args.model)
     encoded = cv2.imencode(".png", coverage.draw(views, [gathered.outlines[k] for k in chosen], result))[1]
-    _write(picture, encoded.tobytes())  # also of what is refused: it shows why
+    write_whole(picture, encoded.tobytes())  # also of what is refused: it shows why
     camera, used = result.camera, [views[k] for k in result.used]
     print(f"board found in {seen} of {gathered.looked} images, {len(used)} different views used")
     print(f"reprojection error {result.rms:.3f} pixels (rms)")
@@ -109,7 +105,7 @@ def _finish(
     if doubt := verdict.doubt(camera):
         print(f"note: {doubt}")
     _refuse(verdict.of_calibration(views, seen, result))
-    _write(out, camera_text(result, len(used), name, args.board).encode())
+    write_whole(out, camera_text(result, len(used), name, args.board).encode())
     print(f"camera file: {out}")
     return 0
 
@@ -117,30 +113,3 @@ def _finish(
 def _refuse(problems: list[str]) -> None:
     if problems:
         raise CalibrationError("; ".join(problems))
-
-
-def _check_writable(path: Path) -> None:
-    """Before the board is held up in twenty places. Raises ConfigError."""
-    temporary = _beside(path)
-    try:
-        temporary.touch()
-        temporary.unlink()
-    except OSError as error:
-        raise ConfigError(f"{path} can't be written ({error.strerror})") from None
-    if path.is_dir():
-        raise ConfigError(f"{path} is a folder; name a file")
-
-
-def _beside(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}")
-
-
-def _write(path: Path, data: bytes) -> None:
-    """All or nothing: a file cut short might be read as another camera."""
-    temporary = _beside(path)
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise CalibrationError(f"{path} can't be written ({error.strerror})") from None

@@ -15,6 +15,7 @@ from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.live.oak import is_oak
 from prism_edge.sources.live.open import is_live
 from prism_edge.sources.live.stream import is_stream
+from prism_edge.sources.mask import read_mask
 from prism_edge.sources.open import AUTO, open_source
 from prism_edge.sources.sim import is_simulated
 
@@ -58,15 +59,21 @@ def _endpoint(config: Config) -> list[str]:
 def _source(source: SourceConfig) -> list[str]:
     if not source.uri:
         return []
+    missing: list[str] = []
     if is_live(source.uri) or is_simulated(source.uri):
         open_source(source, calibrated=False)  # nothing is connected yet: only the address is read
     if source.camera != AUTO and Path(source.camera).expanduser().is_file():
         read_camera(Path(source.camera).expanduser())
+    mask = Path(source.mask).expanduser()
+    if source.mask and mask.is_file():
+        read_mask(mask)
+    elif source.mask:
+        missing.append(f"mask {source.mask} is not there")
     try:
         open_source(source)
     except (ConfigError, SourceError) as error:
-        return [str(error)]
-    return []
+        missing.append(str(error))
+    return missing
 
 
 def _model(config: Config) -> list[str]:

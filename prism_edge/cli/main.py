@@ -18,6 +18,7 @@ COMMANDS = {
     "ctl": ("prism_edge.cli.ctl", "tell a running daemon to do something: pause, reset, save a map, ..."),
     "eval": ("prism_edge.cli.eval", "run a recorded sequence and score the poses against its truth"),
     "calibrate": ("prism_edge.cli.calibrate", "make a camera file from views of a calibration board"),
+    "mask": ("prism_edge.cli.mask", "find what of the images is the robot itself, and write a mask"),
     "models": ("prism_edge.cli.models", "list the known depth networks, or describe one"),
     "doctor": ("prism_edge.cli.doctor", "check that this machine has what the daemon needs"),
     "config": ("prism_edge.cli.config", "print the effective configuration, or check a file"),
@@ -28,13 +29,13 @@ EXIT_CODES = """exit codes:
   0    done
   1    `doctor` found something that does not work, or `ctl` was refused
   2    the command line is wrong
-  3    a configuration or camera file, or a setting, is wrong
+  3    a configuration, camera or mask file, or a setting, is wrong
   4    a camera, video or recording can't be opened or read
   5    a depth model can't be loaded or breaks its contract
   6    the Zenoh endpoint is in use, not reachable or not valid
   7    a process kept dying and was given up
   8    a run can't be scored, or broke a rule of the evaluation
-  9    views of a board don't give a camera's intrinsics
+  9    views of a board don't give a camera's intrinsics, or a camera hardly moved while a mask was made
   10   a stored map can't be read, written or used
   70   an error of prism_edge itself
   74   a file can't be read or written: a full disk, mostly

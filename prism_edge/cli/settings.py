@@ -74,7 +74,7 @@ def add_input(parser: argparse.ArgumentParser) -> None:
 
 
 def add_playing(parser: argparse.ArgumentParser) -> None:
-    """--model, --camera, and what :func:`add_order` adds."""
+    """--model, --camera, --mask, and what :func:`add_order` adds."""
     parser.add_argument(
         "--model",
         metavar="MODEL",
@@ -84,6 +84,9 @@ def add_playing(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--camera", metavar="FILE", help="camera file (YAML or ROS camera_info); auto: as the network sees it"
+    )
+    parser.add_argument(
+        "--mask", metavar="FILE", help="image, black where the camera sees its own robot (`prism-edge mask`)"
     )
     add_order(parser)
 
@@ -109,6 +112,7 @@ def config_from(args: argparse.Namespace) -> Config:
         "bus.endpoint": args.endpoint,
         "source.uri": getattr(args, "source", None),
         "source.camera": getattr(args, "camera", None),
+        "source.mask": getattr(args, "mask", None),
         "depth.model": getattr(args, "model", None),
         "seed": getattr(args, "seed", None),
     }

@@ -81,6 +81,10 @@ class OrbExtractor:
         most = int(self._wanted * self.surplus)
         self._orb = OrbPyramid(self.scale_factors, config.fast_threshold, most)
 
+    def look_only_at(self, shown: NDArray[np.bool_]) -> None:
+        """Features only where ``shown`` (height, width), as large as the images to come, is True."""
+        self._orb.look_only_at(shown)
+
     def extract(self, grey: NDArray[np.uint8], camera: Camera) -> Features:
         """Features of a grey image (height, width); an image without corners gives none."""
         if (grey.shape[1], grey.shape[0]) != self._size:

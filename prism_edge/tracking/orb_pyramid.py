@@ -21,6 +21,7 @@ Index = NDArray[np.intp]
 
 PATCH = 31  # pixels of a level that a descriptor looks at
 BORDER = 19  # what a keypoint is away from its level's: more than corners.py's margin
+MASK_MARGIN = 8  # pixels of a level: half a descriptor's patch may show what is masked, no more
 HIGHEST_THRESHOLD = 25  # of FAST
 ENOUGH = 0.95  # of what is wanted; from there on weaker corners would only be thrown away
 FAR_TOO_FEW = 0.4  # of what is wanted: the light has changed, and the threshold does not fit any more
@@ -48,6 +49,8 @@ class OrbPyramid:
             for _ in factors
         ]
         self.limit(most)
+        self._shown: NDArray[np.bool_] | None = None
+        self._masks: list[Grey | None] = [None] * len(factors)
         self._images: list[Grey] = []
         self._found: list[Sequence[cv2.KeyPoint]] = []
 
@@ -59,12 +62,18 @@ class OrbPyramid:
         for detector, share in zip(self._detectors, shares.tolist(), strict=True):
             detector.setMaxFeatures(max(share, 1))
 
+    def look_only_at(self, shown: NDArray[np.bool_]) -> None:
+        """From now on, find corners only where ``shown`` (height, width), as large as the images, is True."""
+        self._shown, self._masks = shown, []
+
     def detect(self, grey: Grey) -> tuple[NDArray[np.float32], Index, Array]:
         """Strongest corners of a grey image: pixels (n, 2), levels (n,), ascending, and strengths (n,).
 
         Pixels are a level's times its factor (OpenCV's way, features.py has the other).
         """
         self._images = self._scaled(grey)
+        if self._shown is not None and not self._masks:
+            self._masks = [_mask(self._shown, image.shape) for image in self._images]
         counts = self._search(self._threshold)
         at_first = sum(counts)
         if self._threshold > self._lowest and at_first < FAR_TOO_FEW * self._most:
@@ -92,7 +101,8 @@ class OrbPyramid:
         """Find corners at every level; returns how many."""
         for detector in self._detectors:
             detector.setFastThreshold(threshold)
-        self._found = [d.detect(image, None) for d, image in zip(self._detectors, self._images, strict=False)]
+        at_levels = zip(self._detectors, self._images, self._masks, strict=False)
+        self._found = [detector.detect(image, mask) for detector, image, mask in at_levels]
         return [len(found) for found in self._found]
 
     def _scaled(self, grey: Grey) -> list[Grey]:
@@ -111,6 +121,13 @@ class OrbPyramid:
         enough = found > ENOUGH * self._most
         threshold = min(self._threshold + 1, HIGHEST_THRESHOLD) if enough else self._threshold - 2
         self._threshold = max(threshold, self._lowest)
+
+
+def _mask(shown: NDArray[np.bool_], shape: tuple[int, ...]) -> Grey:
+    """What of a level may have corners, as OpenCV wants it, MASK_MARGIN away from what may not."""
+    level = cv2.resize(shown.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST)
+    side = 2 * MASK_MARGIN + 1
+    return np.asarray(cv2.erode(level, np.ones((side, side), np.uint8)), np.uint8)
 
 
 def _pixels(found: Sequence[cv2.KeyPoint]) -> NDArray[np.float32]:

@@ -77,6 +77,10 @@ class Tracker:
         self._pending: LocalKeyframe | None = None  # the first keyframe, not yet handed out
         self._lens: Camera | None = None  # the camera as the backend has found it
 
+    def look_only_at(self, shown: NDArray[np.bool_]) -> None:
+        """Take no corners where ``shown`` (height, width), as large as all images to come, is False."""
+        self._extractor.look_only_at(shown)
+
     def process(self, index: int, stamp_ns: int, grey: NDArray[np.uint8], camera: Camera) -> FrameResult:
         """Track one image (height, width) taken at ``stamp_ns``; what is published follows from the result.
 

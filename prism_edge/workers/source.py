@@ -7,6 +7,7 @@ import logging
 import time
 from collections import deque
 from dataclasses import replace
+from pathlib import Path
 
 from prism_edge.bus.lockstep import Gatekeeper
 from prism_edge.bus.pack import pack
@@ -18,7 +19,9 @@ from prism_edge.processes import processes_for
 from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
 from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.live.camera import LiveCamera
+from prism_edge.sources.mask import mask_for
 from prism_edge.sources.open import AUTO
+from prism_edge.sources.own_parts_watch import OwnPartsWatch
 from prism_edge.sources.schedule import CatchingUp, Schedule
 from prism_edge.workers.pause import Pause
 
@@ -47,6 +50,8 @@ class SourceWorker:
         self._pause = Pause(bus)
         self._checks = FrameChecks(source.camera)
         self._camera = source.camera.to_array()
+        camera, mask = source.camera, config.source.mask  # the tracker's, but here is who knows the size
+        self._own_parts = OwnPartsWatch(mask_for(Path(mask), camera.width, camera.height) if mask else None)
         self._last_index = -1
         self._reported: set[str] = set()
         self._released_at: deque[float] = deque(maxlen=60)
@@ -225,6 +230,7 @@ class SourceWorker:
             from prism_edge.bus import ros  # slow to load, and recordings have no need of it
 
             self._bus.publish("truth", ros.pose_stamped(item.stamp_ns, _TRUTH_FRAME, true_pose))
+        self._own_parts.look(item.pixels, item.stamp_ns)
         self._last_index = item.index
         self._released_at.append(time.monotonic())
         self._show()
@@ -244,7 +250,8 @@ class SourceWorker:
         times = self._released_at
         flows = len(times) > 1 and time.monotonic() - times[-1] < _STILL_S
         rate = (len(times) - 1) / (times[-1] - times[0]) if flows else 0.0
-        health = self._source.health() | self._pause.health
+        own = {"warning": self._own_parts.warning} if self._own_parts.warning else {}
+        health = own | self._source.health() | self._pause.health
         if "warning" not in health:
             self._bus.pulse.values.pop("warning", None)
         self._bus.pulse.values.update(health | {"fps": f"{rate:.1f}"})

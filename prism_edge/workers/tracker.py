@@ -7,10 +7,12 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from prism_edge.bus.commands import Reply, on_or_off
 from prism_edge.bus.pack import grey
@@ -70,6 +72,9 @@ class TrackerWorker:
         self._maps = MapAdoption(config, bus)
         self._ends = bus.queue("end")
         self._tracker = Tracker(_tracking(config), config.seed, bus.first_id)
+        self._shown = _mask(config)
+        if self._shown is not None:
+            self._tracker.look_only_at(self._shown)
         self._odometry, self._sight = MetricOdometry(), Sight()
         self._publisher = PosePublisher(bus, config.frames, config.covariance.refinement)
         self._drift, self._status = Drift(config.covariance), TrackerStatus(bus)
@@ -181,9 +186,12 @@ class TrackerWorker:
         """The camera that a frame says it is from; None where no camera takes such a frame."""
         try:
             camera = Camera.from_array(frame.camera_model, frame.camera)
-            if grey(frame).shape == (camera.height, camera.width):
+            if grey(frame).shape != (camera.height, camera.width):
+                problem = "its image is smaller than its camera says"
+            elif self._shown is not None and self._shown.shape != (camera.height, camera.width):
+                problem = "the mask is for images of another size"
+            else:
                 return camera
-            problem = "its image is smaller than its camera says"
         except ConfigError as error:
             problem = str(error)
         if self._bus.pulse.count("malformed") == 1:
@@ -369,6 +377,15 @@ def _tracking(config: Config) -> TrackingConfig:
     trusting = 0.0 if "consistency" in config.ablate else config.tracking.proven_after_s
     two_views = config.tracking.two_views and "init" not in config.ablate
     return replace(config.tracking, proven_after_s=trusting, two_views=two_views)
+
+
+def _mask(config: Config) -> NDArray[np.bool_] | None:
+    """Where the world is in the images, (height, width); None where that is everywhere."""
+    if not config.source.mask:
+        return None
+    from prism_edge.sources.mask import read_mask  # the tracker needs nothing else of the sources
+
+    return read_mask(Path(config.source.mask))
 
 
 def main(config: Config, bus: Bus) -> None:

@@ -102,6 +102,16 @@ def test_poses_of_images_left_out_are_left_out(tmp_path):
     assert len(read_truth(str(tmp_path / "out"))[0]) == 3
 
 
+def test_a_bonnet_is_the_same_in_every_image_and_hides_no_more_than_a_fifth(tmp_path):
+    source = write_sequence(tmp_path / "in", frames=3, width=160, height=120)
+    write(str(source), tmp_path / "out", Variant(bonnet=True))
+    before, _, _ = played(source, camera=False)
+    now, _, _ = played(tmp_path / "out")
+    assert all(np.array_equal(image[-24:], now[0][-24:]) for image in now)
+    assert now[0][-24:].std() > 40.0
+    assert all(np.array_equal(a[:-24], b[:-24]) for a, b in zip(now, before, strict=True))
+
+
 @pytest.mark.parametrize(
     ("argument", "says"), [("--every=0", "1 or more"), ("--ways=0", "1 or more"), ("nothing", "nothing")]
 )

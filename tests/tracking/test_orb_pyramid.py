@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from prism_edge.tracking.orb_pyramid import BORDER, HIGHEST_THRESHOLD, OrbPyramid
+from prism_edge.tracking.orb_pyramid import BORDER, HIGHEST_THRESHOLD, MASK_MARGIN, OrbPyramid
 from tests.synthetic.scene import block_texture
 
 FACTORS = 1.3 ** np.arange(6)
@@ -122,3 +122,24 @@ def test_levels_that_a_keypoint_has_no_room_in_are_left_out(size):
     inside = (pixels > 0) & (pixels < (size[1], size[0]))
     assert inside.all()
     assert (len(pixels) > 0) == (min(size) > 2 * BORDER)
+
+
+def test_corners_are_looked_for_only_where_they_may_be_and_as_many():
+    image = blocks(4)
+    shown = np.ones(image.shape, bool)
+    shown[:, 320:] = False
+    masked = OrbPyramid(FACTORS, 10, 400)
+    masked.look_only_at(shown)
+    pixels, levels, _ = masked.detect(image)
+    assert np.all(pixels[:, 0] < 320 - (MASK_MARGIN - 1) * FACTORS[levels])
+    # What is hidden takes nothing of what is wanted.
+    assert len(pixels) >= 0.95 * 400
+    assert len(masked.describe(np.arange(len(pixels)))) == len(pixels)
+
+
+def test_where_nothing_is_hidden_a_mask_changes_nothing():
+    image = blocks(5)
+    masked, plain = OrbPyramid(FACTORS, 10, 400), OrbPyramid(FACTORS, 10, 400)
+    masked.look_only_at(np.ones(image.shape, bool))
+    for found, expected in zip(masked.detect(image), plain.detect(image), strict=True):
+        assert np.array_equal(found, expected)

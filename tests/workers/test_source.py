@@ -8,6 +8,7 @@ import threading
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
@@ -19,6 +20,7 @@ from prism_edge.errors import ConfigError, SourceError
 from prism_edge.messages import Acknowledged, EndOfStream, Frame
 from prism_edge.sources import open_source
 from prism_edge.workers.source import SourceWorker, main
+from tests.synthetic.scene import block_texture
 from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, wait_for
 
 
@@ -229,6 +231,45 @@ def test_what_cannot_be_played_is_an_error_before_ready(tmp_path: Path) -> None:
         main(settings(folder, camera=str(broken)), bus)  # type: ignore[arg-type]
     assert "ready" not in bus.states
     assert bus.published.empty()
+
+
+def test_a_mask_of_another_size_is_an_error_before_ready(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path)
+    cv2.imwrite(str(tmp_path / "mask.png"), np.full((20, 30), 255, np.uint8))
+    bus = Recorder()
+    with pytest.raises(ConfigError, match="is 30x20, but the camera's images are"):
+        main(settings(folder, mask=str(tmp_path / "mask.png")), bus)  # type: ignore[arg-type]
+    assert "ready" not in bus.states
+
+
+def bonnet(folder: Path) -> Path:
+    """A TUM folder of 50 images, 0.3 s apart, of a camera that sways; the lower third never changes."""
+    texture = block_texture(np.random.default_rng(0), 1200, 900)
+    own = block_texture(np.random.default_rng(1), 320, 80)
+    (folder / "rgb").mkdir(parents=True)
+    lines = []
+    for i in range(50):
+        x, y = round(400 + 300 * np.sin(0.9 * i)), round(300 + 200 * np.sin(0.7 * i))
+        image = texture[y : y + 240, x : x + 320].copy()
+        image[-80:] = own
+        cv2.imwrite(str(folder / f"rgb/{i}.png"), image)
+        lines.append(f"{0.3 * i:.6f} rgb/{i}.png\n")
+    (folder / "rgb.txt").write_text("".join(lines))
+    (folder / "camera.yaml").write_text("width: 320\nheight: 240\nfx: 260\nfy: 260\ncx: 160\ncy: 120\n")
+    return folder
+
+
+def test_health_says_that_the_camera_sees_its_own_robot(tmp_path: Path) -> None:
+    folder = bonnet(tmp_path / "robot")
+    with playing(settings(folder, "lockstep")) as bus:
+        acknowledging(bus, "tracker", "backend")
+        assert "if that is the robot itself, mask it" in bus.pulse.values["warning"]
+    shown = np.full((240, 320), 255, np.uint8)
+    shown[-90:] = 0
+    cv2.imwrite(str(tmp_path / "mask.png"), shown)
+    with playing(settings(folder, "lockstep", mask=str(tmp_path / "mask.png"))) as bus:
+        acknowledging(bus, "tracker", "backend")
+        assert "warning" not in bus.pulse.values
 
 
 @pytest.fixture

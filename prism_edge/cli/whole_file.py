@@ -1,0 +1,39 @@
+"""Files that a command makes for the user: never over one that is there unasked, and never half of one."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from prism_edge.errors import CalibrationError, ConfigError
+
+
+def check_writable(path: Path, overwrite: bool) -> None:
+    """Before anybody takes the trouble. Raises ConfigError."""
+    if path.exists() and not overwrite:
+        raise ConfigError(f"{path} is there already: name another with --out, or give --overwrite")
+    if not path.parent.is_dir():
+        raise ConfigError(f"{path}: there is no folder {path.parent}")
+    if path.is_dir():
+        raise ConfigError(f"{path} is a folder; name a file")
+    temporary = _beside(path)
+    try:
+        temporary.touch()
+        temporary.unlink()
+    except OSError as error:
+        raise ConfigError(f"{path} can't be written ({error.strerror})") from None
+
+
+def write_whole(path: Path, data: bytes) -> None:
+    """All or nothing: a file cut short might be read as another one. Raises CalibrationError."""
+    temporary = _beside(path)
+    try:
+        temporary.write_bytes(data)
+        temporary.replace(path)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise CalibrationError(f"{path} can't be written ({error.strerror})") from None
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}")

@@ -1,0 +1,48 @@
+"""Masks: which part of every image shows the world, and which the robot itself or writing laid over it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.errors import ConfigError
+
+Shown = NDArray[np.bool_]  # (height, width): True where the world is seen
+
+LEAST_SHOWN = 0.1  # of the image: with less there is hardly a map to be made
+
+
+def read_mask(path: Path) -> Shown:
+    """The mask that an image file holds: what is darker than half grey is not the world.
+
+    Raises ConfigError, naming the file, where it is no image or leaves less than LEAST_SHOWN of it.
+    """
+    try:
+        data = np.frombuffer(path.expanduser().read_bytes(), np.uint8)
+    except OSError as error:
+        raise ConfigError(f"mask {path} can't be read ({error.strerror})") from None
+    try:
+        pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+    except cv2.error:
+        pixels = None
+    if pixels is None:
+        raise ConfigError(f"mask {path} is no image; expected one that is black where the robot is seen")
+    shown: Shown = np.asarray(pixels) >= 128
+    if shown.mean() < LEAST_SHOWN:
+        raise ConfigError(
+            f"mask {path} leaves {100.0 * shown.mean():.0f} % of the image; "
+            "white is what is looked at, black what is not"
+        )
+    return shown
+
+
+def mask_for(path: Path, width: int, height: int) -> Shown:
+    """:func:`read_mask` for images of one size. Raises ConfigError, too, where the mask has another."""
+    shown = read_mask(path)
+    if shown.shape != (height, width):
+        size = f"{shown.shape[1]}x{shown.shape[0]}"
+        raise ConfigError(f"mask {path} is {size}, but the camera's images are {width}x{height}")
+    return shown
