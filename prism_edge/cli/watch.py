@@ -61,11 +61,13 @@ class Listener:
     """Subscriptions that keep a LiveView up to date."""
 
     def __init__(self, bus: Bus, config: Config) -> None:
+        from prism_edge.bus.links import on_this_host
+
         self.view = LiveView()
         self._poses = bus.queue("pose", 1024)
         self._odometry = bus.queue("odom", 1024)
         self._scale, self._status = bus.latest("scale"), bus.latest("status")
-        here = on_this_host(config.bus.endpoint)
+        here = on_this_host(config.bus.endpoint)  # the session's own rule: only from elsewhere is it linked
         # Monotonic clocks can be compared on one host only.
         self._tracked = bus.queue("tracked") if here else None
         if here:  # from elsewhere the link is up once the bus is open
@@ -113,13 +115,6 @@ class Listener:
     def _keep_status(self, message: Any) -> None:
         if message.status:
             self.view.state = message.status[0].message
-
-
-def on_this_host(endpoint: str) -> bool:
-    """Whether an endpoint can only be that of a daemon on this host."""
-    protocol, _, address = endpoint.partition("/")
-    local = ("127.", "localhost:", "[::1]")
-    return protocol == "unixsock-stream" or address.startswith(local)
 
 
 class Plain:
