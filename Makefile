@@ -10,6 +10,8 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PLACE := $(VENV)/.place
+# An environment that lies elsewhere is somebody's own, or two checkouts': it is neither cleared nor removed.
+ELSEWHERE := $(filter /% ../%,$(VENV))
 
 help: ## show this list
 	@grep -hE '^[a-z]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z]+):.*## /  make \1\t/' | expand -t 20
@@ -25,10 +27,10 @@ endif
 $(STAMP): requirements.lock pyproject.toml setup.py tools/find_python.sh
 	@python="$$(tools/find_python.sh)"
 	# An environment that was interrupted half way, or whose Python has gone, is made anew, and one that moved
-	# with its checkout. One that lies elsewhere is somebody's own, or two checkouts': it is installed into.
+	# with its checkout. One that lies elsewhere is installed into.
 	was="$$(cat $(PLACE) 2>/dev/null || true)"
 	if ! $(BIN)/python -m pip --version >/dev/null 2>&1 ||
-	    [[ -n "$$was" && "$$was" != "$(CURDIR)" && "$(VENV)" != /* ]]; then
+	    [[ -n "$$was" && "$$was" != "$(CURDIR)" && -z "$(ELSEWHERE)" ]]; then
 	    echo "making $(VENV) with $$python"
 	    "$$python" -m venv --clear $(VENV)
 	fi
@@ -74,5 +76,5 @@ lock: $(STAMP) ## resolve the dependencies anew into requirements.lock and requi
 	tools/lock.sh $(BIN)
 
 clean: ## remove the environment and what tools cache
-	rm -rf $(VENV) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(if $(ELSEWHERE),,$(VENV)) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

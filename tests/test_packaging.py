@@ -161,6 +161,21 @@ def test_an_environment_is_made_once_and_anew_where_it_was_moved(tmp_path: Path)
         (own / ".place").write_text("another checkout that uses it too\n")
 
 
+@pytest.mark.skipif(not shutil.which("make"), reason="no make here")
+@pytest.mark.parametrize("name", ["venv", "../own", "{elsewhere}/own"])
+def test_clean_removes_no_environment_but_the_checkouts(name: str, tmp_path: Path) -> None:
+    """Named in the shell's environment, as it may be for another project's sake."""
+    checkout = tmp_path / "checkout"
+    for folder in (checkout / "build", checkout / "venv", tmp_path / "own"):
+        folder.mkdir(parents=True)
+    shutil.copy(CHECKOUT / "Makefile", checkout / "Makefile")
+    environment = {**os.environ, "VENV": name.format(elsewhere=tmp_path), "MAKEFLAGS": ""}
+    subprocess.run(["make", "clean"], cwd=checkout, env=environment, check=True, timeout=60)
+    assert not (checkout / "build").exists()
+    assert (checkout / "venv").exists() is (name != "venv")
+    assert (tmp_path / "own").exists()
+
+
 def test_the_installed_package_plays_the_demo_from_an_empty_folder(tmp_path: Path) -> None:
     """Built without its tests, tools and checkout, it brings a network and a world, and needs no cache."""
     source, built, empty = tmp_path / "source", tmp_path / "built", tmp_path / "empty"
