@@ -72,11 +72,16 @@ def write(recording: Recording, things: list[Distractor], contrast: float, out: 
         colours = np.where(mask[..., None], colours, spread)
         mixed = image * (np.float32(1) - alpha) + colours * alpha
         drawn = np.clip(mixed + 0.5, 0, 255).astype(np.uint8)
-        cv2.imwrite(str(target), drawn, [cv2.IMWRITE_JPEG_QUALITY, 95])
-        cv2.imwrite(str(out / f"masks/{i:06d}.png"), mask.astype(np.uint8) * 255)
+        _write_image(target, drawn, cv2.IMWRITE_JPEG_QUALITY, 95)
+        _write_image(out / f"masks/{i:06d}.png", mask.astype(np.uint8) * 255)
         if depth_file is not None:
             _write_depth(recording, depth_file, shown, out)
     return shares
+
+
+def _write_image(file: Path, image: NDArray[np.generic], *options: int) -> None:
+    """Raises OSError where it can't be written, which OpenCV's own writing says by False alone."""
+    file.write_bytes(cv2.imencode(file.suffix, image, options)[1].tobytes())
 
 
 def _copied(source: Path, target: Path) -> None:
@@ -95,7 +100,7 @@ def _write_depth(recording: Recording, file: Path, shown: Array, out: Path) -> N
     raw = np.where(np.isfinite(here), np.clip(here * unit, 1, 65534), raw).astype(np.uint16)
     target = out / file.relative_to(recording.folder)
     target.parent.mkdir(parents=True, exist_ok=True)
-    cv2.imwrite(str(target), raw)
+    _write_image(target, raw)
 
 
 def copy_rest(recording: Recording, out: Path) -> None:
@@ -133,11 +138,15 @@ def main(arguments: list[str] | None = None) -> int:
         args.out.mkdir(parents=True, exist_ok=True)
         shares = write(recording, things, args.contrast, args.out)
         copy_rest(recording, args.out)
+        summary = {
+            "seed": args.seed,
+            "objects": len(things),
+            "covered": [round(share, 4) for share in shares],
+        }
+        (args.out / "distractors.json").write_text(json.dumps(summary) + "\n")  # last: all of it is there
     except (PrismError, OSError) as error:
         print(f"make_distractors: error: {error}", file=sys.stderr)
         return 2
-    summary = {"seed": args.seed, "objects": len(things), "covered": [round(share, 4) for share in shares]}
-    (args.out / "distractors.json").write_text(json.dumps(summary) + "\n")
     low, middle, high = np.quantile(shares, (0.05, 0.5, 0.95))
     inside = float(np.mean((np.array(shares) >= 0.1) & (np.array(shares) <= MOST_COVERED)))
     print(

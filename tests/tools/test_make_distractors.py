@@ -166,6 +166,26 @@ def test_a_folder_of_the_same_layout_comes_out_twice_alike(sequence: Path, tmp_p
         assert np.all(new[mask] < old[mask])
 
 
+@pytest.mark.parametrize("lost", ["rgb", "masks", "depth"])
+def test_an_image_that_can_not_be_written_ends_it_before_it_counts_as_made(
+    sequence: Path, tmp_path: Path, capsys, monkeypatch, lost: str
+):
+    """In place of a full disk: a folder where the tenth image of a kind is to go."""
+    planned = make_distractors.plan
+
+    def blocked(recording, seed, coverage):
+        file = sorted((sequence / lost).iterdir())[10].name if lost != "masks" else "000010.png"
+        (tmp_path / "out" / lost / file).mkdir(parents=True)
+        return planned(recording, seed, coverage)
+
+    monkeypatch.setattr(make_distractors, "plan", blocked)
+    assert make_distractors.main([str(sequence), str(tmp_path / "out"), "--coverage", "0.2"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("make_distractors: error: ")
+    assert f"/{lost}/" in error
+    assert not (tmp_path / "out" / "distractors.json").exists()
+
+
 @pytest.mark.parametrize(
     ("more", "says"),
     [
