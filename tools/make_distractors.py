@@ -93,11 +93,10 @@ def _write_depth(recording: Recording, file: Path, shown: Array, out: Path) -> N
     """The sensor's image with the objects in it, in its own pixels and unit."""
     raw = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     unit = 1000.0 if recording.listing.layout == "7-Scenes" else 5000.0
-    scale, shift = recording.to_sensor(raw.shape)
-    y = np.rint((np.arange(raw.shape[0]) - shift[1]) / scale[1]).astype(np.int64)
-    x = np.rint((np.arange(raw.shape[1]) - shift[0]) / scale[0]).astype(np.int64)
-    here = shown[np.ix_(np.clip(y, 0, shown.shape[0] - 1), np.clip(x, 0, shown.shape[1] - 1))]
-    raw = np.where(np.isfinite(here), np.clip(here * unit, 1, 65534), raw).astype(np.uint16)
+    here = recording.in_sensor(shown, raw.shape)
+    # A surface that the colour camera has behind an object may be before it where the sensor is.
+    nearer = np.isfinite(here) & ((raw == 0) | (here * unit < raw))
+    raw = np.where(nearer, np.clip(here * unit, 1, 65534), raw).astype(np.uint16)
     target = out / file.relative_to(recording.folder)
     target.parent.mkdir(parents=True, exist_ok=True)
     _write_image(target, raw)

@@ -20,8 +20,8 @@ _NO_RETURN = 65535  # 7-Scenes' other mark of an invalid pixel, beside 0
 _TUM_PAIRING_NS = 20_000_000
 # 7-Scenes' depth camera: intrinsics as published, of an image 640 wide; where the colour camera is in its
 # frame (m), found by laying depth edges over edges of redkitchen's images (docs/SOURCES.md).
-_DEPTH_CAMERA = (585.0, 585.0, 320.0, 240.0)
-_COLOUR_IN_DEPTH = np.array([0.025, 0.005, 0.0])
+DEPTH_CAMERA = (585.0, 585.0, 320.0, 240.0)
+COLOUR_IN_DEPTH = np.array([0.025, 0.005, 0.0])
 
 
 class SensorDepth:
@@ -80,11 +80,11 @@ def seen_by_colour(depth: F32, camera: Camera) -> F32:
     height, width = depth.shape
     row, column = np.nonzero(depth)
     z = depth[row, column].astype(np.float64)
-    fx, fy, cx, cy = _DEPTH_CAMERA
+    fx, fy, cx, cy = DEPTH_CAMERA
     step = 640.0 / width
     x = ((column + 0.5) * step - 0.5 - cx) / fx * z
     y = ((row + 0.5) * step - 0.5 - cy) / fy * z
-    points = np.column_stack([x, y, z]) - _COLOUR_IN_DEPTH
+    points = np.column_stack([x, y, z]) - COLOUR_IN_DEPTH
     pixels = (camera.project(points) + 0.5) * (width / camera.width, height / camera.height) - 0.5
     at = np.rint(pixels).astype(np.int64)
     inside = np.all((at >= 0) & (at < (width, height)), axis=1)

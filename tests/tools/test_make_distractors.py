@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,10 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.open import open_source
 from prism_edge.sources.sensor_depth import SensorDepth
 from prism_edge.sources.truth import read_truth
+from tests.sources import tiny_datasets as tiny
 from tests.synthetic.sequence import write_sequence
 from tools import make_distractors
-from tools.distractors.recording import filled, interpolated
+from tools.distractors.recording import Recording, filled, interpolated
 from tools.distractors.solids import BOX, ELLIPSOID, Distractor, draw, hits, surface, texture
 
 CAMERA = Camera(160, 120, 130.0, 130.0, 79.5, 59.5)
@@ -218,3 +220,51 @@ def test_replaced_extents_are_the_only_change_of_size():
     bigger = replace(ball, half_extents=ball.half_extents * 1.5)
     small, large = (draw(CAMERA, np.eye(4), 0.5, [b], FAR, None)[0] for b in (ball, bigger))
     assert np.isfinite(large).mean() == pytest.approx(1.5**2 * np.isfinite(small).mean(), rel=0.15)
+
+
+@pytest.fixture
+def apart(tmp_path: Path) -> Recording:
+    """A 7-Scenes folder: a wall at 3 m, before it at 1 m a board of 100 x 80 pixels of the depth camera."""
+    folder = tiny.write_seven_scenes(tmp_path / "apart", count=2)
+    raw = np.full((480, 640), 3000, np.uint16)
+    raw[200:280, 300:400] = 1000
+    raw[:20, :20] = 65535  # nothing came back
+    for i in range(2):
+        assert cv2.imwrite(str(folder / f"frame-{i:06d}.depth.png"), raw)
+    return Recording(folder, None)
+
+
+def test_depth_that_is_not_registered_is_where_the_colour_camera_sees_it(apart: Recording):
+    """By hand: 25 mm to the right, and the focal lengths' ratio."""
+    depth, c = apart.depth(0), apart.camera
+    row, column = np.nonzero(depth == 1.0)
+    left, right, wall = (z * (x - 320) / 585.0 - 0.025 for x, z in ((300, 1.0), (399, 1.0), (400, 3.0)))
+    assert column.min() == pytest.approx(c.fx * left + c.cx, abs=1)
+    # Between the board and what the sensor has of the wall is the board's shadow, half of it filled from it.
+    assert column.max() == pytest.approx(c.fx * (right + wall / 3) / 2 + c.cx, abs=1.5)
+    top, bottom = ((y - 240) / 585.0 - 0.005 for y in (200, 279))
+    assert row.min() == pytest.approx(c.fy * top + c.cy, abs=1)
+    assert row.max() == pytest.approx(c.fy * bottom + c.cy, abs=1)
+    assert np.isclose(depth[60:400, 60:250], 3.0).all()
+    assert np.array_equal(apart.depth(0, 8), depth[::8, ::8])
+
+
+def test_an_object_is_in_the_sensors_image_where_the_sensor_sees_it(apart: Recording, tmp_path: Path):
+    shown = np.full((480, 640), np.inf)
+    shown[150:300, 250:330] = 2.0  # partly where the sensor sees the board
+    shown[:, 290:] = np.where(apart.depth(0)[:, 290:] < 2.0, np.inf, shown[:, 290:])
+    file = apart.sensor_file(0)
+    make_distractors._write_depth(apart, file, shown, tmp_path / "made")
+    raw = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    made = cv2.imread(str(tmp_path / "made" / file.name), cv2.IMREAD_UNCHANGED)
+    assert set(np.unique(made[made != raw])) == {2000}
+    row, column = np.nonzero(made != raw)
+    assert column.min() == pytest.approx(585 * ((250 - 320) / 525.0 + 0.025 / 2) + 320, abs=1)
+    assert row.max() == pytest.approx(585 * ((299 - 240) / 525.0 + 0.005 / 2) + 240, abs=1)
+    assert np.array_equal(made[200:280, 300:400], raw[200:280, 300:400]), "the board is nearer"
+    shutil.copyfile(tmp_path / "made" / file.name, file)
+    again, mask = apart.depth(0), np.isfinite(shown)
+    inner = cv2.erode(mask.astype(np.uint8), np.ones((5, 5))) > 0
+    outer = cv2.dilate(mask.astype(np.uint8), np.ones((5, 5))) > 0
+    assert (again[inner] == 2.0).mean() > 0.95
+    assert not (again[~outer] == 2.0).any()

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from prism_edge.config import SourceConfig
 from prism_edge.errors import SourceError
 from prism_edge.evaluation.trajectory import read_tum
+from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log
 from prism_edge.sources.open import find_listing, open_source
-from prism_edge.sources.sensor_depth import SensorDepth
+from prism_edge.sources.sensor_depth import COLOUR_IN_DEPTH, DEPTH_CAMERA, SensorDepth
 from prism_edge.sources.truth import read_truth
 
 Array = NDArray[np.float64]
-SEVEN_SCENES_DEPTH_FOCAL = 585.0  # pixels at 640; the depth camera of a 7-Scenes folder isn't registered
 
 
 def empty(out: Path) -> None:
@@ -49,28 +49,51 @@ class Recording:
 
     def depth(self, index: int, step: int = 1) -> Array:
         """True depth (h, w) at every ``step``-th pixel of the colour image, inf where nothing is known."""
-        raw = self._depth.read(index)
+        seen = self._depth.in_colour(index, self.camera)
         rows, columns = np.arange(0, self.camera.height, step), np.arange(0, self.camera.width, step)
-        if raw is None:
+        if seen is None:
             return np.full((len(rows), len(columns)), np.inf)
-        scale, shift = self.to_sensor(raw.shape)
-        y = np.clip(np.rint(rows * scale[1] + shift[1]), 0, raw.shape[0] - 1).astype(np.int64)
-        x = np.clip(np.rint(columns * scale[0] + shift[0]), 0, raw.shape[1] - 1).astype(np.int64)
-        return filled(raw.astype(np.float64))[np.ix_(y, x)]
+        rows = nearest(rows, self.camera.height, seen.shape[0])
+        columns = nearest(columns, self.camera.width, seen.shape[1])
+        return filled(seen.astype(np.float64))[np.ix_(rows, columns)]
 
-    def to_sensor(self, shape: tuple[int, ...]) -> tuple[Array, Array]:
-        """Scale and shift (2,) from colour to sensor pixels (x, y)."""
-        size = np.array([self.camera.width, self.camera.height], dtype=float)
-        ratio = np.array([shape[1], shape[0]]) / size
+    def in_sensor(self, shown: Array, shape: tuple[int, ...]) -> Array:
+        """Depth (h, w) of the colour image as the depth image of that shape sees it; inf where it sees none.
+
+        The other way round than :meth:`depth`.
+        """
         if self.listing.layout == "7-Scenes":
-            zoom = SEVEN_SCENES_DEPTH_FOCAL / np.array([self.camera.fx, self.camera.fy])
-            centre = np.array([self.camera.cx, self.camera.cy])
-            return ratio * zoom, ratio * (centre - zoom * centre)
-        return ratio, 0.5 * (ratio - 1.0)
+            return seen_by_sensor(shown, self.camera, shape)
+        rows, columns = (nearest(np.arange(n), n, m) for n, m in zip(shape, shown.shape, strict=True))
+        return shown[np.ix_(rows, columns)]
 
     def sensor_file(self, index: int) -> Path | None:
         """The depth image of a colour image; None where it has none."""
         return self._depth.file(index)
+
+
+def nearest(pixels: NDArray[np.int64], of: int, among: int) -> NDArray[np.int64]:
+    """The nearest of ``among`` pixels that lie over the same length as ``of``, to whole ones of those."""
+    there = np.rint((pixels + 0.5) * (among / of) - 0.5)
+    return np.clip(there, 0, among - 1).astype(np.int64)
+
+
+def seen_by_sensor(shown: Array, camera: Camera, shape: tuple[int, ...]) -> Array:
+    """Depth of 7-Scenes' colour camera, inf for none, as its depth camera of that shape sees it."""
+    # Finer than the pixels, since the depth camera's are smaller, and would be passed over.
+    rows, columns = np.nonzero(np.isfinite(np.repeat(np.repeat(shown, 2, axis=0), 2, axis=1)))
+    z = shown[rows // 2, columns // 2]
+    x = (0.5 * (columns + 0.5) - 0.5 - camera.cx) / camera.fx * z
+    y = (0.5 * (rows + 0.5) - 0.5 - camera.cy) / camera.fy * z
+    points = np.column_stack([x, y, z]) + COLOUR_IN_DEPTH
+    fx, fy, cx, cy = DEPTH_CAMERA
+    step = 640.0 / shape[1]
+    pixels = (points[:, :2] / points[:, 2:] * (fx, fy) + (cx, cy) + 0.5) / step - 0.5
+    there = np.rint(pixels).astype(np.int64)
+    inside = np.all((there >= 0) & (there < (shape[1], shape[0])), axis=1)
+    seen = np.full(shape, np.inf)
+    np.minimum.at(seen, (there[inside, 1], there[inside, 0]), points[inside, 2])
+    return seen
 
 
 def interpolated(times: Array, poses: Array, wanted: Array) -> Array:
