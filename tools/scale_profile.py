@@ -28,17 +28,17 @@ from prism_edge.config import Config, DepthConfig, ScaleConfig, SourceConfig  # 
 from prism_edge.depth import open_network  # noqa: E402
 from prism_edge.errors import PrismError, SourceError  # noqa: E402
 from prism_edge.geometry.cameras import Camera  # noqa: E402
+from prism_edge.messages import F32  # noqa: E402
 from prism_edge.scale.filter import ScaleFilter  # noqa: E402
 from prism_edge.scale.least_squares import Observation, weighted_least_squares  # noqa: E402
 from prism_edge.scale.samples import depth_at, sample  # noqa: E402
-from prism_edge.sources.open import find_listing, open_source  # noqa: E402
-from prism_edge.sources.stamps import parse_seconds  # noqa: E402
+from prism_edge.sources.open import open_source  # noqa: E402
+from prism_edge.sources.sensor_depth import SensorDepth  # noqa: E402
 from prism_edge.tracking.features import OrbExtractor  # noqa: E402
 
 Array = NDArray[np.float64]
 LAGS_S = (1 / 3, 1.0, 2.0, 3.0)
 AFTER_S = (1.0, 2.0, 5.0, 10.0, 20.0)
-KINECT_FOCAL = 585.0  # of the depth camera at 640 pixels' width; 7-Scenes' depth isn't registered to colour
 SPAN_S = 3.0  # between the starting points of the filter
 
 
@@ -55,52 +55,23 @@ class Series:
         return np.array([o.log_scale for o in self.observations])
 
 
-def sensor_files(folder: Path) -> tuple[list[Path | None], float, float]:
-    """Depth image of each colour image, metres per unit, and focal length at 640 pixels (0: colour's)."""
-    listing = find_listing(folder)
-    if listing.layout == "7-Scenes":
-        names = (path.name.split(".")[0] + ".depth.png" for path in listing.files)
-        return [path.parent / n for path, n in zip(listing.files, names, strict=True)], 1e-3, KINECT_FOCAL
-    table = folder / "depth.txt"
-    if not table.is_file():
-        raise SourceError(f"{folder} has no sensor depth: neither depth.txt nor frame-NNNNNN.depth.png")
-    lines = (line.split() for line in table.read_text().splitlines() if not line.startswith("#"))
-    rows = [words for words in lines if len(words) > 1]
-    if not rows:
-        raise SourceError(f"{table} lists no depth images")
-    stamps = np.array([parse_seconds(words[0]) for words in rows])
-    nearest = [int(np.argmin(np.abs(stamps - stamp))) for stamp in listing.stamps_ns]
-    near = [abs(int(stamps[i]) - t) < 30_000_000 for i, t in zip(nearest, listing.stamps_ns, strict=True)]
-    return [folder / rows[i][1] if ok else None for i, ok in zip(nearest, near, strict=True)], 1 / 5000, 0.0
-
-
-def sensor_depth(path: Path | None, unit: float) -> Array | None:
-    """Metres (h, w), 0 where the sensor has none; None where the file can't be read."""
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) if path else None
-    if image is None or image.ndim != 2:
-        return None
-    metres = image.astype(np.float64) * unit
-    metres[metres > 30.0] = 0.0  # 65535 is the Kinect's other word for nothing
-    return metres
-
-
 def profile(folder: Path, model: str, camera_file: str, every: int, config: ScaleConfig) -> Series:
     """Runs the network over every k-th frame of a recording."""
-    files, unit, focal = sensor_files(folder)
+    sensor = SensorDepth(folder)
     network = open_network(model, DepthConfig())
     extractor = OrbExtractor(Config().tracking)
     times, observations, whole = [], [], []
     with open_source(SourceConfig(uri=str(folder), camera=camera_file)) as source:
         for rgb, index, stamp_ns in _frames(source, every):
-            truth = sensor_depth(files[index], unit)
+            camera = source.camera
+            truth = sensor.in_colour(index, camera)
             if truth is None:
                 continue
-            camera = source.camera
             prediction = network.infer(rgb, camera)
             grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
             pixels = extractor.extract(grey, camera).pixels
-            to_sensor = _colour_to_sensor(camera, truth.shape[1], truth.shape[0], focal)
-            depths, ok = depth_at(truth, pixels * to_sensor[:2] + to_sensor[2:])
+            to_sensor = _colour_to_sensor(camera, truth.shape[1], truth.shape[0])
+            depths, ok = depth_at(truth, camera.distort_pixels(pixels) * to_sensor[:2] + to_sensor[2:])
             samples = sample(
                 camera,
                 pixels,
@@ -138,21 +109,13 @@ def _frames(source, every: int) -> Iterator[tuple[NDArray[np.uint8], int, int]]:
             yield cv2.cvtColor(pixels, code), slot.index, slot.stamp_ns
 
 
-def _colour_to_sensor(camera: Camera, width: int, height: int, focal: float) -> Array:
-    """Factors, then offsets, from colour pixels (x, y) to sensor pixels.
-
-    Where the sensor has a focal length of its own, it is taken to look along the colour camera's axis: their
-    few centimetres of distance are neglected.
-    """
-    resized = camera.ideal().resized(width, height)
-    if focal > 0.0:
-        own = focal * width / 640
-        resized = replace(resized, fx=own, fy=own)
-    factors = np.array([resized.fx / camera.fx, resized.fy / camera.fy])
-    return np.concatenate([factors, (resized.cx, resized.cy) - factors * (camera.cx, camera.cy)])
+def _colour_to_sensor(camera: Camera, width: int, height: int) -> Array:
+    """Factors, then offsets, from the camera's pixels (x, y) to those of depth of another size."""
+    factors = np.array([width / camera.width, height / camera.height])
+    return np.concatenate([factors, 0.5 * (factors - 1.0)])
 
 
-def _whole_image(truth: Array, to_sensor: Array, depth: NDArray[np.float32], image_to_depth: Array) -> float:
+def _whole_image(truth: F32, to_sensor: Array, depth: F32, image_to_depth: Array) -> float:
     y, x = np.mgrid[0 : truth.shape[0] : 4, 0 : truth.shape[1] : 4]
     values = truth[y, x].ravel()
     pixels = (np.column_stack([x.ravel(), y.ravel()]) - to_sensor[2:]) / to_sensor[:2]

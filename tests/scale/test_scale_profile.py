@@ -6,13 +6,16 @@ import importlib.util
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import cv2
 import numpy as np
 import pytest
 
 from prism_edge.config import ScaleConfig
 from prism_edge.errors import SourceError
 from prism_edge.scale.least_squares import Observation
+from tests.sources import tiny_datasets as tiny
 from tests.synthetic.sequence import write_sequence
 
 TOOL = Path(__file__).resolve().parents[2] / "tools" / "scale_profile.py"
@@ -40,8 +43,31 @@ def correlated(count, gap_s, sigma, time_constant_s, seed=0):
 def test_a_recording_that_lists_no_depth_is_one_line(tool, tmp_path):
     folder = write_sequence(tmp_path, frames=3)
     (folder / "depth.txt").write_text("# timestamp filename\n")
-    with pytest.raises(SourceError, match=r"depth.txt lists no depth images"):
-        tool.sensor_files(folder)
+    with pytest.raises(SourceError, match="holds no depth images"):
+        tool.profile(folder, "none.onnx", "", 1, ScaleConfig())
+
+
+def test_depth_that_is_not_registered_is_where_the_colour_camera_sees_it(tool, tmp_path, monkeypatch):
+    """A slanted wall, and a network that knows it by heart."""
+    folder = tiny.write_seven_scenes(tmp_path, count=2)
+    across = (np.arange(640) - 320.0) / 585.0
+    wall = np.tile(2.0 / (1.0 - 0.8 * across), (480, 1))  # z = 2 + 0.8 x in the depth camera's frame, m
+    noise = np.random.default_rng(0).integers(0, 256, (120, 160, 3), dtype=np.uint8).repeat(4, 0).repeat(4, 1)
+    for i in range(2):
+        assert cv2.imwrite(str(folder / f"frame-{i:06d}.color.png"), noise)
+        assert cv2.imwrite(str(folder / f"frame-{i:06d}.depth.png"), np.rint(1000 * wall).astype(np.uint16))
+
+    class Known:
+        def infer(self, rgb, camera):
+            x = (np.arange(640) - camera.cx) / camera.fx
+            depth = np.tile((2.0 + 0.8 * 0.025) / (1.0 - 0.8 * x), (480, 1)).astype(np.float32)
+            return SimpleNamespace(depth=depth, image_to_depth=np.array([1.0, 0.0, 1.0, 0.0]))
+
+    monkeypatch.setattr(tool, "open_network", lambda model, config: Known())
+    series = tool.profile(folder, "known", "", 1, ScaleConfig())
+    assert len(series.values) == 2
+    np.testing.assert_allclose(series.values, 0.0, atol=0.002)
+    np.testing.assert_allclose(series.whole_image, 0.0, atol=0.002)
 
 
 def test_autocorrelation_finds_the_time_constant(tool):
@@ -68,7 +94,7 @@ def test_filtered_runs_end_at_the_mean_that_the_network_has(tool):
 def test_a_folder_without_sensor_depth_is_refused_in_one_line(tmp_path):
     (tmp_path / "rgb.txt").write_text("0.0 a.png\n")
     model = tmp_path / "none.onnx"
-    for folder, reason in ((tmp_path, "no sensor depth"), (tmp_path / "missing", "missing")):
+    for folder, reason in ((tmp_path, "holds no depth images"), (tmp_path / "missing", "missing")):
         command = [sys.executable, str(TOOL), str(folder), "--model", str(model)]
         done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         assert done.returncode != 0
