@@ -35,6 +35,7 @@ from prism_edge.scale.samples import depth_at, sample  # noqa: E402
 from prism_edge.sources.open import open_source  # noqa: E402
 from prism_edge.sources.sensor_depth import SensorDepth  # noqa: E402
 from prism_edge.tracking.features import OrbExtractor  # noqa: E402
+from tools.measure_depth import autocorrelation  # noqa: E402
 
 Array = NDArray[np.float64]
 LAGS_S = (1 / 3, 1.0, 2.0, 3.0)
@@ -122,15 +123,6 @@ def _whole_image(truth: F32, to_sensor: Array, depth: F32, image_to_depth: Array
     predicted, _ = depth_at(depth, pixels * image_to_depth[[0, 2]] + image_to_depth[[1, 3]], np.inf)
     both = (values > 0.0) & (predicted > 0.0)
     return float(np.median(np.log(predicted[both] / values[both]))) if both.any() else float("nan")
-
-
-def autocorrelation(times_s: Array, values: Array, lag_s: float) -> float:
-    """Correlation of values a lag apart, of a series at regular times; nan where it is too short."""
-    shift = round(lag_s / float(np.median(np.diff(times_s))))
-    centred = values - values.mean()
-    if not 0 < shift < len(values):
-        return float("nan")
-    return float((centred[:-shift] * centred[shift:]).mean() / centred.var())
 
 
 def filtered(series: Series, first: int, config: ScaleConfig) -> tuple[Array, Array, Array]:

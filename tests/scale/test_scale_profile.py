@@ -74,6 +74,11 @@ def test_autocorrelation_finds_the_time_constant(tool):
     times, values = correlated(20_000, 0.2, 0.15, 2.0)
     for lag in (0.2, 1.0, 3.0):
         assert tool.autocorrelation(times, values, lag) == pytest.approx(np.exp(-lag / 2.0), abs=0.05)
+    rng = np.random.default_rng(1)
+    kept = rng.random(len(times)) > 0.4  # frames without an observation
+    for lag in (1.0, 3.0):
+        found = tool.autocorrelation(times[kept], values[kept], lag)
+        assert found == pytest.approx(np.exp(-lag / 2.0), abs=0.05)
     assert np.isnan(tool.autocorrelation(times[:5], values[:5], 3.0))
 
 
