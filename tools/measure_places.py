@@ -116,10 +116,11 @@ def score_places(indices: NDArray[np.int64], poses: F64, descriptors: F64) -> Pl
     found, false = same[rows, best], other[rows, best] & apart.any(axis=1)
     highest = cosine[rows, best]
     threshold = highest[false].max() if false.any() else -np.inf
-    ranks = np.searchsorted(np.sort(cosine[other]), cosine[same])
+    ordered = np.sort(cosine[other])
+    below, up_to = (np.searchsorted(ordered, cosine[same], side) for side in ("left", "right"))
     return PlaceScore(
         revisits=int(revisits.sum()),
-        auc=float(ranks.mean() / other.sum()),
+        auc=float((below + up_to).mean() / (2 * len(ordered))),  # as alike as another: half
         same=float(found[revisits].mean()),
         other=float(false[revisits].mean()),
         before_false=float((found & (highest > threshold))[revisits].mean()),

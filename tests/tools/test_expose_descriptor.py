@@ -150,5 +150,14 @@ def test_places_are_scored_by_true_poses(tool):
     score = measure.score_places(indices, poses, good)
     assert (score.revisits, score.auc, score.same, score.other, score.before_false) == (4, 1, 1, 0, 1)
     score = measure.score_places(indices, poses, good[[0, 1, 0, 1]])
-    assert (score.auc, score.same, score.other, score.before_false) == (0, 0, 1, 0)
+    # Of four other pairs two are more alike than one of the same place, two as alike.
+    assert (score.auc, score.same, score.other, score.before_false) == (0.25, 0, 1, 0)
     assert measure.score_places(np.arange(4), poses, good) is None  # never gone for long enough
+
+
+def test_descriptors_that_are_all_alike_tell_no_place_from_another() -> None:
+    measure = _load("measure_places")
+    indices, poses = np.arange(0, 1000, 50), np.tile(np.eye(4), (20, 1, 1))
+    poses[::2, 0, 3] = 5.0
+    score = measure.score_places(indices, poses, np.tile([0.6, 0.8], (20, 1)))
+    assert score.auc == 0.5
