@@ -77,7 +77,7 @@ def files(folder: Path, count: int, seed: int, budget_s: float, out: Path) -> di
         done = subprocess.run(line, cwd=own, capture_output=True, text=True, timeout=budget_s + 120.0)
         said, code, errors = done.stdout, done.returncode, done.stderr
     except subprocess.TimeoutExpired as expired:
-        said, code, errors = str(expired.stdout or ""), -1, "one input was not done with in two minutes"
+        said, code, errors = _text(expired.stdout), -1, "one input was not done with in two minutes"
     for item in map(json.loads, said.splitlines()):
         if "counts" in item:
             report["counts"] = item["counts"]
@@ -92,6 +92,11 @@ def files(folder: Path, count: int, seed: int, budget_s: float, out: Path) -> di
         with contextlib.suppress(OSError):
             shutil.copy(own / "last", out)
     return report
+
+
+def _text(said: str | bytes | None) -> str:
+    """What a process had said when its time was up: bytes on Linux, even where text was asked for."""
+    return said.decode(errors="replace") if isinstance(said, bytes) else said or ""
 
 
 def command_line(folder: Path, seed: int) -> dict[str, Any]:

@@ -61,3 +61,19 @@ def test_the_command_line_refuses_with_a_documented_code_and_in_one_line(
     done = subprocess.CompletedProcess([], code, "", said)
     assert words in (fuzz.misbehaved(done, (0, 3)) or "")
     assert (fuzz.misbehaved(done, (0, 3)) is None) is (not words)
+
+
+def test_what_was_found_before_an_input_hangs_is_reported(tmp_path, monkeypatch) -> None:
+    finding = b'{"case": "video", "number": 3, "what": "a crash"}\n'
+
+    def hangs(*_, **given):
+        kept = given["cwd"] / "found-3"
+        kept.write_bytes(b"the input")
+        raise subprocess.TimeoutExpired("fuzz_files", 1.0, output=finding)  # what Python on Linux passes on
+
+    monkeypatch.setattr(fuzz.subprocess, "run", hangs)
+    report = fuzz.files(tmp_path, 10, 0, 1.0, tmp_path)
+    first, second = report["found"]
+    assert first["what"] == "a crash"
+    assert "not done with" in second["what"]
+    assert (tmp_path / "found-3").read_bytes() == b"the input"
