@@ -109,7 +109,7 @@ def show(config: Config, over: threading.Event) -> None:
 
 
 def draw(uri: str, out: Path, report: dict[str, Any]) -> Path | None:
-    """Writes the picture of both paths from above; None where too few poses came to compare."""
+    """Writes the picture of both paths from above; None where too few came to compare. Raises OSError."""
     import cv2
 
     from prism_edge.evaluation.draw_paths import ESTIMATE, TRUTH, draw_paths
@@ -129,7 +129,7 @@ def draw(uri: str, out: Path, report: dict[str, Any]) -> Path | None:
     error_cm = 100.0 * report["live"]["ate_se3_m"]
     picture = draw_paths(paths, f"the camera's path from above: {error_cm:.1f} cm (RMS) from the truth")
     file = out / "path.png"
-    cv2.imwrite(str(file), picture)
+    file.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
     return file
 
 

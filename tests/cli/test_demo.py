@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from prism_edge.cli import demo
 from prism_edge.cli.demo import sum_up
 from prism_edge.cli.main import main
+from prism_edge.evaluation.trajectory import Trajectory, write_tum
+from prism_edge.sources.truth import read_truth
 
 REPORT = {
     "tracked": 99,
@@ -72,3 +75,18 @@ def test_the_summary_gives_errors_scale_rate_and_latency(tmp_path, capsys) -> No
     assert "say little" not in said
     sum_up({**REPORT, "timings_void": True}, tmp_path, None, 0.0)
     assert "say little" in capsys.readouterr().out
+
+
+def test_a_picture_that_can_not_be_written_is_one_line(tmp_path, capsys, monkeypatch) -> None:
+    """In place of a full disk: a folder of its name."""
+
+    def played(config, out):
+        (out / "path.png").mkdir(parents=True)
+        write_tum(out / "live.tum", Trajectory(*read_truth(config.source.uri)))
+        return REPORT
+
+    monkeypatch.setattr(demo, "play", played)
+    assert main(["demo", "--out", str(tmp_path / "out")]) == 74
+    said = capsys.readouterr()
+    assert said.err == f"prism-edge: error: {tmp_path / 'out' / 'path.png'}: Is a directory\n"
+    assert "picture" not in said.out
