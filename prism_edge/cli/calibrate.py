@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from prism_edge.cli.board_views import Gathered
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "calibrate",
-        help="make a camera file from views of a calibration board",
+        help=help_line,
         description="Find a printed board in the images of SOURCE and work out the camera's intrinsics from "
         "them. SOURCE is a folder of images, a video, or a live camera, at the very size (and focus) that "
         "the daemon is to run with. Hold the flat board in 20 or more places: near enough to fill a third "

@@ -10,11 +10,11 @@ from prism_edge.cli.settings import add_common, add_input, config_from
 from prism_edge.config_file import dump, load
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "config",
-        help="print the effective configuration, or check a file",
+        help=help_line,
         description="Print the whole configuration as it results from defaults, --config and options: YAML "
         "that --config takes back. With --check, only say whether a file is right, and warn "
         "of what `run` would miss on this machine.",

@@ -11,15 +11,15 @@ from prism_edge.topics import COMMANDS
 REFUSED = 1
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     lines = []
     for command in COMMANDS.values():
         shown = f"{command.name} [{command.argument}]" if command.argument else command.name
         lines.append(f"  {shown:<26} {command.does}")
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "ctl",
-        help="tell a running daemon to do something",
+        help=help_line,
         description="Send a command to a running daemon and print what came of it. Exits with 1 where it was "
         "refused, with 6 where nobody answers.\n\n" + "\n".join(lines),
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -24,11 +24,11 @@ LINE_S = 1.0  # between lines where the output is no terminal
 _FEWEST = 3  # poses that a picture needs
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "demo",
-        help="see metric poses arrive: a simulated walk through the whole daemon",
+        help=help_line,
         description="Play a simulated walk through the daemon in real time, with the depth network that "
         "comes with prism_edge, show its poses as an ordinary Zenoh subscriber gets them, and compare them "
         "with the truth. Needs no camera, no recording and no connection. The folder DIR receives what "

@@ -8,11 +8,11 @@ from typing import Any
 from prism_edge.cli.settings import add_common, config_from
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "doctor",
-        help="check that this machine has what the daemon needs",
+        help=help_line,
         description="Check Python, native wheels, the depth network, Zenoh, certificates, limits, memory, "
         "disk and cameras: one line each, ok, warn or fail. Exits with 1 if anything fails.",
     )

@@ -13,11 +13,11 @@ from prism_edge.config import ABLATIONS
 from prism_edge.errors import ConfigError
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "eval",
-        help="run a recorded sequence and score the poses against its truth",
+        help=help_line,
         description="Play SEQUENCE through the daemon, listen as an ordinary subscriber, and write live.tum "
         "(poses as published), final.tum (after the last optimisation) and metrics.json to the folder DIR "
         "(docs/EVALUATION.md). Ground truth is for scores only. Unless --endpoint is "

@@ -12,14 +12,14 @@ from prism_edge.errors import report
 
 # Name: module, one line of help. Only the module that is asked for is imported, so that help comes at once.
 COMMANDS = {
-    "run": ("prism_edge.cli.run", "run the daemon on a recording"),
+    "run": ("prism_edge.cli.run", "run the daemon on a camera, a recording or a simulated world"),
     "demo": ("prism_edge.cli.demo", "see metric poses arrive: a simulated walk through the whole daemon"),
     "watch": ("prism_edge.cli.watch", "show the poses of a running daemon, or record them"),
     "ctl": ("prism_edge.cli.ctl", "tell a running daemon to do something: pause, reset, save a map, ..."),
     "eval": ("prism_edge.cli.eval", "run a recorded sequence and score the poses against its truth"),
     "calibrate": ("prism_edge.cli.calibrate", "make a camera file from views of a calibration board"),
     "mask": ("prism_edge.cli.mask", "find what of the images is the robot itself, and write a mask"),
-    "models": ("prism_edge.cli.models", "list the known depth networks, or describe one"),
+    "models": ("prism_edge.cli.models", "list, describe, pull, verify, time and remove depth networks"),
     "doctor": ("prism_edge.cli.doctor", "check that this machine has what the daemon needs"),
     "config": ("prism_edge.cli.config", "print the effective configuration, or check a file"),
     "worker": ("prism_edge.cli.worker", "run one of the five processes alone"),
@@ -55,7 +55,7 @@ def build_parser(chosen: str | None) -> argparse.ArgumentParser:
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     for name, (module, help_line) in COMMANDS.items():
         if name == chosen:
-            importlib.import_module(module).add_parser(subparsers)
+            importlib.import_module(module).add_parser(subparsers, help_line)
         else:
             subparsers.add_parser(name, help=help_line, add_help=False)
     return parser

@@ -21,11 +21,11 @@ LEAST, ENOUGH = 20, 120  # images of a moving camera
 PATIENCE_S = 120.0  # with a live camera
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "mask",
-        help="find what of the images is the robot itself, and write a mask",
+        help=help_line,
         description="Watch the images of SOURCE while the robot drives and turns, and find what stays as it "
         "is in all of them: its own bonnet, legs or gripper, or writing laid over the images. What is found "
         "is black in the mask, for `--mask` and source.mask; look at it, and paint over it what is missing "

@@ -16,11 +16,9 @@ _SHOW = "prism_edge.cli.models_show"
 _FILES = "prism_edge.cli.models_files"
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
-    parser: argparse.ArgumentParser = subparsers.add_parser(
-        "models", help="list, describe, pull, verify, time and remove depth networks", description=DESCRIPTION
-    )
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
+    parser: argparse.ArgumentParser = subparsers.add_parser("models", help=help_line, description=DESCRIPTION)
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
 
     def action(name: str, module: str, help: str) -> argparse.ArgumentParser:

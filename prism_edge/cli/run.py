@@ -11,11 +11,11 @@ from prism_edge.config import Config
 from prism_edge.errors import ConfigError
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "run",
-        help="run the daemon on a recording",
+        help=help_line,
         description="Start the five processes on SOURCE and publish poses on Zenoh below prism/<robot>/ "
         "until the recording ends, or until Ctrl-C or SIGTERM. Without a network there are no poses, as "
         "depth begins the map. SIGHUP reads --config again and takes up what can change, but under a "

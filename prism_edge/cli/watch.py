@@ -19,11 +19,11 @@ WAIT_S = 0.2  # the screen is brought up to date at least this often
 LINKED_S = 1.0  # a running daemon is linked long before; one that does not run is waited for no longer
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "watch",
-        help="show the poses of a running daemon, or record them",
+        help=help_line,
         description="Subscribe to a running daemon and show pose, speed, scale ± sigma, state, rate and "
         "latency until Ctrl-C. Waits for the daemon where it does not run yet.",
     )

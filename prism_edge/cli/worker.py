@@ -8,12 +8,12 @@ from typing import Any
 from prism_edge.processes import PROCESSES
 
 
-def add_parser(subparsers: Any) -> None:
-    """Add the subcommand."""
+def add_parser(subparsers: Any, help_line: str) -> None:
+    """Add the subcommand, with its line of `prism-edge --help`."""
     does = "\n".join(f"  {process.name:<8} {process.does}" for process in PROCESSES.values())
     parser: argparse.ArgumentParser = subparsers.add_parser(
         "worker",
-        help="run one of the five processes alone",
+        help=help_line,
         description="Run one process in the foreground; it joins the bus at bus.endpoint, where a listener "
         f"(the supervisor's, or a Zenoh router) must be.\n\n{does}",
         formatter_class=argparse.RawDescriptionHelpFormatter,

@@ -47,6 +47,17 @@ def test_help_names_every_command_and_exit_code(capsys: pytest.CaptureFixture[st
     assert EXIT_CODES in said
 
 
+def test_each_commands_line_of_help_is_the_same_whichever_is_named(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    shown = []
+    for more in ([], *([command] for command in COMMANDS)):
+        with pytest.raises(SystemExit):
+            main(["--help", *more])
+        shown.append(capsys.readouterr().out)
+    assert set(shown) == {shown[0]}
+
+
 def test_exit_codes_are_documented(tmp_path: Path) -> None:
     page = (Path(__file__).resolve().parents[2] / "docs" / "TROUBLESHOOTING.md").read_text(encoding="utf-8")
     kinds = [kind for kind in errors.PrismError.__subclasses__() if kind.__module__ == errors.__name__]
