@@ -4,24 +4,25 @@
     python tools/ablate.py [--shared FOLDER] [--out DIR] [--seeds 0 1 2] [--most N] [--table static|dynamic]
 
 FOLDER (default: `shared` beside the checkout) holds data/ and models/. Each run's files go to
-DIR/<sequence>/<part>-<seed> (default: build/ablation), and a run whose metrics.json is there is not
-repeated: stop it when you like, and go on later; --most ends it after so many runs. All parts are run with
-the first seed, on real recordings and then on dynamic ones, before any with the second. A run that fails is
-named and passed over. The dynamic recordings are made by tools/make_distractors.py, once. Printed is, in
-Markdown, what there is so far: live ATE after SE(3) and Sim(3) alignment, median over the seeds that are
-there, and the mean over the sequences, with its difference to the full system's over the same seeds; then,
-as errors over unlike stretches can't be compared, the SE(3) errors of each part and of the full system over
-the frames that both have placed. docs/ABLATION.md keeps a copy. Exit code 1: runs are missing; 8: some
-failed.
+DIR/<sequence>/<part>-<seed> (default: build/ablation), and a run that is there, of the same settings,
+versions and files, is not repeated: stop it when you like, and go on later; --most ends it after so many
+runs. All parts are run with the first seed, on real recordings and then on dynamic ones, before any with the
+second. A run that fails is named and passed over. The dynamic recordings are made by
+tools/make_distractors.py, once. Printed is, in Markdown, what there is so far: live ATE after SE(3) and
+Sim(3) alignment, median over the seeds that are there, and the mean over the sequences, with its difference
+to the full system's over the same seeds; then, as errors over unlike stretches can't be compared, the SE(3)
+errors of each part and of the full system over the frames that both have placed. Runs that would be made
+otherwise now are in the tables until they are repeated, and counted below. docs/ABLATION.md keeps a copy.
+Exit code 1: runs are missing, or would be made otherwise; 8: some failed.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import sys
 import time
+from collections import Counter
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,6 +41,7 @@ from prism_edge.evaluation.scores import ate  # noqa: E402
 from prism_edge.evaluation.trajectory import Trajectory, associate, read_tum  # noqa: E402
 from prism_edge.sources.truth import read_truth  # noqa: E402
 from tools import make_distractors  # noqa: E402
+from tools.finished_runs import differences, metrics_there  # noqa: E402
 
 NETWORK = "models/fastdepth_nyu_224.onnx"
 FULL = ""  # nothing switched off
@@ -109,12 +111,16 @@ def place(out: Path, sequence: Sequence, part: str, seed: int) -> Path:
     return out / sequence.name / f"{part or 'full'}-{seed}"
 
 
+def folder_of(shared: Path, out: Path, sequence: Sequence) -> Path:
+    """The folder to play, be it made already or not."""
+    return shared / sequence.folder if sequence.distractors is None else out / "recordings" / sequence.name
+
+
 def recording(shared: Path, out: Path, sequence: Sequence) -> Path:
-    """The folder to play, made first where it is a dynamic one. Raises RuntimeError where that fails."""
-    static = shared / sequence.folder
+    """The same, made first where it is a dynamic one. Raises RuntimeError where that fails."""
+    static, made = shared / sequence.folder, folder_of(shared, out, sequence)
     if sequence.distractors is None:
         return static
-    made = out / "recordings" / sequence.name
     if not (made / "distractors.json").is_file():
         half = made.with_name(made.name + ".half")  # what is cut off is not gone on with
         shutil.rmtree(half, ignore_errors=True)
@@ -128,15 +134,21 @@ def recording(shared: Path, out: Path, sequence: Sequence) -> Path:
     return made
 
 
-def play(shared: Path, out: Path, sequence: Sequence, part: str, seed: int) -> None:
-    """One evaluation in lockstep. Raises RuntimeError where it fails."""
-    words = ["eval", str(recording(shared, out, sequence)), "--model", str(shared / NETWORK), "--lockstep"]
+def command(shared: Path, out: Path, sequence: Sequence, part: str, seed: int) -> list[str]:
+    """What `prism-edge` is given for one run."""
+    words = ["eval", str(folder_of(shared, out, sequence)), "--model", str(shared / NETWORK), "--lockstep"]
     words += ["--seed", str(seed), "--out", str(place(out, sequence, part, seed))]
     words += ["--truth", str(shared / sequence.truth)] if sequence.truth else []
     for name in part.split("+") if part else ():
         words += ["--ablate", name]
+    return words
+
+
+def play(shared: Path, out: Path, sequence: Sequence, part: str, seed: int) -> None:
+    """One evaluation in lockstep. Raises RuntimeError where it fails."""
+    recording(shared, out, sequence)
     with redirect_stdout(sys.stderr):
-        code = prism_edge(words)
+        code = prism_edge(command(shared, out, sequence, part, seed))
     if code == 130:  # Ctrl-C
         raise SystemExit(code)
     if code:
@@ -150,13 +162,11 @@ def figures(out: Path, sequence: Sequence, part: str, seeds: list[int], key: str
     """One live figure of each seed that has it, in hundredths: centimetres, per cent."""
     found: Figures = {}
     for seed in seeds:
+        metrics = metrics_there(place(out, sequence, part, seed)) or {}
         try:
-            metrics = json.loads((place(out, sequence, part, seed) / "metrics.json").read_text())
-            if metrics.get("violations"):
-                continue
             value = metrics[key] if key == "coverage" else metrics["live"][key]
-        except (OSError, ValueError, KeyError, TypeError):
-            continue  # not run yet, or cut off
+        except (KeyError, TypeError):
+            continue  # not run yet, cut off or void
         if value is not None:
             found[seed] = 100.0 * float(value)
     return found
@@ -258,25 +268,39 @@ def common_table(name: str, shared: Path, out: Path, seed: int) -> str:
     return "\n".join(lines)
 
 
-def missing(names: list[str], out: Path, seeds: list[int]) -> list[tuple[Sequence, str, int]]:
-    """Runs whose metrics are not there yet: what is cut short has all parts with the first seeds."""
+def runs_of(names: list[str], seeds: list[int]) -> list[tuple[Sequence, str, int]]:
+    """All runs of the tables: what is cut short has all parts with the first seeds."""
     return [
         (sequence, part, seed)
         for seed in seeds
         for name in names
         for sequence in TABLES[name][1]
         for part in parts_of(name)
-        if not figures_are_there(place(out, sequence, part, seed))
     ]
 
 
-def figures_are_there(folder: Path) -> bool:
-    """Whether a run has ended there, as it should."""
-    try:
-        metrics = json.loads((folder / "metrics.json").read_text())
-        return "live" in metrics and not metrics.get("violations")
-    except (OSError, ValueError, AttributeError):
-        return False
+def missing(names: list[str], shared: Path, out: Path, seeds: list[int]) -> list[tuple[Sequence, str, int]]:
+    """Runs that are not there, or would come out of other settings, versions or files now."""
+    return [
+        run
+        for run in runs_of(names, seeds)
+        if (metrics := metrics_there(place(out, *run))) is None
+        or differences(place(out, *run), command(shared, out, *run), metrics)
+    ]
+
+
+def note(names: list[str], shared: Path, out: Path, seeds: list[int]) -> str:
+    """What the runs in the tables have that they would not have now; empty where nothing."""
+    found: Counter[str] = Counter()
+    others = there = 0
+    for run in runs_of(names, seeds):
+        metrics = metrics_there(place(out, *run))
+        if metrics is not None:
+            apart = differences(place(out, *run), command(shared, out, *run), metrics)
+            found.update(apart)
+            there, others = there + 1, others + bool(apart)
+    most = ", ".join(f"{what} ({count})" for what, count in found.most_common(8))
+    return f"{others} of these {there} runs would be made otherwise now, by: {most}." if others else ""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -295,7 +319,7 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"ablate: error: {shared / NETWORK} is not there; see --shared", file=sys.stderr)
         return 2
     names = args.table or list(TABLES)
-    wanted = missing(names, out, args.seeds)[: args.most]
+    wanted = missing(names, shared, out, args.seeds)[: args.most]
     failed = 0
     for count, (sequence, part, seed) in enumerate(wanted, 1):
         started = time.monotonic()
@@ -311,7 +335,9 @@ def main(arguments: list[str] | None = None) -> int:
     for name in names:
         print(table(name, out, args.seeds), end="\n\n", flush=True)
         print(common_table(name, shared, out, args.seeds[0]), end="\n\n", flush=True)
-    return 8 if failed else 1 if missing(names, out, args.seeds) else 0
+    if said := note(names, shared, out, args.seeds):
+        print(said)
+    return 8 if failed else 1 if missing(names, shared, out, args.seeds) else 0
 
 
 if __name__ == "__main__":

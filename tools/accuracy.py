@@ -5,8 +5,9 @@
 FOLDER (default: `shared` beside the checkout) holds data/ and models/. redkitchen is played in real time
 N times (default 3; medians count), the others once in lockstep: some minutes, on a machine that does nothing
 else. Each run's files go to DIR/<sequence>-<run> (default: build/accuracy), the tables in Markdown to stdout,
-all else to stderr. --keep doesn't repeat runs whose metrics.json is there already. Exit code 1: a bar is
-missed, or timings are void because others used the machine meanwhile; else that of the `eval` that failed.
+all else to stderr. --keep doesn't repeat runs that are there already, of the same settings and versions and
+of files that were not written since; an earlier commit's are kept. Exit code 1: a bar is missed, or timings
+are void because others used the machine meanwhile; else that of the `eval` that failed.
 """
 
 from __future__ import annotations
@@ -30,10 +31,10 @@ from prism_edge.depth import open_network
 from prism_edge.evaluation.scores import score
 from prism_edge.evaluation.trajectory import Trajectory, read_tum
 from prism_edge.sources.truth import read_truth
+from tools.finished_runs import Metrics, finished
 from tools.measure_depth import mean_ratio, measure
 
 ROOT = Path(__file__).resolve().parents[1]
-Metrics = dict[str, Any]
 NETWORK = "models/fastdepth_nyu_224.onnx"
 
 
@@ -242,27 +243,20 @@ class RunFailedError(Exception):
 
 def play(sequence: Sequence, shared: Path, out: Path, keep: bool) -> Metrics:
     """One evaluation, as `prism-edge eval` does it; returns its metrics. Raises RunFailedError."""
-    file = out / "metrics.json"
-    if not (keep and _ended_well(file)):
+    words = command(sequence, shared, out)
+    metrics = finished(out, words) if keep else None
+    if metrics is None:
         with redirect_stdout(sys.stderr):
-            code = prism_edge(command(sequence, shared, out))
+            code = prism_edge(words)
         if code:
             raise RunFailedError(code)
-    metrics: Metrics = json.loads(file.read_text())
+        metrics = json.loads((out / "metrics.json").read_text())
     if sequence.truth:
         own = read_truth(str(shared / sequence.folder))
         if own is not None:
             metrics["network_ratio"] = network_ratio(shared / sequence.folder, shared / NETWORK)
             metrics["own_truth"] = score(read_tum(out / "live.tum"), Trajectory(*own)).as_dict()
     return metrics
-
-
-def _ended_well(file: Path) -> bool:
-    """Whether these are the metrics of a run that is not void."""
-    try:
-        return not json.loads(file.read_text()).get("violations")
-    except (OSError, ValueError, AttributeError):
-        return False
 
 
 @lru_cache(maxsize=1)

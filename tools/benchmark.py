@@ -5,10 +5,10 @@
 
 FOLDER is any TUM RGB-D, BONN, 7-Scenes or KITTI odometry sequence. Each is played N times (default 1; medians
 count), in real time or lockstep; run n has seed n - 1. Files go to DIR/<folder>-<mode>-<n> (default:
-build/benchmark), and a run that is finished there with the same settings and versions, after the network's
-file was written, is not repeated: stop it when you like, and go on later. The tables say which were. A folder
-that fails has the reason in its line, and the others go on. Tables go to stdout, all else to stderr. Exit
-code 1: a folder has failed.
+build/benchmark), and a run that is finished there with the same settings and versions, after the files of
+camera and networks were written, is not repeated: stop it when you like, and go on later. The tables say
+which were. A folder that fails has the reason in its line, and the others go on. Tables go to stdout, all
+else to stderr. Exit code 1: a folder has failed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:  # run from a checkout
@@ -33,9 +32,9 @@ from prism_edge.errors import PrismError  # noqa: E402
 from prism_edge.evaluation.metrics import versions  # noqa: E402
 from prism_edge.sources.open import find_listing  # noqa: E402
 from tools.accuracy import at  # noqa: E402
+from tools.finished_runs import Metrics, finished  # noqa: E402
 from tools.published_figures import NOTES, dataset_of, published  # noqa: E402
 
-Metrics = dict[str, Any]
 OTHER = "Other folders"
 
 
@@ -87,41 +86,22 @@ def place(out: Path, folder: Path, mode: str, run: int) -> Path:
     return out / f"{name}-{mode}-{run}"
 
 
-def finished(where: Path, folder: Path, args: argparse.Namespace, seed: int) -> Metrics | None:
-    """The metrics of a run that is there and was made with all this; None: it is to be played."""
-    try:
-        metrics: Metrics = json.loads((where / "metrics.json").read_text())
-        made = metrics["config"]
-        same = (
-            made["source"]["uri"] == str(folder)
-            and made["source"]["camera"] == (args.camera or "")
-            and made["depth"]["model"] == args.model
-            and made["mode"] == args.mode
-            and made["seed"] == seed
-            and metrics["versions"] == versions()
-            and not _newer(Path(args.model), where / "metrics.json")
-        )
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return metrics if same and not metrics.get("violations") else None
-
-
-def _newer(network: Path, file: Path) -> bool:
-    """Whether a network's file was written after another; a name that is no file's stands for one network."""
-    return network.is_file() and network.stat().st_mtime > file.stat().st_mtime
+def command(folder: Path, args: argparse.Namespace, run: int) -> list[str]:
+    """What `prism-edge` is given for one run."""
+    words = ["eval", str(folder), "--model", args.model, "--seed", str(run - 1)]
+    words += ["--out", str(place(args.out, folder, args.mode, run))]
+    words += ["--camera", args.camera] if args.camera else []
+    return [*words, "--lockstep"] if args.mode == "lockstep" else words
 
 
 def play(row: Row, args: argparse.Namespace, run: int) -> int:
     """One run into its row, or why there is none; returns `eval`'s exit code."""
-    where, seed = place(args.out, row.folder, args.mode, run), run - 1
-    metrics = finished(where, row.folder, args, seed)
+    where, words = place(args.out, row.folder, args.mode, run), command(row.folder, args, run)
+    metrics = finished(where, words)
     if metrics is not None:
         row.reused += 1
         print(f"reused: {where}", file=sys.stderr)
     else:
-        words = ["eval", str(row.folder), "--model", args.model, "--out", str(where), "--seed", str(seed)]
-        words += ["--camera", args.camera] if args.camera else []
-        words += ["--lockstep"] if args.mode == "lockstep" else []
         heard = _Overheard()
         with redirect_stderr(heard), redirect_stdout(heard):
             code = prism_edge(words)

@@ -9,7 +9,7 @@ from types import FrameType
 from typing import Any
 
 from prism_edge.cli.settings import RECORDING_HELP, add_common, add_playing, config_from, endpoint_given
-from prism_edge.config import ABLATIONS
+from prism_edge.config import ABLATIONS, Config
 from prism_edge.errors import ConfigError
 
 
@@ -43,10 +43,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate and print a table; returns the exit code. Raises PrismError."""
-    check_ablations(args.ablate)
-    if args.ablate:
-        args.set.append(f"ablate=[{', '.join(args.ablate)}]")
-    config = config_from(args)
+    config = effective(args)
 
     from prism_edge.evaluation.run import evaluate
     from prism_edge.evaluation.table import show
@@ -58,6 +55,14 @@ def run(args: argparse.Namespace) -> int:
     finally:
         signal.signal(signal.SIGTERM, before)
     return 0
+
+
+def effective(args: argparse.Namespace) -> Config:
+    """The configuration that these options ask for. Raises ConfigError."""
+    check_ablations(args.ablate)
+    if args.ablate:
+        args.set.append(f"ablate=[{', '.join(args.ablate)}]")
+    return config_from(args)
 
 
 def check_ablations(names: list[str]) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from prism_edge.config import ABLATIONS
 from prism_edge.evaluation.trajectory import Trajectory, write_tum
+from tests.tools.runs import metrics_of
 from tools import ablate
 
 
@@ -17,7 +18,8 @@ def write(out: Path, sequence: ablate.Sequence, part: str, seed: int, se3: float
     folder = ablate.place(out, sequence, part, seed)
     folder.mkdir(parents=True)
     live = {"ate_se3_m": se3, "ate_sim3_m": None if se3 is None else se3 / 2}
-    (folder / "metrics.json").write_text(json.dumps({"live": live}))
+    made = metrics_of(ablate.command(out.parent / "shared", out, sequence, part, seed))
+    (folder / "metrics.json").write_text(json.dumps({**made, "live": live}))
 
 
 def test_a_table_has_medians_means_and_differences(tmp_path: Path):
@@ -94,7 +96,7 @@ def test_a_run_that_fails_is_named_in_one_line_and_the_others_go_on(tmp_path: Pa
 
 
 def test_all_parts_come_with_one_seed_and_real_recordings_first():
-    runs = ablate.missing(["static", "dynamic"], Path("nowhere"), [0, 1])
+    runs = ablate.missing(["static", "dynamic"], Path("nowhere"), Path("nowhere"), [0, 1])
     seeds = [seed for _, _, seed in runs]
     assert seeds == sorted(seeds)
     first = [sequence.distractors is None for sequence, _, seed in runs if seed == 0]
@@ -116,20 +118,45 @@ def test_what_is_cut_short_is_compared_over_the_seeds_that_both_have(tmp_path: P
 def test_a_run_that_was_cut_off_is_run_again(tmp_path: Path):
     sequence = ablate.TABLES["static"][1][0]
     write(tmp_path, sequence, "", 0, 0.02)
-    before = len(ablate.missing(["static"], tmp_path, [0]))
+    before = len(ablate.missing(["static"], tmp_path.parent / "shared", tmp_path, [0]))
     (ablate.place(tmp_path, sequence, "", 0) / "metrics.json").write_text('{"live": {"ate')
-    assert len(ablate.missing(["static"], tmp_path, [0])) == before + 1
+    assert len(ablate.missing(["static"], tmp_path.parent / "shared", tmp_path, [0])) == before + 1
     assert "| full system | - / - " in ablate.table("static", tmp_path, [0])
 
 
 def test_a_void_run_is_none(tmp_path: Path):
     sequence = ablate.TABLES["static"][1][0]
     write(tmp_path, sequence, "", 0, 0.02)
-    before = len(ablate.missing(["static"], tmp_path, [0]))
+    before = len(ablate.missing(["static"], tmp_path.parent / "shared", tmp_path, [0]))
     file = ablate.place(tmp_path, sequence, "", 0) / "metrics.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), "violations": ["a pose twice"]}))
-    assert len(ablate.missing(["static"], tmp_path, [0])) == before + 1
+    assert len(ablate.missing(["static"], tmp_path.parent / "shared", tmp_path, [0])) == before + 1
     assert "| full system | - / - " in ablate.table("static", tmp_path, [0])
+
+
+def test_runs_that_would_be_made_otherwise_are_printed_counted_and_repeated(
+    tmp_path: Path, monkeypatch, capsys
+):
+    out, shared = tmp_path / "out", tmp_path / "shared"
+    (shared / "models").mkdir(parents=True)
+    (shared / ablate.NETWORK).touch()
+    for n, sequence in enumerate(ablate.TABLES["static"][1]):
+        write(out, sequence, "", 0, 0.02)
+        file = ablate.place(out, sequence, "", 0) / "metrics.json"
+        made = json.loads(file.read_text())
+        made["config"]["seed"] = 7
+        if n:
+            file.write_text(json.dumps(made))
+    words = ["--shared", str(shared), "--out", str(out), "--table", "static", "--seeds", "0"]
+    assert ablate.main([*words, "--most", "0"]) == 1
+    said = capsys.readouterr().out
+    assert "| full system | 2.0 / 1.0 | 2.0 / 1.0 | 2.0 / 1.0 | 2.0 |" in said
+    assert said.endswith("2 of these 3 runs would be made otherwise now, by: seed (2).\n")
+    ran = []
+    monkeypatch.setattr(ablate, "prism_edge", lambda words: ran.append(words) or 0)
+    ablate.main(words)
+    full = [words[1] for words in ran if "--ablate" not in words]
+    assert full == [str(shared / sequence.folder) for sequence in ablate.TABLES["static"][1][1:]]
 
 
 def test_a_dynamic_recording_that_was_cut_off_is_made_anew(tmp_path: Path, monkeypatch):

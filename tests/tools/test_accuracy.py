@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.tools.runs import metrics_of
 from tools import accuracy
 
 GOOD: dict[str, Any] = {
@@ -175,8 +176,10 @@ def test_kept_runs_are_tabulated_and_a_failed_one_gives_its_code(
     (tmp_path / "data").mkdir()
     (tmp_path / "models").mkdir()
     (tmp_path / accuracy.NETWORK).touch()
-    (tmp_path / "new_tsukuba-1").mkdir()
-    (tmp_path / "new_tsukuba-1" / "metrics.json").write_text(json.dumps(GOOD))
+    kept = tmp_path / "new_tsukuba-1" / "metrics.json"
+    kept.parent.mkdir()
+    made = metrics_of(accuracy.command(TSUKUBA, tmp_path, kept.parent))
+    kept.write_text(json.dumps({**made, **GOOD}))
     given: list[list[str]] = []
     monkeypatch.setattr(accuracy, "prism_edge", lambda words: given.append(words) or 4)
     folders = ["--shared", str(tmp_path), "--out", str(tmp_path)]
@@ -185,10 +188,14 @@ def test_kept_runs_are_tabulated_and_a_failed_one_gives_its_code(
     assert "### new_tsukuba (lockstep, 1 run(s))" in capsys.readouterr().out
     assert accuracy.main([*folders, "--only", "new_tsukuba"]) == 4
     assert len(given) == 1
+    kept.write_text(json.dumps({**made, **GOOD, "versions": {"prism_edge": "0.0.0"}}))
+    assert accuracy.main([*folders, "--only", "new_tsukuba", "--keep"]) == 4
+    assert len(given) == 2, "a run of another version is no kept one"
 
 
 def test_a_kept_run_that_is_void_is_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "metrics.json").write_text(json.dumps({**GOOD, "violations": ["a pose twice"]}))
+    made = {**metrics_of(accuracy.command(TSUKUBA, tmp_path, tmp_path)), **GOOD}
+    (tmp_path / "metrics.json").write_text(json.dumps({**made, "violations": ["a pose twice"]}))
     monkeypatch.setattr(accuracy, "prism_edge", lambda words: 8)
     with pytest.raises(accuracy.RunFailedError):
         accuracy.play(TSUKUBA, tmp_path, tmp_path, keep=True)

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from prism_edge.evaluation.metrics import versions
-from tools import benchmark
+from tests.tools.runs import metrics_of
+from tools import benchmark, finished_runs
 from tools.published_figures import published
 
 
@@ -45,19 +46,12 @@ def ran(monkeypatch) -> list[list[str]]:
         metres = 0.01 * (int(option["--seed"]) + 1)
         errors = {"ate_sim3_m": metres, "ate_se3_m": 2 * metres, "t_rel_percent": 1.5}
         report = {
+            **metrics_of(words),
             "coverage": 0.5,
             "tracked": 100,
             "live": {**errors, "pairs": 99},
             "final": {**errors, "ate_se3_m": None},
-            "violations": [],
-            "versions": versions(),
             "warnings": ["3 of 100 poses have a true one"] if "elsewhen" in words[1] else [],
-            "config": {
-                "source": {"uri": words[1], "camera": ""},
-                "depth": {"model": option["--model"]},
-                "mode": "lockstep" if "--lockstep" in words else "realtime",
-                "seed": int(option["--seed"]),
-            },
         }
         Path(option["--out"]).mkdir(parents=True, exist_ok=True)
         (Path(option["--out"]) / "metrics.json").write_text(json.dumps(report))
@@ -145,7 +139,7 @@ def test_a_run_of_another_version_or_older_network_is_repeated(tmp_path: Path, r
     assert benchmark.main(words) == 0
     assert len(ran) == 2
     os.utime(network, (1e9, 1e9))
-    monkeypatch.setattr(benchmark, "versions", lambda: {**versions(), "prism_edge": "99"})
+    monkeypatch.setattr(finished_runs, "versions", lambda: {**versions(), "prism_edge": "99"})
     assert benchmark.main(words) == 0
     assert len(ran) == 3
     assert "were there already" not in capsys.readouterr().out.rpartition("`prism_edge` with")[2]

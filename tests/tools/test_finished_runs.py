@@ -1,0 +1,110 @@
+"""Runs that are there are taken for new where nothing is otherwise, and nowhere else."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import onnx
+import pytest
+
+from tests.synthetic.network import write_tiny_network
+from tests.tools.runs import metrics_of
+from tools.finished_runs import finished
+
+LATER_S = 4e9
+
+
+def words_for(folder: Path, *more: str) -> list[str]:
+    """An evaluation with a camera file, a pair of networks and a truth, all of an age."""
+    for name in ("camera.yaml", "truth.tum"):
+        (folder / name).touch()
+    relative, metric = (folder / f"{name}.onnx" for name in ("relative", "metric"))
+    for network in (relative, metric):
+        network.touch()
+        network.with_name(f"{network.name}.yaml").touch()
+        network.with_name(f"{network.name}.data").touch()
+    for file in folder.iterdir():
+        os.utime(file, (1e9, 1e9))
+    words = ["eval", "somewhere", "--out", str(folder / "run"), "--model", f"nested:{relative},{metric}"]
+    words += ["--camera", str(folder / "camera.yaml"), "--truth", str(folder / "truth.tum")]
+    return [*words, *more]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    """Where such a run has ended, after all its files were written."""
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "metrics.json").write_text(json.dumps(metrics_of(words_for(tmp_path))))
+    return folder
+
+
+def test_what_would_be_made_again_is_taken(run: Path, tmp_path: Path) -> None:
+    words = words_for(tmp_path)
+    assert finished(run, words) == json.loads((run / "metrics.json").read_text())
+    assert finished(tmp_path / "elsewhere", words) is None
+
+
+@pytest.mark.parametrize(
+    ("more", "differs"),
+    [
+        (["--lockstep"], "mode"),
+        (["--seed", "3"], "seed"),
+        (["--ablate", "wls"], "ablate"),
+        (["--set", "tracking.features=700"], "tracking.features"),
+        (["--model", "fastdepth_nyu"], "depth.model"),
+        (["--camera", "auto"], "source.camera"),
+        (["--truth", "another.tum"], "the truth"),
+        (["--set", "nonsense=1"], "nonsense"),
+    ],
+)
+def test_other_settings_are_another_run(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], more: list[str], differs: str
+) -> None:
+    assert finished(run, words_for(tmp_path, *more)) is None
+    said = capsys.readouterr().err
+    assert differs in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("camera.yaml", "truth.tum", "relative.onnx", "metric.onnx"),
+        *("relative.onnx.yaml", "metric.onnx.yaml", "relative.onnx.data", "metric.onnx.data"),
+    ],
+)
+def test_a_file_that_was_written_since_makes_another_run(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    words = words_for(tmp_path)
+    os.utime(tmp_path / name, (LATER_S, LATER_S))
+    assert finished(run, words) is None
+    assert str(tmp_path / name) in capsys.readouterr().err
+
+
+def test_weights_of_any_name_count(tmp_path: Path) -> None:
+    """As a network's own file names them."""
+    network, run = write_tiny_network(tmp_path / "net.onnx"), tmp_path / "run"
+    more = {"save_as_external_data": True, "location": "weights.bin", "size_threshold": 0}
+    onnx.save(onnx.load(network), network, **more)
+    words = ["eval", "somewhere", "--model", str(network), "--out", str(run)]
+    run.mkdir()
+    (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
+    assert finished(run, words) is not None
+    os.utime(tmp_path / "weights.bin", (LATER_S, LATER_S))
+    assert finished(run, words) is None
+
+
+def test_another_version_or_a_void_run_is_none(run: Path, tmp_path: Path) -> None:
+    words, file = words_for(tmp_path), run / "metrics.json"
+    made = json.loads(file.read_text())
+    for changed in ({"versions": {**made["versions"], "onnxruntime": "0"}}, {"violations": ["a pose twice"]}):
+        file.write_text(json.dumps({**made, **changed}))
+        os.utime(file, (LATER_S, LATER_S))
+        assert finished(run, words) is None
+    for cut in ('{"config": ', "[]", '{"live": {}}'):
+        file.write_text(cut)
+        assert finished(run, words) is None

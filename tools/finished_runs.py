@@ -1,0 +1,109 @@
+"""Whether a run that is there is what `prism-edge eval` would make now, or is to be repeated.
+
+Compared are what metrics.json holds, the effective configuration and the versions, and when files were
+written that it only names. Nothing in it says of which commit the code was, nor what a recording holds.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from prism_edge.cli.eval import effective
+from prism_edge.cli.main import build_parser
+from prism_edge.config import Config
+from prism_edge.depth import locate, networks_of
+from prism_edge.depth.vetting import vet
+from prism_edge.errors import ModelError, PrismError
+from prism_edge.evaluation.metrics import versions
+
+Metrics = dict[str, Any]
+OWN_TRUTH = (None, "the sequence's own")
+# What an evaluation sets by itself.
+_NO_SETTINGS = {"bus.endpoint", "source.wait_s", "source.loop"}
+
+
+def finished(where: Path, words: Sequence[str]) -> Metrics | None:
+    """The metrics in a folder if `prism-edge WORDS` would make them again; else None, and why on stderr."""
+    metrics = metrics_there(where)
+    if metrics is None:
+        return None
+    found = differences(where, words, metrics)
+    if found:
+        print(f"repeated, as {', '.join(found[:5])} differ: {where}", file=sys.stderr)
+    return None if found else metrics
+
+
+def metrics_there(where: Path) -> Metrics | None:
+    """The metrics of a run that ended there as it should; None: there is none."""
+    try:
+        metrics = json.loads((where / "metrics.json").read_text())
+        return metrics if "live" in metrics and not metrics.get("violations") else None
+    except (OSError, ValueError, AttributeError, TypeError):
+        return None
+
+
+def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str]:
+    """What `prism-edge WORDS` would have otherwise than a run in that folder: settings, versions, files."""
+    args = build_parser("eval").parse_args(list(words))
+    try:
+        config = effective(args)
+    except PrismError as error:
+        return [str(error)]  # `eval` says so too
+    made, now = _flat(metrics.get("config")), _flat(_as_written(asdict(config)))
+    apart = [key for key in sorted(made.keys() | now.keys()) if made.get(key) != now.get(key)]
+    found = [key for key in apart if key not in _NO_SETTINGS]
+    before, present = _flat(metrics.get("versions")), versions()
+    found += [f"the version of {key}" for key in sorted(present) if before.get(key) != present[key]]
+    truth = metrics.get("truth")
+    if truth != str(args.truth) if args.truth else truth not in OWN_TRUTH:
+        found.append("the truth")
+    named = files_of(config) + ([args.truth] if args.truth else [])
+    made_ns = (where / "metrics.json").stat().st_mtime_ns
+    return found + [str(file) for file in named if file.is_file() and file.stat().st_mtime_ns > made_ns]
+
+
+def files_of(config: Config) -> list[Path]:
+    """Files that a configuration names: the camera's, and each network's with its card and weights."""
+    files = [Path(config.source.camera).expanduser()] if config.source.camera else []
+    try:
+        networks = networks_of(config.depth.network)
+    except ModelError:
+        return files
+    return files + [file for name in networks for file in _network_files(name)]
+
+
+def _network_files(name: str) -> list[Path]:
+    try:
+        path = locate(name)
+    except ModelError:
+        return []  # no file's name, or one that is not there
+    beside = {file for file in path.parent.iterdir() if file.name.startswith(path.name)}
+    return sorted(beside.union(_weights(path, path.stat().st_mtime_ns)))
+
+
+@lru_cache(maxsize=8)
+def _weights(path: Path, written_ns: int) -> tuple[Path, ...]:
+    """Files of any name that a network refers to; asked once, as its file is read for it."""
+    try:
+        return vet(path).data
+    except ModelError:
+        return ()
+
+
+def _as_written(values: Any) -> Any:
+    """As JSON gives it back."""
+    return json.loads(json.dumps(values))
+
+
+def _flat(values: Any, prefix: str = "") -> dict[str, Any]:
+    """Settings by their dotted names; nothing of what is no mapping."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items() if isinstance(values, dict) else ():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return flat
