@@ -37,8 +37,8 @@ if str(ROOT) not in sys.path:  # run from a checkout
 from prism_edge.cli.main import main as prism_edge  # noqa: E402
 from prism_edge.config import ABLATIONS  # noqa: E402
 from prism_edge.errors import PrismError  # noqa: E402
-from prism_edge.evaluation.scores import ate  # noqa: E402
-from prism_edge.evaluation.trajectory import Trajectory, associate, read_tum  # noqa: E402
+from prism_edge.evaluation.scores import score  # noqa: E402
+from prism_edge.evaluation.trajectory import Trajectory, read_tum  # noqa: E402
 from prism_edge.sources.truth import read_truth  # noqa: E402
 from tools import make_distractors  # noqa: E402
 from tools.finished_runs import differences, metrics_there  # noqa: E402
@@ -89,7 +89,7 @@ TABLES = {
 
 @dataclass(frozen=True)
 class Common:
-    """Errors (cm) over the frames that two runs have both placed."""
+    """Errors (cm) over the frames that two runs have both placed and that have a true pose."""
 
     frames: int
     full: float
@@ -232,18 +232,19 @@ def truth_of(shared: Path, sequence: Sequence) -> Trajectory | None:
 
 def on_common_frames(out: Path, truth: Trajectory, sequence: Sequence, part: str, seed: int) -> Common | None:
     """Live SE(3) errors of the full system and without ``part`` where both have a pose; None for no runs."""
+    folders = [place(out, sequence, name, seed) for name in (FULL, part)]
+    if any(metrics_there(folder) is None for folder in folders):
+        return None
     try:
-        full, without = (read_tum(place(out, sequence, name, seed) / "live.tum") for name in (FULL, part))
+        full, without = (read_tum(folder / "live.tum") for folder in folders)
     except (OSError, PrismError):
         return None
     stamps = np.intersect1d(full.stamps, without.stamps)
-    errors = []
-    for run in (full, without):
-        mine, true = associate(run.at(np.flatnonzero(np.isin(run.stamps, stamps))), truth)
-        errors.append(ate(mine.positions, true.positions, with_scale=False))
+    scores = [score(run.at(np.flatnonzero(np.isin(run.stamps, stamps))), truth) for run in (full, without)]
+    errors = [each.ate_se3_m for each in scores]
     if errors[0] is None or errors[1] is None:
         return None
-    return Common(len(stamps), 100.0 * errors[0], 100.0 * errors[1])
+    return Common(scores[0].pairs, 100.0 * errors[0], 100.0 * errors[1])
 
 
 def common_table(name: str, shared: Path, out: Path, seed: int) -> str:

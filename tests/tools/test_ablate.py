@@ -192,6 +192,14 @@ def test_an_interrupt_ends_it(tmp_path: Path, monkeypatch):
     assert ended.value.code == 130
 
 
+def write_run(out: Path, sequence: ablate.Sequence, part: str, run: Trajectory, violations=()) -> None:
+    write(out, sequence, part, 0, 0.02)
+    folder = ablate.place(out, sequence, part, 0)
+    made = json.loads((folder / "metrics.json").read_text())
+    (folder / "metrics.json").write_text(json.dumps({**made, "violations": list(violations)}))
+    write_tum(folder / "live.tum", run)
+
+
 def on_a_spiral(count: int) -> Trajectory:
     poses = np.tile(np.eye(4), (count, 1, 1))
     turn = np.linspace(0, 6, count)
@@ -207,9 +215,7 @@ def test_errors_are_compared_where_both_runs_have_poses(tmp_path: Path):
     early = truth.at(np.arange(40))
     early.poses[10:20, 2, 3] += 0.4
     for part, run in (("", lost_later), ("dsug", early)):
-        folder = ablate.place(tmp_path, sequence, part, 0)
-        folder.mkdir(parents=True)
-        write_tum(folder / "live.tum", run)
+        write_run(tmp_path, sequence, part, run)
     found = ablate.on_common_frames(tmp_path, truth, sequence, "dsug", 0)
     assert found is not None
     assert found.frames == 40
@@ -218,13 +224,33 @@ def test_errors_are_compared_where_both_runs_have_poses(tmp_path: Path):
     assert ablate.on_common_frames(tmp_path, truth, sequence, "consistency", 0) is None
 
 
+def test_only_frames_with_a_true_pose_are_counted_and_each_once(tmp_path: Path):
+    sequence = ablate.TABLES["dynamic"][1][0]
+    for part in ("", "dsug"):
+        write_run(tmp_path, sequence, part, on_a_spiral(60))
+    half = on_a_spiral(60).at(np.arange(30))
+    found = ablate.on_common_frames(tmp_path, half, sequence, "dsug", 0)
+    assert found is not None
+    assert found.frames == 30
+    near = (np.arange(30)[:, None] * 100 + [-4, 0, 4]).ravel() * 1_000_000  # three true poses for a frame
+    dense = Trajectory(near.astype(np.int64), half.poses.repeat(3, axis=0))
+    found = ablate.on_common_frames(tmp_path, dense, sequence, "dsug", 0)
+    assert found is not None
+    assert found.frames == 30
+
+
+def test_a_void_run_is_compared_with_nothing(tmp_path: Path):
+    sequence = ablate.TABLES["dynamic"][1][0]
+    for part in ("", "dsug"):
+        write_run(tmp_path, sequence, part, on_a_spiral(60), ["a pose twice"] if part else ())
+    assert ablate.on_common_frames(tmp_path, on_a_spiral(60), sequence, "dsug", 0) is None
+
+
 def test_runs_that_placed_no_frame_in_common_are_not_compared(tmp_path: Path):
     sequence = ablate.TABLES["dynamic"][1][0]
     truth = on_a_spiral(60)
     for part, rows in (("", np.arange(30)), ("dsug", np.arange(30, 60))):
-        folder = ablate.place(tmp_path, sequence, part, 0)
-        folder.mkdir(parents=True)
-        write_tum(folder / "live.tum", truth.at(rows))
+        write_run(tmp_path, sequence, part, truth.at(rows))
     assert ablate.on_common_frames(tmp_path, truth, sequence, "dsug", 0) is None
 
 
@@ -235,9 +261,7 @@ def test_the_common_table_averages_what_all_sequences_have(tmp_path: Path, monke
         for part in ("", "dsug"):
             run = on_a_spiral(60)
             run.poses[::2, 2, 3] += 0.02 * (n + 1) * (1 if part == "" else 2)
-            folder = ablate.place(tmp_path, sequence, part, 0)
-            folder.mkdir(parents=True)
-            write_tum(folder / "live.tum", run)
+            write_run(tmp_path, sequence, part, run)
     rows = ablate.common_table("dynamic", tmp_path, tmp_path, 0).splitlines()
     without = next(row for row in rows if row.startswith("| without dsug |"))
     assert "2.0 / 1.0 (60)" in without
