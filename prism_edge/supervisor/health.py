@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from prism_edge.bus import ros
 from prism_edge.config import WITHOUT_NETWORK
 
-# Levels of diagnostic_msgs/DiagnosticStatus.
-OK, WARN, ERROR, STALE = 0, 1, 2, 3
+OK, WARN, ERROR, STALE = ros.LEVEL_OK, ros.LEVEL_WARN, ros.LEVEL_ERROR, ros.LEVEL_STALE
 
 
 @dataclass(frozen=True)

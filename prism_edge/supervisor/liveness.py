@@ -9,7 +9,7 @@ if TYPE_CHECKING:
     from prism_edge.messages import Heartbeat
 
 
-ALIVE, STALE, OVERDUE = "alive", "stale", "overdue"
+ALIVE, QUIET, OVERDUE = "alive", "quiet", "overdue"
 
 QUIET_S = 2.0  # heartbeats come twice a second; four missed ones are worth reporting
 SILENT_S = 5.0  # without declared work, a process this long silent is stopped or gone
@@ -17,7 +17,7 @@ SILENT_S = 5.0  # without declared work, a process this long silent is stopped o
 
 @dataclass(frozen=True)
 class Verdict:
-    """``alive``, ``stale`` (reported) or ``overdue`` (killed and started again), and why."""
+    """``alive``, ``quiet`` (reported) or ``overdue`` (killed and started again), and why."""
 
     liveness: str
     why: str = ""
@@ -41,5 +41,5 @@ def judge(heartbeat: Heartbeat | None, age_s: float) -> Verdict:
     if age_s > SILENT_S:
         return Verdict(OVERDUE, f"silent for {age_s:.1f} s")
     if age_s > QUIET_S:
-        return Verdict(STALE, f"silent for {age_s:.1f} s")
+        return Verdict(QUIET, f"silent for {age_s:.1f} s")
     return Verdict(ALIVE)

@@ -9,8 +9,7 @@ from prism_edge.errors import BusError, ConfigError, ModelError, PrismError, Sou
 from prism_edge.processes import Process
 from prism_edge.supervisor.child import describe_exit
 from prism_edge.supervisor.health import ERROR, OK, STALE, WARN, Row
-from prism_edge.supervisor.liveness import ALIVE, OVERDUE, Verdict, judge
-from prism_edge.supervisor.liveness import STALE as QUIET
+from prism_edge.supervisor.liveness import ALIVE, OVERDUE, QUIET, Verdict, judge
 from prism_edge.supervisor.restart import RestartPolicy
 
 if TYPE_CHECKING:

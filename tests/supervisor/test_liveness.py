@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from prism_edge.messages import Heartbeat
-from prism_edge.supervisor.liveness import ALIVE, OVERDUE, QUIET_S, SILENT_S, STALE, judge
+from prism_edge.supervisor.liveness import ALIVE, OVERDUE, QUIET, QUIET_S, SILENT_S, judge
 
 SECOND = 1_000_000_000
 
@@ -22,7 +22,7 @@ def test_nothing_is_held_against_a_process_never_heard() -> None:
 
 @pytest.mark.parametrize(
     ("age_s", "liveness"),
-    [(0.0, ALIVE), (QUIET_S - 0.1, ALIVE), (QUIET_S + 0.1, STALE), (SILENT_S + 0.1, OVERDUE)],
+    [(0.0, ALIVE), (QUIET_S - 0.1, ALIVE), (QUIET_S + 0.1, QUIET), (SILENT_S + 0.1, OVERDUE)],
 )
 @pytest.mark.parametrize("state", ["ready", "idle", "ended"])
 def test_silence_is_first_reported_then_deadly(state: str, age_s: float, liveness: str) -> None:
