@@ -13,11 +13,11 @@ from prism_edge.config import SENSOR, Config
 from prism_edge.evaluation.adjustments import cost_of_adjustments
 from prism_edge.evaluation.consistency import NO_NEES, Nees, relative_nees, scale_errors
 from prism_edge.evaluation.loops import judge_loops
-from prism_edge.evaluation.recorder import base_from_camera
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import VOID_ABOVE, Usage
 from prism_edge.evaluation.scores import UNKNOWN, score
 from prism_edge.evaluation.trajectory import NS, Trajectory
+from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import MapSnapshot
 
 _PACKAGES = ("numpy", "opencv-python-headless", "onnxruntime", "gtsam", "eclipse-zenoh", "rosbags")

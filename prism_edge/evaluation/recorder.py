@@ -16,17 +16,12 @@ from prism_edge.config import FramesConfig
 from prism_edge.errors import EvaluationError
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.trajectory import tum_line
-from prism_edge.geometry.poses import Array, from_rt, rotation_from_quaternion
+from prism_edge.geometry.mount import base_from_camera
+from prism_edge.geometry.poses import Array
 from prism_edge.messages import EndOfStream, Heartbeat, Tracked
 
 _QUEUE = 4096  # messages; minutes of poses, so that a busy machine loses none
 _LOOK_S = 0.2
-
-
-def base_from_camera(frames: FramesConfig) -> Array:
-    """Pose (4, 4) of the optical camera on the robot."""
-    rotation = rotation_from_quaternion(np.array(frames.base_from_camera_xyzw))
-    return from_rt(rotation, np.array(frames.base_from_camera_xyz))
 
 
 def camera_pose(message: Any, mount: Array) -> tuple[int, Array]:

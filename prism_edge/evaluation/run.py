@@ -19,10 +19,11 @@ from prism_edge.errors import EvaluationError
 from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, free_endpoint
 from prism_edge.evaluation.metrics import metrics
 from prism_edge.evaluation.progress import Progress
-from prism_edge.evaluation.recorder import Recorder, base_from_camera
+from prism_edge.evaluation.recorder import Recorder
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import Meter, Usage
 from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
+from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import MapSnapshot
 from prism_edge.processes import processes_for
 from prism_edge.sources import Slot, open_source

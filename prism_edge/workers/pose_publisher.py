@@ -9,7 +9,8 @@ import numpy as np
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import FramesConfig
-from prism_edge.geometry.poses import Array, from_rt, inverse, rotation_from_quaternion, scaled, skew
+from prism_edge.geometry.mount import base_from_camera
+from prism_edge.geometry.poses import Array, inverse, scaled, skew
 from prism_edge.tracking.drift import NO_DRIFT, Walk
 from prism_edge.tracking.tracker import FrameResult
 
@@ -22,8 +23,7 @@ class PosePublisher:
     def __init__(self, bus: Bus, frames: FramesConfig, refinement: float = 1.0) -> None:
         """``refinement`` multiplies the covariance that a frame's own points give."""
         self._bus, self._frames, self._refinement = bus, frames, refinement
-        rotation = rotation_from_quaternion(np.array(frames.base_from_camera_xyzw))
-        self._mount = from_rt(rotation, np.array(frames.base_from_camera_xyz))
+        self._mount = base_from_camera(frames)
         self._camera_from_base = inverse(self._mount)
 
     def publish(

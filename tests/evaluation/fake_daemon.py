@@ -19,7 +19,7 @@ from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.config_file import load
-from prism_edge.evaluation.recorder import base_from_camera
+from prism_edge.geometry.mount import base_from_camera
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import EndOfStream, Heartbeat, MapSnapshot, Tracked
 

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 
 from prism_edge.config import FramesConfig
 from prism_edge.evaluation.consistency import relative_nees, scale_errors
-from prism_edge.evaluation.recorder import base_from_camera
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.trajectory import NS, Trajectory
+from prism_edge.geometry.mount import base_from_camera
 from prism_edge.geometry.poses import from_rt, inverse, scaled, se3_exp
 from prism_edge.messages import OK, Tracked
 

@@ -15,8 +15,9 @@ from scipy.spatial.transform import Rotation
 from prism_edge.bus import ros
 from prism_edge.config import FramesConfig
 from prism_edge.errors import EvaluationError
-from prism_edge.evaluation.recorder import PoseRecorder, base_from_camera, camera_pose
+from prism_edge.evaluation.recorder import PoseRecorder, camera_pose
 from prism_edge.evaluation.trajectory import read_tum
+from prism_edge.geometry.mount import base_from_camera
 from prism_edge.geometry.poses import from_rt
 
 
