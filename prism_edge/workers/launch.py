@@ -16,7 +16,7 @@ from prism_edge.config_file import load
 from prism_edge.errors import UNEXPECTED, PrismError
 from prism_edge.processes import Process
 from prism_edge.workers.heap import bound_heap, keep_trimmed
-from prism_edge.workers.journal import JournalHandler, stderr_is_the_journal
+from prism_edge.workers.journald_log import JournalHandler, stderr_is_the_journal
 from prism_edge.workers.stopping import StopSignals, die_with
 
 TITLE = "prism-edge"  # and the worker's name, where ps shows a command line

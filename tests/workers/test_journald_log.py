@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from prism_edge.config import Config, LogConfig
-from prism_edge.workers import journal, launch
-from prism_edge.workers.journal import JournalHandler, stderr_is_the_journal
+from prism_edge.workers import journald_log, launch
+from prism_edge.workers.journald_log import JournalHandler, stderr_is_the_journal
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -87,7 +87,7 @@ def test_a_traceback_and_forged_fields_stay_in_the_message(
 
 def test_a_huge_message_is_cut(log: logging.Logger, server: socket.socket) -> None:
     log.info("x" * 10_000_000)
-    assert len(fields(server.recv(1 << 20))["MESSAGE"]) == journal.LONGEST
+    assert len(fields(server.recv(1 << 20))["MESSAGE"]) == journald_log.LONGEST
 
 
 def test_a_journal_that_has_gone_is_no_error(
@@ -117,9 +117,9 @@ def test_stderr_is_the_journal_where_systemd_says_so(
 def test_the_configuration_decides(form: str, logged: bool, server: socket.socket) -> None:
     script = (
         "import logging, sys; from prism_edge.config import Config, LogConfig\n"
-        "from prism_edge.workers import journal, launch\n"
-        "init = journal.JournalHandler.__init__; path = sys.argv[2]\n"
-        "journal.JournalHandler.__init__ = lambda self, fields: init(self, fields, path)\n"
+        "from prism_edge.workers import journald_log, launch\n"
+        "init = journald_log.JournalHandler.__init__; path = sys.argv[2]\n"
+        "journald_log.JournalHandler.__init__ = lambda self, fields: init(self, fields, path)\n"
         "launch.log_as_configured('depth', Config(log=LogConfig(form=sys.argv[1], level='warning')))\n"
         "logging.info('quiet'); logging.warning('heard')\n"
     )
@@ -137,7 +137,7 @@ def test_the_configuration_decides(form: str, logged: bool, server: socket.socke
 def test_no_journal_is_said_and_logged_in_text(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(journal.JournalHandler.__init__, "__defaults__", ("/nowhere/at/all",))
+    monkeypatch.setattr(journald_log.JournalHandler.__init__, "__defaults__", ("/nowhere/at/all",))
     root = logging.getLogger()
     handlers, level = root.handlers[:], root.level
     try:
