@@ -12,15 +12,13 @@ import logging
 
 import numpy as np
 
-from prism_edge.tracking.keyframe_decision import same_view
+from prism_edge.tracking.keyframe_decision import RECENT, same_view
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
 log = logging.getLogger("prism_edge.tracking")
 
 REDUNDANT = 0.9
 OTHERS = 3  # keyframes that must see a point before it can do without one more
-# The newest stay: depth and corrections for them are on their way, and the next frames are tracked on them.
-RECENT = 12
 MIN_VIEWERS = 2  # a point with fewer is one that nothing would correct any more
 
 

@@ -18,7 +18,9 @@ MOVED_BASELINE, MOVED_ANGLE = 0.01, np.radians(2.0)
 WEAK_MATCHES, WEAK_GAP_S = 120, 0.05  # so few points must be added to at once
 # How near an older keyframe must be to show the same: of the median depth, and of its points in sight.
 SAME_BASELINE, SAME_ANGLE, SAME_SHARE = 0.04, np.radians(5.0), 0.4
-RECENT = 12  # the newest keyframes are no place that was left
+# The newest keyframes are no place that was left. None of them is culled either: depth and corrections for
+# them are on their way, and the next frames are tracked on them.
+RECENT = 12
 KNOWN_S = 10.0  # even so one is made that often: depth, scale, loops and the journal go by keyframes
 _CELL = 64
 
