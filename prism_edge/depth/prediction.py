@@ -76,7 +76,7 @@ def checked(prediction: Prediction) -> Prediction:
     share = float(np.mean(usable)) if usable.size else 0.0
     reason = ""
     if share < LEAST_VALID:
-        reason = f"only {100 * share:.0f} % of the depth map is usable ({_commonest(depth, usable)})"
+        reason = f"only {100 * share:.0f} % of the depth map is usable ({_commonest(depth)})"
     else:
         values = depth[usable].astype(np.float64)
         if np.std(values) < LEAST_SPREAD * np.mean(values):
@@ -93,7 +93,7 @@ def checked(prediction: Prediction) -> Prediction:
     )
 
 
-def _commonest(depth: F32, usable: NDArray[np.bool_]) -> str:
+def _commonest(depth: F32) -> str:
     if not depth.size:
         return "it is empty"
     counts = {

@@ -13,7 +13,7 @@ from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import hamming
 from prism_edge.tracking.point_table import Ids
 
-MAX_DISTANCE, RATIO = 60, 0.8
+MAX_DISTANCE = 60
 MIN_INLIERS = 15
 
 

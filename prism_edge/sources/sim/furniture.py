@@ -191,11 +191,11 @@ def desk(rng: np.random.Generator, style: Style) -> Item:
     parts.append(Part((x, 0.12, height + 0.24), (0.55, 0.04, 0.34), screen, density=420))
     inside = ((-width / 2, width / 2), (0.24, depth))
     parts += clutter(rng, height, *inside, sheets=int(rng.integers(2, 5)), things=int(rng.integers(1, 4)))
-    seat = chair(rng, style, (float(rng.uniform(-0.2, 0.1)), 0.98), np.pi)
+    seat = chair(style, (float(rng.uniform(-0.2, 0.1)), 0.98), np.pi)
     return Item(width, 1.25, parts + seat)
 
 
-def chair(rng: np.random.Generator, style: Style, place: tuple[float, float], yaw: float) -> list[Part]:
+def chair(style: Style, place: tuple[float, float], yaw: float) -> list[Part]:
     """A chair whose back is behind its seat (-y when ``yaw`` is 0)."""
     timber, seat = wood(style.timber), cloth(style.fabric, style.fabric_second, style.weave)
     c, s = np.cos(yaw), np.sin(yaw)
@@ -228,9 +228,9 @@ def table(rng: np.random.Generator, style: Style) -> Item:
     parts += clutter(rng, height, *inside, sheets=int(rng.integers(3, 7)), things=int(rng.integers(2, 5)))
     for x in (-0.28, 0.28):
         if rng.random() < 0.85:
-            parts += chair(rng, style, (x + rng.uniform(-0.04, 0.04), 0.24), 0.0)
+            parts += chair(style, (x + rng.uniform(-0.04, 0.04), 0.24), 0.0)
         if rng.random() < 0.85:
-            parts += chair(rng, style, (x + rng.uniform(-0.04, 0.04), y + across / 2 + 0.26), np.pi)
+            parts += chair(style, (x + rng.uniform(-0.04, 0.04), y + across / 2 + 0.26), np.pi)
     return Item(max(width, 1.1), across + 1.0, parts)
 
 
