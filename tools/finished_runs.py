@@ -69,8 +69,8 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
 
 
 def files_of(config: Config) -> list[Path]:
-    """Files that a configuration names: the camera's, and each network's with its card and weights."""
-    files = [Path(config.source.camera).expanduser()] if config.source.camera else []
+    """Files that a configuration names: camera, mask, and each network's with its card and weights."""
+    files = [Path(name).expanduser() for name in (config.source.camera, config.source.mask) if name]
     try:
         networks = networks_of(config.depth.network)
     except ModelError:
