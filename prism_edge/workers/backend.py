@@ -98,6 +98,7 @@ class BackendWorker:
                 self._receive(4 * _LOOK_S)
                 if self._late is None:
                     self._settle()
+        self._keeper.tidy(self._scale)  # where it is only this process that is started again
 
     def _settle(self) -> None:
         """Adjust what is still to be adjusted; the end has been reached where nothing comes meanwhile."""
@@ -105,8 +106,13 @@ class BackendWorker:
         while self._mapper.loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
             self._adjust()
         if not self._waiting:
+            self._keeper.tidy(self._scale)
             self._settled = True
             self._snapshot = self._take_snapshot()
+            self._rest()
+
+    def _tidy(self) -> None:
+        if self._keeper.tidy(self._scale):
             self._rest()
 
     def _rest(self) -> None:
@@ -138,8 +144,10 @@ class BackendWorker:
             self._solve(newest)
         elif late is not None:
             self._look_again(late)
-        elif self._mapper.loops.adjusting:
-            self._adjust()
+        else:
+            self._tidy()
+            if self._mapper.loops.adjusting:
+                self._adjust()
         return newest is not None or late is not None
 
     def _receive(self, timeout_s: float) -> None:
@@ -280,6 +288,7 @@ class BackendWorker:
         assert self._ticks is not None
         tick = self._ticks.take(_LOOK_S)
         if tick is None:
+            self._tidy()
             return False
         if tick.keyframe >= 0:
             self._one(tick)

@@ -95,7 +95,7 @@ class MapKeeper:
 
     def note(self, message: Keyframe, scale: KnownScale) -> None:
         """A keyframe has been absorbed, with its depth and its place."""
-        if self._journal is None or time.monotonic() < self._failed_s + self._wait_s:
+        if self._journal is None or self._is_failing:
             return
         try:
             first = len(self._mapper.world.keyframes) == 1  # of a new map
@@ -121,6 +121,19 @@ class MapKeeper:
     def overhauled(self) -> None:
         """All of the map has moved: what the journal holds would contradict the tracker's."""
         self._overhauled = True
+
+    def tidy(self, scale: KnownScale) -> bool:
+        """Write a map that has moved as a whole, once; for a moment without other work. Whether it was tried.
+
+        A life that ended before would be gone on from with the map of before, and move the tracker's back.
+        """
+        if self._journal is None or not self._overhauled or self._is_failing:
+            return False
+        try:
+            self._begin_journal(self._journal, scale)
+        except MapError as error:
+            self._say(error)
+        return True
 
     def load(self, name: str) -> tuple[KnownScale, str]:
         """Take a saved map up in place of the present one, as a new epoch; its scale, and what was loaded.
@@ -227,6 +240,11 @@ class MapKeeper:
         if len(arrays["place"]):
             self._mapper.loops.add_place(keyframe.id, arrays["place"], str(info.get("places_of", "")))
         return KnownScale.of(info)
+
+    @property
+    def _is_failing(self) -> bool:
+        """Whether the journal could not be written so short a time ago that it isn't tried again yet."""
+        return time.monotonic() < self._failed_s + self._wait_s
 
     def _say(self, error: MapError) -> None:
         """The map goes on without a journal, which `health` shows until it can be written again."""

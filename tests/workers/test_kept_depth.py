@@ -103,8 +103,10 @@ def test_a_map_that_is_to_be_written_as_a_whole_needs_no_record_of_what_is_late(
     before = tail.stat().st_size
     made._keeper.overhauled()
     bus.give("depth", depth_of(told[1], teller, frame_sigma=0.03))
-    made._realtime()
+    made._receive(0.0)
     assert tail.stat().st_size == before
+    made._realtime()
+    assert sigmas(backend(tmp_path, 1)[0]) == {0: 0.0, 1: 0.03, 2: 0.0}, "the new base has it"
     bus.give("keyframe", told[3])
     made._realtime()
     assert sigmas(backend(tmp_path, 1)[0]) == {0: 0.0, 1: 0.03, 2: 0.0, 3: 0.0}

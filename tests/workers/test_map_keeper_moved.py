@@ -1,0 +1,93 @@
+"""The journal of a map that moved as a whole: a backend started again right after must not take that back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from prism_edge.backend import map_file
+from prism_edge.config import Config
+from prism_edge.messages import IDS_A_LIFE
+from prism_edge.workers import backend as worker
+from tests.backend.ring import Ring
+from tests.synthetic import messages
+from tests.workers.backend_bench import CONFIG, LOCKSTEP, QUARTER, gate_of, hear, keyframes, snapshot
+from tests.workers.list_bus import ListBus
+
+DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
+
+
+def life(folder: Path, number: int = 0, config: Config = CONFIG) -> tuple[ListBus, worker.BackendWorker]:
+    bus = ListBus("keyframe", "tracked")
+    bus.life, bus.first_id, bus.run_directory = number, number * IDS_A_LIFE, folder
+    return bus, worker.BackendWorker(config, bus)
+
+
+def moved(made: worker.BackendWorker) -> float:
+    """Move all of its map as a loop would; where its second keyframe is then."""
+    for keyframe in made._mapper.world.keyframes.values():
+        keyframe.world_from_camera = keyframe.world_from_camera.copy()
+        keyframe.world_from_camera[0, 3] += 5.0
+    made._keeper.overhauled()
+    return float(made._mapper.world.keyframes[1].world_from_camera[0, 3])
+
+
+def recovered(folder: Path) -> float:
+    """Where the next life has that keyframe."""
+    return float(snapshot(life(folder, 1)[0]).poses[1][0, 3])
+
+
+@pytest.mark.parametrize("config", [CONFIG, LOCKSTEP])
+def test_a_map_that_moved_as_a_whole_is_written_as_soon_as_nothing_waits(
+    tmp_path: Path, config: Config
+) -> None:
+    teller, told = keyframes(3)
+    bus, made = life(tmp_path, config=config)
+    hear(made, bus, told, teller)
+    there = moved(made)
+    (made._realtime if made._ticks is None else made._lockstep)()
+    assert recovered(tmp_path) == pytest.approx(there)
+    assert bus.states[-1] == "idle", "writing is over"
+
+
+def test_a_map_that_moved_in_the_last_piece_of_work_is_written_at_the_stop(tmp_path: Path) -> None:
+    teller, told = keyframes(3)
+    bus, made = life(tmp_path)
+    hear(made, bus, told, teller)
+    there = moved(made)
+    bus.stopped.set()
+    made.run()
+    assert recovered(tmp_path) == pytest.approx(there)
+
+
+def test_it_is_written_once_however_long_nothing_comes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    teller, told = keyframes(3)
+    bus, made = life(tmp_path)
+    hear(made, bus, told, teller)
+    written, write = [], map_file.write
+    monkeypatch.setattr(map_file, "write", lambda *a, **k: (written.append(a[0]), write(*a, **k)))
+    moved(made)
+    for _ in range(5):
+        made._realtime()
+    assert len(written) == 1
+
+
+def test_a_loop_that_was_just_told_is_in_the_map_of_the_next_life(tmp_path: Path) -> None:
+    ring = Ring(drift=DRIFT, stretch=1.004)
+    bus, made = life(tmp_path)
+    while not any(update.loop_closed for update in bus.of("map_update")):
+        keyframe = ring.keyframe()
+        looks = {"valid": False, "descriptor": ring.looks_like(keyframe.id)}
+        bus.give("depth", messages.depth_of(keyframe, np.ones((120, 160), np.float32), QUARTER, **looks))
+        bus.give("gate", gate_of(keyframe))
+        bus.give("keyframe", keyframe)
+        made._realtime()
+    made._realtime()
+    update = bus.of("map_update")[-1]
+    after = snapshot(life(tmp_path, 1)[0])
+    assert after.keyframes.tolist() == update.keyframes.tolist()
+    np.testing.assert_allclose(after.poses, update.poses, atol=1e-9)
