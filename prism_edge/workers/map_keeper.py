@@ -95,11 +95,14 @@ class MapKeeper:
 
     def note(self, message: Keyframe, scale: KnownScale) -> None:
         """A keyframe has been absorbed, with its depth and its place."""
-        if self._journal is None or self._is_failing:
+        if self._journal is None:
+            return
+        if len(self._mapper.world.keyframes) == 1:  # of a new map
+            self.overhauled()
+        if self._is_failing:
             return
         try:
-            first = len(self._mapper.world.keyframes) == 1  # of a new map
-            if first or self._overhauled or self._journal.is_long or not self._journal.is_open:
+            if self._overhauled or self._journal.is_long or not self._journal.is_open:
                 self._begin_journal(self._journal, scale)
             else:
                 self._journal.append(self._record(message.id, scale, codec.pack(message)))
@@ -119,8 +122,13 @@ class MapKeeper:
             self._say(error)
 
     def overhauled(self) -> None:
-        """All of the map has moved: what the journal holds would contradict the tracker's."""
+        """All of the map has moved, or is another: what the journal holds would contradict the tracker's.
+
+        Where it can't be written anew, no map is better than that one.
+        """
         self._overhauled = True
+        if self._journal is not None and self._is_failing:
+            self._journal.clear()
 
     def tidy(self, scale: KnownScale) -> bool:
         """Write a map that has moved as a whole, once; for a moment without other work. Whether it was tried.
@@ -152,6 +160,7 @@ class MapKeeper:
         scale = self._mapper.restore(info, arrays, self._mapper.epoch + EPOCHS_BETWEEN)
         if foreign:
             self._mapper.loops.index.clear()
+        self.overhauled()
         try:
             if self._journal is not None:
                 self._begin_journal(self._journal, scale)
@@ -248,6 +257,8 @@ class MapKeeper:
 
     def _say(self, error: MapError) -> None:
         """The map goes on without a journal, which `health` shows until it can be written again."""
+        if self._journal is not None and self._overhauled:
+            self._journal.clear()  # as far as it goes: what can't be written may be removed
         if self._failed_s > 0.0:  # again
             self._wait_s = min(2.0 * self._wait_s, SELDOM_S)
         self._failed_s = time.monotonic()

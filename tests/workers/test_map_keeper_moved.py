@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from prism_edge.backend import map_file
 from prism_edge.config import Config
+from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE
 from prism_edge.workers import backend as worker
 from tests.backend.ring import Ring
@@ -91,3 +93,43 @@ def test_a_loop_that_was_just_told_is_in_the_map_of_the_next_life(tmp_path: Path
     after = snapshot(life(tmp_path, 1)[0])
     assert after.keyframes.tolist() == update.keyframes.tolist()
     np.testing.assert_allclose(after.poses, update.poses, atol=1e-9)
+
+
+def full(*_: object, **__: object) -> None:
+    raise MapError("can't write base: No space left on device")
+
+
+@pytest.mark.parametrize("moves", ["before it is full", "while it is full", "not at all"])
+def test_on_a_full_disk_no_map_is_left_that_contradicts_the_tracker_s(
+    tmp_path: Path, moves: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    teller, told = keyframes(6)
+    bus, made = life(tmp_path)
+    hear(made, bus, told[:4], teller)
+    if moves.startswith("before"):
+        moved(made)
+    else:
+        made._keeper._journal.close()  # as where a record could not be written
+    monkeypatch.setattr(map_file, "write", full)
+    hear(made, bus, told[4:], teller)
+    if moves.startswith("while"):
+        moved(made)
+    assert "No space left" in bus.pulse.values["journal"]
+    left = [0, 1, 2, 3] if moves == "not at all" else []
+    assert snapshot(life(tmp_path, 1)[0]).keyframes.tolist() == left
+
+
+@pytest.mark.parametrize("is_full", ["already", "since"])
+def test_on_a_full_disk_the_map_before_a_reset_is_not_gone_on_in(
+    tmp_path: Path, is_full: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    teller, told = keyframes(6)
+    bus, made = life(tmp_path)
+    hear(made, bus, told[:3], teller)
+    monkeypatch.setattr(map_file, "write", full)
+    if is_full == "already":
+        made._keeper._journal.close()
+    hear(made, bus, told[3:4], teller)
+    hear(made, bus, [replace(k, epoch=1) for k in told[4:]], teller)
+    assert len(made._mapper.world.keyframes) == 2
+    assert snapshot(life(tmp_path, 1)[0]).keyframes.tolist() == []
