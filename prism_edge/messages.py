@@ -255,6 +255,7 @@ class MapUpdate:
     added_keypoints: I64 = optional("int64", -1)  # ... keypoint
     weights: F32 = optional("float32", -1)  # of each point, 0..1: how far it stands still; empty: as before
     camera: F64 = optional("float64", -1)  # as the backend has found it: all pixels through its lens
+    everything: bool = False  # whether it names every keyframe that the backend has
 
 
 @dataclass(frozen=True)

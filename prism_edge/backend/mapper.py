@@ -173,7 +173,8 @@ class Mapper:
             self.world.drop_observation(k, p)
         self.window = len(solution.poses)
         # Where all of the map is moved to keep its frame, all keyframes are told, and take points along.
-        moved = list(self.world.keyframes if keep_frame(self.world) else solution.poses)
+        everything = keep_frame(self.world)
+        moved = list(self.world.keyframes if everything else solution.poses)
         self.sequence += 1
         alive = [p for p in solution.points if p in self.world.points]
         outliers = np.array(solution.outliers, np.int64).reshape(-1, 2)
@@ -193,6 +194,7 @@ class Mapper:
             dropped_keyframes=outliers[:, 0],
             dropped_points=outliers[:, 1],
             camera=_pinhole(self.world.camera),
+            everything=everything,
         )
 
     def whole(
@@ -234,6 +236,7 @@ class Mapper:
             added_points=added[:, 1],
             added_keypoints=added[:, 2],
             camera=_pinhole(world.camera),
+            everything=True,
         )
 
     def nothing(self, message: Keyframe) -> MapUpdate:

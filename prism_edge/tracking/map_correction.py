@@ -65,7 +65,7 @@ def take_over(
     """Do to the map, its parts and the last frame what the backend did; True where points became others."""
     motion = apply_correction(
         world, update.based_on, update.keyframes, update.poses,
-        update.points, update.positions, update.parallax_deg, scale_factors,
+        update.points, update.positions, update.parallax_deg, scale_factors, update.everything,
     )
     world.weigh(update.points, update.weights)
     world.drop_observations(update.dropped_keyframes, update.dropped_points)
@@ -91,12 +91,15 @@ def apply_correction(
     positions: NDArray[np.float64],
     parallax_deg: NDArray[np.float32],
     scale_factors: Array,
+    everything: bool = False,
 ) -> Array:
     """Move keyframes and points to where the backend put them.
 
     Points that are not among ``point_ids`` go with the keyframe that created them or, where that was culled,
     with the next newer one. A keyframe newer than ``based_on``, which the backend had not seen, is fitted to
-    what it observes of corrected points and of those that others took along, and takes its own along.
+    what it observes of corrected points and of those that others took along, and takes its own along. So is,
+    where ``everything`` that the backend has is named, an older one that is not: it has never heard of that
+    (but of those before the first that it has, nothing says where they belong).
     Returns the rigid motion (4, 4) of the newest keyframe, new world from old.
     """
     index = {int(k): i for i, k in enumerate(keyframe_ids)}
@@ -123,18 +126,26 @@ def apply_correction(
     table.position[mine] = turned + along[:, :3, 3]
     told = np.flatnonzero(placed)
     motion = motions[told[-1]] if len(told) else np.eye(4)
+    unheard = _unheard(keyframes, placed, based_on) if everything else np.zeros(len(keyframes), bool)
     for i, keyframe in enumerate(keyframes):
-        if placed[i] or keyframe.id <= based_on:
+        if placed[i] or (keyframe.id <= based_on and not unheard[i]):
             continue
         old = keyframe.world_from_camera
         # What other keyframes created is in its new place by now, corrected or taken along.
-        settled = corrected | (table.reference != keyframe.id)
+        if unheard[i]:
+            start, settled = motions[_beside(keyframes, i, placed)], corrected | placed[owner]
+        else:
+            start, settled = motion, corrected | (table.reference != keyframe.id)
         keyframe.world_from_camera = fit(
-            world, keyframe.camera, keyframe.features, keyframe.points, motion @ old, scale_factors, settled
+            world, keyframe.camera, keyframe.features, keyframe.points, start @ old, scale_factors, settled
         )
-        motion = keyframe.world_from_camera @ inverse(old)
+        motions[i] = keyframe.world_from_camera @ inverse(old)
         mine = np.flatnonzero(follows & (owner == i))
-        table.position[mine] = transform(motion, table.position[mine])
+        table.position[mine] = transform(motions[i], table.position[mine])
+        if unheard[i]:
+            placed[i] = True
+        else:
+            motion = motions[i]
     if len(rows):
         focal = world.newest().camera.fx
         angle = np.radians(np.maximum(table.parallax_deg[rows], 1e-3))
@@ -147,6 +158,19 @@ def apply_correction(
 def _owners(references: Ids, keyframes: list[int]) -> Index:
     """Which of the keyframes (their numbers, ascending) each point (n,) goes with."""
     return np.minimum(np.searchsorted(keyframes, references), len(keyframes) - 1)
+
+
+def _unheard(keyframes: list[LocalKeyframe], placed: NDArray[np.bool_], based_on: int) -> NDArray[np.bool_]:
+    """Which keyframes (ascending) the backend has never heard of, ``placed`` being all that it has."""
+    numbers = np.array([keyframe.id for keyframe in keyframes], np.int64)
+    return ~placed & np.maximum.accumulate(placed) & (numbers <= based_on)
+
+
+def _beside(keyframes: list[LocalKeyframe], i: int, placed: NDArray[np.bool_]) -> int:
+    """The row, of those ``placed``, that shares most points with row i; the one before where none does."""
+    rows = {keyframe.id: row for row, keyframe in enumerate(keyframes)}
+    known = (rows[k] for k in keyframes[i].neighbours if k in rows and placed[rows[k]])
+    return next(known, i - 1)
 
 
 def join(world: LocalMap, update: MapUpdate) -> dict[int, int]:
