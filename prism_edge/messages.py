@@ -316,6 +316,13 @@ class MapLoaded:
 
 
 @dataclass(frozen=True)
+class Epoch:
+    """The epoch that the tracker is in (answer to a query): what comes after it must have a later one."""
+
+    epoch: int
+
+
+@dataclass(frozen=True)
 class Acknowledged:
     """Lockstep: a process has done frame ``index`` and all the work that it caused."""
 

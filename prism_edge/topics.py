@@ -75,6 +75,8 @@ TOPICS = {
         Topic("internal/whole_map", m.WholeMap, 0, "backend", ("tracker",), latched=True),
         # asked for by a scale that was started again
         Topic("internal/map_loaded", m.MapLoaded, 0, "backend", ("tracker", "scale"), latched=True),
+        # asked for by a backend that is to load a map
+        Topic("internal/epoch", m.Epoch, 0, "tracker", ("backend",), latched=True),
         Topic("internal/acknowledged", m.Acknowledged, 30, "all", ("source",)),
         Topic("internal/heartbeat", m.Heartbeat, 2, "all", ("supervisor",), priority="data_low"),
     )

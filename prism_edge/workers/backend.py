@@ -35,6 +35,7 @@ log = logging.getLogger("prism_edge.backend")
 
 _LOOK_S = 0.05
 _SOLVE_S = 20.0
+_ASK_S = 2.0
 _PATIENCE_S = 30.0  # lockstep: a keyframe or depth that takes longer isn't coming
 # Real time: how long a keyframe waits for its depth and gate before its window is solved without.
 _DEPTH_WAIT_S = 0.25
@@ -326,7 +327,8 @@ class BackendWorker:
 
     def _load_map(self, argument: str) -> Reply:
         try:
-            self._scale, said = self._keeper.load(argument)
+            heard = self._bus.ask("epoch", _ASK_S)  # None: it is down, and takes over what there is then
+            self._scale, said = self._keeper.load(argument, 0 if heard is None else heard.epoch)
         finally:
             self._rest()
         self._waiting.clear()  # keyframes of the map that has gone

@@ -59,6 +59,8 @@ class MapAdoption:
         """
         epoch = max((loaded.epoch for loaded in self._loaded.drain()), default=-1)
         if epoch <= tracker.epoch:
+            if 0 <= epoch < tracker.epoch:
+                log.error("a map that the backend has taken up is passed over: ours is newer (%d)", epoch)
             return
         self._bus.pulse.working("asking for the loaded map", LOADED_S + TAKING_OVER_S)
         whole: WholeMap | None = self._bus.ask("whole_map", LOADED_S)

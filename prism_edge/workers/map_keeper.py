@@ -143,10 +143,11 @@ class MapKeeper:
             self._say(error)
         return True
 
-    def load(self, name: str) -> tuple[KnownScale, str]:
+    def load(self, name: str, tracked: int = 0) -> tuple[KnownScale, str]:
         """Take a saved map up in place of the present one, as a new epoch; its scale, and what was loaded.
 
-        Raises MapError, with the present one kept, where there is none, or none that could be gone on with.
+        ``tracked`` is the tracker's epoch, which may be later than any that it has told keyframes of. Raises
+        MapError, with the present one kept, where there is none, or none that could be gone on with.
         """
         path = map_path(self._config.state, name)
         if not path.exists():
@@ -157,7 +158,7 @@ class MapKeeper:
         if flaw := map_flaw(arrays, self._config.tracking):
             raise MapError(flaw)
         foreign = self._places_are_foreign(info)
-        scale = self._mapper.restore(info, arrays, self._mapper.epoch + EPOCHS_BETWEEN)
+        scale = self._mapper.restore(info, arrays, max(self._mapper.epoch, tracked) + EPOCHS_BETWEEN)
         if foreign:
             self._mapper.loops.index.clear()
         self.overhauled()

@@ -27,6 +27,7 @@ from prism_edge.messages import (
     RECOVERED,
     Acknowledged,
     Depth,
+    Epoch,
     Frame,
     MapUpdate,
     Scale,
@@ -89,6 +90,7 @@ class TrackerWorker:
         # The map of a run that was cut off: the first image says whether it is this camera's.
         self._unproven = self._recovering = self._ending = False
         self._desk = bus.commands({"reset": self._reset, "localise_only": self._switch_localise_only})
+        bus.answer("epoch", lambda: Epoch(self._tracker.epoch))
 
     def run(self) -> None:
         """Tracks until the bus is stopped."""

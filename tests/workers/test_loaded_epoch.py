@@ -1,0 +1,62 @@
+"""A loaded map is of a later epoch than whatever the tracker is in: else it would not be taken up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from prism_edge.config import StateConfig, TrackingConfig
+from prism_edge.messages import IDS_A_LIFE, Epoch, MapLoaded
+from prism_edge.workers import backend, tracker
+from prism_edge.workers.map_adoption import MapAdoption
+from tests.workers.backend_bench import CONFIG, hear, keyframes
+from tests.workers.list_bus import ListBus
+
+
+@pytest.mark.parametrize("there", [0, 7, 1000, IDS_A_LIFE, None])
+def test_the_tracker_takes_a_loaded_map_up_whatever_epoch_it_is_in(tmp_path: Path, there: int | None) -> None:
+    """In its second life and without a keyframe yet, or beside a backend whose journal is gone; or away."""
+    state = StateConfig(directory=str(tmp_path), journal=False)
+    config = replace(CONFIG, tracking=TrackingConfig(scale_factor=1.2, levels=8), state=state)
+    teller, told = keyframes(3)
+    bus = ListBus("keyframe")
+    made = backend.BackendWorker(config, bus)
+    hear(made, bus, told, teller)
+    bus.desk.ask("save_map", "lab")
+    made._desk.serve()
+    bus = ListBus("keyframe")
+    known = {} if there is None else {"epoch": Epoch(there)}
+    bus.ask = lambda topic, timeout_s=1.0: known.get(topic)  # type: ignore[method-assign]
+    made = backend.BackendWorker(config, bus)
+    bus.desk.ask("load_map", "lab")
+    made._desk.serve()
+    (loaded,) = bus.of("map_loaded")
+    beside, asked = ListBus("frame"), []
+    beside.ask = lambda topic, timeout_s=1.0: asked.append(topic)  # type: ignore[method-assign]
+    adoption = MapAdoption(config, beside)
+    beside.give("map_loaded", loaded)
+    adoption.take_loaded(SimpleNamespace(epoch=there or 0), lambda whole: True, lambda word: None)
+    assert asked == ["whole_map"]
+
+
+def test_the_tracker_says_which_epoch_it_is_in() -> None:
+    bus = ListBus("frame")
+    bus.life, bus.first_id = 1, IDS_A_LIFE
+    made = tracker.TrackerWorker(CONFIG, bus)
+    assert bus.answers["epoch"]() == Epoch(IDS_A_LIFE)
+    made._reset("")
+    assert bus.answers["epoch"]() == Epoch(IDS_A_LIFE + 1)
+
+
+def test_a_map_that_is_passed_over_is_an_error(caplog: pytest.LogCaptureFixture) -> None:
+    bus = ListBus("frame")
+    adoption = MapAdoption(CONFIG, bus)
+    for epoch in (5, 6):  # the one that it has, and an older one
+        bus.give("map_loaded", MapLoaded(5, 0.0, 0.1))
+        adoption.take_loaded(SimpleNamespace(epoch=epoch), lambda whole: True, lambda word: None)
+    (record,) = caplog.records
+    assert record.levelname == "ERROR"
+    assert "passed over" in record.message
