@@ -43,7 +43,7 @@ from prism_edge.errors import ConfigError, MapError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import normalised
 from prism_edge.messages import LARGEST_ID
-from prism_edge.tracking.features import Features
+from prism_edge.tracking.features import Features, grid
 from prism_edge.tracking.place_index import PlaceIndex
 
 MOST_KEYFRAMES, MOST_POINTS, MOST_KEYPOINTS = 200_000, 20_000_000, 50_000_000
@@ -52,6 +52,8 @@ HIGHEST_OCTAVE = 32
 LARGEST_LOG_SCALE = 20.0
 UNKNOWN_SCALE_SIGMA = 0.3
 LARGEST_IMAGE = 20_000  # pixels a side
+# Cells that keypoints are filed in, 8 bytes each: 1500 keyframes of 3840 x 2160, and more where all are full.
+MOST_CELLS, CELLS_A_KEYPOINT = 50_000_000, 20
 
 _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "keyframes": ("<i8", ("K",)),
@@ -171,6 +173,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     arrays = {"depth_sigmas": np.zeros(len(arrays["keyframes"])), **arrays}
     _check_values(arrays)
     cameras = _cameras(info, arrays["cameras"])
+    _check_room(cameras, arrays)
     world = GlobalMap(max_carried)
     ids = arrays["points"].tolist()
     for p, position, parallax in zip(ids, arrays["positions"], arrays["parallax_deg"].tolist(), strict=True):
@@ -313,6 +316,14 @@ def _cameras(info: Info, rows: NDArray[np.int64]) -> list[Camera]:
             raise MapError(f"a camera of the map has images of {camera.width}x{camera.height}")
         cameras.append(camera)
     return cameras
+
+
+def _check_room(cameras: list[Camera], arrays: Arrays) -> None:
+    """What keyframes take in memory besides what is in the file goes with the size of their images."""
+    cells = np.array([np.prod(grid(camera.width, camera.height)) for camera in cameras])
+    needed = int(cells[arrays["cameras"]].sum())
+    if needed > MOST_CELLS + CELLS_A_KEYPOINT * len(arrays["seen"]):
+        raise MapError(f"the map's images are so large that its {needed} cells would take too much memory")
 
 
 def _bytes_of(features: Features) -> NDArray[np.uint8]:

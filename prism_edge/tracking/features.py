@@ -21,6 +21,11 @@ FEW_MATCHES, MANY_MATCHES, GROWTH = 170, 200, 1.2
 VGA, MOST_AREA = (640, 480), 3.0  # what the configured numbers are for; the most that area counts
 
 
+def grid(width: int, height: int) -> tuple[int, int]:
+    """Columns and rows of the cells that an image's keypoints are filed in."""
+    return width // CELL + 1, height // CELL + 1
+
+
 @dataclass(frozen=True)
 class Features:
     """The n keypoints of one image, in ideal (undistorted) pixels."""
@@ -46,7 +51,7 @@ class Features:
         height: int,
     ) -> Features:
         """Index keypoints; those outside the image are filed in its border cells."""
-        columns, rows = width // CELL + 1, height // CELL + 1
+        columns, rows = grid(width, height)
         # Not np.clip, which takes several times as long on so few numbers.
         at = np.minimum(np.maximum(pixels * (1.0 / CELL), 0.0), (columns - 1.0, rows - 1.0))
         column, row = at.astype(np.intp).T

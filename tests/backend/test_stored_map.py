@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
@@ -11,13 +12,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from prism_edge.backend import map_file
+from prism_edge.backend import map_file, stored_map
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.stored_map import from_arrays, to_arrays
 from prism_edge.backend.window import choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
+from prism_edge.geometry.cameras import Camera
 from prism_edge.tracking.place_index import PlaceIndex
 from tests.backend.world import Teller
 from tests.tracking.cloud import pose_at
@@ -43,6 +45,7 @@ def example() -> tuple[GlobalMap, PlaceIndex]:
 
 EXAMPLE = example()
 STORED = map_file.unpack(map_file.pack(*to_arrays(*EXAMPLE)))
+OF_KEYFRAMES = ("poses", "scale_factors", "travelled", "depth_sigmas")
 
 
 def test_every_part_of_the_map_comes_back() -> None:
@@ -185,6 +188,30 @@ def test_values_that_can_not_be_are_refused(name: str, change: Callable[[np.ndar
 def test_cameras_that_can_not_be_are_refused(cameras: Any) -> None:
     with pytest.raises(MapError):
         from_arrays({"cameras": cameras}, STORED[1], max_carried=100)
+
+
+@pytest.mark.parametrize(
+    ("keyframes", "side", "keypoints", "fits"),
+    [(600, (3840, 2160), 0, True), (20_000, (3840, 2160), 1800, True), (200, (20_000, 20_000), 0, False)],
+)
+def test_a_map_takes_no_more_memory_than_what_is_in_it_can_be_worth(
+    keyframes: int, side: tuple[int, int], keypoints: int, fits: bool
+) -> None:
+    arrays = {"cameras": np.zeros(keyframes, np.int64), "seen": np.zeros(keyframes * keypoints, np.uint8)}
+    with nullcontext() if fits else pytest.raises(MapError, match="too much memory"):
+        stored_map._check_room([Camera(*side, 500.0, 500.0, 320.0, 240.0)], arrays)
+
+
+def test_a_small_file_of_huge_images_is_refused() -> None:
+    info, arrays = STORED
+    size, count = OF_KEYFRAMES, 200
+    many = {name: np.repeat(arrays[name][:1], count, axis=0) for name in size}
+    none = {name: array[:0] for name, array in arrays.items() if name not in (*size, "starts")}
+    numbers = np.arange(count)
+    held = {**none, **many, "keyframes": numbers, "indices": numbers, "starts": np.zeros(count + 1, np.int64)}
+    cameras = [["pinhole", [20_000, 20_000, 500.0, 500.0, 320.0, 240.0]]]
+    with pytest.raises(MapError, match="too much memory"):
+        from_arrays({**info, "cameras": cameras}, {**held, "cameras": 0 * numbers}, max_carried=100)
 
 
 def test_a_first_keyframe_without_points_is_a_map_and_nothing_at_all_is_none() -> None:
