@@ -303,6 +303,8 @@ def _rigid(poses: NDArray[np.float64]) -> bool:
 
 def _cameras(info: Info, rows: NDArray[np.int64]) -> list[Camera]:
     listed = info.get("cameras")
+    if not isinstance(info.get("places_of", ""), str):
+        raise MapError("the map's places are described by no network")
     if not isinstance(listed, list) or not _between(rows, 0, len(listed) - 1):
         raise MapError("the map's cameras are none")
     cameras = []
@@ -310,7 +312,7 @@ def _cameras(info: Info, rows: NDArray[np.int64]) -> list[Camera]:
         try:
             model, numbers = entry
             camera = Camera.from_array(model, np.array(numbers, np.float64))
-        except (ConfigError, TypeError, ValueError) as error:
+        except (ConfigError, TypeError, ValueError, OverflowError) as error:
             raise MapError(f"a camera of the map is none: {error}".replace("\n", " ")[:200]) from None
         if max(camera.width, camera.height) > LARGEST_IMAGE:
             raise MapError(f"a camera of the map has images of {camera.width}x{camera.height}")

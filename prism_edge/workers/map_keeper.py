@@ -174,7 +174,8 @@ class MapKeeper:
     def _places_are_foreign(self, info: Info) -> bool:
         """Whether another network than ours has described a stored map's places, as far as is known here."""
         theirs, ours = info.get("places_of"), self._mapper.loops.index.network
-        if theirs:  # as it calls itself; where ours is yet to speak, PlaceIndex will see
+        # As it calls itself; where ours is yet to speak, PlaceIndex will see.
+        if isinstance(theirs, str) and theirs:
             return bool(ours) and not same_network(theirs, ours)
         return info.get("model") != self._config.depth.network
 

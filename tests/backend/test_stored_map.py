@@ -182,12 +182,18 @@ def test_values_that_can_not_be_are_refused(name: str, change: Callable[[np.ndar
         [["pinhole", [640, 480, -1, 500, 320, 240]]],
         [["pinhole", [1e9, 1e9, 500, 500, 320, 240]]],  # its grid would fill the memory
         [["pinhole", [[1], [2, 3]]]],
+        [["pinhole", [10**400, 480, 500, 500, 320, 240]]],
     ],
-    ids=str,
+    ids=lambda cameras: str(cameras)[:60],
 )
 def test_cameras_that_can_not_be_are_refused(cameras: Any) -> None:
     with pytest.raises(MapError):
         from_arrays({"cameras": cameras}, STORED[1], max_carried=100)
+
+
+def test_places_that_no_network_has_described_are_refused() -> None:
+    with pytest.raises(MapError):
+        from_arrays({**STORED[0], "places_of": 5}, STORED[1], max_carried=100)
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A loaded map is of a later epoch than whatever the tracker is in: else it would not be taken up."""
+"""What `load_map` takes up: a map of a later epoch than whatever the tracker is in, and nothing odd."""
 
 from __future__ import annotations
 
@@ -8,10 +8,14 @@ from types import SimpleNamespace
 
 import pytest
 
+from prism_edge.backend import map_file
+from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import StateConfig, TrackingConfig
+from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE, Epoch, MapLoaded
 from prism_edge.workers import backend, tracker
 from prism_edge.workers.map_adoption import MapAdoption
+from prism_edge.workers.state_directory import map_path
 from tests.workers.backend_bench import CONFIG, hear, keyframes
 from tests.workers.list_bus import ListBus
 
@@ -40,6 +44,24 @@ def test_the_tracker_takes_a_loaded_map_up_whatever_epoch_it_is_in(tmp_path: Pat
     beside.give("map_loaded", loaded)
     adoption.take_loaded(SimpleNamespace(epoch=there or 0), lambda whole: True, lambda word: None)
     assert asked == ["whole_map"]
+
+
+@pytest.mark.parametrize("odd", [{"places_of": 5}, {"cameras": [["pinhole", [10**400, 480, 1, 1, 1, 1]]]}])
+def test_odd_values_are_refused_in_a_line(tmp_path: Path, odd: dict[str, object]) -> None:
+    state = StateConfig(directory=str(tmp_path), journal=False)
+    config = replace(CONFIG, tracking=TrackingConfig(scale_factor=1.2, levels=8), state=state)
+    teller, told = keyframes(3)
+    bus = ListBus("keyframe")
+    made = backend.BackendWorker(config, bus)
+    hear(made, bus, told, teller)
+    made._mapper.loops.index.network = "exact@0123456789ab"
+    info, arrays = made._mapper.stored()
+    path = map_path(state, "lab")
+    path.parent.mkdir(parents=True)
+    path.write_bytes(map_file.pack({**info, **KnownScale().info, **odd}, arrays))
+    with pytest.raises(MapError):
+        made._load_map("lab")
+    assert len(made._mapper.world.keyframes) == 3
 
 
 def test_the_tracker_says_which_epoch_it_is_in() -> None:
