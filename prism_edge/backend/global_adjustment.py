@@ -72,6 +72,7 @@ class GlobalAdjustment:
             lens.add_variable(graph, values, camera, said_k1)
             self._points = _firm(world, self._points, config)
         seen: set[int] = set()
+        self._through: dict[int, list[int]] = {}  # points of each keyframe that tell the lens
         for p, views in choose_views(world, self._points).items():
             values.insert(L(p), world.points[p].position)
             for k in views:
@@ -82,6 +83,7 @@ class GlobalAdjustment:
                     graph.add(factors.reprojection(X(k), L(p), keyframe, keypoint))
                 else:
                     graph.add(factors.reprojection_through(lens.LENS, X(k), L(p), keyframe, keypoint))
+                    self._through.setdefault(k, []).append(p)
                 measured = use_depth and keyframe.depth_sigma > 0  # a network would bend the map (window.py)
                 if measured and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
                     graph.add(factors.metric_depth(X(k), L(p), keyframe, keypoint))
@@ -132,6 +134,10 @@ class GlobalAdjustment:
         poses = {k: np.asarray(values.atPose3(X(k)).matrix()) for k in self._keyframes}
         points = {p: np.asarray(values.atPoint3(L(p))) for p in self._points}
         if not poses or not all(np.isfinite(v).all() for v in (*poses.values(), *points.values())):
+            return None
+        # To its factor (gtsam's) a point behind the camera costs nothing: such a solution is worth nothing.
+        depths = (_depths(poses[k], [points[p] for p in seen]) for k, seen in self._through.items())
+        if any((depth <= 0.0).any() for depth in depths):
             return None
         bent = None
         if self._camera is not None and self._said is not None:

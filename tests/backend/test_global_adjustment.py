@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import L
 
 from prism_edge.backend import global_adjustment as module
 from prism_edge.backend.global_adjustment import GlobalAdjustment, apply, choose_views
@@ -205,3 +208,25 @@ def test_it_finds_the_truth_again_with_some_of_the_views(monkeypatch):
     apply(world, adjusted, CONFIG)
     assert position_error(world.poses(), teller.poses) < 0.3 * before
     check(world)
+
+
+@pytest.mark.parametrize("said_k1", [None, 0.0])
+def test_a_lens_by_which_a_point_got_behind_a_camera_is_none(said_k1):
+    """Its factor counts such a point as seen exactly; a plain reprojection puts a price on it."""
+    _, world = shaken(sigma=0.0)
+    for point in world.points.values():
+        point.parallax_deg = 5.0
+    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=False, said_k1=said_k1)
+    while not job.step():
+        pass
+    assert job.result() is not None
+    values = gtsam.Values(job._optimiser.values())
+    everywhere = next(p for p in job._points if len(world.points[p].keyframes) == len(world.keyframes))
+    aside = next(
+        place
+        for place in (world.keyframes[0].world_from_camera @ (x, 0.0, -0.01, 1.0) for x in (-20.0, 20.0))
+        if sum((inverse(k.world_from_camera) @ place)[2] <= 0.0 for k in world.keyframes.values()) == 1
+    )
+    values.update(L(everywhere), aside[:3])
+    job._optimiser = SimpleNamespace(values=lambda: values)
+    assert (job.result() is None) == (said_k1 is not None)
