@@ -15,11 +15,14 @@ from prism_edge.errors import MapError
 from prism_edge.messages import WholeMap
 from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.tracker import Tracker
+from prism_edge.workers.handover import PATIENCE_S
 from prism_edge.workers.map_flaw import map_flaw
 
 log = logging.getLogger("prism_edge.tracker")
 
-ASK_S = 3.0  # a tracker that was started again is wanted soon: without an answer it begins a new map
+LINKED_S = 3.0  # a tracker that was started again is wanted soon: without a backend it begins a new map
+# One that has no map says so at once, and one that dies ends the question: silence is a backend at work.
+BUSY_S = PATIENCE_S + 5.0
 LOADED_S = 30.0
 RECOVERED_S = 30.0  # the backend starts beside us, and reads its journal first
 TAKING_OVER_S = 30.0
@@ -35,9 +38,9 @@ class MapAdoption:
 
     def of_the_last_life(self) -> WholeMap | None:
         """The backend's map after a restart of the tracker; None where there is none to go on in."""
-        self._bus.pulse.working("asking for the map", 2 * ASK_S + TAKING_OVER_S)
-        self._bus.await_ready(["backend"], ASK_S)  # linked to it: else nobody would be asked
-        whole: WholeMap | None = self._bus.ask("whole_map", ASK_S)
+        self._bus.pulse.working("asking for the map", LINKED_S + BUSY_S + TAKING_OVER_S)
+        self._bus.await_ready(["backend"], LINKED_S)  # else nobody would be asked
+        whole: WholeMap | None = self._bus.ask("whole_map", BUSY_S)
         if whole is None:
             log.info("no map to go on in: beginning a new one")
         return whole

@@ -14,6 +14,7 @@ from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig
 from prism_edge.messages import IDS_A_LIFE, Keyframe, MapLoaded, WholeMap
 from prism_edge.tracking.drift import Drift
+from prism_edge.workers.handover import PATIENCE_S
 from tests.tracking.footage import footage
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import CONFIG, World, depth_of, frame, positions, run, true_position
@@ -163,6 +164,17 @@ def test_without_an_answer_a_new_map_begins() -> None:
     run(life.bus, [frame(i) for i in AFTER])
     assert positions(life.bus)
     assert {k.epoch for k in life.bus.of("keyframe")} == {2 * IDS_A_LIFE}
+
+
+def test_a_backend_in_the_midst_of_a_solve_is_waited_for(whole: WholeMap) -> None:
+    life = Asked(whole, life=1)
+    patience: list[float] = []
+    life.bus.ask = lambda topic, timeout_s=1.0: (  # type: ignore[method-assign]
+        patience.append(timeout_s) or (whole if timeout_s > PATIENCE_S else None)
+    )
+    run(life.bus, [frame(i) for i in AFTER])
+    assert {k.epoch for k in life.bus.of("keyframe")} == {EPOCH}
+    assert life.bus.budgets_s["asking for the map"] > sum(patience), "it is not taken for a hang meanwhile"
 
 
 def test_the_first_life_asks_nobody(whole: WholeMap) -> None:
