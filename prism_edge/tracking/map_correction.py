@@ -178,7 +178,12 @@ def join(world: LocalMap, update: MapUpdate) -> dict[int, int]:
 
     Returns which point each double became.
     """
-    merge(world, update.fused_into, update.fused_from)
+    became: dict[int, int] = {}
+    # From the last one back: what a point became may have become another since.
+    for old, kept in zip(update.fused_from[::-1].tolist(), update.fused_into[::-1].tolist(), strict=True):
+        became[old] = became.get(kept, kept)
+    survivors = np.array([became[old] for old in update.fused_from.tolist()], np.int64)
+    merge(world, survivors, update.fused_from)
     for number, point, keypoint in zip(
         update.added_keyframes.tolist(),
         update.added_points.tolist(),
@@ -193,7 +198,7 @@ def join(world: LocalMap, update: MapUpdate) -> dict[int, int]:
             if world.points.known(known)[0]:
                 keyframe.points[keypoint] = point
                 world.points.observations[world.points.rows(known)] += 1
-    return dict(zip(update.fused_from.tolist(), update.fused_into.tolist(), strict=True))
+    return became
 
 
 def fit(

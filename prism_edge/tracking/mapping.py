@@ -206,22 +206,31 @@ def fuse(world: LocalMap, first: Ids, second: Ids) -> None:
     rows = table.rows(pairs.ravel()).reshape(-1, 2)
     swap = table.observations[rows[:, 0]] < table.observations[rows[:, 1]]
     pairs[swap] = pairs[swap, ::-1]
-    merge(world, pairs[:, 0], pairs[:, 1])
+    apart, taken = np.zeros(len(pairs), bool), set[int]()
+    for i, pair in enumerate(pairs.tolist()):
+        apart[i] = taken.isdisjoint(pair)  # a chain is left for the next keyframe
+        if apart[i]:
+            taken.update(pair)
+    merge(world, pairs[apart, 0], pairs[apart, 1])
 
 
 def merge(world: LocalMap, keep: Ids, drop: Ids) -> None:
-    """Make each pair of points one: what saw the second sees the first. Unknown points are passed over."""
+    """Make each pair of points one: what saw the second sees the first. Unknown points are passed over.
+
+    Several may become one; what would go on to become another is passed over. Where a keyframe saw more than
+    one of those that are one now, one of its keypoints keeps it.
+    """
     table = world.points
     into: dict[int, int] = {}
-    taken: set[int] = set()
+    keeping: set[int] = set()
     pairs = np.stack([keep, drop], axis=1)
     pairs = pairs[table.known(pairs.ravel()).reshape(-1, 2).all(axis=1) & (keep != drop)]
     rows = table.rows(pairs.ravel()).reshape(-1, 2)
     for (kept, dropped), (kept_row, dropped_row) in zip(pairs.tolist(), rows.tolist(), strict=True):
-        if kept in taken or dropped in taken:
-            continue  # a chain is left for the next keyframe
+        if kept in into or dropped in into or dropped in keeping:
+            continue
         into[dropped] = kept
-        taken |= {kept, dropped}
+        keeping.add(kept)
         table.found[kept_row] += table.found[dropped_row]
         table.visible[kept_row] += table.visible[dropped_row]
         table.alive[dropped_row] = False
@@ -240,6 +249,9 @@ def merge(world: LocalMap, keep: Ids, drop: Ids) -> None:
         present[seen] = True
         double = present[kept_rows[moved]]
         present[seen] = False
+        first = np.zeros(len(moved), bool)
+        first[np.unique(kept_rows[moved], return_index=True)[1]] = True
+        double |= ~first
         keyframe.points[observed[moved]] = np.where(double, NO_POINT, table.ids[kept_rows[moved]])
         table.observations[kept_rows[moved[~double]]] += 1
     world.changes.fused.extend(into.items())

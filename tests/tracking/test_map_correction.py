@@ -207,6 +207,22 @@ def test_a_loop_makes_points_one_the_way_it_says():
     check(world)
 
 
+@pytest.mark.parametrize("pairs", [[(0, 2), (1, 2)], [(0, 1), (1, 2)]], ids=["two become one", "a chain"])
+def test_several_points_that_a_loop_makes_one_all_become_it(pairs):
+    """The backend has nothing but the last: what stayed here would be seen by nobody else."""
+    world, _ = Cloud(400, seed=0).mapped(POSES)
+    often = np.argsort(-world.points.observations, kind="stable")[:3]
+    ids, seen = world.points.ids[often].copy(), world.points.observations[often].copy()
+    views = sum(bool(np.isin(ids, keyframe.points).any()) for keyframe in world.keyframes.values())
+    assert views < seen.sum(), "some keyframes see more than one of them"
+    old, kept = np.array(pairs).T
+    became = join(world, loop_update(fused_from=ids[old], fused_into=ids[kept]))
+    assert became == {ids[0]: ids[2], ids[1]: ids[2]}
+    assert world.points.known(ids).tolist() == [False, False, True]
+    assert world.points.observations[often[2]] == views
+    check(world)
+
+
 def test_a_loop_lets_keyframes_see_points_where_they_can():
     cloud = Cloud(400, seed=0)
     world, _ = cloud.mapped(POSES)
