@@ -158,6 +158,7 @@ class MapKeeper:
         if flaw := map_flaw(arrays, self._config.tracking):
             raise MapError(flaw)
         foreign = self._places_are_foreign(info)
+        ours = self._mapper.world.camera
         scale = self._mapper.restore(info, arrays, max(self._mapper.epoch, tracked) + EPOCHS_BETWEEN)
         if foreign:
             self._mapper.loops.index.clear()
@@ -169,7 +170,11 @@ class MapKeeper:
             self._say(error)
         world = self._mapper.world
         said = f"loaded {name}: {len(world.keyframes)} keyframes, {len(world.points)} points"
-        return scale, said + (", without another depth network's words for its places" if foreign else "")
+        said += ", without another depth network's words for its places" if foreign else ""
+        theirs = world.camera
+        if ours is not None and theirs is not None and not theirs.like(ours):
+            said += ", of another camera"
+        return scale, said
 
     def _places_are_foreign(self, info: Info) -> bool:
         """Whether another network than ours has described a stored map's places, as far as is known here."""

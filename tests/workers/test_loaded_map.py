@@ -16,6 +16,7 @@ from prism_edge.messages import IDS_A_LIFE, Epoch, MapLoaded
 from prism_edge.workers import backend, tracker
 from prism_edge.workers.map_adoption import MapAdoption
 from prism_edge.workers.state_directory import map_path
+from tests.tracking.cloud import CAMERA
 from tests.workers.backend_bench import CONFIG, hear, keyframes
 from tests.workers.list_bus import ListBus
 
@@ -62,6 +63,28 @@ def test_odd_values_are_refused_in_a_line(tmp_path: Path, odd: dict[str, object]
     with pytest.raises(MapError):
         made._load_map("lab")
     assert len(made._mapper.world.keyframes) == 3
+
+
+@pytest.mark.parametrize(
+    ("focal", "k1", "said"), [(1.0, 0.0, False), (1.0, -0.05, False), (1.1, 0.0, True)], ids=str
+)
+def test_the_reply_says_where_another_camera_made_the_map(
+    tmp_path: Path, focal: float, k1: float, said: bool
+) -> None:
+    """One whose lens was found anew is the same."""
+    state = StateConfig(directory=str(tmp_path), journal=False)
+    config = replace(CONFIG, tracking=TrackingConfig(scale_factor=1.2, levels=8), state=state)
+    teller, told = keyframes(3)
+    theirs = CAMERA.bent(k1) if k1 else replace(CAMERA, fx=focal * CAMERA.fx, fy=focal * CAMERA.fy)
+    bus = ListBus("keyframe")
+    made = backend.BackendWorker(config, bus)
+    hear(made, bus, [replace(keyframe, camera=theirs.to_array()) for keyframe in told], teller)
+    bus.desk.ask("save_map", "lab")
+    made._desk.serve()
+    bus = ListBus("keyframe")
+    made = backend.BackendWorker(config, bus)
+    hear(made, bus, told, teller)
+    assert ("of another camera" in made._load_map("lab").said) == said
 
 
 def test_the_tracker_says_which_epoch_it_is_in() -> None:
