@@ -63,13 +63,20 @@ class MapError(PrismError):
     exit_code = 10
 
 
+def in_words(error: PrismError | OSError) -> str:
+    """What is wrong, for one line; of a file with its name, where that is known."""
+    if isinstance(error, PrismError):
+        return str(error)
+    file = f"{error.filename}: " if error.filename else ""
+    return file + (error.strerror or str(error) or type(error).__name__)
+
+
 def report(error: Exception) -> int:
     """Says on stderr what ended the program, in one line where a user can mend it; returns the exit code."""
     if isinstance(error, PrismError):
-        line, code = str(error), error.exit_code
+        line, code = in_words(error), error.exit_code
     elif isinstance(error, OSError):  # a full disk, mostly, which may be any of a program's files
-        file = f"{error.filename}: " if error.filename else ""
-        line, code = file + (error.strerror or str(error) or type(error).__name__), FAILING_FILE
+        line, code = in_words(error), FAILING_FILE
     else:
         traceback.print_exception(error)
         line, code = "unexpected; please report it with the lines above", UNEXPECTED

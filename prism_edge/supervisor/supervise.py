@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from prism_edge.config import Config
-from prism_edge.errors import PrismError
+from prism_edge.errors import PrismError, in_words
 from prism_edge.processes import Process
 from prism_edge.supervisor.notify import Notifier
 from prism_edge.supervisor.start import Start, start_worker
@@ -73,12 +73,12 @@ def supervise(
 def _reload(
     supervisor: Supervisor, reread: Callable[[], Config], notifier: Notifier, announced: bool
 ) -> None:
-    """Told to the manager from beginning to end; an error of the user's leaves all as it was."""
+    """Told to the manager from beginning to end; a user's error and a full disk leave all as it was."""
     if announced:
         notifier.reloading()
     try:
         supervisor.reload(reread())
-    except PrismError as error:
-        log.error("not reloaded: %s", error)
+    except (PrismError, OSError) as error:
+        log.error("not reloaded: %s", in_words(error))
     if announced:
         notifier.ready()

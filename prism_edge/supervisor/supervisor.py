@@ -15,7 +15,7 @@ from prism_edge.bus.keys import check_loopback, check_robot_name
 from prism_edge.bus.vacancy import can_listen
 from prism_edge.config import NO_NETWORK, Config
 from prism_edge.config_file import dump
-from prism_edge.errors import SupervisionError
+from prism_edge.errors import SupervisionError, in_words
 from prism_edge.processes import Process, processes_for
 from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.health import Row, no_network, status_line, summary
@@ -161,15 +161,18 @@ class Supervisor:
             self._look()
 
     def reload(self, wanted: Config) -> None:
-        """Take up what can change of another configuration; the rest is refused, with a line in the log."""
+        """Take up what can change of another configuration; the rest is refused, with a line in the log.
+
+        Raises OSError where it can't be written for the processes: then nothing has changed.
+        """
         change = difference(self._config, wanted)
+        self._directory.write("config.yaml", dump(change.config))
         if change.refused:
             log.warning("not reloaded, as only a restart changes it: %s", " ".join(change.refused))
         log.info("reloaded: %s", " ".join(change.applied) or "nothing has changed")
         if not any(watch.is_unproven for watch in self._watches.values()):
             self._before = self._config
         self._config = change.config
-        self._directory.write("config.yaml", dump(self._config))
         for name, watch in self._watches.items():
             watch.configure(self._config.supervisor)
             if name in change.restart and watch.asked_to_end_s is None:
@@ -264,9 +267,15 @@ class Supervisor:
             how = watch.exited(code, now)
             if refused:
                 log.error("%s refuses what was reloaded: going back to the configuration before it", name)
-                self.reload(self._before)
+                self._go_back()
             elif asked_s is None:
                 log.error("%s ended with %s; starting it again", name, how)
+
+    def _go_back(self) -> None:
+        try:
+            self.reload(self._before)
+        except OSError as error:
+            log.error("can't go back: %s", in_words(error))
 
     def _info(self, argument: str) -> Reply:
         """The command `info`: refused, so to say, where what poses need is not up, or no map can be.

@@ -15,6 +15,7 @@ import pytest
 from prism_edge.config import BusConfig, Config, DepthConfig, SupervisorConfig
 from prism_edge.config_file import dump
 from prism_edge.supervisor.reload import put
+from prism_edge.supervisor.run_directory import PREFIX
 from tests.supervisor.fake_systemd import Manager
 
 DAEMON = Path(__file__).with_name("fake_daemon.py")
@@ -146,6 +147,24 @@ def test_reload_of_a_broken_file_changes_nothing(serve: Callable[..., Service]) 
     until_logged(service, "not reloaded: ")
     assert "Traceback" not in service.log
     assert "started again" not in service.log
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_reload_that_a_full_disk_forbids_changes_nothing(
+    serve: Callable[..., Service], tmp_path: Path
+) -> None:
+    service = serve("tracker:steady", "depth:steady")
+    wanted = dump(put(service.config, "depth.threads", 3))
+    [folder] = tmp_path.glob(PREFIX + "*")
+    new = folder / ".new-config.yaml"
+    new.symlink_to("/dev/full")
+    service.reload(wanted)
+    until_logged(service, f"not reloaded: {new}: No space left on device")
+    assert "reloaded: depth.threads" not in service.log
+    new.unlink()
+    service.reload(wanted)
+    until_logged(service, "reloaded: depth.threads")
+    until_logged(service, "depth started again")
 
 
 def test_what_a_process_refuses_is_taken_back(serve: Callable[..., Service]) -> None:

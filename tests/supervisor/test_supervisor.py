@@ -292,6 +292,19 @@ class TestSupervisor:
             run.reload(put(config, "depth.threads", 13))
             run.run(in_time(lambda: run.ready))
 
+    @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+    def test_going_back_that_a_full_disk_forbids_ends_nothing(
+        self, config: Config, tmp_path: Path, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        with supervisor(config, "tracker:steady", "depth:picky") as run:
+            run.run(in_time(lambda: run.ready))
+            before = run.processes
+            run.reload(put(config, "depth.threads", 13))
+            [folder] = tmp_path.glob(PREFIX + "*")
+            (folder / ".new-config.yaml").symlink_to("/dev/full")
+            run.run(in_time(lambda: "can't go back: " in caplog.text))
+            assert run.processes["tracker"] == before["tracker"]
+
     def test_ended_when_every_process_has(self, config: Config) -> None:
         with supervisor(config, "source:ends", "tracker:ends") as run:
             run.run(in_time(lambda: run.ended))
