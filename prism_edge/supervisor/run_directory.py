@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import os
 import shutil
@@ -9,42 +10,93 @@ import tempfile
 from pathlib import Path
 
 PREFIX = "prism-edge-run-"
+LOCK = "lock"
+_NEW = ".new-"
 
 
 class RunDirectory:
-    """A private folder that vanishes with the run; a lock in it tells a live run from one that was killed."""
+    """A private folder that vanishes with the run; locks tell a live run from one that was killed."""
 
     def __init__(self, parent: Path | None = None) -> None:
         """Create the folder below ``parent`` and clear away what killed runs left there."""
         parent = parent or default_parent()
         sweep(parent)
-        # Locked before it gets its name, so that nobody's sweep can take it for an abandoned one.
-        nameless = tempfile.mkdtemp(prefix=".new-" + PREFIX, dir=parent)
-        self._lock = os.open(os.path.join(nameless, "lock"), os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
-        fcntl.flock(self._lock, fcntl.LOCK_EX)
-        self.path = parent / Path(nameless).name.removeprefix(".new-")
-        os.rename(nameless, self.path)
+        self._held: list[int] = []  # descriptors: of the folder, and of the lock in it
+        self._written: dict[str, str] = {}
+        new = self._nameless(parent)
+        self.path = parent / new.name.removeprefix(_NEW)
+        os.rename(new, self.path)
 
     def write(self, name: str, content: str) -> Path:
         """Write a file of the run, at once or not at all for whoever reads it; returns its path.
 
         Raises OSError, with the file's name.
         """
-        path = self.path / name
-        new = self.path / f".new-{name}"
+        self.restore()
+        self._write(name, content)
+        self._written[name] = content
+        return self.path / name
+
+    def restore(self) -> None:
+        """Make anew what somebody cleared away: a cleaner of temporary files, or the user's last logout.
+
+        Under the same name, by which a restarted backend knows its journal; ``path`` may be elsewhere then.
+        Raises OSError, also where that name is another's by now: what lies there is not ours to read.
+        """
+        if not self._stands():
+            parent = self.path.parent if self.path.parent.is_dir() else default_parent()
+            self._release()
+            new = self._nameless(parent)
+            try:
+                os.rename(new, parent / self.path.name)
+            except OSError:
+                shutil.rmtree(new, ignore_errors=True)
+                raise
+            self.path = parent / self.path.name
+        elif not (self.path / LOCK).exists():
+            self._release()
+            self._hold(self.path)
+        for name, content in self._written.items():
+            if not (self.path / name).exists():
+                self._write(name, content)
+
+    def remove(self) -> None:
+        """Delete the folder; harmless when it is gone already."""
+        if self._stands():
+            shutil.rmtree(self.path, ignore_errors=True)
+        self._release()
+
+    def _nameless(self, parent: Path) -> Path:
+        """A folder that is held before it gets its name, so that nobody's sweep takes it for abandoned."""
+        new = Path(tempfile.mkdtemp(prefix=_NEW + PREFIX, dir=parent))
+        self._hold(new)
+        return new
+
+    def _hold(self, folder: Path) -> None:
+        self._held = [os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)]
+        with contextlib.suppress(OSError):  # which systemd-tmpfiles respects; NFS has no such locks
+            fcntl.flock(self._held[0], fcntl.LOCK_EX | fcntl.LOCK_NB)
+        self._held.append(os.open(folder / LOCK, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600))
+        fcntl.flock(self._held[1], fcntl.LOCK_EX)
+
+    def _release(self) -> None:
+        while self._held:
+            os.close(self._held.pop())
+
+    def _stands(self) -> bool:
+        """Whether what bears our name is the very folder that we made."""
+        try:
+            return os.path.samestat(os.fstat(self._held[0]), os.lstat(self.path))
+        except (OSError, IndexError):
+            return False
+
+    def _write(self, name: str, content: str) -> None:
+        path, new = self.path / name, self.path / (_NEW + name)
         try:
             new.write_text(content, encoding="utf-8")
         except OSError as error:  # of a full disk, which has no name to tell
             raise OSError(error.errno, error.strerror, str(new)) from None
         os.replace(new, path)
-        return path
-
-    def remove(self) -> None:
-        """Delete the folder; harmless when it is gone already."""
-        shutil.rmtree(self.path, ignore_errors=True)
-        if self._lock >= 0:
-            os.close(self._lock)
-            self._lock = -1
 
 
 def default_parent() -> Path:
@@ -62,7 +114,7 @@ def sweep(parent: Path) -> None:
             # Others write to a shared temporary folder too: never follow their links.
             if folder.is_symlink() or folder.stat().st_uid != os.getuid():
                 continue
-            lock = os.open(folder / "lock", os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
+            lock = os.open(folder / LOCK, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
         except OSError:
             continue
         try:

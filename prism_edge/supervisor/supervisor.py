@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("prism_edge.supervisor")
 
+CONFIG = "config.yaml"  # in the run's folder
 LOOK_S = 0.1  # a death is noticed within this
 HEALTH_S = 1.0
 PAUSED_S = 1.0  # a round later than this: we were stopped ourselves, and heartbeats with us
@@ -133,7 +134,7 @@ class Supervisor:
                 metrics = MetricsServer(self._config.metrics.port, lambda: self._rows)
             self._directory = RunDirectory()
             self._cleanup.callback(self._directory.remove)
-            self._file = self._directory.write("config.yaml", dump(self._config))
+            self._directory.write(CONFIG, dump(self._config))
             self._cleanup.callback(self._journal.release)
             self._journal.claim(self._directory)
             # Before we have threads, so that they can be forks; but none may join a stranger's listener.
@@ -166,7 +167,7 @@ class Supervisor:
         Raises OSError where it can't be written for the processes: then nothing has changed.
         """
         change = difference(self._config, wanted)
-        self._directory.write("config.yaml", dump(change.config))
+        self._directory.write(CONFIG, dump(change.config))
         if change.refused:
             log.warning("not reloaded, as only a restart changes it: %s", " ".join(change.refused))
         log.info("reloaded: %s", " ".join(change.applied) or "nothing has changed")
@@ -217,9 +218,19 @@ class Supervisor:
 
     def _launch(self, name: str) -> None:
         watch = self._watches[name]
-        child = self._start(watch.process, self._file, watch.lives)
+        self._directory.restore()
+        child = self._start(watch.process, self._directory.path / CONFIG, watch.lives)
         self._children[name] = child
         watch.started(child.pid, time.monotonic())
+
+    def _launch_again(self, name: str, watch: Watch, now: float) -> None:
+        try:
+            self._launch(name)
+        except OSError as error:  # no process, or no run's folder, for the moment
+            log.error("%s can't be started: %s", name, in_words(error))
+            watch.not_started(in_words(error), now)
+        else:
+            log.info("%s started again (process %d)", name, self._children[name].pid)
 
     def _look(self) -> None:
         """One round: hear, collect the dead, kill the hung, start again, publish."""
@@ -249,8 +260,7 @@ class Supervisor:
     def _look_at(self, name: str, watch: Watch, now: float) -> None:
         if watch.restart_at_s is not None:
             if now >= watch.restart_at_s:
-                self._launch(name)
-                log.info("%s started again (process %d)", name, self._children[name].pid)
+                self._launch_again(name, watch, now)
             return
         child = self._children[name]
         verdict = watch.verdict(now)

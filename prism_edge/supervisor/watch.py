@@ -147,6 +147,15 @@ class Watch:
             return self._last_exit
         if code in USER_ERRORS and not self.was_ready:
             raise StartRefusedError(self.process.name, code)
+        self._died(now_s)
+        return self._last_exit
+
+    def not_started(self, why: str, now_s: float) -> None:
+        """It could not be started again, which counts as a death. Raises SupervisionError as it does."""
+        self._last_exit = why
+        self._died(now_s)
+
+    def _died(self, now_s: float) -> None:
         pause = self._policy.died(now_s)
         if pause is None:
             raise SupervisionError(
@@ -155,7 +164,6 @@ class Watch:
                 "its log lines above say why"
             )
         self.restart_at_s = now_s + pause
-        return self._last_exit
 
     def row(self, now_s: float) -> Row:
         """Its line on `health`."""

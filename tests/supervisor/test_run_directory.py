@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import shutil
 import stat
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
-from prism_edge.supervisor.run_directory import PREFIX, RunDirectory, default_parent, sweep
+from prism_edge.supervisor.run_directory import LOCK, PREFIX, RunDirectory, default_parent, sweep
 
 
 def test_is_private_and_vanishes(tmp_path: Path) -> None:
@@ -70,3 +73,67 @@ def test_a_full_disk_is_named(tmp_path: Path) -> None:
         run.write("config.yaml", "content")
     assert error.value.filename == str(full)
     run.remove()
+
+
+def test_what_a_cleaner_took_is_made_anew_under_its_name(tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path)
+    path = run.path
+    run.write("config.yaml", "robot: a\n")
+    run.write("config.yaml", "robot: b\n")
+    run.write("goes-on", "")
+    shutil.rmtree(path)
+    run.restore()
+    assert run.path == path
+    assert (path / "config.yaml").read_text() == "robot: b\n"
+    assert (path / "goes-on").exists()
+    for file in path.iterdir():  # the old files alone, lock and all
+        file.unlink()
+    run.restore()
+    assert {file.name for file in path.iterdir()} == {"config.yaml", "goes-on", LOCK}
+    sweep(tmp_path)
+    assert path.is_dir(), "it is held again"
+    run.remove()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_runtime_folder_that_went_with_its_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    runtime, temporary = tmp_path / "runtime", tmp_path / "tmp"
+    runtime.mkdir()
+    temporary.mkdir()
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
+    run = RunDirectory()
+    run.write("config.yaml", "robot: a\n")
+    shutil.rmtree(runtime)
+    assert run.write("goes-on", "") == temporary / run.path.name / "goes-on"
+    assert (run.path / "config.yaml").read_text() == "robot: a\n"
+    run.remove()
+    assert list(temporary.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["folder", "link"])
+def test_what_somebody_put_in_its_place_is_not_read(tmp_path: Path, kind: str) -> None:
+    """In a temporary folder that all share its name is known."""
+    run = RunDirectory(tmp_path)
+    run.write("config.yaml", "robot: a\n")
+    shutil.rmtree(run.path)
+    theirs = tmp_path / "theirs" if kind == "link" else run.path
+    theirs.mkdir()
+    (theirs / "config.yaml").write_text("robot: theirs\n")
+    if kind == "link":
+        run.path.symlink_to(theirs)
+    with pytest.raises(OSError, match=run.path.name):
+        run.restore()
+    run.remove()
+    assert (theirs / "config.yaml").read_text() == "robot: theirs\n"
+    assert not list(tmp_path.glob(".new-*"))
+
+
+def test_is_locked_for_systemd_s_cleaner(tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path)
+    folder = os.open(run.path, os.O_RDONLY)
+    with pytest.raises(BlockingIOError):
+        fcntl.flock(folder, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    run.remove()
+    fcntl.flock(folder, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    os.close(folder)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -304,6 +305,35 @@ class TestSupervisor:
             (folder / ".new-config.yaml").symlink_to("/dev/full")
             run.run(in_time(lambda: "can't go back: " in caplog.text))
             assert run.processes["tracker"] == before["tracker"]
+
+    def test_a_folder_that_a_cleaner_took_keeps_nobody_down(self, config: Config, tmp_path: Path) -> None:
+        with supervisor(config, "tracker:steady", "depth:steady") as run:
+            run.run(in_time(lambda: run.ready))
+            [folder] = tmp_path.glob(PREFIX + "*")
+            shutil.rmtree(folder)
+            before = run.processes["depth"]
+            os.kill(before, signal.SIGKILL)
+            run.run(in_time(lambda: run.processes.get("depth", before) != before and run.ready))
+            shutil.rmtree(folder)
+            run.reload(put(config, "depth.threads", 3))
+            assert "threads: 3" in (folder / "config.yaml").read_text()
+
+    def test_one_that_can_not_be_started_again_is_tried_again(self, config: Config) -> None:
+        processes, start = cast(["tracker:steady", "depth:steady"])
+        fails: list[OSError] = []
+
+        def now_and_then(process: Process, config_file: Path, life: int) -> Child:
+            if fails:
+                raise fails.pop()
+            return start(process, config_file, life)
+
+        with Supervisor(config, processes, now_and_then) as run:
+            run.run(in_time(lambda: run.ready))
+            before = run.processes["depth"]
+            fails.append(OSError(11, "Resource temporarily unavailable"))
+            os.kill(before, signal.SIGKILL)
+            run.run(in_time(lambda: run.processes.get("depth", before) != before and run.ready))
+            assert not fails
 
     def test_ended_when_every_process_has(self, config: Config) -> None:
         with supervisor(config, "source:ends", "tracker:ends") as run:
