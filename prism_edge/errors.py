@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import traceback
 
@@ -78,7 +79,14 @@ def report(error: Exception) -> int:
     elif isinstance(error, OSError):  # a full disk, mostly, which may be any of a program's files
         line, code = in_words(error), FAILING_FILE
     else:
-        traceback.print_exception(error)
+        say("".join(traceback.format_exception(error)).rstrip())
         line, code = "unexpected; please report it with the lines above", UNEXPECTED
-    print(f"prism-edge: error: {line}", file=sys.stderr, flush=True)
+    say(f"prism-edge: error: {line}")
     return code
+
+
+def say(line: str) -> None:
+    """A line on stderr; where that is closed, full or without a reader there is nobody left to tell."""
+    if sys.stderr is not None:
+        with contextlib.suppress(OSError, ValueError):
+            print(line, file=sys.stderr, flush=True)

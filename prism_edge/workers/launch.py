@@ -13,7 +13,7 @@ from setproctitle import setproctitle
 
 from prism_edge.config import Config
 from prism_edge.config_file import load
-from prism_edge.errors import UNEXPECTED, PrismError
+from prism_edge.errors import UNEXPECTED, PrismError, say
 from prism_edge.processes import Process
 from prism_edge.workers.heap import bound_heap, keep_trimmed
 from prism_edge.workers.journald_log import JournalHandler, stderr_is_the_journal
@@ -90,7 +90,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
             log.error("ended without being told to")
         return 0
     except PrismError as error:
-        print(f"prism-edge {process.name}: error: {error}", file=sys.stderr, flush=True)
+        say(f"prism-edge {process.name}: error: {error}")
         return error.exit_code
     except Exception:
         log.exception("unexpected error; please report it with the lines below")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import subprocess
 import sys
@@ -154,6 +155,20 @@ def test_output_on_a_full_disk_is_one_line(option: str) -> None:
         )
     assert process.stderr == "prism-edge: error: No space left on device\n"
     assert process.returncode == errors.FAILING_FILE
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize(("error", "code"), [(errors.ModelError("m"), 5), (ValueError("ours"), 70)])
+def test_an_error_has_its_code_though_it_can_not_be_told(
+    error: Exception, code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("prism_edge.cli.config.run", raising(error))
+    with open("/dev/full", "w", buffering=1) as full:
+        monkeypatch.setattr("sys.stderr", full)
+        assert main(["config"]) == code
+        monkeypatch.undo()
+        with contextlib.suppress(OSError):
+            full.close()
 
 
 @pytest.mark.parametrize(

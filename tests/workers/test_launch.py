@@ -90,6 +90,21 @@ def test_users_error_is_one_line_and_its_code(content: str, code: int, words: st
     assert ended.stderr.count("\n") == 1
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+@pytest.mark.parametrize("nobody", ["full", "gone"])
+def test_users_error_has_its_code_though_nobody_can_be_told(nobody: str, tmp_path: Path) -> None:
+    file = tmp_path / "config.yaml"
+    file.write_text("robot: 5\n")
+    read, gone = os.pipe()
+    os.close(read)
+    with open("/dev/full", "w") as full, os.fdopen(gone, "w") as pipe:
+        line = command("scale", file)
+        ended = subprocess.run(
+            line, cwd=CHECKOUT, stderr=full if nobody == "full" else pipe, timeout=DEADLINE_S
+        )
+    assert ended.returncode == 3
+
+
 @pytest.mark.parametrize(("by_hand", "life"), [(False, 0), (False, 2), (True, 0)])
 def test_a_life_numbers_things_beyond_those_before_it(by_hand: bool, life: int, tmp_path: Path) -> None:
     """Nobody counts the lives of a worker that was started by hand: the clock does."""
