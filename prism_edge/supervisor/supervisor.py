@@ -273,12 +273,12 @@ class Supervisor:
             child.kill()
         code = child.poll()
         if code is not None:
-            refused = watch.refuses(code)
-            how = watch.exited(code, now)
-            if refused:
+            if watch.refuses(code) and self._config != self._before:
                 log.error("%s refuses what was reloaded: going back to the configuration before it", name)
-                self._go_back()
-            elif asked_s is None:
+                self._go_back()  # which asks it to end, as it has: what is wrong is no death of its own
+            asked = watch.asked_to_end_s is not None
+            how = watch.exited(code, now)
+            if not asked:
                 log.error("%s ended with %s; starting it again", name, how)
 
     def _go_back(self) -> None:

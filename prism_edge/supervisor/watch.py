@@ -46,6 +46,7 @@ class Watch:
         self._hung_starts = 0  # killed before they were ready, since it was last ready
         self.asked_to_end_s: float | None = None  # when, for a start with another configuration
         self.on_trial = False  # started with another configuration, and not ready since
+        self._trial_deaths = 0
 
     def configure(self, config: SupervisorConfig) -> None:
         """Other limits from now on."""
@@ -57,7 +58,8 @@ class Watch:
         self.restarts += self._pid != 0
         self._pid, self._started_s, self.restart_at_s, self._heartbeat = pid, now_s, None, None
         self._ready_s = None
-        self.on_trial, self.asked_to_end_s = self.asked_to_end_s is not None, None
+        if self.asked_to_end_s is not None:
+            self.on_trial, self._trial_deaths, self.asked_to_end_s = True, 0, None
 
     def heard(self, heartbeat: Heartbeat, now_s: float) -> None:
         """A heartbeat has come; one that a previous life left in the queue is ignored."""
@@ -70,8 +72,13 @@ class Watch:
                 self._ready_s, self.on_trial = now_s, False
 
     def refuses(self, code: int) -> bool:
-        """Whether an exit with this code says that the configuration just taken up is wrong."""
-        return self.on_trial and code in USER_ERRORS
+        """Whether an exit with this code says that the configuration just taken up is wrong.
+
+        A user's error says so, and a second death of whatever kind: one may be chance. Neither where yet
+        another configuration has come meanwhile. Ask before :meth:`exited`.
+        """
+        in_doubt = self.on_trial and self.asked_to_end_s is None
+        return in_doubt and (code in USER_ERRORS or self._trial_deaths > 0)
 
     @property
     def is_unproven(self) -> bool:
@@ -142,9 +149,10 @@ class Watch:
         self._last_exit = describe_exit(code) + (f" ({self._why_killed})" if self._why_killed else "")
         self._hung_starts += bool(self._why_killed) and self._ready_s is None
         self._why_killed = ""
-        if self.asked_to_end_s is not None or self.refuses(code):
+        if self.asked_to_end_s is not None:
             self.restart_at_s = now_s
             return self._last_exit
+        self._trial_deaths += self.on_trial
         if code in USER_ERRORS and not self.was_ready:
             raise StartRefusedError(self.process.name, code)
         self._died(now_s)

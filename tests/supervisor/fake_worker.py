@@ -1,7 +1,8 @@
 """A worker that behaves as its command line says: ``fake_worker.py NAME BEHAVIOUR CONFIG PARENT``.
 
 Behaviours, joined by ``+``: steady, ends, dies, raises, refuses, fails_once=FILE (dies the first time),
-hangs (declared work that never ends), picky (refuses depth.threads = 13), stubborn (does not stop),
+hangs (declared work that never ends), picky (refuses depth.threads = 13), fragile (dies of it),
+stubborn (does not stop),
 breeds=FILE (starts a process of its own and writes its id), tracks=WORD (a tracker's odometry),
 shows=NAME:VALUE (in its heartbeats), waits=FILE (makes it when it is ready; a later life is ready once it
 has gone).
@@ -31,6 +32,8 @@ def main(config: Config, bus: Bus) -> None:
             raise ModelError("net.onnx is no ONNX model; give another")
         if word == "picky" and config.depth.threads == 13:
             raise ModelError("13 threads are too many; give fewer")
+        if word == "fragile" and config.depth.threads == 13:
+            os._exit(9)
         if word == "raises":
             raise RuntimeError("a defect")
         while word == "waits" and Path(value).exists():

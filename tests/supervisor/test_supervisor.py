@@ -293,6 +293,15 @@ class TestSupervisor:
             run.reload(put(config, "depth.threads", 13))
             run.run(in_time(lambda: run.ready))
 
+    def test_a_setting_with_which_a_process_keeps_dying_is_taken_back(
+        self, config: Config, caplog: pytest.LogCaptureFixture
+    ) -> None:
+        with supervisor(config, "tracker:steady", "depth:fragile") as run:
+            run.run(in_time(lambda: run.ready))
+            run.reload(put(config, "depth.threads", 13))
+            run.run(in_time(lambda: "going back" in caplog.text and run.ready))
+        assert caplog.text.count("depth ended with exit code 9; starting it again") == 1
+
     @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
     def test_going_back_that_a_full_disk_forbids_ends_nothing(
         self, config: Config, tmp_path: Path, caplog: pytest.LogCaptureFixture
@@ -304,7 +313,10 @@ class TestSupervisor:
             [folder] = tmp_path.glob(PREFIX + "*")
             (folder / ".new-config.yaml").symlink_to("/dev/full")
             run.run(in_time(lambda: "can't go back: " in caplog.text))
+            (folder / ".new-config.yaml").unlink()
+            run.run(in_time(lambda: run.ready))  # it goes back at the next refusal
             assert run.processes["tracker"] == before["tracker"]
+            assert "threads: 1\n" in (folder / "config.yaml").read_text()
 
     def test_a_folder_that_a_cleaner_took_keeps_nobody_down(self, config: Config, tmp_path: Path) -> None:
         with supervisor(config, "tracker:steady", "depth:steady") as run:

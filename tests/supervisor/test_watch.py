@@ -173,3 +173,45 @@ def test_one_that_was_started_after_the_recording_had_ended_has_nothing_to_do(wa
 def test_one_that_says_so_has_ended(watch: Watch) -> None:
     watch.heard(beat(100, "ended"), 0.5)
     assert watch.ended(None)
+
+
+@pytest.fixture
+def on_trial(watch: Watch) -> Watch:
+    """Was ready, and has been started with another configuration at 3 s."""
+    watch.heard(beat(100, "ready"), 0.5)
+    watch.asked_to_end_s = 2.0
+    watch.exited(0, 2.5)
+    watch.started(101, 3.0)
+    assert watch.is_unproven
+    return watch
+
+
+def test_one_on_trial_refuses_by_a_users_error(on_trial: Watch) -> None:
+    assert on_trial.refuses(5)
+    assert not on_trial.refuses(-9)
+
+
+def test_a_trial_outlives_a_death_that_may_be_chance(on_trial: Watch) -> None:
+    on_trial.exited(-9, 4.0)
+    assert on_trial.is_unproven
+    on_trial.started(102, 5.0)
+    assert on_trial.is_unproven
+    assert on_trial.refuses(5)
+    assert on_trial.refuses(-9), "the second"
+
+
+def test_a_trial_ends_once_it_is_ready(on_trial: Watch) -> None:
+    on_trial.exited(-9, 4.0)
+    on_trial.started(102, 5.0)
+    on_trial.heard(beat(102, "ready"), 6.0)
+    assert not on_trial.is_unproven
+    assert not on_trial.refuses(5)
+
+
+def test_each_configuration_has_a_trial_of_its_own(on_trial: Watch) -> None:
+    on_trial.exited(-9, 4.0)
+    on_trial.asked_to_end_s = 4.1
+    assert not on_trial.refuses(5), "what it was started with is none any more"
+    on_trial.started(102, 5.0)
+    assert on_trial.is_unproven
+    assert not on_trial.refuses(-9)
