@@ -246,7 +246,9 @@ class SupervisorConfig:
     """Starting, watching, restarting."""
 
     stop_s: float = limits(2.0, 0.1, 60.0, "time processes get to end before they are killed")
-    start_s: float = limits(60.0, 1.0, 600.0, "time processes get to become ready")
+    start_s: float = limits(
+        60.0, 1.0, 600.0, "time processes get to become ready, if they declare no longer work"
+    )
     max_restarts: int = limits(5, 0, 1000, "restarts of one process within the window before giving up")
     window_s: float = limits(60.0, 1.0, 86_400.0, "that window")
     backoff_s: float = limits(0.2, 0.0, 60.0, "pause before the first restart; doubles with each")

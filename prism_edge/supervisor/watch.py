@@ -38,6 +38,7 @@ class Watch:
         self._config, self._policy = config, RestartPolicy(config)
         self._pid = 0
         self._started_s = 0.0
+        self._granted_s = 0.0  # until when the work may last that this life declared before it was ready
         self._ready_s: float | None = None  # when this life was first heard to be ready
         self._heartbeat: Heartbeat | None = None
         self._heard_s = 0.0
@@ -57,7 +58,7 @@ class Watch:
         """It has been started, for the first time or again."""
         self.restarts += self._pid != 0
         self._pid, self._started_s, self.restart_at_s, self._heartbeat = pid, now_s, None, None
-        self._ready_s = None
+        self._ready_s, self._granted_s = None, now_s
         if self.asked_to_end_s is not None:
             self.on_trial, self._trial_deaths, self.asked_to_end_s = True, 0, None
 
@@ -70,6 +71,9 @@ class Watch:
                 self._hung_starts = 0
             if self.ready and self._ready_s is None:
                 self._ready_s, self.on_trial = now_s, False
+            if not self.ready and heartbeat.activity:
+                busy_s = (heartbeat.monotonic_ns - heartbeat.activity_since_ns) * 1e-9
+                self._granted_s = max(self._granted_s, now_s + heartbeat.budget_s - busy_s)
 
     def refuses(self, code: int) -> bool:
         """Whether an exit with this code says that the configuration just taken up is wrong.
@@ -129,12 +133,17 @@ class Watch:
         return late and self.restarts > 0
 
     def verdict(self, now_s: float) -> Verdict:
-        """Whether it lives, from its heartbeats and the time that it may take to start."""
+        """Whether it lives, from its heartbeats and the time that it may take to start.
+
+        That is ``start_s``, and longer where it declares work that takes longer, such as loading a network.
+        """
         if self.restart_at_s is not None:
             return Verdict(ALIVE)
-        if not self.ready and now_s - self._started_s > self._config.start_s:
-            return Verdict(OVERDUE, f"not ready after {self._config.start_s:.0f} s")
-        return judge(self._heartbeat, now_s - self._heard_s)
+        verdict = judge(self._heartbeat, now_s - self._heard_s)
+        start_by_s = max(self._started_s + self._config.start_s, self._granted_s)
+        if verdict.liveness != OVERDUE and not self.ready and now_s > start_by_s:
+            return Verdict(OVERDUE, f"not ready after {start_by_s - self._started_s:.0f} s")
+        return verdict
 
     def killed(self, why: str) -> None:
         """It is being killed for ``why``, which its exit is then put down to."""
@@ -144,7 +153,7 @@ class Watch:
         """It has ended; says how. ``restart_at_s`` is when to start it again, now where it was told to end.
 
         Raises StartRefusedError for a user's error before it was ever ready, and SupervisionError when it
-        died too often.
+        died too often, or hung in too many starts in a row.
         """
         self._last_exit = describe_exit(code) + (f" ({self._why_killed})" if self._why_killed else "")
         self._hung_starts += bool(self._why_killed) and self._ready_s is None
@@ -164,11 +173,13 @@ class Watch:
         self._died(now_s)
 
     def _died(self, now_s: float) -> None:
-        pause = self._policy.died(now_s)
-        if pause is None:
+        pause, most = self._policy.died(now_s), self._config.max_restarts
+        if pause is None or self._hung_starts > most:  # of such starts the window may hold one alone
+            how_often = f"died more than {most} times within {self._config.window_s:g} s"
+            if pause is not None:
+                how_often = f"hung in {self._hung_starts} starts in a row"
             raise SupervisionError(
-                f"{self.process.name} died more than {self._config.max_restarts} times within "
-                f"{self._config.window_s:g} s, the last time with {self._last_exit}: giving up; "
+                f"{self.process.name} {how_often}, the last time with {self._last_exit}: giving up; "
                 "its log lines above say why"
             )
         self.restart_at_s = now_s + pause

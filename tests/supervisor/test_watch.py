@@ -9,7 +9,7 @@ from prism_edge.errors import SupervisionError
 from prism_edge.messages import Heartbeat
 from prism_edge.processes import PROCESSES
 from prism_edge.supervisor.health import ERROR, OK, STALE, WARN
-from prism_edge.supervisor.liveness import OVERDUE
+from prism_edge.supervisor.liveness import ALIVE, OVERDUE
 from prism_edge.supervisor.watch import StartRefusedError, Watch
 
 
@@ -97,6 +97,31 @@ def test_never_getting_ready_is_a_hang(watch: Watch) -> None:
     assert "not ready after 20 s" in watch.exited(-9, 21.1)
 
 
+def declared(activity: str, since_s: float, now_s: float, budget_s: float) -> Heartbeat:
+    return Heartbeat("depth", 100, int(now_s * 1e9), "starting", activity, int(since_s * 1e9), budget_s, {})
+
+
+def test_declared_work_has_its_budget_though_the_start_takes_longer_by_it(watch: Watch) -> None:
+    watch.heard(declared("loading the network", 2.0, 3.0, 120.0), 3.0)
+    assert watch.verdict(121.0).liveness == ALIVE
+    verdict = watch.verdict(122.5)
+    assert (verdict.liveness, "loading the network has taken" in verdict.why) == (OVERDUE, True)
+
+
+def test_what_follows_declared_work_has_its_own_budget(watch: Watch) -> None:
+    watch.heard(declared("estimating the camera", 2.0, 3.0, 180.0), 3.0)
+    watch.heard(declared("opening the source", 170.0, 170.5, 60.0), 170.5)
+    assert watch.verdict(229.0).liveness == ALIVE
+    assert watch.verdict(230.5).liveness == OVERDUE
+
+
+def test_a_start_that_declares_nothing_more_is_held_to_what_was_granted(watch: Watch) -> None:
+    watch.heard(declared("opening the source", 2.0, 3.0, 10.0), 3.0)
+    watch.heard(declared("", 12.0, 12.5, 60.0), 12.5)
+    assert watch.verdict(19.0).liveness == ALIVE
+    assert "not ready after 20 s" in watch.verdict(21.0).why
+
+
 def test_one_that_was_ready_and_starts_again_comes_back_while_it_is_heard_of_in_time(watch: Watch) -> None:
     watch.heard(beat(100, "starting"), 0.1)
     assert not watch.comes_back(0.2), "never ready yet"
@@ -129,11 +154,21 @@ def starts_in_vain(watch: Watch, pid: int, hangs: bool) -> bool:
 
 
 def test_one_that_hangs_in_every_start_does_not_come_back_for_ever(watch: Watch) -> None:
+    watch.configure(SupervisorConfig(backoff_s=0.5, max_restarts=9, start_s=20.0))
     for pid in (100, 110):  # what counts is the starts since it was last ready
         watch.started(pid, 1000.0 * pid)
         watch.heard(beat(pid, "ready"), 1000.0 * pid + 0.5)
         watch.exited(-9, 1000.0 * pid + 1.0)
         assert [starts_in_vain(watch, pid + i, hangs=True) for i in range(1, 6)] == [True] * 3 + [False] * 2
+
+
+def test_one_that_hangs_in_every_start_is_given_up_however_long_they_take(watch: Watch) -> None:
+    watch.heard(beat(100, "ready"), 0.5)
+    watch.exited(-9, 1.0)
+    for pid in (101, 102):
+        starts_in_vain(watch, pid, hangs=True)
+    with pytest.raises(SupervisionError, match=r"depth hung in 3 starts in a row.*not ready after 20 s"):
+        starts_in_vain(watch, 103, hangs=True)
 
 
 def test_one_that_waits_for_its_camera_and_ends_by_itself_comes_back_each_time(watch: Watch) -> None:
