@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import logging
 import os
+import select
 import socket
 import struct
 import sys
 from collections.abc import Mapping
+
+from prism_edge.errors import say
 
 SOCKET = "/run/systemd/journal/socket"
 IDENTIFIER = "prism-edge"
@@ -18,7 +21,10 @@ _PRIORITY = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERRO
 
 
 class JournalHandler(logging.Handler):
-    """Sends each record as one datagram of fields; a journal that does not take it gets it through stderr."""
+    """Sends each record as one datagram of fields; what the journal does not take goes to stderr.
+
+    A line that would have to wait there too is lost: no process is held up or ended for its log.
+    """
 
     def __init__(self, fields: Mapping[str, str], path: str = SOCKET) -> None:
         """``fields`` go with every line, such as PRISM_PROCESS. Raises OSError where nobody listens."""
@@ -37,7 +43,8 @@ class JournalHandler(logging.Handler):
         try:
             self._socket.send(pack(record, self.format(record), self._fields))
         except OSError:
-            print(f"<{priority(record)}>{self.format(record)}", file=sys.stderr)
+            if _stderr_takes_more():
+                say(f"<{priority(record)}>{self.format(record)}")
         except Exception:  # what logging itself does with a record that can't be formatted
             self.handleError(record)
 
@@ -72,6 +79,16 @@ def pack(record: logging.LogRecord, message: str, fields: Mapping[str, str]) -> 
         else:
             parts.append(name.encode() + b"=" + data + b"\n")
     return b"".join(parts)
+
+
+def _stderr_takes_more() -> bool:
+    """Whether a line can be written there now: mostly it is the journal's too, and hangs with it."""
+    try:
+        poll = select.poll()
+        poll.register(sys.stderr.fileno(), select.POLLOUT)
+        return any(event & select.POLLOUT for _, event in poll.poll(0))
+    except (OSError, ValueError, AttributeError):  # no file: it waits for nobody
+        return True
 
 
 def stderr_is_the_journal() -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
 import socket
@@ -96,6 +97,37 @@ def test_a_journal_that_has_gone_is_no_error(
     server.close()
     log.warning("on its own")
     assert "<4>on its own" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_line_that_nothing_takes_is_no_error(
+    log: logging.Logger, server: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.close()
+    with open("/dev/full", "w", buffering=1) as full:
+        monkeypatch.setattr(sys, "stderr", full)
+        log.warning("nobody hears it")
+        monkeypatch.undo()
+        with contextlib.suppress(OSError):
+            full.close()
+
+
+@pytest.mark.timeout(30)
+def test_a_journal_that_hangs_holds_nobody_up_on_stderr(
+    log: logging.Logger, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its stream is full as well: a line that waited there would be caught by the test's own time limit."""
+    ours, theirs = socket.socketpair()
+    with ours, theirs, ours.makefile("w", buffering=1) as stderr:
+        ours.setblocking(False)
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                ours.send(b"x" * 1000)
+        ours.setblocking(True)
+        monkeypatch.setattr(sys, "stderr", stderr)
+        for _ in range(2000):  # the journal's own queue fills up on the way
+            log.warning("x" * 1000)
+        monkeypatch.undo()
 
 
 def test_stderr_is_the_journal_where_systemd_says_so(
