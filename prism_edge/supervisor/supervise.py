@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import signal
 import time
 from collections.abc import Callable, Sequence
 
@@ -36,6 +37,7 @@ def supervise(
     refuses to start has said why in a line of its own: its exit code is returned. Raises BusError for the
     listener and SupervisionError for a process that keeps dying; nothing is left running in any case.
     """
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # a parent's `ignore` is inherited: children would be lost
     signals = StopSignals(reload=reread is not None)
     notifier = Notifier()
     announced = False

@@ -10,7 +10,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -399,11 +399,11 @@ def daemon(config: Config, tmp_path: Path) -> Iterator[Callable[..., tuple[Any, 
     """Starts fake_daemon.py as a process of its own and waits until it is ready."""
     started: list[subprocess.Popen[str]] = []
 
-    def start(*behaviours: str) -> tuple[Any, dict[str, int]]:
+    def start(*behaviours: str, before: Sequence[str] = ()) -> tuple[Any, dict[str, int]]:
         file = tmp_path / "given.yaml"
         file.write_text(dump(config))
         command = [sys.executable, str(DAEMON), str(file), *behaviours]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        process = subprocess.Popen([*before, *command], stdout=subprocess.PIPE, text=True)
         started.append(process)
         assert process.stdout is not None
         word, *pairs = process.stdout.readline().split()
@@ -423,6 +423,24 @@ def test_signal_ends_everything(daemon: Any, number: signal.Signals) -> None:
     process.send_signal(number)
     assert process.wait(DEADLINE_S) == 0
     assert not any(running(pid) for pid in pids.values())
+
+
+IGNORING = (
+    "import os, signal, sys;"
+    "signal.signal(signal.SIGCHLD, signal.SIG_IGN);"
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+
+
+@pytest.mark.usefixtures("left_behind")
+def test_a_death_is_noticed_though_whoever_started_us_ignores_such(daemon: Any, tmp_path: Path) -> None:
+    note = tmp_path / "note"
+    process, pids = daemon(f"source:waits={note}", before=[sys.executable, "-c", IGNORING])
+    note.unlink()
+    os.kill(pids["source"], signal.SIGKILL)
+    until(lambda: note.exists() or process.poll() is not None)  # its next life is ready
+    process.terminate()
+    assert process.wait(DEADLINE_S) == 0
 
 
 def test_kill_of_the_supervisor_leaves_no_orphan_and_the_next_start_clears_up(
