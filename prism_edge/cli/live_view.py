@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 SPEED_S = 0.5  # speed is taken over this much of the recording
 RATE_S = 2.0  # rate and latency over this much of the clock on the wall
+QUIET_S = 3.0  # status comes twice a second: a daemon that is silent for so long has stopped, or is paused
 _REMEMBERED = 256  # frames whose release is kept until their pose comes
 
 
@@ -22,6 +23,8 @@ class LiveView:
     scale_sigma: float | None = None  # relative
     state: str = ""
     poses: int = 0
+    _heard_s: float | None = None  # when the last status or pose came, by the clock on the wall
+    _moved_s: float | None = None  # and the last odometry
     _track: deque[tuple[int, tuple[float, float, float]]] = field(default_factory=deque)
     _arrivals: deque[float] = field(default_factory=deque)
     _latencies: deque[tuple[float, float]] = field(default_factory=deque)
@@ -34,14 +37,19 @@ class LiveView:
         """A pose with its stamp, which came at ``arrival_ns`` of this host's monotonic clock."""
         self.poses += 1
         self.position, self.stamp_ns, self.sigma_m = position, stamp_ns, sigma_m
-        now = arrival_ns * 1e-9
+        now = self._heard_s = arrival_ns * 1e-9
         self._arrivals.append(now)
         while self._arrivals and now - self._arrivals[0] > RATE_S:
             self._arrivals.popleft()
         self._pair(stamp_ns, arrival_ns, self._waiting, self._released)
 
-    def add_odometry(self, stamp_ns: int, position: tuple[float, float, float]) -> None:
+    def add_state(self, state: str, arrival_ns: int) -> None:
+        """The words of `status`."""
+        self.state, self._heard_s = state, arrival_ns * 1e-9
+
+    def add_odometry(self, stamp_ns: int, position: tuple[float, float, float], arrival_ns: int) -> None:
         """A position in `odom`, where nothing jumps: what speed is taken from."""
+        self._moved_s = arrival_ns * 1e-9
         if self._track and stamp_ns <= self._track[-1][0]:
             self._track.clear()  # the recording began again
         self._track.append((stamp_ns, position))
@@ -80,7 +88,10 @@ class LiveView:
         return "  ".join(parts + [f"{name} {value}" for name, value in self.rows(now_ns)[2:]])
 
     def rows(self, now_ns: int) -> list[tuple[str, str]]:
-        """Name and value of each line of the table."""
+        """Name and value of each line of the table; what changes by the moment is a dash once it is old."""
+        now = now_ns * 1e-9
+        moves = self._moved_s is not None and now - self._moved_s <= RATE_S
+        flows = bool(self._latencies) and now - self._latencies[-1][0] <= RATE_S
         x, y, z = self.position or (math.nan,) * 3
         scale = "-" if self.scale is None else f"{self.scale:.3f}"
         if self.scale is not None and self.scale_sigma is not None:
@@ -89,12 +100,18 @@ class LiveView:
             ("time", f"{self.stamp_ns * 1e-9:.3f} s"),
             ("position", "-" if self.position is None else f"{x:+.3f} {y:+.3f} {z:+.3f} m"),
             ("sigma", _shown(self.sigma_m, "{:.3f} m")),
-            ("speed", _shown(self.speed, "{:.2f} m/s")),
+            ("speed", _shown(self.speed if moves else None, "{:.2f} m/s")),
             ("scale", scale),
-            ("state", self.state or "-"),
+            ("state", self._state(now)),
             ("rate", f"{self.rate_hz(now_ns):.1f} Hz"),
-            ("latency", _shown(self.latency_ms, "{:.1f} ms")),
+            ("latency", _shown(self.latency_ms if flows else None, "{:.1f} ms")),
         ]
+
+    def _state(self, now_s: float) -> str:
+        quiet_s = 0.0 if self._heard_s is None else now_s - self._heard_s
+        if quiet_s <= QUIET_S:
+            return self.state or "-"
+        return f"nothing heard for {quiet_s:.0f} s" + (f"; last: {self.state}" if self.state else "")
 
     def _pair(
         self, stamp_ns: int, time_ns: int, mine: OrderedDict[int, int], other: OrderedDict[int, int]
@@ -105,8 +122,8 @@ class LiveView:
             while len(mine) > _REMEMBERED:
                 mine.popitem(last=False)
             return
-        latency_ms = abs(time_ns - other.pop(stamp_ns)) * 1e-6
-        now = time_ns * 1e-9
+        before_ns = other.pop(stamp_ns)
+        latency_ms, now = abs(time_ns - before_ns) * 1e-6, max(time_ns, before_ns) * 1e-9
         self._latencies.append((now, latency_ms))
         while self._latencies and now - self._latencies[0][0] > RATE_S:
             self._latencies.popleft()

@@ -99,7 +99,7 @@ class Listener:
     def _others(self, stamp_ns: Any) -> None:
         for message in self._odometry.drain():
             p = message.pose.pose.position
-            self.view.add_odometry(stamp_ns(message), (p.x, p.y, p.z))
+            self.view.add_odometry(stamp_ns(message), (p.x, p.y, p.z), time.monotonic_ns())
         for message in self._scale.drain():
             self._keep_scale(message)
         for message in self._status.drain():
@@ -114,7 +114,7 @@ class Listener:
 
     def _keep_status(self, message: Any) -> None:
         if message.status:
-            self.view.state = message.status[0].message
+            self.view.add_state(message.status[0].message, time.monotonic_ns())
 
 
 class Plain:
