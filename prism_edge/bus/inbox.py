@@ -39,7 +39,9 @@ class Inbox:
         self._subscriber, self._unpack = subscriber, unpack
         self._stopped, self._overflowed, self._arrived = stopped, overflowed, arrived
         self._roused = False
+        self.arrived_ns = 0  # monotonic: when the message that take() returned last had arrived
         self._samples: deque[Any] = deque(maxlen=capacity)
+        self._arrivals: deque[int] = deque(maxlen=capacity)  # of each of them
         self._arrival = threading.Condition(threading.Lock())
         self._thread = threading.Thread(target=self._receive, name="inbox", daemon=True)
         self._thread.start()
@@ -59,6 +61,7 @@ class Inbox:
                         return None
                     self._arrival.wait(min(left, _LOOK_S))
                 sample, self._roused = self._samples.popleft(), False
+                self.arrived_ns = self._arrivals.popleft()
             message = self._unpack(sample)
             if message is not None:
                 return message
@@ -75,6 +78,7 @@ class Inbox:
         with self._arrival:
             samples = list(self._samples)
             self._samples.clear()
+            self._arrivals.clear()
         messages = (self._unpack(sample) for sample in samples)
         return [message for message in messages if message is not None]
 
@@ -88,6 +92,7 @@ class Inbox:
             with self._arrival:
                 full = len(self._samples) == self._samples.maxlen
                 self._samples.append(sample)
+                self._arrivals.append(time.monotonic_ns())
                 self._arrival.notify()
             if full and self._overflowed is not None:
                 self._overflowed()

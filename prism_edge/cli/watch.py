@@ -86,7 +86,7 @@ class Listener:
         message = self._poses.take(WAIT_S)
         self._others(stamp_ns)
         while message is not None:
-            arrival_ns = time.monotonic_ns()
+            arrival_ns = self._poses.arrived_ns  # the first ones waited while we asked for the rest
             p = message.pose.pose.position
             trace = float(np.trace(np.asarray(message.pose.covariance).reshape(6, 6)[:3, :3]))
             sigma = trace**0.5 if trace >= 0 else float("nan")

@@ -81,6 +81,20 @@ def test_a_full_queue_loses_the_oldest_and_says_so(open_inbox, eventually):
     assert inbox.drain() == ["b", "c"]
 
 
+def test_when_a_message_arrived_is_known_whenever_it_is_taken(open_inbox, eventually):
+    subscriber, inbox = open_inbox(2)
+    subscriber.put("a", "b")
+    eventually(has_arrived(inbox, 2))
+    then = time.monotonic_ns()
+    subscriber.put("c")
+    eventually(lambda: "c" in inbox._samples)
+    now = time.monotonic_ns()
+    assert inbox.take() == "b"
+    assert 0 < inbox.arrived_ns <= then
+    assert inbox.take() == "c"
+    assert then <= inbox.arrived_ns <= now
+
+
 def test_drain_takes_all(open_inbox, eventually):
     subscriber, inbox = open_inbox(10)
     subscriber.put("a", "b")

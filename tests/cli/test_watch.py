@@ -95,6 +95,19 @@ def test_a_daemon_that_stands_still_tells_what_it_said_last(address: str) -> Non
     assert view.scale == pytest.approx(1.5)
 
 
+def test_what_waits_counts_from_when_it_came() -> None:
+    """The first poses wait while state and scale are asked for."""
+    config = Config(robot="fake", bus=BusConfig(free_endpoint(), retry_ms=50))
+    with Bus.open(config, "tracker", listen=True) as tracker, Bus.open(config, "watch") as bus:
+        listener = Listener(bus, config)
+        while not listener._poses._samples:
+            tracker.publish("pose", ros.pose_with_covariance(MS, "map", np.eye(4), COVARIANCE))
+            time.sleep(0.01)
+        came_before_s = time.monotonic()
+        assert next(listener.poses(1))
+        assert listener.view._arrivals[0] <= came_before_s
+
+
 def test_records_the_cameras_poses(endpoint: str, tmp_path: Path) -> None:
     file = tmp_path / "poses.tum"
     arguments = ["--robot", "fake", "--endpoint", endpoint, "--count", "20", "--tum", str(file)]
