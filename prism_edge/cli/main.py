@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
-import os
 import sys
 
 from prism_edge import __version__
+from prism_edge.cli.streams import drop_output, open_closed
 from prism_edge.errors import report
 
 # Name: module, one line of help. Only the module that is asked for is imported, so that help comes at once.
@@ -63,6 +63,7 @@ def build_parser(chosen: str | None) -> argparse.ArgumentParser:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
+    open_closed()
     given = sys.argv[1:] if arguments is None else arguments
     chosen = next((word for word in given if not word.startswith("-")), None)
     args = build_parser(chosen).parse_args(given)
@@ -74,20 +75,15 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BrokenPipeError:
-        _drop_output()  # its reader has gone (`| head`)
+        drop_output()  # its reader has gone (`| head`)
         return 0
     except Exception as error:
         code = report(error)
     try:
         sys.stdout.flush()
     except OSError:
-        _drop_output()
+        drop_output()
     return code
-
-
-def _drop_output() -> None:
-    """What could not be written is tried once more when Python ends, which would complain again."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 if __name__ == "__main__":

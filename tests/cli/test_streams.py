@@ -1,0 +1,30 @@
+"""Commands whose stdin, stdout or stderr is closed, or whose reader goes away."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+def ended(command: str, closed: str) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command that was started without some of the three."""
+    line = ["sh", "-c", f'exec "$0" -m prism_edge.cli {command} {closed}', sys.executable]
+    done = subprocess.run(line, cwd=CHECKOUT, capture_output=True, text=True, timeout=60)
+    return done.returncode, done.stdout, done.stderr
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&-", "<&- >&-", ">&- 2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [("config", 0), ("models list", 0), ("--version", 0), ("config --set x", 3), ("fly", 2)],
+)
+def test_what_is_closed_is_written_to_nobody(command: str, code: int, closed: str) -> None:
+    given, out, err = ended(command, closed)
+    assert given == code
+    assert "Traceback" not in err
+    assert (out != "") == (code == 0 and ">&-" not in closed.replace("2>&-", "")), "an error is no output"
