@@ -77,6 +77,10 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         drop_output()  # its reader has gone (`| head`)
         return 0
+    except SystemExit as ended:
+        if isinstance(ended.__context__, BrokenPipeError):  # of which rich makes an exit with 1
+            return 0
+        raise
     except Exception as error:
         code = report(error)
     try:

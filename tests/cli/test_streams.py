@@ -28,3 +28,14 @@ def test_what_is_closed_is_written_to_nobody(command: str, code: int, closed: st
     assert given == code
     assert "Traceback" not in err
     assert (out != "") == (code == 0 and ">&-" not in closed.replace("2>&-", "")), "an error is no output"
+
+
+@pytest.mark.parametrize("command", ["doctor", "models list", "models verify", "config --explain"])
+def test_a_reader_that_goes_away_is_no_error(command: str) -> None:
+    line = [sys.executable, "-m", "prism_edge.cli", *command.split()]
+    process = subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=CHECKOUT)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    assert process.wait() == 0
