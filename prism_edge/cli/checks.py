@@ -15,7 +15,8 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from prism_edge.config import Config
@@ -36,6 +37,7 @@ NATIVE = {
     "setproctitle": "setproctitle",
 }
 LEAST_MEMORY_MB, LEAST_DISK_MB = 700, 500
+TRIED_BYTES = 16 << 10
 LOCKED_FOR_SHARED_MEMORY = 64 << 20
 
 
@@ -230,6 +232,31 @@ def check_disk(least_mb: int = LEAST_DISK_MB) -> Iterator[Finding]:
         yield Finding(FAIL, "disk", found, "set TMPDIR to a writable folder")
 
 
+def check_folders(config: Config) -> Iterator[Finding]:
+    """Whether the daemon could write the files of a run, and what it keeps between runs."""
+    from prism_edge.supervisor.run_directory import default_parent
+    from prism_edge.workers.state_directory import state_directory
+
+    try:
+        run = default_parent()
+    except OSError:  # no temporary files: said by check_disk
+        return
+    advice = "make room, or name another: TMPDIR, XDG_RUNTIME_DIR"
+    yield _writable(run, "a run's files", Finding(FAIL, "disk", "", advice))
+    advice = "make room, or set state.directory; the service writes there as a user of its own"
+    yield _writable(state_directory(config.state), "maps and journal", Finding(WARN, "disk", "", advice))
+
+
+def _writable(folder: Path, what: str, otherwise: Finding) -> Finding:
+    there = next(path for path in (folder, *folder.parents) if os.path.exists(path))
+    try:
+        with tempfile.TemporaryFile(dir=there) as file:
+            file.write(bytes(TRIED_BYTES))
+    except OSError as error:
+        return replace(otherwise, found=f"{what} can't be written to {folder}: {error.strerror}")
+    return Finding(OK, "disk", f"{what} can be written to {folder}")
+
+
 def check_cameras(pattern: str = "/dev/video*") -> Iterator[Finding]:
     """Video devices, and whether they may be opened."""
     devices = sorted(glob.glob(pattern))
@@ -255,4 +282,5 @@ def all_checks(config: Config) -> Iterator[Callable[[], Iterator[Finding]]]:
     yield check_limits
     yield check_memory
     yield check_disk
+    yield lambda: check_folders(config)
     yield check_cameras

@@ -11,7 +11,7 @@ import pytest
 from prism_edge.cli import checks
 from prism_edge.cli.checks import FAIL, OK, WARN, Finding
 from prism_edge.cli.main import main
-from prism_edge.config import BusConfig, Config, DepthConfig, NetworkConfig
+from prism_edge.config import BusConfig, Config, DepthConfig, NetworkConfig, StateConfig
 
 
 def levels(findings: Iterator[Finding]) -> list[str]:
@@ -107,6 +107,27 @@ def test_no_temporary_files(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(tempfile, "TemporaryFile", refuse)
     assert levels(checks.check_disk())[-1] == FAIL
+
+
+def test_where_the_daemon_writes_is_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    state = tmp_path / "state" / "prism-edge"  # which the daemon would make
+    run, kept = checks.check_folders(Config(state=StateConfig(str(state))))
+    assert (run.level, kept.level) == (OK, OK)
+    assert run.found.endswith(str(tmp_path))
+    assert kept.found.endswith(str(state))
+    assert list(tmp_path.iterdir()) == []
+    monkeypatch.setattr("prism_edge.supervisor.run_directory.default_parent", lambda: Path("/proc"))
+    run, kept = checks.check_folders(Config(state=StateConfig("/proc/nowhere/state")))
+    assert (run.level, kept.level) == (FAIL, WARN)
+    assert "/proc/nowhere/state" in kept.found
+
+
+def test_a_full_disk_is_found_where_the_daemon_writes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda dir: open("/dev/full", "wb"))  # noqa: SIM115
+    findings = list(checks.check_folders(Config()))
+    assert [finding.level for finding in findings] == [FAIL, WARN]
+    assert all("No space left on device" in finding.found for finding in findings)
 
 
 def test_cameras_are_found_and_access_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
