@@ -18,15 +18,18 @@ class Change:
     applied: tuple[str, ...]  # keys
     refused: tuple[str, ...]  # keys that need a restart of the daemon
     restart: frozenset[str]  # processes
+    elsewhere: tuple[str, ...] = ()  # keys refused as well: all that would take them up is on other hosts
+    behind: frozenset[str] = frozenset()  # processes on other hosts that applied keys concern too
 
 
 def difference(running: Config, wanted: Config) -> Change:
     """Which of the keys that differ can change while poses flow.
 
     config.py declares it (``reload``): a key that no process can take up without losing the map or the
-    subscribers is refused. So is a depth network that comes or goes, as processes would with it.
+    subscribers is refused. So is a depth network that comes or goes, as processes would with it, and what
+    only processes on other hosts would take up: their configuration is there.
     """
-    config, applied, refused = running, [], []
+    config, applied, refused, elsewhere = running, [], [], []
     restart: set[str] = set()
     processes = processes_for(running)
     for leaf in leaves():
@@ -37,11 +40,17 @@ def difference(running: Config, wanted: Config) -> Change:
         if not leaf.reload or processes_for(changed) != processes:
             refused.append(leaf.key)
             continue
+        if set(leaf.reload) <= set(running.network.remote):
+            elsewhere.append(leaf.key)
+            continue
         config = changed
         applied.append(leaf.key)
         restart |= set(leaf.reload)
-    running_names = {process.name for process in processes}
-    return Change(config, tuple(applied), tuple(refused), frozenset(restart & running_names))
+    remote = restart & set(running.network.remote)
+    here = restart & {process.name for process in processes} - remote
+    return Change(
+        config, tuple(applied), tuple(refused), frozenset(here), tuple(elsewhere), frozenset(remote)
+    )
 
 
 def get(config: Config, key: str) -> Any:

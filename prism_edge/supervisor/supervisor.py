@@ -170,6 +170,11 @@ class Supervisor:
         self._directory.write(CONFIG, dump(change.config))
         if change.refused:
             log.warning("not reloaded, as only a restart changes it: %s", " ".join(change.refused))
+        if change.elsewhere:
+            log.warning("not reloaded, as it changes where the process runs: %s", " ".join(change.elsewhere))
+        if change.behind:
+            names = " ".join(sorted(change.behind))
+            log.warning("to be started anew where it runs, with the same settings: %s", names)
         log.info("reloaded: %s", " ".join(change.applied) or "nothing has changed")
         if not any(watch.is_unproven for watch in self._watches.values()):
             self._before = self._config

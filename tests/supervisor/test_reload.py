@@ -50,6 +50,23 @@ def test_what_can_not_change_is_refused_and_the_rest_taken_up(key: str, value: o
     assert change.config == replace(RUNNING, scale=replace(RUNNING.scale, min_points=20))
 
 
+REMOTE = put(RUNNING, "network.remote", ("depth",))
+
+
+def test_what_only_another_host_s_process_takes_up_is_refused() -> None:
+    change = difference(REMOTE, put(put(REMOTE, "depth.threads", 2), "scale.min_points", 20))
+    assert (change.applied, change.refused) == (("scale.min_points",), ())
+    assert change.elsewhere == ("depth.threads",)
+    assert change.config == put(REMOTE, "scale.min_points", 20)
+    assert (change.restart, change.behind) == ({"scale"}, frozenset())
+
+
+def test_what_processes_here_and_elsewhere_take_up_names_those_elsewhere() -> None:
+    change = difference(REMOTE, put(REMOTE, "depth.model", "b.onnx"))
+    assert (change.applied, change.elsewhere) == (("depth.model",), ())
+    assert (change.restart, change.behind) == ({"scale"}, {"depth"})
+
+
 def test_the_tree_names_processes_that_exist() -> None:
     for leaf in leaves():
         assert set(leaf.reload) <= PROCESSES.keys() | {"supervisor"}
