@@ -6,6 +6,7 @@ import argparse
 import sys
 import time
 from contextlib import ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prism_edge.cli.live_view import LiveView
@@ -27,16 +28,22 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         description="Subscribe to a running daemon and show pose, speed, scale ± sigma, state, rate and "
         "latency until Ctrl-C. Waits for the daemon where it does not run yet.",
     )
-    parser.add_argument("--tum", metavar="FILE", help="record the camera's poses as they come (TUM format)")
+    parser.add_argument(
+        "--tum", metavar="FILE", type=_file, help="record the camera's poses as they come (TUM format)"
+    )
     parser.add_argument("--plain", action="store_true", help="print one line a pose instead of a live table")
     parser.add_argument("--count", metavar="N", type=whole_above_zero, help="end after N poses")
     add_common(parser)
 
 
+def _file(name: str) -> Path:
+    if not name:
+        raise argparse.ArgumentTypeError("expected a file, got an empty name")
+    return Path(name)
+
+
 def run(args: argparse.Namespace) -> int:
     """Show poses until enough have come; returns the exit code."""
-    from pathlib import Path
-
     from prism_edge.bus.session import Bus
     from prism_edge.evaluation.recorder import PoseRecorder
 
@@ -44,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         bus = stack.enter_context(Bus.open(config, "watch"))
         heard = Listener(bus, config)
-        recorder = stack.enter_context(PoseRecorder(Path(args.tum), config.frames)) if args.tum else None
+        recorder = stack.enter_context(PoseRecorder(args.tum, config.frames)) if args.tum else None
         print(f"watching prism/{config.robot} at {config.bus.endpoint}; Ctrl-C ends", file=sys.stderr)
         show: Plain | Table = Plain() if args.plain else Table()
         stack.enter_context(show)

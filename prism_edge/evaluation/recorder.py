@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -13,7 +15,6 @@ import numpy as np
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import FramesConfig
-from prism_edge.errors import EvaluationError
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.trajectory import tum_line
 from prism_edge.geometry.mount import base_from_camera
@@ -37,24 +38,31 @@ class PoseRecorder:
     """Appends each `pose` message to a TUM file at once, as the camera's pose; what was written stays."""
 
     def __init__(self, path: Path, frames: FramesConfig) -> None:
-        """Creates or empties the file; raises EvaluationError where that can't be done."""
+        """Creates or empties the file. Raises OSError with its name, as all that writes to it."""
         self.count = 0
-        self._mount = base_from_camera(frames)
-        try:
-            self._file = path.open("w", buffering=1)
-        except OSError as error:
-            raise EvaluationError(f"{path}: {error.strerror}: can't record poses there") from error
+        self._mount, self._path = base_from_camera(frames), path
+        self._file = path.open("w", buffering=1)
 
     def record(self, message: Any) -> None:
         """One geometry_msgs/PoseWithCovarianceStamped; one that is not finite is left out."""
         stamp_ns, pose = camera_pose(message, self._mount)
         if np.isfinite(pose).all():
-            self._file.write(tum_line(stamp_ns, pose))
+            with self._named():
+                self._file.write(tum_line(stamp_ns, pose))
             self.count += 1
 
     def close(self) -> None:
         """Ends the file."""
-        self._file.close()
+        with self._named():
+            self._file.close()
+
+    @contextlib.contextmanager
+    def _named(self) -> Iterator[None]:
+        """A full disk does not say of which file."""
+        try:
+            yield
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self._path)) from None
 
     def __enter__(self) -> Self:
         return self

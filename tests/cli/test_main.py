@@ -86,6 +86,7 @@ def test_help_loads_no_heavy_library() -> None:
         ["watch", "--count", "0"],
         ["watch", "--count", "-1"],
         ["watch", "--count", "many"],
+        ["watch", "--tum", ""],
         ["ctl", "dance"],
         ["ctl", "info", "--timeout", "0"],
         ["ctl", "info", "--timeout", "nan"],

@@ -120,5 +120,11 @@ def test_records_the_cameras_poses(endpoint: str, tmp_path: Path) -> None:
 
 
 def test_place_that_can_not_be_written_is_one_line(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["watch", "--endpoint", endpoint, "--tum", "/proc/nowhere/poses.tum"]) == 8
-    assert "/proc/nowhere/poses.tum" in capsys.readouterr().err
+    assert main(["watch", "--endpoint", endpoint, "--tum", "/proc/nowhere/poses.tum"]) == 74
+    assert "error: /proc/nowhere/poses.tum: No such file or directory\n" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_disk_that_is_full_is_named(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", "--robot", "fake", "--endpoint", endpoint, "--plain", "--tum", "/dev/full"]) == 74
+    assert "error: /dev/full: No space left on device\n" in capsys.readouterr().err
