@@ -75,6 +75,28 @@ def test_what_is_wrong_in_the_file_is_an_error(
     assert "ok" not in said.out
 
 
+@pytest.mark.parametrize(
+    ("options", "code", "why"),
+    [
+        (["--set", "depth.thread=2"], 3, "did you mean depth.threads?"),
+        (["--set", "depth.threads"], 3, "KEY=VALUE"),
+        (["--endpoint", "nonsense"], 6, "must start with one of"),
+        (["--robot", "a/b"], 3, "a/b"),
+        (["--config", "other.yaml"], 3, "--config"),
+        (["--model", "/nowhere/net.onnx"], 0, "there is no such file"),
+        (["/nowhere/recording"], 0, "/nowhere/recording does not exist"),
+    ],
+)
+def test_options_beside_the_file_are_checked_with_it(
+    options: list[str], code: int, why: str, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(file, USB)
+    assert main(["config", *options, "--check", str(file)]) == code
+    said = capsys.readouterr()
+    assert why in said.err
+    assert ("ok" in said.out) == (code == 0)
+
+
 def test_a_camera_file_that_is_wrong_is_an_error(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write(file, USB)
     file.with_name("camera.yaml").write_text("width: wide\n")
