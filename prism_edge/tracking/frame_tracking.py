@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -33,6 +34,7 @@ FIRST_POSE_POINTS = 150
 # one more choice of inliers brings it nearer to where many rounds would than further steps do.
 FIRST_POSE_ROUNDS, POSE_ROUNDS = (1, 2), (3, 1)
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
+Centres: TypeAlias = tuple[Ids, Array]
 
 
 @dataclass
@@ -59,10 +61,13 @@ def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
     return (table.position.take(rows, axis=0) - origins) * table.log_depth_sigma[rows, None]
 
 
-def reference_origins(world: LocalMap, rows: Index) -> Array:
-    """Where the camera was that created each point; a culled keyframe's points use their last viewer."""
+def reference_origins(world: LocalMap, rows: Index, views: Centres | None = None) -> Array:
+    """Where the camera was that created each point; a culled keyframe's points use their last viewer.
+
+    ``views`` are the map's :meth:`~prism_edge.tracking.local_map.LocalMap.centres`, where they are at hand.
+    """
     table = world.points
-    numbers, centres = world.centres()
+    numbers, centres = world.centres() if views is None else views
     references = table.reference.take(rows)
     at = np.minimum(np.searchsorted(numbers, references), len(numbers) - 1)
     origins: Array = centres.take(at, axis=0)
@@ -125,7 +130,8 @@ class FrameTracker:
         enough: int,
     ) -> TrackedFrame | None:
         """Place a frame near ``predicted`` (world_from_camera); None where too little agrees."""
-        estimate, points = self._follow(world, camera, features, predicted, previous, enough)
+        views = world.centres()  # once for all solutions
+        estimate, points = self._follow(world, views, camera, features, predicted, previous, enough)
         if estimate is None:
             return None
         table = world.points
@@ -133,7 +139,7 @@ class FrameTracker:
         wanted[table.rows(points[points >= 0])] = False
         local = table.live_rows(self._local_ids)
         self._extend(world, camera, features, estimate.world_from_camera, local[wanted[local]], points)
-        final = self._solve(world, camera, features, estimate.world_from_camera, points)
+        final = self._solve(world, views, camera, features, estimate.world_from_camera, points)
         if final is None:
             return None
         estimate, keypoints = final
@@ -155,6 +161,7 @@ class FrameTracker:
     def _follow(
         self,
         world: LocalMap,
+        views: Centres,
         camera: Camera,
         features: Features,
         predicted: Array,
@@ -174,23 +181,25 @@ class FrameTracker:
             descriptors = table.descriptor[table.rows(ids)]
             octaves = table.octave[table.rows(ids)]
         positions = table.position.take(table.rows(ids), axis=0)
+        centres, inside = project(camera, predicted, positions)
+        centres, ids = centres[inside], ids[inside]
+        octaves, descriptors = octaves[inside], descriptors[inside]
         best: tuple[PoseEstimate, Ids] | None = None
         for radius in SEARCH_RADII:
             points = np.full(len(features), -1, np.int64)
-            centres, inside = project(camera, predicted, positions)
             query, keypoint = match_projected(
                 features,
-                centres[inside],
-                radius + 2.0 * self._factors[octaves[inside]],
-                octaves[inside],
-                descriptors[inside],
+                centres,
+                radius + 2.0 * self._factors[octaves],
+                octaves,
+                descriptors,
                 MOTION_DISTANCE,
                 MOTION_RATIO,
             )
             if len(query) >= enough:
-                points[keypoint] = ids[inside][query]
+                points[keypoint] = ids[query]
                 solved = self._solve(
-                    world, camera, features, predicted, points, FIRST_POSE_ROUNDS, FIRST_POSE_POINTS
+                    world, views, camera, features, predicted, points, FIRST_POSE_ROUNDS, FIRST_POSE_POINTS
                 )
                 if solved is not None:
                     estimate, used = solved
@@ -246,12 +255,12 @@ class FrameTracker:
         )
         points[keypoint] = table.ids[rows[query]]
 
-    def _depth_error(self, world: LocalMap, rows: Index) -> Array:
+    def _depth_error(self, world: LocalMap, views: Centres, rows: Index) -> Array:
         """Errors along the first rays; seeds of one network share theirs, so many of them tell little more.
 
         Beside enough triangulated points a seed is left to fix what its first ray says, not its depth.
         """
-        error = depth_error(world.points, rows, reference_origins(world, rows))
+        error = depth_error(world.points, rows, reference_origins(world, rows, views))
         seeded = world.points.log_depth_sigma[rows] > SEED_SIGMA
         if (~seeded).sum() >= ENOUGH_TRIANGULATED:
             error[seeded] *= SHARED_SEED_ERROR
@@ -260,6 +269,7 @@ class FrameTracker:
     def _solve(
         self,
         world: LocalMap,
+        views: Centres,
         camera: Camera,
         features: Features,
         start: Array,
@@ -271,17 +281,29 @@ class FrameTracker:
         keypoints = np.flatnonzero(points >= 0)[:most]
         if len(keypoints) < 6:
             return None
+        rows = world.points.rows(points[keypoints])
+        return self._estimate(world, views, camera, features, start, rows, keypoints, rounds), keypoints
+
+    def _estimate(
+        self,
+        world: LocalMap,
+        views: Centres,
+        camera: Camera,
+        features: Features,
+        start: Array,
+        rows: Index,
+        keypoints: Index,
+        rounds: tuple[int, int],
+    ) -> PoseEstimate:
         table = world.points
-        rows = table.rows(points[keypoints])
-        estimate = refine_pose(
+        return refine_pose(
             camera,
             start,
             table.position.take(rows, axis=0),
             features.pixels.take(keypoints, axis=0),
             self._factors[features.octaves[keypoints]],
-            self._depth_error(world, rows),
+            self._depth_error(world, views, rows),
             trust(table, rows, world.newest().stamp_ns, self._proven_after_s),
             rounds=rounds[0],
             iterations=rounds[1],
         )
-        return estimate, keypoints

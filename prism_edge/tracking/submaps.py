@@ -6,6 +6,8 @@ lies in it is unknown until the backend recognises a place of another part and m
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.point_table import Ids
 
@@ -74,18 +76,15 @@ class Parts:
 
     def newest(self, world: LocalMap) -> LocalKeyframe:
         """The latest keyframe of the part that the camera is in; of the map where that has none left."""
-        if self._whole:
-            return world.newest()
-        mine = [k for k in world.keyframes if self.of(k) == self.current]
+        mine = self._mine(world)
         return world.keyframes[max(mine)] if mine else world.newest()
 
     def size(self, world: LocalMap) -> int:
         """Keyframes in the part that the camera is in."""
-        if self._whole:
-            return len(world.keyframes)
-        return sum(self.of(k) == self.current for k in world.keyframes)
+        return len(self._mine(world))
 
-    @property
-    def _whole(self) -> bool:
-        """Whether there is one part, as nearly always: each frame asks, so keyframes are not gone through."""
-        return not self._of and self.current == HOME
+    def _mine(self, world: LocalMap) -> Collection[int]:
+        """The numbers of those; each frame asks several times, so they are not looked at one by one."""
+        if self.current == HOME:
+            return world.keyframes.keys() - self._of.keys() if self._of else world.keyframes
+        return [k for k, part in self._of.items() if part == self.current and k in world.keyframes]

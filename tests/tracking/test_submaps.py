@@ -71,3 +71,14 @@ def test_what_has_left_the_map_is_forgotten():
     parts.forget([2])
     assert parts.of(2) == HOME
     assert parts.newest(world).id == 1, "of the map, where the part has none left"
+
+
+def test_the_newest_and_the_number_are_those_of_a_plain_search():
+    world, _ = Cloud(60, seed=0).mapped([pose_at(0.02 * i) for i in range(9)])
+    for of in ({}, {3: 3, 4: 3}, {3: 3, 7: 7, 8: 7}, {0: 5}, {20: 20}):
+        for current in (HOME, 3, 7, 20):
+            parts = Parts.given(of)
+            parts.current = current
+            mine = [k for k in world.keyframes if parts.of(k) == current]
+            assert parts.size(world) == len(mine)
+            assert parts.newest(world).id == (max(mine) if mine else 8)
