@@ -158,6 +158,18 @@ class FrameTracker:
             estimate.residual_px,
         )
 
+    def placed_anew(self, world: LocalMap, frame: TrackedFrame, pose: Array, points: Ids) -> TrackedFrame:
+        """The frame at a pose that was found otherwise, as sure as all its ``points`` make it just there."""
+        keypoints = np.flatnonzero(points >= 0)
+        rows = world.points.rows(points[keypoints])
+        estimate = self._estimate(
+            world, world.centres(), frame.camera, frame.features, pose, rows, keypoints, rounds=(1, 0)
+        )
+        covariance = estimate.covariance + unobserved_translation(world, pose, rows)
+        return TrackedFrame(
+            frame.camera, frame.features, pose, points, covariance, len(keypoints), estimate.residual_px
+        )
+
     def _follow(
         self,
         world: LocalMap,

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 
 from prism_edge.geometry.poses import Array, inverse
-from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.initialisation import TwoViews, reconstruct
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import Index, match_corners
@@ -27,6 +26,7 @@ PROVEN, MIN_PROVEN = 0.5, 6  # trust in a point; what a pose needs
 def look_again(
     world: LocalMap,
     parts: Parts,
+    frames: FrameTracker,
     frame: TrackedFrame,
     keyframe: LocalKeyframe,
     proven_after_s: float,
@@ -39,8 +39,8 @@ def look_again(
     Tracking looks for points where it expects them, so a few that agree with a wrong motion lead it on, away
     from all others. But looks alone also follow what moves: points that have stood their time in one place
     (point_trust.py) are believed, where a pose can rest on them. The way between the two has its length from
-    the keyframe's points. A map of one keyframe is the affair of
-    :func:`~prism_edge.tracking.first_map.begin_structure`.
+    the keyframe's points, and its uncertainty from those that are kept. A map of one keyframe is the affair
+    of :func:`~prism_edge.tracking.first_map.begin_structure`.
     """
     if frame.matched >= WEAK_MATCHES or parts.size(world) < 2:
         return frame
@@ -58,7 +58,7 @@ def look_again(
     points[now[good]] = ids[good]
     log.debug("%d corners contradict the motion of %d points", views.good.sum(), frame.matched)
     pose = keyframe.world_from_camera @ views.first_from_second
-    return replace(frame, world_from_camera=pose, points=points, matched=int(good.sum()))
+    return frames.placed_anew(world, frame, pose, points)
 
 
 def two_views(

@@ -210,7 +210,7 @@ class Tracker:
         if frame is None or frame.matched < enough:
             return None
         return look_again(
-            self.world, self.parts, frame, self._reference(), self.proven_after_s, self._seed
+            self.world, self.parts, self._frames, frame, self._reference(), self.proven_after_s, self._seed
         )
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:

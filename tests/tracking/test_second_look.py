@@ -38,7 +38,8 @@ def weak_frame(run: Run, error: np.ndarray, matched: int = 30) -> TrackedFrame:
 
 def look(run: Run, frame: TrackedFrame) -> TrackedFrame:
     world, parts = run.tracker.world, run.tracker.parts
-    return look_again(world, parts, frame, parts.newest(world), proven_after_s=1.5, seed=0)
+    frames = run.tracker._frames
+    return look_again(world, parts, frames, frame, parts.newest(world), proven_after_s=1.5, seed=0)
 
 
 def off(run: Run, frame: TrackedFrame) -> tuple[float, float]:
@@ -67,6 +68,34 @@ def test_what_looks_alike_puts_a_wrong_motion_right(run):
     positions = world.points.position[world.points.rows(found.points[seen])]
     pixels = footage().camera.project(transform(inverse(found.world_from_camera), positions))
     assert np.median(np.linalg.norm(pixels - found.features.pixels[seen], axis=1)) < 3.0, "the points it saw"
+
+
+def spread(frame: TrackedFrame) -> np.ndarray:
+    """Standard deviations along the frame's axes, map units, and about them, rad."""
+    return np.sqrt(np.diag(frame.covariance))
+
+
+def test_its_uncertainty_is_that_of_the_points_it_keeps(run):
+    """Not of the motion that they contradict, however sure that seemed."""
+    sure, unsure = (weak_frame(run, TURN_FOR_A_WAY) for _ in range(2))
+    sure.covariance, unsure.covariance = 1e-12 * np.eye(6), 1e6 * np.eye(6)
+    found = look(run, sure)
+    assert np.array_equal(found.covariance, look(run, unsure).covariance)
+    assert 1e-3 < spread(found)[:3].max() < 0.3
+    assert 1e-4 < spread(found)[3:].max() < 0.1
+    assert np.array_equal(found.covariance, found.covariance.T)
+
+
+def test_and_where_no_two_views_had_parallax_its_place_rests_on_the_network_s_depth(run):
+    world = run.tracker.world
+    parallax = world.points.parallax_deg.copy()
+    firm = look(run, weak_frame(run, TURN_FOR_A_WAY))
+    world.has_baseline, world.points.parallax_deg[:] = False, 0.0
+    loose = look(run, weak_frame(run, TURN_FOR_A_WAY))
+    world.has_baseline, world.points.parallax_deg[:] = True, parallax
+    assert np.array_equal(loose.world_from_camera, firm.world_from_camera)
+    assert spread(loose)[:3].min() > 0.7 > spread(firm)[:3].max()
+    assert np.allclose(spread(loose)[3:], spread(firm)[3:])
 
 
 def test_the_motions_that_looks_find_are_good_for_going_on():
