@@ -6,7 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prism_edge.geometry.poses import Array
+from prism_edge.geometry.poses import Array, inverse
+from prism_edge.messages import DEGRADED, OK
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.local_map import LocalKeyframe
+
+DEGRADED_MATCHES = 50
 
 
 @dataclass(frozen=True)
@@ -25,3 +30,10 @@ class FrameResult:
 def nothing(odometry: str) -> FrameResult:
     """A frame without a pose."""
     return FrameResult(odometry, None, np.zeros((6, 6)), -1, np.eye(4), 0)
+
+
+def beside(reference: LocalKeyframe, frame: TrackedFrame, in_map: bool) -> FrameResult:
+    """A frame that was tracked, placed relative to the keyframe that the camera is at."""
+    pose, odometry = frame.world_from_camera, OK if frame.matched >= DEGRADED_MATCHES else DEGRADED
+    offset = inverse(reference.world_from_camera) @ pose
+    return FrameResult(odometry, pose, frame.covariance, reference.id, offset, frame.matched, in_map)

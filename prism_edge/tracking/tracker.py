@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import PINHOLE, Camera
-from prism_edge.geometry.poses import Array, inverse, normalised, scaled
-from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, OK, MapUpdate, beyond
+from prism_edge.geometry.poses import Array, normalised, scaled
+from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, MapUpdate, beyond
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.first_keyframe import FirstKeyframe
 from prism_edge.tracking.first_map import SecondView, begin_structure
-from prism_edge.tracking.frame_result import FrameResult, nothing
+from prism_edge.tracking.frame_result import FrameResult, beside, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.keyframe_culling import cull_keyframes, cull_stand_in, drop_keyframe
 from prism_edge.tracking.keyframe_decision import decide, shown_before
@@ -37,7 +37,6 @@ from prism_edge.tracking.submaps import Parts
 log = logging.getLogger("prism_edge.tracking")
 
 MIN_FIRST_FEATURES = 80
-DEGRADED_MATCHES = 50
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
 MOST_BETWEEN_NS = 200_000_000  # what one frame adds to how long a lost camera has looked about
 
@@ -141,12 +140,7 @@ class Tracker:
         self._update_motion(frame, stamp_ns)
         self.initialised = True
         self._fresh = (index, frame)
-        reference = self._reference()
-        pose, odometry = frame.world_from_camera, OK if frame.matched >= DEGRADED_MATCHES else DEGRADED
-        offset = inverse(reference.world_from_camera) @ pose
-        return FrameResult(
-            odometry, pose, frame.covariance, reference.id, offset, frame.matched, self.parts.at_home
-        )
+        return beside(self._reference(), frame, self.parts.at_home)
 
     def _look_on(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> None:
         """Lost: a camera that has shown something for long, but nothing known, begins a new part of the map.
@@ -250,6 +244,7 @@ class Tracker:
                 return None
             if said is SecondView.CONTRADICTS:
                 self._motion.stop()
+                self._result = beside(reference, frame, self.parts.at_home)  # it is elsewhere now
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
         )

@@ -163,6 +163,7 @@ class TrackerWorker:
             self._drift.add_keyframe(tracker.world, keyframe, tracker.log_scale)
             if len(tracker.world.keyframes) == 1:
                 self._scale_sigma = UNKNOWN_SCALE_SIGMA  # a new map, a new unit
+            result = tracker.last_result or result  # it may have moved the frame
         made = -1 if keyframe is None else keyframe.id
         # A keyframe is shown anyway, and in lockstep one picture a frame is waited for.
         probe = made < 0 and not repeated and tracker.wants_probe and self._probe(frame)

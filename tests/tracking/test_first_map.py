@@ -92,6 +92,17 @@ def test_matches_by_looks_alone_free_the_map_from_wrong_depths(start, wrong):
     assert scattered < 0.1
 
 
+def test_the_frame_is_carried_to_where_the_second_view_has_it():
+    """Said before the second view was looked at, its place beside the first was what wrong depths made it."""
+    run, index = until_the_second_keyframe(0, flat(footage().depths[0]))
+    first, second = (run.tracker.world.keyframes[k] for k in sorted(run.keyframes))
+    said, later = run.results[index], run.tracker.last_result
+    assert np.abs(said.world_from_camera - second.world_from_camera).max() > 0.01, "it was moved"
+    assert later.reference == first.id
+    carried = first.world_from_camera @ later.reference_from_camera
+    assert np.allclose(carried, second.world_from_camera, atol=1e-9)
+
+
 def test_so_it_is_from_most_starts():
     """One start alone is luck: a pixel's difference moves it by as much as the median.
 
