@@ -1,45 +1,78 @@
 """A bounded local map: which keyframe goes when there are too many, and what goes with it.
 
-Redundancy is ORB-SLAM's (Mur-Artal et al., 2015, section VI-E): the share of a keyframe's points that at
-least three others see as well. There every keyframe beyond 90 % goes. Here a map of ordinary size keeps them,
-for they make its points surer; of a larger one, which may grow for weeks, those about the camera go. And of
-any map those that only stood in for a keyframe of the same place: a robot that stays makes more and more.
+In ORB-SLAM every redundant keyframe (redundancy.py) goes. Here a map of ordinary size keeps them, for they
+make its points surer; of a larger one, which may grow for weeks, those about the camera go. And of any map
+those that only stood in for a keyframe of the same place: a robot that stays makes more and more.
 """
 
 from __future__ import annotations
 
 import logging
+from collections.abc import Collection, Iterator
+from itertools import chain, islice
 
 import numpy as np
 
+from prism_edge.config import TrackingConfig
 from prism_edge.tracking.keyframe_decision import RECENT, same_view
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.redundancy import REDUNDANT, Redundancies, redundancy
+from prism_edge.tracking.relocalisation import Relocaliser
+from prism_edge.tracking.submaps import Parts
 
 log = logging.getLogger("prism_edge.tracking")
 
-REDUNDANT = 0.9
-OTHERS = 3  # keyframes that must see a point before it can do without one more
+AT_ONCE = 5  # of the keyframes that a map has too many: each costs some milliseconds
 MIN_VIEWERS = 2  # a point with fewer is one that nothing would correct any more
 
 
-def cull_keyframes(world: LocalMap, most: int, most_redundant: int) -> list[int]:
-    """Drop keyframes until there are at most ``most`` (3 or more); returns their ids.
+def keeping_bound(
+    world: LocalMap, parts: Parts, places: Relocaliser, config: TrackingConfig
+) -> Iterator[None]:
+    """All that a new keyframe costs the map, step by step.
+
+    Between steps frames may be tracked in it, but no keyframe may come or go.
+    """
+    bounds = config.max_keyframes, config.redundant_keyframes
+    for gone in chain(cull_stand_in(world), culling(world, *bounds, parts.alone(), AT_ONCE)):
+        places.forget([gone])
+        parts.forget([gone])
+        yield
+    world.points.squeeze()
+
+
+def culling(
+    world: LocalMap, most: int, most_redundant: int, alone: Collection[int] = (), at_once: int | None = None
+) -> Iterator[int]:
+    """Drop keyframes until there are at most ``most`` (3 or more); their ids, each once it is gone.
 
     Beyond ``most_redundant`` the redundant ones go that share points with the newest. Neither the newest go,
     nor the first: its camera is where the world's frame is, and what everything after was placed from.
+    Beyond ``most`` those that are ``alone`` in their part go first, and ``at_once`` at most: a map may come
+    with many too many.
     """
-    dropped = []
+    surplus = islice(_surplus(world, most, alone), at_once)
     while len(world.keyframes) > min(most, most_redundant):
         gone = _redundant(world) if len(world.keyframes) > most_redundant else None
         if gone is None and len(world.keyframes) > most:
-            # Of equally redundant ones the oldest goes first.
-            candidates = sorted(world.keyframes)[1 : -min(RECENT, most - 1)]
-            gone = max(candidates, key=lambda k: (redundancy(world, world.keyframes[k]), -k))
+            gone = next(surplus, None)
         if gone is None:
             break
         drop_keyframe(world, world.keyframes[gone])
-        dropped.append(gone)
-    return dropped
+        yield gone
+
+
+def _surplus(world: LocalMap, most: int, alone: Collection[int]) -> Iterator[int]:
+    """What a map of too many can do without: any that is alone, or else the most redundant, until it is gone.
+
+    Of equally redundant ones the oldest goes first.
+    """
+    numbers = sorted(world.keyframes)[1 : -min(RECENT, most - 1)]
+    redundancies = Redundancies(world, numbers)
+    while True:
+        shares = dict(zip(numbers, redundancies.now().tolist(), strict=True))
+        there = [k for k in numbers if k in world.keyframes]
+        yield max(there, key=lambda k: (k in alone, shares[k], -k))
 
 
 def cull_stand_in(world: LocalMap) -> list[int]:
@@ -71,15 +104,6 @@ def _redundant(world: LocalMap) -> int | None:
     return max((k for k in near if redundancy(world, world.keyframes[k]) > REDUNDANT), default=None)
 
 
-def redundancy(world: LocalMap, keyframe: LocalKeyframe) -> float:
-    """Share of a keyframe's points that at least three other keyframes see; 1 where it sees none."""
-    keypoints = keyframe.observed()
-    if len(keypoints) == 0:
-        return 1.0
-    rows = world.points.rows(keyframe.points[keypoints])
-    return float((world.points.observations[rows] > OTHERS).mean())
-
-
 def drop_keyframe(world: LocalMap, keyframe: LocalKeyframe) -> None:
     """Take a keyframe out of the map; points that fewer than two keyframes see without it go too.
 
@@ -95,6 +119,13 @@ def drop_keyframe(world: LocalMap, keyframe: LocalKeyframe) -> None:
     _hand_on_references(world, keyframe.id)
     world.changes.culled_keyframes.append(keyframe.id)
     log.debug("keyframe %d is culled, and %d points with it", keyframe.id, len(lonely))
+
+
+def take_out(world: LocalMap, parts: Parts, places: Relocaliser, keyframe: LocalKeyframe) -> None:
+    """Drop a keyframe, and with it what its part and the places that can be recognised know of it."""
+    drop_keyframe(world, keyframe)
+    parts.forget([keyframe.id])
+    places.forget([keyframe.id])
 
 
 def _hand_on_references(world: LocalMap, gone: int) -> None:

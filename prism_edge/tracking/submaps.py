@@ -6,6 +6,7 @@ lies in it is unknown until the backend recognises a place of another part and m
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection
 
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
@@ -73,6 +74,11 @@ class Parts:
         if self.current == new:
             self.current = old
         return True
+
+    def alone(self) -> set[int]:
+        """Keyframes that are all there is of a part, other than of the one that the camera is in."""
+        sizes = Counter(self._of.values())
+        return {k for k, part in self._of.items() if sizes[part] == 1 and part != self.current}
 
     def newest(self, world: LocalMap) -> LocalKeyframe:
         """The latest keyframe of the part that the camera is in; of the map where that has none left."""

@@ -6,6 +6,7 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from prism_edge.tracking.first_keyframe import FirstKeyframe
 from prism_edge.tracking.first_map import SecondView, begin_structure
 from prism_edge.tracking.frame_result import FrameResult, beside, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
-from prism_edge.tracking.keyframe_culling import cull_keyframes, cull_stand_in, drop_keyframe
+from prism_edge.tracking.keyframe_culling import keeping_bound, take_out
 from prism_edge.tracking.keyframe_decision import decide, shown_before
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import see_through, take_over
@@ -71,7 +72,8 @@ class Tracker:
         self.initialised = False  # True once a frame was tracked in this map
         self._result: FrameResult | None = None
         self._fresh: tuple[int, TrackedFrame] | None = None  # tracked, not yet judged as a keyframe
-        self._unmapped: tuple[LocalKeyframe, TrackedFrame] | None = None  # made, and nothing more
+        # Made, and nothing more; of which frame, but for one that begins a map or a part.
+        self._unmapped: tuple[LocalKeyframe, TrackedFrame | None] | None = None
         self._begins_at = np.eye(4)  # pose of a map's first camera, metres
         self._pending: LocalKeyframe | None = None  # the first keyframe, not yet handed out
         self._lens: Camera | None = None  # the camera as the backend has found it
@@ -162,8 +164,11 @@ class Tracker:
             log.info("lost in a map of %.1f s, which is given up: a new one begins", self._age_s())
             self._restart(scaled(pose, math.exp(self.log_scale)))
             return
-        if not patience_s or looked_s < patience_s:
+        if not patience_s or looked_s < patience_s or self._unmapped is not None:
             return
+        if not self.parts.at_home and self.parts.size(self.world) == 1:
+            # What was never seen from a second place: else what can't be tracked adds such parts for ever.
+            take_out(self.world, self.parts, self.places, self.parts.newest(self.world))
         self.parts.begin(self._next_keyframe)
         self.world.has_baseline = False  # it rests on one view's depth, as the first map did
         self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose)
@@ -177,8 +182,7 @@ class Tracker:
 
     def _give_up_waiting(self) -> None:
         if self._waiting is not None and self._waiting.id in self.world.keyframes:
-            drop_keyframe(self.world, self._waiting)
-            self.parts.forget([self._waiting.id])
+            take_out(self.world, self.parts, self.places, self._waiting)
         self._waiting = None
 
     def _settle(self, frame: TrackedFrame) -> None:
@@ -225,6 +229,8 @@ class Tracker:
     def maybe_keyframe(self, judge: bool = True) -> LocalKeyframe | None:
         """Make the last frame a keyframe if it is worth one, where that is to be judged, or begins a map."""
         pending, self._pending = self._pending, None
+        if pending is not None:
+            self._unmapped = pending, None
         if pending is not None or self._fresh is None or not judge:
             return pending
         (index, frame), self._fresh = self._fresh, None
@@ -259,18 +265,19 @@ class Tracker:
         ``meanwhile`` is called between one step and the next: it may track frames, which are to become no
         keyframes, and do nothing else with the tracker.
         """
-        if self._unmapped is None:  # there is none, or it begins its map
+        if self._unmapped is None:
             return True
-        world, (keyframe, frame), self._unmapped = self.world, self._unmapped, None
-        for _ in mapping.extending(world, keyframe, self._factors):
+        world, (keyframe, frame) = self.world, self._unmapped
+        bounding = keeping_bound(world, self.parts, self.places, self._config)
+        if frame is None:  # it begins its map or a part of it: a camera that is found meanwhile would drop it
+            list(bounding)
+            self._unmapped = None
+            return True
+        for _ in chain(mapping.extending(world, keyframe, self._factors), bounding):
             meanwhile()
             if self.world is not world:
                 return False
-        culled = cull_stand_in(world)
-        culled += cull_keyframes(world, self._config.max_keyframes, self._config.redundant_keyframes)
-        self.places.forget(culled)
-        self.parts.forget(culled)
-        world.points.squeeze()
+        self._unmapped = None
         frame.points = keyframe.points.copy()
         self._at.move_to(keyframe, world, self.parts, keyframe.stamp_ns)
         self._fresh = None
@@ -379,5 +386,5 @@ class Tracker:
         self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1
         self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
-        self._last, self.initialised = None, False
+        self._last, self._unmapped, self.initialised = None, None, False
         self._motion.stop()

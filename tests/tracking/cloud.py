@@ -110,3 +110,15 @@ def check(world: LocalMap) -> None:
     assert set(seen) <= set(alive), "a keyframe sees a point that is gone"
     for point, count in alive.items():
         assert count == len(seen.get(point, {})), f"point {point} counts {count} keyframes"
+
+
+def walk(count: int, step: float = 0.15, seed: int = 0) -> LocalMap:
+    """Keyframes side by side, in whose images points come and go."""
+    world, _ = Cloud(400, seed).mapped([pose_at(step * i, 0.0, 0.0, 0.0, 0.02 * i) for i in range(count)])
+    return world
+
+
+def counted(world: LocalMap, keyframe: int) -> float:
+    """Share of its points that three others see."""
+    seen = [keyframes for keyframes in observations(world).values() if keyframe in keyframes]
+    return sum(len(keyframes) >= 4 for keyframes in seen) / len(seen)

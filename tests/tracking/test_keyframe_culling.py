@@ -5,29 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prism_edge.config import TrackingConfig
 from prism_edge.tracking.keyframe_culling import (
+    AT_ONCE,
     RECENT,
-    cull_keyframes,
     cull_stand_in,
+    culling,
     drop_keyframe,
-    redundancy,
+    keeping_bound,
 )
 from prism_edge.tracking.local_map import LocalMap
-from tests.tracking.cloud import Cloud, check, observations, pose_at
+from prism_edge.tracking.relocalisation import Relocaliser
+from prism_edge.tracking.submaps import Parts
+from tests.tracking.cloud import Cloud, check, counted, observations, pose_at, walk
 
 MANY = 1000
-
-
-def walk(count: int, step: float = 0.15, seed: int = 0) -> LocalMap:
-    """Keyframes side by side, in whose images points come and go."""
-    world, _ = Cloud(400, seed).mapped([pose_at(step * i, 0.0, 0.0, 0.0, 0.02 * i) for i in range(count)])
-    return world
-
-
-def counted(world: LocalMap, keyframe: int) -> float:
-    """Share of its points that three others see."""
-    seen = [keyframes for keyframes in observations(world).values() if keyframe in keyframes]
-    return sum(len(keyframes) >= 4 for keyframes in seen) / len(seen)
 
 
 def references_hold(world: LocalMap) -> bool:
@@ -40,19 +32,6 @@ def references_hold(world: LocalMap) -> bool:
     )
 
 
-def test_redundancy_is_the_share_of_points_that_three_others_see():
-    world = walk(12, 0.3)
-    shares = {k: redundancy(world, keyframe) for k, keyframe in world.keyframes.items()}
-    assert shares == pytest.approx({k: counted(world, k) for k in world.keyframes})
-    assert min(shares.values()) < 0.9 < max(shares.values())
-
-
-def test_what_sees_nothing_is_all_redundant():
-    world = walk(5)
-    world.keyframes[2].points[:] = -1
-    assert redundancy(world, world.keyframes[2]) == 1.0
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_the_most_redundant_goes_and_neither_the_first_nor_the_newest(seed):
     rng = np.random.default_rng(seed)
@@ -63,7 +42,7 @@ def test_the_most_redundant_goes_and_neither_the_first_nor_the_newest(seed):
     shares = {k: counted(world, k) for k in range(1, 9)}
     expected = max(shares, key=lambda k: (shares[k], -k))
     assert len(set(shares.values())) > 4
-    assert cull_keyframes(world, RECENT + 8, MANY) == [expected]
+    assert list(culling(world, RECENT + 8, MANY)) == [expected]
     assert set(world.keyframes) == set(range(RECENT + 9)) - {expected}
     assert world.changes.culled_keyframes == [expected]
     check(world)
@@ -71,7 +50,7 @@ def test_the_most_redundant_goes_and_neither_the_first_nor_the_newest(seed):
 
 def test_of_equals_the_oldest_goes_first():
     world, _ = Cloud().mapped([np.eye(4)] * 20)
-    assert cull_keyframes(world, 15, MANY) == [1, 2, 3, 4, 5]
+    assert list(culling(world, 15, MANY)) == [1, 2, 3, 4, 5]
     check(world)
 
 
@@ -79,7 +58,7 @@ def test_of_equals_the_oldest_goes_first():
 def test_the_bound_is_kept_whatever_it_is(most):
     world = walk(30)
     newest = sorted(world.keyframes)[-min(RECENT, most - 1) :]
-    cull_keyframes(world, most, MANY)
+    list(culling(world, most, MANY))
     assert len(world.keyframes) == most
     assert {0, *newest} <= set(world.keyframes)
     assert references_hold(world)
@@ -89,10 +68,59 @@ def test_the_bound_is_kept_whatever_it_is(most):
 def test_a_map_within_its_bound_is_left_alone():
     world = walk(20)
     before = observations(world)
-    assert cull_keyframes(world, 20, MANY) == []
+    assert list(culling(world, 20, MANY)) == []
     assert observations(world) == before
     assert not world.changes.culled_keyframes
     assert not world.changes.culled_points
+
+
+def with_parts(world: LocalMap, *alone: int) -> Parts:
+    """Some keyframes are all there is of their parts, and two together are one; the camera is at home."""
+    parts = Parts.given({**{k: k for k in alone}, 2: 2, 3: 2})
+    assert parts.at_home
+    assert {2, 3} < world.keyframes.keys()
+    return parts
+
+
+def test_what_hangs_together_with_nothing_goes_before_the_most_redundant():
+    world = walk(RECENT + 10, 0.05)
+    alone = with_parts(world, 5, 7).alone()
+    gone = culling(world, RECENT + 7, MANY, alone)
+    assert sorted([next(gone), next(gone)]) == [5, 7]
+    left = [k for k in range(1, 10) if k not in (5, 7)]
+    expected = max(left, key=lambda k: (counted(world, k), -k))
+    assert list(gone) == [expected]
+    check(world)
+
+
+def test_of_many_too_many_some_go_now_and_the_rest_with_later_keyframes():
+    world = walk(40)
+    assert len(list(culling(world, 15, MANY, at_once=4))) == 4
+    assert len(world.keyframes) == 36
+    assert len(list(culling(world, 15, MANY, at_once=4))) == 4
+    assert len(list(culling(world, 15, MANY))) == 17
+
+
+def test_beyond_the_number_all_redundant_neighbours_go_at_once():
+    world = passed_again(RECENT + 12)
+    assert len(list(culling(world, MANY, RECENT + 8, at_once=1))) == 4
+
+
+def test_what_goes_is_forgotten_step_by_step():
+    world = walk(40)
+    parts, places = with_parts(world, 5), Relocaliser()
+    for k in world.keyframes:
+        places.add_place(k, np.eye(40, dtype=np.float32)[k])
+    config = TrackingConfig(max_keyframes=20, redundant_keyframes=MANY)
+    before, told = set(world.keyframes), []
+    for _ in keeping_bound(world, parts, places, config):
+        (now,) = before - set(world.keyframes) - set(told)
+        told.append(now)
+        assert now not in places.index
+    assert told[:2] == [39 - RECENT, 5], "what stood in, and what is alone"
+    assert len(told) == 1 + AT_ONCE < 40 - 20
+    assert parts.alone() <= world.keyframes.keys()
+    assert len(places.index) == len(world.keyframes)
 
 
 def passed_again(count: int) -> LocalMap:
@@ -107,13 +135,13 @@ def passed_again(count: int) -> LocalMap:
 def test_beyond_a_number_the_redundant_go_and_what_placed_the_room_stays():
     world = passed_again(RECENT + 12)
     assert counted(world, 5) > 0.9
-    assert cull_keyframes(world, MANY, RECENT + 8) == [11, 10, 9, 8]
+    assert list(culling(world, MANY, RECENT + 8)) == [11, 10, 9, 8]
     check(world)
 
 
 def test_up_to_that_number_only_the_bound_costs_keyframes_the_oldest_of_equals_first():
     world = passed_again(RECENT + 12)
-    assert cull_keyframes(world, RECENT + 10, RECENT + 12) == [1, 2]
+    assert list(culling(world, RECENT + 10, RECENT + 12)) == [1, 2]
     check(world)
 
 
@@ -122,7 +150,7 @@ def test_beyond_it_what_is_not_redundant_stays():
     world.newest().neighbours = list(range(12))
     wanted = {k for k in range(1, 12) if counted(world, k) > 0.9}
     assert 0 < len(wanted) < 11
-    gone = cull_keyframes(world, MANY, 10)
+    gone = list(culling(world, MANY, 10))
     assert gone
     assert set(gone) <= wanted
     check(world)
@@ -131,7 +159,7 @@ def test_beyond_it_what_is_not_redundant_stays():
 def test_beyond_it_what_is_elsewhere_stays():
     world = passed_again(RECENT + 12)
     world.newest().neighbours = [3, 6]
-    assert cull_keyframes(world, MANY, 10) == [6, 3]
+    assert list(culling(world, MANY, 10)) == [6, 3]
     check(world)
 
 

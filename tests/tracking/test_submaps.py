@@ -73,6 +73,17 @@ def test_what_has_left_the_map_is_forgotten():
     assert parts.newest(world).id == 1, "of the map, where the part has none left"
 
 
+def test_a_part_of_one_keyframe_is_alone_unless_the_camera_is_there():
+    parts = Parts.given({3: 3, 5: 5, 6: 5})
+    assert parts.alone() == {3}
+    parts.begin(9)
+    assert parts.alone() == {3}
+    parts.begin(12)
+    assert parts.alone() == {3, 9}
+    parts.merge(12, 9)
+    assert parts.alone() == {3}
+
+
 def test_the_newest_and_the_number_are_those_of_a_plain_search():
     world, _ = Cloud(60, seed=0).mapped([pose_at(0.02 * i) for i in range(9)])
     for of in ({}, {3: 3, 4: 3}, {3: 3, 7: 7, 8: 7}, {0: 5}, {20: 20}):

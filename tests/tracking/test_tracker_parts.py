@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import inverse, scaled, se3_log, transform
 from prism_edge.messages import INITIALISING, LOST, OK
+from prism_edge.tracking.announcement import keyframe_message
+from prism_edge.tracking.keyframe_culling import AT_ONCE
+from prism_edge.tracking.place_index import PlaceIndex
+from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.tracker import Tracker
 from tests.synthetic.messages import map_update
-from tests.tracking.cloud import check, pose_at
+from tests.tracking.cloud import check, pose_at, walk
 from tests.tracking.film_run import BLACK, CONFIG, Run
 from tests.tracking.footage import IDENTITY, footage, other_room
 
@@ -187,3 +192,74 @@ def test_one_that_never_maps_on_its_own_gives_none_up_either():
         run.feed(0, image, at=20 + i)
     assert run.tracker.epoch == 0
     assert run.results[79].odometry == LOST
+
+
+def churning(count: int) -> list[np.ndarray]:
+    """Images that show much, and nothing twice: foliage in the wind, water, a screen."""
+    rng = np.random.default_rng(0)
+    small = [np.clip(rng.normal(128, 60, (60, 80)), 0, 255).astype(np.uint8) for _ in range(count)]
+    return [cv2.resize(image, (320, 240), interpolation=cv2.INTER_CUBIC) for image in small]
+
+
+def test_what_can_not_be_tracked_adds_no_keyframe_for_each_look_at_it():
+    run = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3)))
+    run.play(range(30))
+    world, tracker = run.tracker.world, run.tracker
+    home = set(world.keyframes)
+    keyframe_message(tracker, world.newest())
+    begun, culled = [], []
+    for i, image in enumerate(churning(100), start=30):
+        known = set(run.keyframes)
+        run.feed(0, image, at=i)
+        for k in set(run.keyframes) - known:
+            begun.append(k)
+            culled.append(keyframe_message(tracker, world.keyframes[k]).culled_keyframes.tolist())
+            tracker.recognise(k, np.eye(200, dtype=np.float32)[k])
+            tracker.add_depth(k, footage().depths[0], IDENTITY, 0.1)
+        assert home <= world.keyframes.keys()
+        assert len(world.keyframes) <= len(home) + 1
+    assert len(begun) >= 4, "each was tracked for a moment, and lost"
+    assert culled == [[], *([k] for k in begun[:-1])], "the backend hears of each with the next"
+    assert len(tracker.places.index) == 1
+    check(world)
+    found = run.until_found([(20 + i, None) for i in range(12)], at=130)
+    assert found.in_map
+
+
+def test_a_map_with_many_too_many_loses_some_where_a_part_begins():
+    config = replace(CONFIG, submap_after_s=0.3, max_keyframes=20)
+    tracker, world = Tracker(config), walk(40)
+    tracker.adopt(world, PlaceIndex(), Parts(), 0, 0.0)
+    run = Run(tracker=tracker)
+    for i, image in enumerate(churning(15)):
+        run.feed(0, image, at=i)
+    (begun,) = run.keyframes
+    assert begun in world.keyframes
+    assert len(world.keyframes) == 41 - AT_ONCE
+    check(world)
+
+
+def test_while_a_keyframe_joins_the_map_no_part_begins():
+    """What the keyframe is told to share points with could leave the map."""
+    run = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.1, lost_after_s=0.0)))
+    run.play(range(20))
+    tracker, film, later = run.tracker, footage(), iter(enumerate(churning(60), start=75))
+    waiting = []
+
+    def meanwhile() -> None:
+        for _ in range(3):
+            at, image = next(later)
+            tracker.process(at, film.stamp_ns(at), image, film.camera)
+            waiting.append(tracker.maybe_keyframe(judge=False))
+
+    for i in range(20, 75):
+        tracker.process(i, film.stamp_ns(i), film.images[i], film.camera)
+        keyframe = tracker.maybe_keyframe()
+        if keyframe is not None:
+            break
+    assert tracker.map_keyframe(meanwhile)
+    assert len(waiting) > 6
+    assert waiting == [None] * len(waiting)
+    at, image = next(later)
+    tracker.process(at, film.stamp_ns(at), image, film.camera)
+    assert tracker.maybe_keyframe() is not None, "but then"
