@@ -29,6 +29,8 @@ RECOVERED = "recovered"
 IDS_A_LIFE = 10**10  # a process's lives begin to number things so far apart: months of mapping in each
 LARGEST_ID = 2**55  # of what comes from outside: gtsam has 56 bits for a number, and others follow it
 
+HOME = -1  # the part of a map that it began with; any other bears the number of its first keyframe
+
 _DIGEST = re.compile(r"@[0-9a-f]{12}")  # in a network's identity
 
 
@@ -139,6 +141,7 @@ class Keyframe:
     trust: F32 = optional("float32", -1)  # weight in (0, 1] of each keypoint's point, 0 for none
     travelled: float = 0.0  # path length since start, map units
     scale_factor: float = 1.2  # between pyramid levels: a keypoint is as much less precise a level up
+    part: int = HOME  # of the map: each has a unit of its own until it is joined to an older one
 
 
 def probe_of(index: int) -> int:
@@ -212,6 +215,7 @@ class Scale:
     local_sigma: float = 0.0  # how far the map's log scale here may be from log_scale, beyond sigma
     network: str = ""  # whose depth it was learned from
     metric: bool = True  # whether depth has fixed or met the map's unit; else log_scale is a guess
+    part: int = HOME  # of the map, whose unit it is
 
 
 @dataclass(frozen=True)

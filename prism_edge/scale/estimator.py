@@ -15,15 +15,15 @@ from prism_edge.scale.filter import ScaleFilter
 from prism_edge.scale.gate import Floats
 from prism_edge.scale.gate_keyframes import KeyframeGate
 from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
+from prism_edge.scale.parts import PartScales
 from prism_edge.scale.samples import sample
-from prism_edge.scale.spread import USUAL_BIAS, LocalScale
-from prism_edge.scale.steady import SteadyScale
+from prism_edge.scale.spread import USUAL_BIAS
 
 LEAST_TRUST = 0.05  # of a sample's weight: points of which nothing good is known still say something
 
 
 class ScaleEstimator:
-    """Scale of the newest map; a new epoch starts afresh, since its unit is another.
+    """Scale of the newest map; a new epoch starts afresh, since its unit is another, and so does a new part.
 
     ``ablate`` may name 'kalman' (the last observation is the estimate), 'wls' (a plain mean of points) and
     'dsug' (the gate stays open).
@@ -40,28 +40,26 @@ class ScaleEstimator:
         self._network = ""  # whose depth the map's unit was learned from
         self._says_spread = False  # whether the source of depth has told its own frame_sigma
         self._gate = KeyframeGate(gate or GateConfig(), "dsug" not in ablate)
-        self._filter = ScaleFilter(config, self._kalman)
-        self._steady = self._new_steady()
-        self._local, self._local_ns = LocalScale(), 0
+        self._parts = PartScales(config, self._kalman)
 
     @property
     def accepted(self) -> int:
         """Observations taken in since this epoch began."""
-        return self._filter.accepted
+        return sum(part.filter.accepted for part in self._parts)
 
     @property
     def rejected(self) -> int:
         """Observations refused as outliers since this epoch began."""
-        return self._filter.rejected
+        return sum(part.filter.rejected for part in self._parts)
 
     @property
     def metric(self) -> bool:
-        """Whether network depth has fixed the map's unit or been compared with it; else scale is a guess."""
+        """Whether network depth has fixed this part's unit or met it; else scale is a guess."""
         return not self._filter.is_open
 
     def hear(self, keyframe: Keyframe) -> None:
         """A keyframe has come, whose depth may come later or never: where the map has it counts even so."""
-        if keyframe.epoch == self._epoch:
+        if keyframe.epoch == self._epoch and self._parts.is_here(keyframe):
             self._gate.note(keyframe)
 
     def process(self, keyframe: Keyframe, depth: Depth | None) -> tuple[Scale, Gate] | None:
@@ -74,11 +72,13 @@ class ScaleEstimator:
             return None
         if self._epoch != keyframe.epoch:
             self.begin(keyframe.epoch)
+        if self._parts.enter(keyframe, self._config):
+            self._gate.forget()
         self._gate.note(keyframe)
         weights = np.ones(len(keyframe.pixels), dtype=np.float32)
         uncertainty = np.full(len(keyframe.pixels), np.nan, dtype=np.float32)
         self._heed(depth)
-        scale = self._filter
+        here, scale = self._parts.here, self._filter
         scale.predict(keyframe.stamp_ns * 1e-9, keyframe.travelled)
         if depth is not None and math.isfinite(depth.bias_sigma) and depth.bias_sigma >= 0.0:
             self._meet(depth)
@@ -97,30 +97,31 @@ class ScaleEstimator:
             elif scale.is_open and not (keyframe.parallax_deg > 0.0).any():
                 scale.fix_unit()
         # A network that is steadier than the filter's model leaves less room to hold; a wilder one no more.
-        self._steady.follow(
+        here.steady.follow(
             scale.log_scale, math.hypot(min(scale.sigma, scale.learned_sigma), self._bias_sigma)
         )
-        held = self._steady.log_scale - scale.log_scale
+        held = here.steady.log_scale - scale.log_scale
         if observation is not None and accepted:
-            elapsed_s = max(keyframe.stamp_ns - self._local_ns, 0) * 1e-9
-            self._local.take(observation.log_scale - self._steady.log_scale, scale.correlation(elapsed_s))
-            self._local_ns = keyframe.stamp_ns
+            elapsed_s = max(keyframe.stamp_ns - here.local_ns, 0) * 1e-9
+            here.local.take(observation.log_scale - here.steady.log_scale, scale.correlation(elapsed_s))
+            here.local_ns = keyframe.stamp_ns
         message = Scale(
             keyframe=keyframe.id,
             index=keyframe.index,
             stamp_ns=keyframe.stamp_ns,
             epoch=keyframe.epoch,
-            log_scale=self._steady.log_scale,
+            log_scale=here.steady.log_scale,
             sigma=math.hypot(scale.learned_sigma, self._bias_sigma, held),
             filter_sigma=scale.learned_sigma,
             bias_sigma=self._bias_sigma,
-            local_sigma=self._local.sigma(self._network_sigma()),
+            local_sigma=here.local.sigma(self._network_sigma()),
             network=self._network,
             observation=observation.log_scale if observation else math.nan,
             observation_sigma=math.sqrt(observation.variance) if observation else math.nan,
             points=observation.points if observation else 0,
             accepted=accepted,
             metric=self.metric,
+            part=keyframe.part,
         )
         return message, Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, uncertainty)
 
@@ -131,22 +132,20 @@ class ScaleEstimator:
         self.begin(epoch)
         self._network = network
         self._bias_sigma = bias_sigma or self._bias_sigma
-        self._filter.take_over(log_scale, sigma)
-        self._steady.log_scale = log_scale
+        self._parts.take_over(log_scale, sigma)
 
     def begin(self, epoch: int) -> None:
         """A map of whose unit nothing is known."""
         self._epoch = epoch
-        self._filter = ScaleFilter(self._config, self._kalman)
-        self._steady = self._new_steady()
-        self._local, self._local_ns = LocalScale(), 0
+        self._parts = PartScales(self._config, self._kalman)
         self._network = ""
         self._gate.forget()
 
     def _meet(self, depth: Depth) -> None:
         """Another network has other metres: they are off by its bias and by that of the one before."""
         if self._network and depth.model and not same_network(depth.model, self._network):
-            self._filter.widen(math.hypot(self._bias_sigma, depth.bias_sigma))
+            for part in self._parts:
+                part.filter.widen(math.hypot(self._bias_sigma, depth.bias_sigma))
         self._network = depth.model or self._network
 
     def _heed(self, depth: Depth | None) -> None:
@@ -155,7 +154,8 @@ class ScaleEstimator:
         if math.isfinite(said) and 0.0 <= said <= 2.0 and said != self._config.frame_sigma:
             self._config = replace(self._config, frame_sigma=said)
             self._says_spread = True
-            self._filter.assume(self._config)
+            for part in self._parts:
+                part.filter.assume(self._config)
 
     def gate_images(self) -> tuple[Floats, Floats] | None:
         """u and w of every pixel of the newest keyframe's depth map (h, w); None where the gate was open."""
@@ -165,8 +165,9 @@ class ScaleEstimator:
         """What the pixels of an image are thought to share with this network."""
         return self._config.frame_sigma * (1.0 if self._says_spread else self._bias_sigma / USUAL_BIAS)
 
-    def _new_steady(self) -> SteadyScale:
-        return SteadyScale(self._config.hold_sigmas if self._kalman else 0.0)
+    @property
+    def _filter(self) -> ScaleFilter:
+        return self._parts.here.filter
 
     def _observe(self, keyframe: Keyframe, depth: Depth, camera: Camera, weights: F32) -> Observation | None:
         c = self._config

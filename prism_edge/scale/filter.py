@@ -35,8 +35,11 @@ _MAX_LOG = 20.0  # e^20 metres a unit: beyond any map
 class ScaleFilter:
     """Log scale over time, in one epoch of the map. Never raises, never turns NaN."""
 
-    def __init__(self, config: ScaleConfig, kalman: bool = True) -> None:
-        """``kalman=False`` is the ablation 'kalman': the last observation is the estimate."""
+    def __init__(self, config: ScaleConfig, kalman: bool = True, begins_at: float = 0.0) -> None:
+        """``begins_at`` is the log scale that the map's first depth is turned to its unit with.
+
+        ``kalman=False`` is the ablation 'kalman': the last observation is the estimate.
+        """
         self._config = config
         self._kalman = kalman
         self.accepted = 0  # observations
@@ -44,7 +47,8 @@ class ScaleFilter:
         self._support = 0  # observations that the present belief rests on
         self._unit_fixed = self._taken_over = False
         self._contradicting: deque[float] = deque(maxlen=REOPEN_AFTER[1])
-        self._state = np.zeros(2)  # x, f
+        self._begins_at = begins_at
+        self._state = np.array([begins_at, 0.0])  # x, f
         self._covariance = np.diag([config.initial_sigma**2, config.frame_sigma**2])
         self._time_s: float | None = None
         self._travelled = 0.0
@@ -118,14 +122,14 @@ class ScaleFilter:
             self._covariance = np.diag([_MAX_LOG**2, float(self._covariance[1, 1])])
 
     def fix_unit(self) -> None:
-        """The map's unit has just been defined by network depth: now, x + f = 0 whatever the two are.
+        """The map's unit has just been defined by network depth: now, x + f is known whatever the two are.
 
-        The limit of an exact observation of 0 on an unlimited prior of x. What the seeded pixels don't share
+        The limit of an exact observation of it on an unlimited prior of x. What the seeded pixels don't share
         with the triangulated ones that later observations use adds to x as if seen by the fewest points.
         """
         shared = self._config.frame_sigma**2
         own = self._config.point_sigma**2 / self._config.min_points
-        self._state = np.zeros(2)
+        self._state = np.array([self._begins_at, 0.0])
         self._covariance = np.array([[shared + own, -shared], [-shared, shared]])
         self._unit_fixed = True
         self._elapsed_s = 0.0

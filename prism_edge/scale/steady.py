@@ -14,9 +14,9 @@ class SteadyScale:
     published uncertainty. With ``sigmas`` 0 the estimate itself is published.
     """
 
-    def __init__(self, sigmas: float) -> None:
+    def __init__(self, sigmas: float, log_scale: float = 0.0) -> None:
         self._sigmas = sigmas
-        self.log_scale = 0.0  # a map that starts from network depth has that unit by definition
+        self.log_scale = log_scale  # 0: a map that starts from network depth has that unit by definition
 
     def follow(self, estimate: float, sigma: float) -> float:
         """Take in an estimate with its total sigma; returns the sigma of what is held about the truth."""

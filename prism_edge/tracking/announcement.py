@@ -67,6 +67,7 @@ def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float
         world_from_anchor=world.keyframes[anchor].world_from_camera,
         travelled=travelled,
         scale_factor=tracker.scale_factor,
+        part=tracker.parts.of(keyframe.id),
     )
 
 

@@ -9,10 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection
 
+from prism_edge.messages import HOME
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.point_table import Ids
-
-HOME = -1  # the part that the map began with; any other bears the number of its first keyframe
 
 
 class Parts:

@@ -35,13 +35,16 @@ class PosePublisher:
         interval_s: float,
         log_scale: float,
         scale_sigma: float,
+        odom_error: Array,
         drift: Walk = NO_DRIFT,
         walk: Walk = NO_DRIFT,
     ) -> None:
         """Send the three messages of one frame; ``result`` must have a pose (map units).
 
         ``twist`` (6) is the camera's, m/s and rad/s, as measured over ``interval_s`` (0: it isn't known).
-        ``drift`` is what the map may have drifted there since its beginning, ``walk`` what `odom` has.
+        ``scale_sigma`` is that of the log scale; ``odom_error`` (3) is by what it puts the camera off in
+        `odom`, metres along the axes of its start. ``drift`` is what the map may have drifted there since
+        its beginning, ``walk`` what `odom` has.
         Where its place in the map is not known there is no `pose`, and `tf` ends at `odom`.
         """
         assert result.world_from_camera is not None
@@ -54,7 +57,7 @@ class PosePublisher:
         # Scale multiplies the camera's path since the start; where it sits on the robot is known in metres.
         start = self._mount[:3, :3]
         in_map = with_scale_error(turned(own, map_from_base), start @ map_from_camera[:3, 3], scale_sigma)
-        in_odom = with_scale_error(turned(own, odom_from_base), start @ odom_from_camera[:3, 3], scale_sigma)
+        in_odom = with_scale_error(turned(own, odom_from_base), start @ odom_error, 1.0)
         names = self._frames
         velocity = self._twist(twist)
         velocity_covariance = self._velocity_covariance(own, start @ twist[:3], interval_s, scale_sigma)

@@ -41,6 +41,7 @@ from prism_edge.tracking.drift import Drift
 from prism_edge.tracking.local_map import LocalKeyframe
 from prism_edge.tracking.map_correction import flaw
 from prism_edge.tracking.odometry import MetricOdometry
+from prism_edge.tracking.scale_here import ScaleHere
 from prism_edge.tracking.tracker import FrameResult, Tracker
 from prism_edge.tracking.unseen import Sight
 from prism_edge.workers.answers_due import PATIENCE_S, AnswersDue
@@ -56,7 +57,6 @@ _FRAME_S = 5.0
 _MOST_BETWEEN = 2  # frames tracked while a keyframe joins the map: more would put that off for long
 _PROBE_NS = 300_000_000  # between two looks of the network at what a lost camera sees
 SEED_DEPTH_SIGMA = 0.2  # relative error of one pixel of network depth
-UNKNOWN_SCALE_SIGMA = 1.0
 
 
 class TrackerWorker:
@@ -79,7 +79,7 @@ class TrackerWorker:
         self._odometry, self._sight = MetricOdometry(), Sight()
         self._publisher = PosePublisher(bus, config.frames, config.covariance.refinement)
         self._drift, self._status = Drift(config.covariance), TrackerStatus(bus)
-        self._scale_sigma = UNKNOWN_SCALE_SIGMA
+        self._scale = ScaleHere(self._tracker, self._odometry, self._drift)
         self._travelled = 0.0
         self._update_sequence = -1
         self._answers = AnswersDue(bus, self._inboxes, self._peers, config.lockstep)
@@ -149,6 +149,7 @@ class TrackerWorker:
         )
         if last is None or not repeated:
             last = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera)
+            self._scale.enter()
         result = last
         published = result.world_from_camera is not None and result.in_map
         if self._recovering and published:
@@ -161,8 +162,6 @@ class TrackerWorker:
         keyframe = None if repeated or self._localise_only else tracker.maybe_keyframe(judge)
         if keyframe is not None:
             self._drift.add_keyframe(tracker.world, keyframe, tracker.log_scale)
-            if len(tracker.world.keyframes) == 1:
-                self._scale_sigma = UNKNOWN_SCALE_SIGMA  # a new map, a new unit
             result = tracker.last_result or result  # it may have moved the frame
         made = -1 if keyframe is None else keyframe.id
         # A keyframe is shown anyway, and in lockstep one picture a frame is waited for.
@@ -219,7 +218,7 @@ class TrackerWorker:
                 np.eye(4) if reference_from_camera is None else reference_from_camera,
                 self._dropped,
                 probe,
-                self._scale_sigma,
+                self._scale.sigma,
                 *self._drift.here.sigmas(),
                 *self._drift.total.sigmas(),
             ),
@@ -248,7 +247,8 @@ class TrackerWorker:
             self._odometry.twist,
             self._odometry.interval_s,
             tracker.log_scale,
-            self._scale_sigma,
+            self._scale.sigma,
+            self._scale.odom_error,
             self._drift.here,
             self._drift.total,
         )
@@ -306,10 +306,8 @@ class TrackerWorker:
         numbers = (message.log_scale, message.sigma, message.local_sigma)
         # One that was started again and knows nothing yet takes nothing from what was known.
         if message.epoch == self._tracker.epoch and message.metric and np.isfinite(numbers).all():
-            self._tracker.log_scale = message.log_scale
-            self._scale_sigma = message.sigma
+            self._scale.hear(message)
             self._status.metres.scale(message.observation, message.accepted)
-            self._drift.local_sigma = message.local_sigma
 
     def _apply_update(self, message: MapUpdate) -> None:
         if message.epoch != self._tracker.epoch or message.sequence <= self._update_sequence:
@@ -322,6 +320,7 @@ class TrackerWorker:
         self._update_sequence = message.sequence
         if len(message.keyframes):
             self._tracker.apply_update(message)
+            self._scale.enter()
         if message.loop_query >= 0:
             self._drift.close(self._tracker.world, message, self._tracker.log_scale)
         if message.loop_closed:
@@ -331,7 +330,8 @@ class TrackerWorker:
         """Go on in the backend's map, if there is one to go on in."""
         if whole is None or not self._maps.take_over(self._tracker, whole):
             return False
-        self._scale_sigma, self._update_sequence = whole.scale_sigma, whole.sequence
+        self._scale.begin(whole.scale_sigma)
+        self._update_sequence = whole.sequence
         self._travelled = self._maps.travelled
         self._tracker.may_map = not self._localise_only
         self._drift.forget()
@@ -352,7 +352,8 @@ class TrackerWorker:
     def _reset(self, argument: str) -> Reply:
         self._tracker.reset()
         self._answers.forget()
-        self._travelled, self._scale_sigma, self._localise_only = 0.0, UNKNOWN_SCALE_SIGMA, False
+        self._scale.begin()
+        self._travelled, self._localise_only = 0.0, False
         self._unproven = self._recovering = False  # there is nothing left of an earlier run's map
         return Reply(True, "a new map begins with the next image, and is built on; odom goes on")
 
@@ -369,7 +370,7 @@ class TrackerWorker:
             "matched": matched,
             "keyframes": len(world.keyframes),
             "points": int(world.points.alive.sum()),
-            "scale_sigma": f"{self._scale_sigma:.4f}",
+            "scale_sigma": f"{self._scale.sigma:.4f}",
             "dropped": self._dropped,
         }
         self._status.show(odometry, self._tracker.parts.at_home, self._localise_only, stamp_ns, values)

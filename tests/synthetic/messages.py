@@ -62,6 +62,7 @@ def scale_of(keyframe: Keyframe, log_scale: float = 0.0, sigma: float = 0.05, **
         observation_sigma=0.1,
         points=50,
         accepted=True,
+        part=keyframe.part,
     )
     return replace(made, **changes)
 

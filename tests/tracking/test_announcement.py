@@ -17,12 +17,14 @@ from prism_edge.messages import Keyframe
 from prism_edge.tracking import mapping
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.submaps import HOME, Parts
 from tests.tracking.cloud import Cloud, check, observations, pose_at
 
 
 def teller(world: LocalMap) -> SimpleNamespace:
     """What the message needs of a tracker."""
     told = SimpleNamespace(world=world, epoch=3, told=[], scale_factor=1.2, proven_after_s=0.0)
+    told.parts = Parts()
     told.announced = lambda keyframe: told.told.append(keyframe.id)
     return told
 
@@ -55,6 +57,15 @@ def test_a_message_carries_the_keyframe_and_survives_the_codec():
     rows = world.points.rows(message.new_points)
     assert np.array_equal(message.new_positions, world.points.position[rows])
     assert len(message.new_points) == int(world.points.alive.sum())
+
+
+def test_a_message_says_which_part_of_the_map_it_is_of():
+    world, _ = Cloud(50, seed=0).mapped([np.eye(4), pose_at(0.2)], parallax_deg=4.0)
+    tracker, newest = teller(world), world.newest()
+    assert sent(tracker, newest).part == HOME
+    tracker.parts.begin(newest.id)
+    assert sent(tracker, newest).part == newest.id
+    assert sent(tracker, world.keyframes[0]).part == HOME
 
 
 def test_the_first_keyframe_is_its_own_anchor():

@@ -48,7 +48,7 @@ def publish(
     result = FrameResult(OK, pose, covariance, 0, np.eye(4), 100)
     odom, twist = pose if odom is None else odom, np.zeros(6) if twist is None else twist
     publisher = PosePublisher(bus, frames or FramesConfig())
-    publisher.publish(STAMP, result, odom, twist, interval_s, log_scale, sigma)
+    publisher.publish(STAMP, result, odom, twist, interval_s, log_scale, sigma, sigma * odom[:3, 3])
     return {
         topic: ros.deserialise(TOPICS[topic].type, ros.serialise(TOPICS[topic].type, message))
         for topic, message in sent.items()
@@ -241,7 +241,7 @@ def test_drift_is_added_to_the_pose_and_the_walk_to_odometry():
     publisher = PosePublisher(bus, MOUNTED, refinement=0.25)
     result = FrameResult(OK, np.eye(4), COVARIANCE, 0, np.eye(4), 100)
     here, walk = Walk(4e-4, 9e-6), Walk(7e-4, 1e-5)
-    publisher.publish(STAMP, result, np.eye(4), np.zeros(6), 0.1, 0.0, 0.1, here, walk)
+    publisher.publish(STAMP, result, np.eye(4), np.zeros(6), 0.1, 0.0, 0.1, np.zeros(3), here, walk)
     own = 0.25 * matrix(publish(np.eye(4), MOUNTED)["pose"])
     assert matrix(sent["pose"]) == pytest.approx(own + np.diag([4e-4] * 3 + [9e-6] * 3), abs=1e-12)
     assert matrix(sent["odom"]) == pytest.approx(own + np.diag([7e-4] * 3 + [1e-5] * 3), abs=1e-12)

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from prism_edge.bus import ros
+from prism_edge.messages import HOME
 from tests.synthetic import messages
 from tests.tracking.footage import IDENTITY, footage, other_room
 from tests.workers.list_bus import ListBus
-from tests.workers.tracker_bench import World, depth_of, frame, run, scale_of
+from tests.workers.tracker_bench import (
+    CONFIG,
+    World,
+    depth_of,
+    frame,
+    positions,
+    run,
+    scale_of,
+    true_position,
+)
 
 
 def walked(local_sigma: float) -> tuple[float, np.ndarray]:
@@ -62,3 +74,31 @@ def test_a_new_map_s_unit_is_unknown_until_the_scale_process_says_something_of_i
     walk = {tracked.index: tracked.walk_m for tracked in bus.of("tracked")}
     assert walk[first] > 0.5 * (firsts[1] - last) / 30.0 > 10.0 * walk[last]
     assert moved[first].twist.covariance[0] == 100.0**2 > moved[first + 1].twist.covariance[0]
+
+
+def test_a_part_s_scale_is_left_behind_with_it():
+    """Back in the old map no keyframe need come to say again what is known of its unit."""
+    room, film = other_room(), footage()
+    bus = ListBus("frame")
+    world = World(bus)
+    world.scale = lambda keyframe: (
+        scale_of(keyframe, sigma=0.1) if keyframe.part == HOME else scale_of(keyframe, 0.4, sigma=0.2)
+    )
+    rooms = {42 + i: depth for i, (_, depth, _) in enumerate(room)}
+    world.depth = lambda image: (
+        messages.depth_of(image, rooms[image.index], IDENTITY)
+        if image.index in rooms
+        else depth_of(image, image.index % 102)
+    )
+    black = np.zeros_like(film.images[0])
+    dark = [frame(i, 0, image=black) for i in (*range(30, 42), *range(102, 114))]
+    elsewhere = [frame(42 + i, 0, image=image) for i, (image, _, _) in enumerate(room)]
+    back = [frame(114 + i, 12 + i) for i in range(12)]
+    tracking = replace(CONFIG.tracking, submap_after_s=0.4)
+    config = replace(CONFIG, tracking=tracking)
+    run(bus, [*(frame(i) for i in range(30)), *dark[:12], *elsewhere, *dark[12:], *back], config)
+    placed, sigma = positions(bus), {tracked.index: tracked.scale_sigma for tracked in bus.of("tracked")}
+    assert not any(30 <= i < 114 for i in placed)
+    found = min(i for i in placed if i >= 114)
+    assert (sigma[29], sigma[101], sigma[found]) == (0.1, 0.2, 0.1)
+    assert np.linalg.norm(placed[found] - true_position(12 + found - 114)) < 0.03

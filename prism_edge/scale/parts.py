@@ -1,0 +1,69 @@
+"""What is known of the scale of each part of a map: they have units of their own (tracking/submaps.py).
+
+A part is seeded by its first depth, turned to map units with the log scale that was published then. Whatever
+that image errs by is the part's own error, not that of the part that was left, which waits as it was. Joined
+to an older part it has that one's unit: its keyframes bear the older one's number from then on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from prism_edge.config import ScaleConfig
+from prism_edge.messages import HOME, Keyframe
+from prism_edge.scale.filter import ScaleFilter
+from prism_edge.scale.spread import LocalScale
+from prism_edge.scale.steady import SteadyScale
+
+
+class PartScale:
+    """One part's."""
+
+    def __init__(self, config: ScaleConfig, kalman: bool, log_scale: float = 0.0) -> None:
+        """``log_scale`` is what its first depth is turned to its unit with."""
+        self.filter = ScaleFilter(config, kalman, log_scale)
+        self.steady = SteadyScale(config.hold_sigmas if kalman else 0.0, log_scale)
+        self.local, self.local_ns = LocalScale(), 0  # the stamp of its newest observation
+
+
+class PartScales:
+    """All that are known of one map; ``here`` is that of the part which the last keyframe belongs to."""
+
+    def __init__(self, config: ScaleConfig, kalman: bool) -> None:
+        self._kalman = kalman
+        self._part, self._parts = HOME, {HOME: PartScale(config, kalman)}
+        self._unplaced = False  # taken over, and no keyframe has come since
+
+    def __iter__(self) -> Iterator[PartScale]:
+        return iter(self._parts.values())
+
+    @property
+    def here(self) -> PartScale:
+        """Of the part that was entered last."""
+        return self._parts[self._part]
+
+    def is_here(self, keyframe: Keyframe) -> bool:
+        """Whether a keyframe belongs to the part that was entered last."""
+        return keyframe.part == self._part
+
+    def take_over(self, log_scale: float, sigma: float) -> None:
+        """What an earlier run knew of the unit of the part that it was in."""
+        self.here.filter.take_over(log_scale, sigma)
+        self.here.steady.log_scale = log_scale
+        self._unplaced = True
+
+    def enter(self, keyframe: Keyframe, config: ScaleConfig) -> bool:
+        """A keyframe is next; whether it belongs to another part than the one before."""
+        if self._unplaced:
+            self._unplaced = False
+            if keyframe.part != keyframe.id:  # else that part begins, and what is known is of the one it left
+                self._part, self._parts = keyframe.part, {keyframe.part: self.here}
+        if self.is_here(keyframe):
+            return False
+        left, published = self.here, self.here.steady.log_scale
+        if left.filter.is_open:  # nothing is known of it: it had no depth
+            del self._parts[self._part]
+        self._part = keyframe.part
+        if self._part not in self._parts:
+            self._parts[self._part] = PartScale(config, self._kalman, published)
+        return True

@@ -1,0 +1,118 @@
+"""Parts of a map have units of their own: what is seen in one says nothing of another's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.config import ScaleConfig
+from prism_edge.messages import HOME
+from prism_edge.scale.estimator import ScaleEstimator
+from tests.scale.scene import depth_of, keyframe_of_wall
+
+CONFIG = ScaleConfig(hold_sigmas=0.0)
+FITTED = {"dsug_tau": 0.2, "dsug_temperature": 0.05}
+
+
+def play(estimator, numbers, part=HOME, unit=1.0, **changes):
+    """Keyframes of a part in units of so many metres; one that begins a map or a part has only seeds."""
+    said = []
+    for k in numbers:
+        parallax = 0.0 if k in (0, part) else 3.0
+        keyframe = replace(keyframe_of_wall(k, 0.4 * k, unit, parallax_deg=parallax), part=part)
+        said.append(estimator.process(keyframe, depth_of(keyframe, **{**FITTED, **changes})))
+    return [scale for scale, _ in said]
+
+
+def at_home(unit=1.1):
+    """An estimator that has seen the map's first part for long, and what it said."""
+    estimator = ScaleEstimator(CONFIG)
+    return estimator, play(estimator, range(60), unit=unit)
+
+
+def test_a_new_part_begins_at_what_was_published_as_little_known_as_any_first_depth():
+    estimator, home = at_home()
+    (begins,) = play(estimator, [60], part=60)
+    assert (begins.part, begins.metric) == (60, True)
+    assert begins.log_scale == pytest.approx(home[-1].log_scale)
+    first = np.hypot(CONFIG.frame_sigma, CONFIG.point_sigma / np.sqrt(CONFIG.min_points))
+    assert begins.filter_sigma == pytest.approx(first, rel=1e-6)
+    assert begins.filter_sigma > 2.0 * home[-1].filter_sigma
+    there = play(estimator, range(61, 120), part=60, unit=1.5)
+    assert there[-1].log_scale == pytest.approx(np.log(1.5), abs=0.04)
+
+
+def test_back_at_home_nothing_of_the_part_is_left_in_its_scale():
+    estimator, home = at_home()
+    play(estimator, range(60, 90), part=60, unit=1.5)
+    back = play(estimator, range(90, 95), unit=1.1)
+    assert back[0].part == HOME
+    assert back[0].log_scale == pytest.approx(home[-1].log_scale, abs=2e-3)
+    assert back[0].filter_sigma < 1.2 * home[-1].filter_sigma
+    again = play(estimator, [95], part=60, unit=1.5)[0]  # and the part is known as it was
+    assert again.log_scale == pytest.approx(np.log(1.5), abs=0.05)
+    assert estimator.accepted == 59 + 29 + 5 + 1
+
+
+@pytest.mark.parametrize("depth", [None, "unusable"])
+def test_a_part_that_had_no_depth_leaves_no_trace(depth):
+    estimator, home = at_home()
+    keyframe = replace(keyframe_of_wall(60, 24.0, parallax_deg=0.0), part=60)
+    given = None if depth is None else replace(depth_of(keyframe), valid=False)
+    scale, _ = estimator.process(keyframe, given)
+    assert (scale.log_scale, scale.metric) == (pytest.approx(home[-1].log_scale), False)
+    assert play(estimator, [61], unit=1.1)[0].log_scale == pytest.approx(home[-1].log_scale, abs=2e-3)
+    (later,) = play(estimator, [62], part=62)
+    assert later.log_scale == pytest.approx(home[-1].log_scale, abs=2e-3)
+
+
+def test_a_scale_process_that_was_started_again_takes_what_was_known_for_the_part_it_finds_itself_in():
+    estimator = ScaleEstimator(CONFIG)
+    estimator.take_over(0, np.log(1.5), 0.02, bias_sigma=0.1)
+    (there,) = play(estimator, [90], part=60, unit=1.5)
+    assert there.filter_sigma < 0.03
+    assert there.log_scale == pytest.approx(np.log(1.5), abs=0.01)
+
+
+def test_a_part_that_begins_in_a_map_that_was_taken_over_is_not_that_map():
+    estimator = ScaleEstimator(CONFIG)
+    estimator.take_over(0, np.log(1.5), 0.02, bias_sigma=0.1)
+    (begins,) = play(estimator, [90], part=90)
+    assert begins.filter_sigma > 0.1
+    assert begins.log_scale == pytest.approx(np.log(1.5))
+    play(estimator, range(91, 120), part=90, unit=1.1)
+    (home,) = play(estimator, [120], unit=1.5)
+    assert home.log_scale == pytest.approx(np.log(1.5), abs=0.01)
+
+
+def test_another_network_puts_all_parts_in_doubt():
+    sigmas = []
+    for model in ("wall", "another"):
+        estimator, _ = at_home()
+        play(estimator, range(60, 63), part=60, model=model)
+        sigmas.append(play(estimator, [63], model=model, valid=False)[0].filter_sigma)
+    assert sigmas[1] > 2.0 * sigmas[0]
+
+
+def test_a_new_epoch_forgets_the_parts():
+    estimator, _ = at_home()
+    play(estimator, range(60, 63), part=60)
+    first = keyframe_of_wall(70, 28.0, epoch=1, parallax_deg=0.0)
+    assert estimator.process(first, depth_of(first))[0].log_scale == 0.0
+
+
+def test_views_of_one_part_are_not_held_against_another():
+    estimator, _ = at_home()
+    seen = {}
+    for k, part in ((60, HOME), (61, 61), (62, 61), (63, HOME)):
+        keyframe = replace(keyframe_of_wall(k, 0.4 * k, 1.1), part=part)
+        if k == 61:
+            estimator.hear(keyframe)  # while views of the old part are at hand
+        seen[k] = estimator.process(keyframe, depth_of(keyframe, **FITTED))[1]
+    assert np.isfinite(seen[60].uncertainty).mean() > 0.9
+    for k in (61, 63):
+        assert np.isnan(seen[k].uncertainty).all()
+        assert np.all(seen[k].weights == 1.0)
+    assert np.isfinite(seen[62].uncertainty).mean() > 0.9
