@@ -7,6 +7,9 @@ keyframes show of the map's scale here. Of rotation it grows by ``drift_per_sqrt
 turned and ``turn_per_sqrt_m``^2 for each metre. The whole walk is what `odom` has. In the map a keyframe that
 sees known points drifted little more than its neighbours: its drift is that of the shortest way through
 keyframes that share points, from the first one.
+
+Way and turning are summed from frame to frame, but from one place that the camera has clearly left to the
+next to no more than MOST_DETOUR times what lies between: a camera that stands trembles, and goes nowhere.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ from prism_edge.config import CovarianceConfig
 from prism_edge.geometry.poses import Array, inverse, rotation_angle
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.frame_result import FrameResult
+from prism_edge.tracking.keyframe_decision import MOVED_ANGLE, MOVED_BASELINE
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
 FORGET_ABOVE = 2  # times as many keyframes remembered as there are
@@ -27,6 +31,7 @@ COHERENT_S = 1.0  # for so long the local map is off by the same share; speed is
 COHERENT_M = 1.0  # and, between two places, at least over so much of the way, however slow the camera is now
 LONGEST_S = 0.5  # between two frames: longer than that nothing was seen
 # Of a camera that nobody sees: one that is covered or carried off often stood before, and is then carried.
+MOST_DETOUR = 4.0  # a moving camera has 1.1 to 2.5: the walk's numbers were fitted with that
 UNSEEN_M_S, UNSEEN_RAD_S = 0.5, 0.5
 
 
@@ -49,11 +54,20 @@ class Walk:
         return np.diag([self.metres2] * 3 + [self.radians2] * 3)
 
 
+    def grown(self, step: Walk, most: Walk) -> Walk:
+        """This and a step, but not beyond ``most``; never less than this."""
+        metres2 = max(self.metres2, min(self.metres2 + step.metres2, most.metres2))
+        return Walk(metres2, max(self.radians2, min(self.radians2 + step.radians2, most.radians2)))
+
+
 NO_DRIFT = Walk()
 
 
 class Drift:
-    """Follows one camera: ``total`` is the whole walk, ``here`` what of it the last frame has in the map."""
+    """Follows one camera: ``total`` is the whole walk, ``here`` what of it the last frame has in the map.
+
+    ``travelled`` is its path length in map units, or what it is set to and the path since.
+    """
 
     def __init__(self, config: CovarianceConfig) -> None:
         self._config = config
@@ -61,7 +75,18 @@ class Drift:
         self._stamp_ns: int | None = None
         self.local_sigma = 0.0  # of the log scale here about the published one, as last heard
         self.total = self.here = NO_DRIFT
+        self._travelled = self._travelled_at_anchor = 0.0
+        self._at_anchor, self._since_anchor = NO_DRIFT, np.eye(4)
         self._keyframes: dict[int, Walk] = {}
+
+    @property
+    def travelled(self) -> float:
+        return self._travelled
+
+    @travelled.setter
+    def travelled(self, way: float) -> None:
+        self._travelled = way
+        self._set_anchor()
 
     def forget(self) -> None:
         """Another map, whose keyframes have numbers of this one's; `odom` goes on."""
@@ -72,16 +97,27 @@ class Drift:
         metres = max(self._speed, UNSEEN_M_S) * seconds
         radians = min(max(self._turn, UNSEEN_RAD_S) * seconds, math.pi)
         self.total += Walk(metres**2, radians**2)
+        self._set_anchor()
         self._stamp_ns = None
 
     def advance(
-        self, before: Array | None, result: FrameResult, log_scale: float, stamp_ns: int | None = None
+        self,
+        before: Array | None,
+        result: FrameResult,
+        log_scale: float,
+        stamp_ns: int | None = None,
+        depth: float = 0.0,
     ) -> None:
-        """A frame has been tracked; ``before`` is where the present map has the one before it."""
+        """A frame has been tracked; ``before`` is where the present map has the one before it.
+
+        ``depth`` is the scene's, in map units: beside it the camera has clearly moved or has not.
+        """
         if result.world_from_camera is not None and before is not None:
             motion = inverse(before) @ result.world_from_camera
             self._pace(motion, log_scale, stamp_ns)
-            self.total += self._of(motion, log_scale)
+            self._go(motion, log_scale, depth)
+        else:  # another map may have begun, with another unit
+            self._set_anchor()
         self._stamp_ns = stamp_ns
         keyframe = self._keyframes.get(result.reference)
         if keyframe is None and result.world_from_camera is not None:
@@ -119,11 +155,31 @@ class Drift:
 
     def _of(self, motion: Array, log_scale: float) -> Walk:
         """What is added between two places that differ by ``motion`` (4, 4), map units."""
-        c, way = self._config, math.exp(log_scale) * float(np.linalg.norm(motion[:3, 3]))
+        return self._walk(float(np.linalg.norm(motion[:3, 3])), rotation_angle(motion[:3, :3]), log_scale)
+
+    def _walk(self, way: float, angle: float, log_scale: float) -> Walk:
+        """What is added over a way (map units) and a turn (rad)."""
+        c, way = self._config, math.exp(log_scale) * way
         share2 = c.drift_of_motion**2 + self.local_sigma**2
         per_m = c.drift_per_sqrt_m**2 + share2 * max(COHERENT_S * self._speed, min(way, COHERENT_M))
-        angle = rotation_angle(motion[:3, :3])
         return Walk(per_m * way, c.drift_per_sqrt_rad**2 * angle + c.turn_per_sqrt_m**2 * way)
+
+    def _go(self, motion: Array, log_scale: float, depth: float) -> None:
+        """Take a frame's motion into the way."""
+        self._since_anchor = self._since_anchor @ motion
+        step, way = (float(np.linalg.norm(m[:3, 3])) for m in (motion, self._since_anchor))
+        angle = rotation_angle(self._since_anchor[:3, :3])
+        clear = MOVED_BASELINE * depth
+        most, most_angle = MOST_DETOUR * max(way, clear), MOST_DETOUR * max(angle, MOVED_ANGLE)
+        bound = self._at_anchor + self._walk(most, most_angle, log_scale)
+        self.total = self.total.grown(self._of(motion, log_scale), bound)
+        self._travelled = max(self._travelled, min(self._travelled + step, self._travelled_at_anchor + most))
+        if way > clear or angle > MOVED_ANGLE:
+            self._set_anchor()
+
+    def _set_anchor(self) -> None:
+        self._at_anchor, self._travelled_at_anchor = self.total, self._travelled
+        self._since_anchor = np.eye(4)
 
     def _pace(self, motion: Array, log_scale: float, stamp_ns: int | None) -> None:
         """Take a frame's motion into the speed."""

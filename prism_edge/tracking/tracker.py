@@ -105,6 +105,11 @@ class Tracker:
             return result
         return replace(result, world_from_camera=pose)
 
+    @property
+    def depth(self) -> float:
+        """Median of what the keyframe that the camera is at sees, map units."""
+        return self._at.depth
+
     # -- frames ---------------------------------------------------------------------------------
 
     def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:

@@ -80,7 +80,6 @@ class TrackerWorker:
         self._publisher = PosePublisher(bus, config.frames, config.covariance.refinement)
         self._drift, self._status = Drift(config.covariance), TrackerStatus(bus)
         self._scale = ScaleHere(self._tracker, self._odometry, self._drift)
-        self._travelled = 0.0
         self._update_sequence = -1
         self._answers = AnswersDue(bus, self._inboxes, self._peers, config.lockstep)
         self._last_index, self._dropped, self._between = -1, 0, 0
@@ -171,7 +170,7 @@ class TrackerWorker:
         self._show(result.odometry, result.matched, frame.stamp_ns)
         if keyframe is None:
             return
-        travelled, self._between = self._travelled, 0
+        travelled, self._between = self._drift.travelled, 0
         if tracker.map_keyframe(self._track_waiting):
             self._announce(keyframe, frame, travelled)
 
@@ -237,9 +236,7 @@ class TrackerWorker:
             if step.unseen_s:
                 self._drift.miss(step.unseen_s)
             self._odometry.advance(before, result.world_from_camera, tracker.log_scale, frame.stamp_ns)
-            if before is not None:
-                self._travelled += float(np.linalg.norm(result.world_from_camera[:3, 3] - before[:3, 3]))
-            self._drift.advance(before, result, tracker.log_scale, frame.stamp_ns)
+            self._drift.advance(before, result, tracker.log_scale, frame.stamp_ns, tracker.depth)
         self._publisher.publish(
             frame.stamp_ns,
             result,
@@ -332,7 +329,7 @@ class TrackerWorker:
             return False
         self._scale.begin(whole.scale_sigma)
         self._update_sequence = whole.sequence
-        self._travelled = self._maps.travelled
+        self._drift.travelled = self._maps.travelled
         self._tracker.may_map = not self._localise_only
         self._drift.forget()
         self._answers.forget()
@@ -353,7 +350,7 @@ class TrackerWorker:
         self._tracker.reset()
         self._answers.forget()
         self._scale.begin()
-        self._travelled, self._localise_only = 0.0, False
+        self._drift.travelled, self._localise_only = 0.0, False
         self._unproven = self._recovering = False  # there is nothing left of an earlier run's map
         return Reply(True, "a new map begins with the next image, and is built on; odom goes on")
 
