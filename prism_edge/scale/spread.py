@@ -3,7 +3,8 @@
 The filter is run with one noise model for every network and scene, and its gain needs no better one: a common
 factor on all variances leaves it as it is. The uncertainty does need one. The variance that the pixels of a
 keyframe share has an inverse-gamma belief, as of the unknown observational variance of a dynamic linear model
-(West and Harrison 1997, section 4.5), which each observation sharpens by as much of it as is new.
+(West and Harrison 1997, section 4.5), which each observation sharpens by as much of it as is new. It rests
+on the last hundred or so: the next room or the evening may have another.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 import math
 
 PRIOR_WEIGHT = 4.0  # independent observations that the network's own word counts as
+MOST_WEIGHT = 100.0  # that all which was learned counts as: a few minutes of them
 USUAL_BIAS = 0.10  # of the network that frame_sigma was measured with; another's images spread in proportion
 _NOT_THE_MAP = 2.0  # times the network's variance: a few seconds hold about one draw of it
 _MOST = 1.0  # of log scale: more is no wavering
@@ -36,6 +38,8 @@ class FrameSpread:
         """
         self._sum += share * min(residual * residual + sigma * sigma, _MOST)
         self._weight += share
+        fading = min(MOST_WEIGHT / self._weight, 1.0)
+        self._sum, self._weight = fading * self._sum, fading * self._weight
 
 
 class LocalScale:

@@ -10,7 +10,7 @@ import pytest
 from prism_edge.config import ScaleConfig
 from prism_edge.scale.filter import ScaleFilter
 from prism_edge.scale.least_squares import Observation
-from prism_edge.scale.spread import PRIOR_WEIGHT, FrameSpread, LocalScale
+from prism_edge.scale.spread import MOST_WEIGHT, PRIOR_WEIGHT, FrameSpread, LocalScale
 
 STEP_S, TIME_CONSTANT_S, WHITE = 0.3, 2.0, 1e-4
 CONFIG = ScaleConfig(drift_per_sqrt_m=0.0, drift_per_sqrt_s=0.0, correlation_s=TIME_CONSTANT_S)
@@ -27,6 +27,30 @@ def test_residuals_weigh_by_how_much_of_them_is_new():
     spread.take(5.0, 1.0, 0.0)  # says nothing that was not known
     expected = (PRIOR_WEIGHT * 0.01 + 0.05 + 0.045) / (PRIOR_WEIGHT + 1.5)
     assert spread.sigma == pytest.approx(math.sqrt(expected))
+
+
+def test_what_was_learned_in_a_day_is_forgotten_as_soon_as_that_of_some_minutes():
+    later = []
+    for draws in (300, 30_000):
+        spread = FrameSpread(0.1)
+        for _ in range(draws):
+            spread.take(0.04, 0.0, 1.0)
+        assert spread.sigma == pytest.approx(0.04, rel=0.02)
+        for _ in range(100):
+            spread.take(0.32, 0.0, 1.0)
+        later.append(spread.sigma)
+    assert later[1] == pytest.approx(later[0], rel=1e-3)
+    assert later[1] > 0.25
+
+
+def test_a_few_minutes_count_in_full():
+    spread, draws = FrameSpread(0.1), int(MOST_WEIGHT - PRIOR_WEIGHT)
+    values = np.linspace(0.0, 0.3, draws)
+    for value in values:
+        spread.take(value, 0.0, 1.0)
+    expected = (PRIOR_WEIGHT * 0.01 + (values**2).sum()) / MOST_WEIGHT
+    assert spread.sigma == pytest.approx(math.sqrt(expected))
+    assert draws / 0.5 > 180.0, "seconds: there is half a draw in each at most, with correlation_s of 2"
 
 
 def observed(rng: np.random.Generator, spread: float, count: int) -> tuple[np.ndarray, float]:
