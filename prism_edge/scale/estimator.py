@@ -11,7 +11,7 @@ from prism_edge.config import GateConfig, ScaleConfig
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import F32, Depth, Gate, Keyframe, Scale, same_network
-from prism_edge.scale.filter import ScaleFilter
+from prism_edge.scale.filter import ScaleFilter, is_late
 from prism_edge.scale.gate import Floats
 from prism_edge.scale.gate_keyframes import KeyframeGate
 from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
@@ -104,7 +104,8 @@ class ScaleEstimator:
         if observation is not None and accepted:
             elapsed_s = max(keyframe.stamp_ns - here.local_ns, 0) * 1e-9
             here.local.take(observation.log_scale - here.steady.log_scale, scale.correlation(elapsed_s))
-            here.local_ns = keyframe.stamp_ns
+            if not is_late((here.local_ns - keyframe.stamp_ns) * 1e-9):
+                here.local_ns = keyframe.stamp_ns
         message = Scale(
             keyframe=keyframe.id,
             index=keyframe.index,

@@ -29,6 +29,7 @@ from prism_edge.scale.spread import FrameSpread
 # at least the first number of them and at most the second.
 REOPEN_AFTER = (5, 30)
 _LEAST_VARIANCE = 1e-12  # float32 depths know no better; keeps the update from dividing 0 by 0
+_LATE_S = 300.0  # the longest that a depth may come late by: a queue's worth of keyframes
 _MAX_LOG = 20.0  # e^20 metres a unit: beyond any map
 
 
@@ -103,12 +104,15 @@ class ScaleFilter:
     def predict(self, time_s: float, travelled: float) -> None:
         """Moves on to a time (s) and a path length since the start (map units)."""
         if self._time_s is None:
-            self._time_s, self._travelled = time_s, travelled
+            if math.isfinite(time_s) and math.isfinite(travelled):
+                self._time_s, self._travelled = time_s, travelled
             return
         elapsed = _step(time_s - self._time_s)
         metres = _step(travelled - self._travelled) * math.exp(min(max(self.log_scale, -_MAX_LOG), _MAX_LOG))
-        self._time_s = time_s if math.isfinite(time_s) else self._time_s
-        self._travelled = travelled if math.isfinite(travelled) else self._travelled
+        # Where a depth came late, what lies between has been added, and must not be again.
+        if math.isfinite(time_s) and not is_late(self._time_s - time_s):
+            self._time_s = time_s
+        self._travelled = max(self._travelled, travelled) if math.isfinite(travelled) else self._travelled
         self._elapsed_s += elapsed
         c = self._config
         phi = self.correlation(elapsed)
@@ -193,6 +197,11 @@ class ScaleFilter:
         self._support = 0
         self._spread = FrameSpread(self._config.frame_sigma)
         return True
+
+
+def is_late(behind_s: float) -> bool:
+    """Whether a keyframe so far behind the newest waited for its depth; else a clock has been set back."""
+    return 0.0 < behind_s < _LATE_S
 
 
 def _step(difference: float) -> float:

@@ -282,6 +282,20 @@ def test_a_network_with_less_bias_is_thought_to_spread_less():
     assert better.filter_sigma == pytest.approx(0.5 * usual.filter_sigma)
 
 
+def test_the_scale_here_fades_by_time_that_has_passed_once():
+    """A depth that came late does not set the clock back."""
+    said = []
+    for late in (False, True):
+        estimator = ScaleEstimator(ScaleConfig())
+        play(estimator, 20)
+        play(estimator, 5, metres_per_unit=1.5, start=21)
+        if late:
+            keyframe = keyframe_of_wall(15, 6.0, 1.5)
+            assert estimator.process(keyframe, depth_of(keyframe))[0].accepted
+        said.append(estimator._parts.here.local_ns)
+    assert said[0] == said[1]
+
+
 def test_a_place_whose_scale_is_another_is_told_from_the_network_s_errors():
     estimator = ScaleEstimator(ScaleConfig())
     assert [r.local_sigma for r in play(estimator, 20)] == [0.0] * 20

@@ -1,5 +1,6 @@
 """The filter against batch least squares with the full covariance, Monte Carlo, and bad input."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -123,6 +124,29 @@ def test_distance_and_time_let_the_scale_drift():
     scale.predict(49.0 + 4.0, 100.0)
     drift = config.drift_per_sqrt_m**2 * 100.0 * np.exp(scale.log_scale) + config.drift_per_sqrt_s**2 * 4.0
     assert scale.sigma**2 - variance == pytest.approx(drift)
+
+
+@pytest.mark.parametrize("first", [(0.0, 0.0), (math.nan, 0.0), (0.0, math.inf)])
+def test_what_lies_between_a_late_depth_and_the_newest_keyframe_is_added_once(first):
+    config, sigmas = ScaleConfig(), []
+    for late in ((), ((40.0, 12.0), (math.nan, math.nan))):
+        scale = ScaleFilter(config)
+        scale.predict(*first)
+        scale.predict(0.0, 0.0)
+        scale.fix_unit()
+        for step in ((100.0, 30.0), *late, (101.0, 31.0)):
+            scale.predict(*step)
+        sigmas.append(scale.sigma)
+    assert sigmas[0] == sigmas[1]
+
+
+def test_a_clock_that_was_set_back_does_not_stop_the_filter_s():
+    scale = ScaleFilter(ScaleConfig(drift_per_sqrt_s=0.1))
+    for time_s in (1e6, 1e5):
+        scale.predict(time_s, 0.0)
+    before = scale.sigma
+    scale.predict(1e5 + 10.0, 0.0)
+    assert scale.sigma > before
 
 
 def test_a_gross_outlier_changes_nothing():
