@@ -14,22 +14,21 @@ from prism_edge.tracking.point_table import Index
 
 PARALLAX_DEG = 1.0  # as the first two views must have (initialisation.py)
 ENOUGH = 20  # matched points with that
-UNOBSERVED = 0.7  # of the scene's depth: what is moved by more shows, whatever the depths are
-NOTHING = np.zeros((6, 6))
+UNOBSERVED = 0.35  # of the scene's depth: what is moved by twice as much shows, whatever the depths are
 
 
-def unobserved_translation(world: LocalMap, world_from_camera: Array, rows: Index) -> Array:
-    """What to add to the covariance (6, 6) of a frame that matches the points in ``rows``; map units.
+def unobserved_translation(world: LocalMap, world_from_camera: Array, rows: Index) -> float:
+    """Standard deviation of the position of a frame that matches the points in ``rows``, map units.
 
-    Until a frame has seen ENOUGH points that two keyframes placed with PARALLAX_DEG, the standard deviation
-    of its position is UNOBSERVED times the scene's median depth; from then on, nothing is added. Orientation
-    is as certain as it is.
+    Beside what its own points say: until a frame has seen ENOUGH points that two keyframes placed with
+    PARALLAX_DEG it is UNOBSERVED times the scene's median depth; from then on 0. Orientation is as certain
+    as it is.
     """
     if world.has_baseline:
-        return NOTHING
+        return 0.0
     if np.count_nonzero(world.points.parallax_deg[rows] >= PARALLAX_DEG) >= ENOUGH:
         world.has_baseline = True
-        return NOTHING
+        return 0.0
     offset = world.points.position[rows] - world_from_camera[:3, 3]
     depth = float(np.median(offset @ world_from_camera[:3, 2])) if len(rows) else 1.0
-    return np.diag([(UNOBSERVED * depth) ** 2] * 3 + [0.0] * 3)
+    return UNOBSERVED * abs(depth)

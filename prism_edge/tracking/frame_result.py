@@ -25,6 +25,7 @@ class FrameResult:
     reference_from_camera: Array
     matched: int
     in_map: bool = True  # False: tracked in a part of the map whose place in it is not known yet
+    unobserved: float = 0.0  # standard deviation of the position beside the covariance (baseline.py)
 
 
 def nothing(odometry: str) -> FrameResult:
@@ -36,4 +37,5 @@ def beside(reference: LocalKeyframe, frame: TrackedFrame, in_map: bool) -> Frame
     """A frame that was tracked, placed relative to the keyframe that the camera is at."""
     pose, odometry = frame.world_from_camera, OK if frame.matched >= DEGRADED_MATCHES else DEGRADED
     offset = inverse(reference.world_from_camera) @ pose
-    return FrameResult(odometry, pose, frame.covariance, reference.id, offset, frame.matched, in_map)
+    said = odometry, pose, frame.covariance, reference.id, offset, frame.matched, in_map
+    return FrameResult(*said, unobserved=frame.unobserved)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -48,6 +48,7 @@ class TrackedFrame:
     covariance: Array  # (6, 6), translation first, camera frame, map units
     matched: int
     residual_px: float
+    unobserved: float = 0.0  # standard deviation of the position beside the covariance, map units
 
     @classmethod
     def of_keyframe(cls, keyframe: LocalKeyframe, matched: int) -> TrackedFrame:
@@ -147,15 +148,15 @@ class FrameTracker:
         world.points.found[rows[estimate.inliers]] += 1
         points[keypoints[~estimate.inliers]] = -1
         matched = int(estimate.inliers.sum())
-        unknown = unobserved_translation(world, estimate.world_from_camera, rows[estimate.inliers])
         return TrackedFrame(
             camera,
             features,
             estimate.world_from_camera,
             points,
-            estimate.covariance + unknown,
+            estimate.covariance,
             matched,
             estimate.residual_px,
+            unobserved_translation(world, estimate.world_from_camera, rows[estimate.inliers]),
         )
 
     def placed_anew(self, world: LocalMap, frame: TrackedFrame, pose: Array, points: Ids) -> TrackedFrame:
@@ -165,9 +166,10 @@ class FrameTracker:
         estimate = self._estimate(
             world, world.centres(), frame.camera, frame.features, pose, rows, keypoints, rounds=(1, 0)
         )
-        covariance = estimate.covariance + unobserved_translation(world, pose, rows)
-        return TrackedFrame(
-            frame.camera, frame.features, pose, points, covariance, len(keypoints), estimate.residual_px
+        unobserved = unobserved_translation(world, pose, rows)
+        return replace(
+            frame, world_from_camera=pose, points=points, matched=len(keypoints),
+            covariance=estimate.covariance, residual_px=estimate.residual_px, unobserved=unobserved,
         )
 
     def _follow(

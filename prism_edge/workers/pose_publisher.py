@@ -53,7 +53,7 @@ class PosePublisher:
         map_from_camera = scaled(result.world_from_camera, metres)
         map_from_base = self._based(map_from_camera)
         odom_from_base = self._based(odom_from_camera)
-        own = self._covariance(result.covariance, metres)
+        own = self._covariance(result, metres)
         # Scale multiplies the camera's path since the start; where it sits on the robot is known in metres.
         start = self._mount[:3, :3]
         in_map = with_scale_error(turned(own, map_from_base), start @ map_from_camera[:3, 3], scale_sigma)
@@ -87,13 +87,15 @@ class PosePublisher:
         """From a camera's pose relative to its start to the base's relative to the base's start."""
         return self._mount @ start_from_camera @ self._camera_from_base
 
-    def _covariance(self, camera_covariance: Array, metres: float) -> Array:
-        """Covariance of the base along its own axes, of a camera-frame covariance in map units."""
+    def _covariance(self, result: FrameResult, metres: float) -> Array:
+        """Covariance of the base along its own axes, of what a frame says of the camera in map units."""
         rotation = self._mount[:3, :3]
         carry = np.zeros((6, 6))
         carry[:3, :3], carry[3:, 3:] = metres * rotation, rotation
         carry[:3, 3:] = skew(self._mount[:3, 3]) @ rotation  # a turn of the camera swings the base about it
-        return carry @ (self._refinement * camera_covariance) @ carry.T
+        of_camera = self._refinement * result.covariance
+        of_camera[:3, :3] += result.unobserved**2 * np.eye(3)  # no residual's doing: the factor is not for it
+        return carry @ of_camera @ carry.T
 
     @staticmethod
     def _velocity_covariance(of_pose: Array, velocity: Array, interval_s: float, scale_sigma: float) -> Array:

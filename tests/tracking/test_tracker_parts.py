@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from prism_edge.config import CovarianceConfig
 from prism_edge.geometry.poses import inverse, scaled, se3_log, transform
 from prism_edge.messages import INITIALISING, LOST, OK
 from prism_edge.tracking.announcement import keyframe_message
@@ -32,7 +33,9 @@ def visit(run: Run, room: list, at: int) -> None:
 
 def place_sigma(run: Run, frame: int) -> float:
     """Of the frame's position along the worst axis."""
-    return float(np.sqrt(np.linalg.eigvalsh(run.results[frame].covariance[:3, :3])[-1]))
+    result = run.results[frame]
+    own = CovarianceConfig().refinement * np.linalg.eigvalsh(result.covariance[:3, :3])[-1]
+    return float(np.hypot(np.sqrt(own), result.unobserved))
 
 
 @pytest.fixture(scope="module")

@@ -232,6 +232,22 @@ def test_a_velocity_that_was_not_measured_says_so():
         assert covariance[0, 0] > 10.0**2
 
 
+@pytest.mark.parametrize("refinement", [0.01, 0.25])
+def test_a_translation_that_nothing_observes_is_as_unknown_whatever_the_refinement(refinement):
+    sent = {}
+    bus = SimpleNamespace(
+        publish=lambda topic, message: sent.update({topic: message}),
+        publish_if_heard=lambda topic, make: None,
+    )
+    result = FrameResult(OK, np.eye(4), COVARIANCE, 0, np.eye(4), 100, unobserved=0.7)
+    PosePublisher(bus, FramesConfig(), refinement).publish(
+        STAMP, result, np.eye(4), np.zeros(6), 0.1, np.log(2.0), 0.0, np.zeros(3)
+    )
+    for topic in ("pose", "odom"):
+        assert np.sqrt(np.diag(matrix(sent[topic]))[:3]) == pytest.approx([1.4] * 3, abs=1e-3)
+        assert np.diag(matrix(sent[topic]))[3:].max() <= refinement * np.diag(COVARIANCE).max()
+
+
 def test_drift_is_added_to_the_pose_and_the_walk_to_odometry():
     sent = {}
     bus = SimpleNamespace(
