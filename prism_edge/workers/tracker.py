@@ -7,18 +7,15 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from prism_edge.bus.commands import Reply, on_or_off
 from prism_edge.bus.pack import grey
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config, TrackingConfig
-from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import (
@@ -46,6 +43,7 @@ from prism_edge.tracking.tracker import FrameResult, Tracker
 from prism_edge.tracking.unseen import Sight
 from prism_edge.workers.answers_due import PATIENCE_S, AnswersDue
 from prism_edge.workers.cut_off import goes_on
+from prism_edge.workers.frame_camera import FrameCamera
 from prism_edge.workers.map_adoption import MapAdoption
 from prism_edge.workers.pose_publisher import PosePublisher
 from prism_edge.workers.tracker_status import TrackerStatus
@@ -73,9 +71,9 @@ class TrackerWorker:
         self._maps = MapAdoption(config, bus)
         self._ends = bus.queue("end")
         self._tracker = Tracker(_tracking(config), config.seed, bus.first_id)
-        self._shown = _mask(config)
-        if self._shown is not None:
-            self._tracker.look_only_at(self._shown)
+        self._camera = FrameCamera(bus.pulse, config.source.mask)
+        if self._camera.shown is not None:
+            self._tracker.look_only_at(self._camera.shown)
         self._odometry, self._sight = MetricOdometry(), Sight()
         self._publisher = PosePublisher(bus, config.frames, config.covariance.refinement)
         self._drift, self._status = Drift(config.covariance), TrackerStatus(bus)
@@ -133,7 +131,7 @@ class TrackerWorker:
         if self._last_index >= 0 or not self._bus.life:  # what came while we were down was not dropped by us
             self._dropped += max(frame.index - self._last_index - 1, 0)
         self._last_index, self._now_ns = frame.index, frame.stamp_ns
-        camera = self._camera_of(frame)
+        camera = self._camera.of(frame)
         if camera is None:
             last = self._tracker.last_result
             self._tick(frame, INITIALISING if last is None else last.odometry, published=False)
@@ -182,22 +180,6 @@ class TrackerWorker:
         if waiting is not None:
             self._between += 1
             self._track(waiting, judge=False)
-
-    def _camera_of(self, frame: Frame) -> Camera | None:
-        """The camera that a frame says it is from; None where no camera takes such a frame."""
-        try:
-            camera = Camera.from_array(frame.camera_model, frame.camera)
-            if grey(frame).shape != (camera.height, camera.width):
-                problem = "its image is smaller than its camera says"
-            elif self._shown is not None and self._shown.shape != (camera.height, camera.width):
-                problem = "the mask is for images of another size"
-            else:
-                return camera
-        except ConfigError as error:
-            problem = str(error)
-        if self._bus.pulse.count("malformed") == 1:
-            log.warning("frame %d is passed over: %s", frame.index, problem)
-        return None
 
     def _tick(
         self, frame: Frame, odometry: str, published: bool, keyframe: int = -1, reference: int = -1,
@@ -378,15 +360,6 @@ def _tracking(config: Config) -> TrackingConfig:
     trusting = 0.0 if "consistency" in config.ablate else config.tracking.proven_after_s
     two_views = config.tracking.two_views and "init" not in config.ablate
     return replace(config.tracking, proven_after_s=trusting, two_views=two_views)
-
-
-def _mask(config: Config) -> NDArray[np.bool_] | None:
-    """Where the world is in the images, (height, width); None where that is everywhere."""
-    if not config.source.mask:
-        return None
-    from prism_edge.sources.mask import read_mask  # the tracker needs nothing else of the sources
-
-    return read_mask(Path(config.source.mask))
 
 
 def main(config: Config, bus: Bus) -> None:
