@@ -200,3 +200,11 @@ def test_rays_alone_say_nothing_of_the_scale():
 def test_a_shut_gate_lets_a_ray_be():
     factor = ray(np.array([100.0, 100.0]), 2.0, weight=0.0)
     assert 0 < factor.error(values_of(POSE, POINT)) < 1.0
+
+
+def test_metric_depth_high_up_in_the_image_is_along_its_own_ray():
+    """There the second focal length counts, which differs from the first."""
+    local = np.array([[0.1, -1.1, 2.0]])
+    point = transform(POSE, local)[0]
+    factor = metric_depth(CAMERA.project(local)[0], 2.0)
+    assert factor.error(values_of(POSE, point)) == pytest.approx(0.0, abs=1e-9)

@@ -11,7 +11,7 @@ from prism_edge.geometry.poses import inverse, se3_exp, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
-CAMERA = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+CAMERA = Camera(640, 480, 500.0, 440.0, 309.5, 251.5)  # of no symmetry: fx for fy must show
 FACTORS = 1.2 ** np.arange(8.0)
 NEAREST_AT_LEVEL_0 = 8.0  # m: a corner nearer than this is seen on a higher level
 
@@ -110,6 +110,8 @@ def check(world: LocalMap) -> None:
     assert set(seen) <= set(alive), "a keyframe sees a point that is gone"
     for point, count in alive.items():
         assert count == len(seen.get(point, {})), f"point {point} counts {count} keyframes"
+    references = set(table.reference[table.alive].tolist())
+    assert references <= set(world.keyframes), "a point's first ray is a keyframe's that is gone"
 
 
 def walk(count: int, step: float = 0.15, seed: int = 0) -> LocalMap:

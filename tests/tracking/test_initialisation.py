@@ -7,7 +7,7 @@ import pytest
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
-from prism_edge.tracking.initialisation import reconstruct
+from prism_edge.tracking.initialisation import REPROJECTION_PX, _reprojects, reconstruct
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 320.0, 240.0)
 SECOND = se3_exp(np.array([0.5, 0.1, 0.2, 0.02, -0.06, 0.03]))  # first_from_second
@@ -144,3 +144,13 @@ def test_some_depths_are_enough_for_the_unit():
     )
     none = reconstruct(CAMERA, first, second, np.full(len(points), np.nan), SECOND, seed=0)
     assert none is None
+
+
+def test_exact_points_reproject_and_those_a_few_pixels_off_do_not():
+    camera = Camera(640, 480, 525.0, 460.0, 310.0, 250.0)
+    points = np.random.default_rng(0).uniform((-2, -1.5, 3), (2, 1.5, 8), (100, 3))
+    pixels = camera.project(transform(inverse(SECOND), points))
+    assert _reprojects(camera, SECOND, points, pixels).all()
+    for axis in ((1.0, 0.0), (0.0, 1.0)):
+        off = (REPROJECTION_PX + 1.0) * np.array(axis)
+        assert not _reprojects(camera, SECOND, points, pixels + off).any()

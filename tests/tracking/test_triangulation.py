@@ -146,3 +146,21 @@ def test_matches_lie_within_the_depth_range(two_views):
     # The search reaches 10 pixels beyond the segment's ends: 0.5 m of baseline makes that a metre here.
     assert len(i) > 10
     assert (depth @ a[:3, 2]).max() < 3.2
+
+
+@pytest.mark.parametrize(("sigmas", "matches"), [(0.95 * 1.96, True), (1.05 * 1.96, False)])
+def test_a_match_is_as_far_from_a_slanted_epipolar_line_as_pixels_say(sigmas, matches):
+    """Moved at right angles to the line, which focal lengths that differ turn in the image."""
+    b = pose_at(0.4, 0.2)
+    points = Cloud(200, seed=2).positions
+    first, second = seen(np.eye(4), points), seen(b, points)
+    along = np.array([0.4 * CAMERA.fx, 0.2 * CAMERA.fy])
+    second = second + sigmas * np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    words = Cloud(200, seed=2).descriptors
+    features_a, features_b = (
+        Features.build(pixels, np.zeros(200, np.intp), words, CAMERA.width, CAMERA.height)
+        for pixels in (first, second)
+    )
+    for i in range(0, 200, 10):  # each by itself: no other may be on its line
+        one = np.array([i])
+        assert len(match(np.eye(4), b, features_a, features_b, one, one)[0]) == matches

@@ -72,3 +72,13 @@ def test_matches_of_a_single_point_tell_nothing_and_break_nothing():
     found, cost = refine_two_view_pose(CAMERA, same, same + 1.0, start)
     assert np.array_equal(found, start)
     assert cost == np.inf
+
+
+def test_where_focal_lengths_differ_their_geometric_mean_makes_pixels():
+    camera = Camera(640, 480, 600.0, 400.0, 320.0, 240.0)
+    truth = se3_exp(np.array([0.4, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    points = np.random.default_rng(0).uniform((-2, -1.5, 3), (2, 1.5, 8), (50, 3))
+    a, b = camera.project(points), camera.project(transform(inverse(truth), points))
+    b[:, 1] += 0.8
+    expected = 0.8 / 400.0 / np.sqrt(2) * np.sqrt(600.0 * 400.0)
+    assert np.abs(sampson_distances(camera, a, b, truth)) == pytest.approx(expected, rel=1e-6)

@@ -21,8 +21,8 @@ NO_DEPTH = Config()
 QUARTER = np.array([0.25, 0.0, 0.25, 0.0])  # image_to_depth: a pixel of depth for four by four
 
 
-def keyframes(count: int, epoch: int = 0, first: int = 0) -> tuple[Teller, list[Keyframe]]:
-    teller = Teller(epoch=epoch, noise_px=0.3, first=first)
+def keyframes(count: int, epoch: int = 0, first: int = 0, seed: int = 0) -> tuple[Teller, list[Keyframe]]:
+    teller = Teller(seed=seed, epoch=epoch, noise_px=0.3, first=first)
     return teller, [teller.keyframe(pose_at(0.2 * i, 0.0, 0.0, 0.0, -0.03 * i)) for i in range(count)]
 
 
