@@ -121,11 +121,12 @@ class LoopCloser:
     def _confirmed(self, loop: Loop) -> bool:
         """Whether neighbours of the query, or keyframes just before it, say the same."""
         recent = [other for other in self._unconfirmed if abs(loop.query - other.query) <= PATIENCE]
-        self._unconfirmed = [*recent, loop]
+        self._unconfirmed = recent
         apart = not self._connected(loop)
         if not apart and not plausible(self._world, loop, self._ways.get(loop.candidate, math.inf)):
             log.info("loop %d-%d asks for more drift than there can be", loop.query, loop.candidate)
             return False
+        self._unconfirmed = [*recent, loop]  # what can't be is no witness of what barely can
         confirmed = any(other.query != loop.query and self._alike(loop, other) for other in recent)
         # Between separate parts of the map no way bounds what a look-alike may ask for: both must agree.
         return (confirmed and loop.neighbours >= 1) if apart else (confirmed or loop.neighbours >= AGREEING)

@@ -9,13 +9,17 @@ import pytest
 
 from prism_edge.backend import loop_closing as module
 from prism_edge.backend.connectivity import tied_parts
+from prism_edge.backend.global_adjustment import Adjusted, GlobalAdjustment
+from prism_edge.backend.loop_closing import LoopCloser
+from prism_edge.backend.loops import Loop
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.places import SOME_SHARED
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log
 from prism_edge.messages import F32
 from tests.backend.ring import Ring, position_error
-from tests.backend.world import check, quiet
+from tests.backend.world import chain, check, quiet
+from tests.tracking.cloud import pose_at
 
 CONFIG = BackendConfig()
 DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
@@ -261,10 +265,11 @@ def test_a_part_of_its_own_is_adjusted_without_being_merged():
     for k in (0, 10):
         apart = tied_parts(mapper.world, [])
         assert any(k == min(part) for part in apart)
-    mapper.loops._wanted = True
+    mapper.loops._wanted, before = True, mapper.world.poses()
     finish(mapper)
     poses = mapper.world.poses()
     assert poses[0] == pytest.approx(ring.told[0], abs=0.01)
+    assert poses[10] == pytest.approx(before[10], abs=0.01)
     assert all(np.isfinite(pose).all() for pose in poses.values())
 
 
@@ -282,3 +287,88 @@ def test_no_more_loops_are_remembered_than_need_be(monkeypatch):
     assert [a.inliers for a in loops.accepted] == [1, 3, 99]
     monkeypatch.setattr(module, "MOST_ACCEPTED", 1)
     assert len(walk(Ring(drift=DRIFT), 60).loops.accepted) == 1
+
+
+def test_a_loop_ends_the_adjustment_that_was_under_way():
+    """What that began with is out of date: its result would bend the map back."""
+    ring = Ring(drift=DRIFT, stretch=1.004)
+    mapper = walk(ring, 30)
+    assert not mapper.loops.accepted
+    mapper.loops._wanted = True
+    mapper.loops.adjust(1.0)
+    assert mapper.loops.under_way
+    while not mapper.loops.accepted:
+        drifted = position_error(mapper.world.poses(), ring.true)
+        walk(ring, 1, mapper=mapper)
+    assert not mapper.loops.under_way
+    while mapper.loops.unfinished:
+        mapper.loops.adjust(1.0)
+        assert position_error(mapper.world.poses(), ring.true) < 0.1 * drifted
+
+
+def two_parts() -> LoopCloser:
+    world = chain([pose_at(0.3 * i) for i in range(6)])
+    return LoopCloser(chain([pose_at(50.0 + 0.3 * i) for i in range(4)], 100, world), CONFIG, False)
+
+
+def between_parts(loops: LoopCloser, query: int, neighbours: int) -> Loop:
+    there = pose_at(-49.0, 0.5) @ loops._world.keyframes[query].world_from_camera
+    return Loop(query, 3, there, 1.0, 0.01, 50, neighbours, [])
+
+
+@pytest.mark.parametrize(("neighbours", "believed"), [(0, False), (1, True)])
+def test_between_parts_of_a_map_a_loop_needs_a_neighbour_and_another_loop(neighbours, believed):
+    """No way bounds what a place that looks alike may ask for."""
+    loops = two_parts()
+    assert not loops._confirmed(between_parts(loops, 102, 4))  # nothing but neighbours
+    assert loops._confirmed(between_parts(loops, 103, neighbours)) == believed
+
+
+def test_an_adjustment_that_fits_worse_than_what_there_was_is_not_taken(monkeypatch):
+    mapper = walk(Ring(), 6, places=False)
+    mapper.loops._wanted = True
+    before = mapper.world.poses()
+    away = {k: pose_at(1.0 * k) @ pose for k, pose in before.items()}
+    worse = Adjusted(away, {}, error_before=10.0, error_after=11.0, steps=3, cpu_s=0.0)
+    monkeypatch.setattr(GlobalAdjustment, "result", lambda _: worse)
+    while mapper.loops.unfinished:
+        assert mapper.loops.adjust(1.0) is None
+    for k, pose in mapper.world.poses().items():
+        assert np.array_equal(pose, before[k])
+
+
+@pytest.mark.parametrize(("scale", "slight"), [(1.001, True), (1.05, False), (0.95, False)])
+def test_a_loop_that_asks_for_another_unit_is_not_slight(scale, slight):
+    loops = two_parts()
+    query = loops._world.keyframes[5]
+    loop = Loop(5, 0, query.world_from_camera.copy(), scale, 0.001, 50, 3, [])
+    assert loops._slight(loop, query) == slight
+
+
+def test_two_points_that_one_keyframe_tells_apart_stay_two():
+    loops = two_parts()
+    world = loops._world
+    view, own = world.keyframes[100], {i: p for p, i in world.keyframes[100].observed.items()}
+    apart, far = 0, 1  # of the other end
+    world.observe(101, apart, 150)
+    assert own[101] in world.keyframes[101].observed
+    assert loops._join(view, [(101, apart), (102, far)]) == 1
+    assert loops.changes.fused == [(own[102], far)]
+    assert {own[101], apart} <= world.points.keys()
+    assert own[102] not in world.points
+    assert apart not in view.observed
+
+
+def test_a_loop_that_can_not_be_vouches_for_none_that_barely_can():
+    """A place that looks alike from farther and farther on: the way grows, and what drift may have done."""
+    loops = two_parts()
+    for k, keyframe in loops._world.keyframes.items():
+        keyframe.travelled = 0.3 * k
+
+    def confirmed(query: int, aside: float) -> bool:
+        there = pose_at(0.0, aside) @ loops._world.keyframes[query].world_from_camera
+        return loops._confirmed(Loop(query, 0, there, 1.0, 0.01, 50, 0, []))
+
+    assert not confirmed(3, 1.2)  # 0.3 of the depth and 0.15 of the way are 1.04
+    assert not confirmed(4, 1.0)  # by itself
+    assert confirmed(5, 1.0)  # with the one before
