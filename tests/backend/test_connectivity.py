@@ -86,3 +86,8 @@ def test_a_part_ends_where_points_are_fused_with_the_first_ones() -> None:
     assert parts_of(world) == {100: 100, 101: 100, 102: 100}
     world.fuse(min(world.keyframes[100].observed), 0)  # a loop joins them
     assert parts_of(world) == {}
+
+
+def test_a_loop_does_not_weaken_a_tie_that_is_stronger() -> None:
+    world = chain([pose_at(0.3 * i) for i in range(3)])
+    assert ties(world, [(2, 1)])[1, 2] == ties(world, [])[1, 2] > LOOPED

@@ -14,9 +14,9 @@ from prism_edge.backend import global_adjustment as module
 from prism_edge.backend.global_adjustment import GlobalAdjustment, apply, choose_views
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.config import BackendConfig
-from prism_edge.geometry.poses import inverse, se3_exp, se3_log
+from prism_edge.geometry.poses import inverse, se3_exp, se3_log, transform
 from tests.backend.ring import position_error
-from tests.backend.world import Teller, check
+from tests.backend.world import Teller, check, depth_at_keypoints
 from tests.tracking.cloud import pose_at
 
 CONFIG = BackendConfig()
@@ -230,3 +230,49 @@ def test_a_lens_by_which_a_point_got_behind_a_camera_is_none(said_k1):
     values.update(L(everywhere), aside[:3])
     job._optimiser = SimpleNamespace(values=lambda: values)
     assert (job.result() is None) == (said_k1 is not None)
+
+
+def test_of_each_part_the_first_pose_holds():
+    """Where parts lie beside each other nobody knows: neither is free to wander."""
+    _, world = shaken(5)
+    other, off = Teller(seed=1, noise_px=0.3, first=100), pose_at(0.1, 0.05, 0.0, 0.02, 0.03)
+    for i in range(5):
+        message = other.keyframe(pose_at(0.25 * i, 0.05 * i, 0.0, 0.0, -0.04 * i))
+        ids = {"points": message.points + 10_000, "new_points": message.new_points + 10_000}
+        world.absorb(replace(message, **ids))
+    for k in range(101, 105):
+        world.keyframes[k].world_from_camera = off @ world.keyframes[k].world_from_camera
+    first = {k: world.keyframes[k].world_from_camera.copy() for k in (0, 100)}
+    job = GlobalAdjustment(world, CONFIG, 1.0, False, parts=[set(range(5)), set(range(100, 105))])
+    while not job.step():
+        pass
+    for k, pose in first.items():
+        # all are brought to the one unit, as seen from the map's first pose
+        assert job.result().poses[k] == pytest.approx(pose, abs=1e-3 if k else 1e-5)
+
+
+@pytest.mark.parametrize(("factor", "taken"), [(1.5, True), (3.0, False)])
+def test_a_map_that_doubled_or_halved_is_not_taken(factor, taken):
+    """A sensor's depth that says so is of something else."""
+    teller, world = shaken(sigma=0.0)
+    depth_at_keypoints(world, teller.cloud, teller.poses, factor)
+    for keyframe in world.keyframes.values():
+        keyframe.depth_sigma = 0.02
+    job = GlobalAdjustment(world, replace(CONFIG, huber_depth_m=100.0), 1.0, use_depth=True)
+    while not job.step():
+        pass
+    assert (job.result() is not None) == taken
+
+
+def test_a_point_that_had_no_part_in_it_goes_with_its_first_viewer(monkeypatch):
+    _, world = shaken(sigma=0.0)
+    adjusted = run(world)
+    left_out = next(p for p in adjusted.points if len(world.points[p].keyframes) >= 4)
+    viewers, place = sorted(world.points[left_out].keyframes), world.points[left_out].position.copy()
+    before = {k: world.keyframes[k].world_from_camera.copy() for k in viewers}
+    poses = {k: pose_at(0.1 * k) @ pose for k, pose in adjusted.poses.items()}
+    monkeypatch.setattr(module, "keep_frame", lambda *_: False)
+    apply(world, replace(adjusted, poses=poses, points={}), CONFIG)
+    motion = poses[viewers[0]] @ inverse(before[viewers[0]])
+    expected = transform(motion, place[None])[0]
+    assert world.points[left_out].position == pytest.approx(expected)

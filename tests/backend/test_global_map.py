@@ -192,3 +192,39 @@ def test_a_world_told_from_the_middle_on_still_works():
     assert world.keyframes[4].world_from_camera == pytest.approx(POSES[4], abs=1e-6)
     moved = transform(POSES[4], np.zeros((1, 3)))[0]
     assert moved == pytest.approx([0.8, 0.0, 0.0])
+
+
+def test_a_pose_that_fits_few_of_the_common_points_is_not_believed(told):
+    """Wrongly matched, they say nothing: the keyframe comes in beside the one before it."""
+    world, teller, messages = told
+    lag, true = pose_at(0.15, -0.1, 0.05, 0.02, -0.03, 0.01), pose_at(0.9)
+    message = teller.keyframe(true, correction=lag)
+    common = [i for i, p in enumerate(message.points.tolist()) if p in messages[-1].points.tolist()][:20]
+    scrambled = np.random.default_rng(0).uniform((0, 0), (640, 480), (20, 2)).astype(np.float32)
+    assert len(common) == 20
+    few = replace(
+        message,
+        pixels=scrambled,
+        octaves=message.octaves[common],
+        descriptors=message.descriptors[common],
+        points=message.points[common],
+        depths=message.depths[common],
+        parallax_deg=message.parallax_deg[common],
+        new_points=message.new_points[:0],
+        new_positions=message.new_positions[:0],
+    )
+    assert world.absorb(few).world_from_camera == pytest.approx(true, abs=1e-5)
+
+
+def test_of_two_keypoints_that_show_one_point_now_the_first_keeps_it(told):
+    world, teller, _ = told
+    message = teller.keyframe(pose_at(0.9))
+    known = [p for p in message.points.tolist() if p in world.points]
+    first, second = known[0], known[7]
+    for gone, kept in ((first, second), (known[21], known[14])):  # the first goes, the last goes
+        world.fuse(gone, kept)
+    observed = world.absorb(message).observed
+    points = message.points.tolist()
+    assert observed[second] == points.index(first)
+    assert observed[known[14]] == points.index(known[14])
+    check(world)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.local_copy import SEEDED_SIGMA, local_copy
+from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
 from prism_edge.tracking.recovery import locate
 from tests.backend.world import Teller
 from tests.tracking.cloud import CAMERA, Cloud, check, pose_at
@@ -77,3 +79,19 @@ def test_a_map_without_points_is_copied_as_it_is() -> None:
     copy = local_copy(world)
     assert len(copy.points) == 0
     assert list(copy.keyframes) == [0]
+
+
+def test_the_wider_the_parallax_the_surer_the_depth() -> None:
+    """A pixel's sigma is the angle 1 / f, in radians as the parallax."""
+    world, _ = told()
+    first = min(world.points)
+    world.points[first].parallax_deg = 2.0
+    sigma = local_copy(world).points.log_depth_sigma[0]
+    assert sigma == pytest.approx(MATCHING_SIGMA_PX / (CAMERA.fx * 0.0349), rel=1e-3)
+
+
+def test_what_the_tracker_moves_does_not_move_in_the_backend() -> None:
+    world, _ = told(2)
+    before = world.keyframes[1].world_from_camera.copy()
+    local_copy(world).keyframes[1].world_from_camera[:3, 3] += 1.0
+    np.testing.assert_array_equal(world.keyframes[1].world_from_camera, before)

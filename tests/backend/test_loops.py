@@ -7,10 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend import loops
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.loops import plausible, verify
-from prism_edge.geometry.poses import inverse, se3_log
+from prism_edge.backend.loops import Loop, Surroundings, _first_pose, plausible, verify
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
 from tests.backend.ring import Ring
+from tests.backend.world import Teller, chain
+from tests.tracking.cloud import pose_at
 
 DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
 
@@ -93,3 +96,49 @@ def test_two_keyframes_at_one_pose_are_a_loop_without_a_baseline():
     loop = verify(world, 41, 1, 30)
     assert loop is not None
     assert np.abs(se3_log(inverse(ring.true[1]) @ loop.world_from_query)).max() < 0.02
+
+
+def test_corners_of_two_exact_views_place_one_by_the_other(monkeypatch):
+    """Blindly, by nearly all matched corners, through a camera whose focal lengths differ."""
+    teller, world = Teller(), GlobalMap()
+    for pose in (pose_at(), pose_at(0.5, 0.5, 0.5, 0.0, 0.0, 1.5)):
+        world.absorb(teller.keyframe(pose))
+    shared = world.keyframes[0].observed.keys() & world.keyframes[1].observed.keys()
+    monkeypatch.setattr(loops, "MIN_PNP", int(0.9 * len(shared)))
+    found = _first_pose(world, world.keyframes[1], world.keyframes[0], 0)
+    assert found is not None
+    off = inverse(teller.poses[1]) @ found
+    assert rotation_angle(off[:3, :3]) < np.radians(1.0)
+    assert np.linalg.norm(off[:3, 3]) < 0.05
+
+
+@pytest.mark.parametrize("unit", [0.1, 1.0, 10.0])
+def test_how_much_drift_is_believed_does_not_depend_on_the_map_s_unit(unit):
+    """0.15 of the way, 1.5, and 0.3 of the depth, 3: both are lengths."""
+    world = chain([pose_at(0.3 * unit * i) for i in range(6)])
+    for point in world.points.values():
+        point.position[2] *= unit
+    for k, keyframe in world.keyframes.items():
+        keyframe.travelled = 0.3 * unit * k
+    for asked, believed in ((1.0, True), (1.25, False)):
+        there = world.keyframes[5].world_from_camera.copy()
+        there[1, 3] += asked * unit
+        assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, [])) == believed
+
+
+def test_points_seen_from_nearer_by_are_looked_for_on_higher_levels():
+    teller, world = Teller(noise_px=0.3), GlobalMap()
+    for pose in (pose_at(), pose_at(0.05), pose_at(0.0, 0.0, 1.2)):
+        world.absorb(teller.keyframe(pose))
+    view, surroundings = world.keyframes[2], Surroundings(world, 0, without=2)
+    shared = world.keyframes[0].observed.keys() & view.observed.keys()
+    risen = [
+        p
+        for p in shared
+        if view.features.octaves[view.observed[p]]
+        >= world.keyframes[0].features.octaves[world.keyframes[0].observed[p]] + 2
+    ]
+    assert len(risen) > 20
+    found = surroundings.look(view, teller.poses[2], (7.0,))
+    assert found is not None
+    assert np.isin(risen, found.points).mean() > 0.8

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend.loop_closing import MapChanges
 from prism_edge.backend.mapper import Mapper
 from prism_edge.bus import codec
 from prism_edge.config import BackendConfig, TrackingConfig
@@ -15,7 +16,7 @@ from prism_edge.messages import Gate, Keyframe, MapUpdate
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import Tracker
-from tests.backend.world import Teller, check, depth_at_keypoints, step
+from tests.backend.world import Teller, check, depth_at_keypoints, quiet, step
 from tests.tracking.cloud import check as check_local
 from tests.tracking.cloud import pose_at
 from tests.tracking.footage import IDENTITY, footage
@@ -351,3 +352,25 @@ def test_an_update_carries_each_points_mean_weight():
     expected = [np.mean(told[p]) if p in told else 1.0 for p in update.points.tolist()]
     np.testing.assert_allclose(update.weights, expected, rtol=1e-5)
     assert min(expected) < 0.3
+
+
+def test_an_update_of_everything_tells_of_the_window_s_outliers_too(solved):
+    mapper, _, update = solved
+    whole = mapper.whole(4, MapChanges(dropped=[(1, 7)]), beside=update)
+
+    def told(message: MapUpdate) -> list[tuple[int, int]]:
+        dropped = message.dropped_keyframes.tolist(), message.dropped_points.tolist()
+        return list(zip(*dropped, strict=True))
+
+    assert len(update.dropped_points) >= 10
+    assert told(whole) == [*told(update), (1, 7)]
+
+
+def test_what_a_culled_keyframe_looked_like_is_forgotten():
+    mapper, teller = Mapper(CONFIG), Teller()
+    for i in range(4):
+        message = teller.keyframe(pose_at(0.2 * i))
+        mapper.absorb(message)
+        mapper.loops.add_place(i, np.eye(4, dtype=np.float32)[i])
+    mapper.absorb(quiet(message, culled_keyframes=[1, 2]))
+    assert [k in mapper.loops.index for k in range(4)] == [True, False, False, True]

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import X
 
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop
-from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, apply, spread
+from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, _carry, _similarity, apply, spread
 from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
 from tests.backend.world import SHARED, chain
 from tests.tracking.cloud import pose_at
@@ -116,3 +118,35 @@ def test_the_unit_of_the_larger_part_is_kept():
         assert shift == pytest.approx(0.5 * (old[k] - old[0])[:3, 3], abs=1e-3)
     for i in range(6):
         assert moved[100 + i].scale == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("moving", ["query", "candidate"])
+def test_a_part_that_is_moved_starts_where_the_loop_holds(moving):
+    """Whichever end moves, and in its unit: the solver has nothing left to find."""
+    world = chain([pose_at(0.3 * i) for i in range(3)])
+    chain([pose_at(50.0 + 0.2 * i, 3.0, 0.0, 0.1, 0.2, 0.3) for i in range(3)], first=100, world=world)
+    there = pose_at(0.7, 0.2, 0.0, 0.0, 0.1, 0.0)
+    back, values = loop(world, 101, 1, there, 2.0), gtsam.Values()
+    for k, keyframe in world.keyframes.items():
+        values.insert(X(k), _similarity(keyframe.world_from_camera, 1.0))
+    _carry(world, values, {100, 101, 102} if moving == "query" else {0, 1, 2}, back)
+    measured = _similarity(inverse(world.keyframes[1].world_from_camera) @ there, 2.0)
+    expected = values.atSimilarity3(X(1)).compose(measured)
+    assert values.atSimilarity3(X(101)).equals(expected, 1e-9)
+
+
+def test_a_map_in_another_unit_is_spread_alike():
+    """How far a joint gives is a share of the depth: with all lengths five times as long all moves so far."""
+    found = []
+    for unit in (1.0, 5.0):
+        poses = [from_rt(so3_exp(np.array([0.0, 0.05 * i, 0.0])), [0.3 * unit * i, 0, 0]) for i in range(9)]
+        world = chain(poses)
+        for point in world.points.values():
+            first = world.keyframes[min(point.keyframes)].world_from_camera
+            point.position = transform(first, np.array([[0.0, 0.0, 3.0 * unit]]))[0]
+        there = poses[8] @ from_rt(so3_exp(np.array([0.05, 0.1, 0.0])), unit * np.array([0.2, 0.1, -0.1]))
+        found.append(spread(world, loop(world, 8, 0, there, 1.1), []))
+    for k, moved in found[0].items():
+        expected = moved.world_from_camera.copy()
+        expected[:3, 3] *= 5.0
+        assert found[1][k].world_from_camera == pytest.approx(expected, abs=1e-3)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend import window as module
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalMap, GlobalPoint
 from prism_edge.backend.window import (
@@ -331,3 +332,25 @@ def test_nor_does_it_when_all_keyframes_are_adjusted():
     way = np.linalg.norm(adjustment.result().poses[7][:3, 3] - adjustment.result().poses[0][:3, 3])
     points = {p: 0.14 / way * x for p, x in adjustment.result().points.items()}  # as large as the truth
     assert abs(drawn_in(points, teller)) < 0.05
+
+
+def test_rays_are_weighed_anew_where_their_points_were_at_other_ranges(monkeypatch):
+    """Their noise goes with the range: what a solve ends with must fit what it was whitened by."""
+    world, _ = world_of()
+    for p, point in world.points.items():
+        point.parallax_deg = 1.0  # all count as rays
+        nearest = world.keyframes[min(point.keyframes)].world_from_camera[:3, 3]
+        point.position = nearest + (1.3 if p % 2 else 0.8) * (point.position - nearest)
+    rounds, made = [], module.with_rays
+
+    def with_rays(world, problem, values):
+        rounds.append((problem.rays, values))
+        return made(world, problem, values)
+
+    monkeypatch.setattr(module, "with_rays", with_rays)
+    solution = solve(world, choose_window(world, 5, CONFIG), CONFIG, 1.0, True)
+    rays, whitened_at = rounds[-1]
+    poses = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()} | solution.poses
+    ended = [np.linalg.norm(solution.points[ray.point] - poses[ray.keyframe][:3, 3]) for ray in rays]
+    assert len(rays) > 100
+    assert np.median(np.abs(np.log(ended / module.ranges_of(rays, whitened_at)))) < module.RANGE_CHANGE
