@@ -101,3 +101,12 @@ def test_the_unit_is_that_of_the_map():
     ours, _ = DepthAlignment.of(pixels, truth, network, SIZE).at(pixels)
     twice, _ = DepthAlignment.of(pixels, 2.0 * truth, network, SIZE).at(pixels)
     assert twice == pytest.approx(2.0 * ours)
+
+
+@pytest.mark.parametrize("sigma", [0.1, 0.3])
+def test_a_point_does_not_vouch_for_itself(sigma):
+    """Where each errs by itself the others tell nothing of it: no less is left than there was."""
+    noise = np.random.default_rng(3).normal(0, sigma, 250)
+    alignment = DepthAlignment.of(*room(lambda _: noise), SIZE)
+    assert alignment.local_sigma >= alignment.far_sigma
+    assert alignment.far_sigma == pytest.approx(sigma, rel=0.15)

@@ -164,3 +164,21 @@ def test_a_turn_that_tracking_has_missed_waits():
 
 def test_a_turn_waits_while_its_points_are_many():
     assert after_a_turn(pose_at(0.0, 0.0, 0.0, 0.0, 0.2), found=100) is SecondView.TOO_NEAR
+
+
+def test_points_that_two_views_moved_are_told():
+    """The backend has them where the network's depth put them, and must hear of it."""
+    cloud, second = Cloud(2000), pose_at(0.5, 0.1, 0.0, 0.0, -0.05)
+    world, _ = cloud.mapped([pose_at()], parallax_deg=0.0)
+    first, table = world.newest(), world.points
+    table.position[:] *= (3.0 / table.position[:, 2])[:, None]  # all of one depth
+    world.changes.new_points.clear()
+    features, _ = cloud.view(second, noise_px=0.3)
+    points = np.full(len(features), NO_POINT, np.int64)
+    frame = TrackedFrame(CAMERA, features, pose_at(0.2), points, np.zeros((6, 6)), 60, 1.0)
+    before = dict(zip(table.ids.tolist(), table.position.copy(), strict=True))
+    assert begin_structure(world, first, frame, seed=0) is SecondView.CONTRADICTS
+    now = dict(zip(table.ids.tolist(), table.position, strict=True))
+    moved = {p for p, place in now.items() if not np.array_equal(place, before[p])}
+    assert len(moved) > 100
+    assert set(np.concatenate(world.changes.new_points).tolist()) >= moved

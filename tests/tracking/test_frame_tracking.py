@@ -7,7 +7,14 @@ import pytest
 
 from prism_edge.geometry.poses import inverse, se3_log
 from prism_edge.tracking.features import Features
-from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame, depth_error, reference_origins
+from prism_edge.tracking.frame_tracking import (
+    ENOUGH_TRIANGULATED,
+    SHARED_SEED_ERROR,
+    FrameTracker,
+    TrackedFrame,
+    depth_error,
+    reference_origins,
+)
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
 
 TRUE = pose_at(0.35, 0.05, 0.05, 0.01, -0.05, 0.02)
@@ -172,3 +179,28 @@ def test_what_older_keyframes_saw_is_looked_for_however_many_stand_between():
     few.refresh_local_map(world, world.newest().points)
     assert len(few._local_ids) == 200
     assert not np.isin(old, few._local_ids).any(), "what is seen now comes first"
+
+
+def test_beside_firm_points_a_seed_s_depth_counts_five_times_less():
+    """Those of one network share their error; among few firm points they are all there is to go by."""
+    world, _ = Cloud(300, seed=4).mapped([pose_at()], sigma=0.01)
+    table, rows = world.points, np.arange(len(world.points))
+    seeds, tracker = rows % 2 == 0, FrameTracker(FACTORS, 5000)
+    table.log_depth_sigma[seeds] = 0.2
+    own = depth_error(table, rows, reference_origins(world, rows))
+    assert (~seeds).sum() >= ENOUGH_TRIANGULATED
+    error = tracker._depth_error(world, rows)
+    assert error[seeds] == pytest.approx(SHARED_SEED_ERROR * own[seeds])
+    assert np.array_equal(error[~seeds], own[~seeds])
+    few = np.r_[rows[seeds], rows[~seeds][: ENOUGH_TRIANGULATED - 1]]
+    assert np.array_equal(tracker._depth_error(world, few), own[few])
+
+
+def test_a_reference_that_is_gone_is_not_taken_for_the_next_keyframe():
+    """Culling hands references on (keyframe_culling.py); should one be left, it is its last viewer's ray."""
+    world, _ = Cloud(100, seed=4).mapped([pose_at(), pose_at(0.5, 0.1)])
+    last = world.newest()
+    rows = world.points.rows(last.points[last.observed()])
+    world.points.reference[rows] = -7  # older than all
+    origins = reference_origins(world, rows)
+    assert origins == pytest.approx(np.tile([0.5, 0.1, 0.0], (len(rows), 1)))

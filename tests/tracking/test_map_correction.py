@@ -243,3 +243,29 @@ def test_a_loop_lets_keyframes_see_points_where_they_can():
     )
     assert keyframe.points[keypoint] == point
     check(world)
+
+
+def test_a_newer_keyframe_is_not_fitted_to_points_of_its_own():
+    """They are where it was before: many, they would hold it there."""
+    world, _ = Cloud(600, seed=4).mapped(POSES[:4])
+    last, table = world.keyframes[3], world.points
+    shared = last.points[last.observed()]
+    mine = shared[40:]  # as if it had triangulated them itself, and few of what others saw
+    table.reference[table.rows(mine)] = 3
+    known = table.ids[table.reference < 3].copy()
+    apply(world, 2, [0, 1, 2], known)
+    assert len(mine) > 3 * 40
+    error = se3_log(inverse(MOTION @ POSES[3]) @ last.world_from_camera)
+    assert np.abs(error).max() < 2e-3
+
+
+def test_a_loop_lets_no_keyframe_see_a_point_twice():
+    world, _ = Cloud(400, seed=0).mapped(POSES)
+    keyframe = world.keyframes[0]
+    seen, free = keyframe.observed()[[3, 5]].tolist()
+    world.drop_observations(np.array([0]), keyframe.points[[free]].copy())
+    assert keyframe.points[free] == -1
+    point = int(keyframe.points[seen])
+    join(world, loop_update(added_keyframes=[0], added_points=[point], added_keypoints=[free]))
+    assert keyframe.points[free] == -1
+    check(world)

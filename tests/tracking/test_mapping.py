@@ -7,6 +7,7 @@ import pytest
 
 from prism_edge.geometry.poses import transform
 from prism_edge.tracking import mapping
+from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from tests.tracking.cloud import FACTORS, Cloud, check, pose_at
 
@@ -244,3 +245,19 @@ def test_triangulation_does_not_depend_on_where_the_world_s_origin_is():
         created.append(back)
     assert created[0] == pytest.approx(created[1], abs=1e-9)
     assert len(created[0]) > len(cloud.positions) // 2
+
+
+@pytest.mark.parametrize(("near", "far", "same"), [(2, 1, True), (1, 2, False)])
+def test_a_corner_must_look_smaller_where_it_is_farther(near, far, same):
+    """Of what is 1.6 times as far from one keyframe as from the other: levels are a factor of 1.2 apart."""
+    cloud = Cloud(500, seed=0)
+    world, shown = seeded(cloud)
+    keyframe, _ = add(world, cloud, shown, 1, pose_at(0.3, 0.0, 1.2), noise_px=0.0)
+    for view, level in ((keyframe, near), (world.keyframes[0], far)):
+        features, levels = view.features, np.full(len(view.features), level, np.intp)
+        view.features = Features.build(features.pixels, levels, features.descriptors, 640, 480)
+    list(mapping.triangulating(world, keyframe, [world.keyframes[0]], FACTORS))
+    z = world.points.position[world.points.reference == 1][:, 2]
+    farther = z / (z - 1.2) > 1.6
+    assert (farther.sum() > 20) == same
+    assert farther.any() == same

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prism_edge.geometry.poses import inverse, se3_log
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
@@ -149,3 +150,24 @@ def test_keyframes_that_have_gone_are_passed_over(place):
     tried = [k for _ in range(LAP) for k in lost.relocaliser._next(world)]
     assert 3 not in tried
     assert set(tried) == set(world.keyframes)
+
+
+def test_a_turn_no_frame_makes_is_not_believed_though_both_see_the_same():
+    """Through a wide lens two views 15 degrees apart share nearly all of their points."""
+    wide, cloud = Camera(640, 480, 250.0, 250.0, 319.5, 239.5), Cloud(600, seed=6)
+    turned = pose_at(0.0, 0.0, 0.0, 0.0, np.radians(15.0))
+    world, _ = cloud.mapped([pose_at(), pose_at(0.1)])
+
+    def seen(pose: np.ndarray) -> Features:
+        features, shown = cloud.view(pose_at())
+        pixels = wide.project(transform(inverse(pose), cloud.positions[shown]))
+        return Features.build(pixels, features.octaves, features.descriptors, 640, 480)
+
+    def attempt(lost: Lost, pose: np.ndarray) -> TrackedFrame | None:
+        return lost.relocaliser.attempt(world, lost.frames, wide, seen(pose), None, 25)
+
+    lost = Lost(world, known=False)
+    assert not [i for i in range(8) if attempt(lost, turned if i % 2 else pose_at()) is not None]
+    lost.relocaliser.begin()
+    assert attempt(lost, turned) is None
+    assert attempt(lost, turned) is not None, "twice in one place it is"

@@ -266,3 +266,18 @@ def test_while_a_keyframe_joins_the_map_no_part_begins():
     at, image = next(later)
     tracker.process(at, film.stamp_ns(at), image, film.camera)
     assert tracker.maybe_keyframe() is not None, "but then"
+
+
+def test_a_minute_without_frames_was_not_spent_looking_about():
+    """Lost, one frame, and the next a minute later: nothing has been looked for yet."""
+    run, room = Run(), other_room()
+    run.play(range(30))
+    rate = round(1e9 / (footage().stamp_ns(1) - footage().stamp_ns(0)))
+    for i in range(30, 45):
+        run.feed(0, BLACK, at=i)
+    keyframes = set(run.tracker.world.keyframes)
+    for at in (45, 46, 46 + 60 * rate):
+        run.feed(0, room[0][0], at=at)
+    assert run.results[46 + 60 * rate].odometry == LOST
+    assert run.tracker.epoch == 0
+    assert set(run.tracker.world.keyframes) == keyframes
