@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.fingerprint import fingerprint
 from prism_edge.depth.pairing import PairedNetwork
 from prism_edge.depth.session import OnnxNetwork
-from prism_edge.depth.vetting import vet
+from prism_edge.depth.vetting import Vetted, vet
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import KeyframeImage, same_network
 from prism_edge.workers.depth import answer
@@ -81,3 +82,10 @@ def test_depth_messages_carry_it(tmp_path: Path):
     picture = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
     image = KeyframeImage(0, 0, 0, 0, True, "pinhole", camera.to_array(), picture)
     assert answer(network, image).model == network.identity
+
+
+def test_a_key_at_its_default_changes_no_network():
+    """One that a card may have in time to come would tell every map's network from itself."""
+    card = ModelCard("net", "1", "MIT", "metric", 320, 240, mean=(0.5, 0.5, 0.5))
+    file = Vetted(Path("net.onnx"), 64 * "0", {}, 17, ())
+    assert fingerprint(card, file) == "144b44850857"

@@ -255,3 +255,26 @@ def test_depth_anything_in_fastdepths_metres(shared: Path, fastdepth: Path, redk
         errors.append(np.mean(np.abs(answer.depth[seen] / truth[seen] - 1)))
     assert paired.counters == {"unpaired": 0}
     assert np.mean(errors) < 0.22
+
+
+def test_where_inverse_depth_runs_to_nothing_there_is_no_depth(tmp_path: Path):
+    """What a relative network takes for infinitely far the metric one never saw so far."""
+    what = TinyNetwork(name="r", depth_kind="inverse_relative", width=640, height=480)
+    graph = tiny_graph(what)
+    graph.output[0].name = "moved"
+    for name, number in (("least", 0.3), ("drop", -0.24)):  # beyond 3.3 m of 4 it falls off
+        value = helper.make_tensor(name, TensorProto.FLOAT, [1], [number])
+        graph.node.append(helper.make_node("Constant", [], [name], value=value))
+    graph.node.append(helper.make_node("Less", ["depth", "least"], ["far"]))
+    graph.node.append(helper.make_node("Add", ["depth", "drop"], ["fallen"]))
+    graph.node.append(helper.make_node("Where", ["far", "fallen", "depth"], ["moved"]))
+    save(tmp_path / "r.onnx", graph, replace(what.card(), depth_output="moved"))
+    metric = network(tmp_path, "m", width=160, height=120)
+    image, depth = view()
+    answer = PairedNetwork(OnnxNetwork(tmp_path / "r.onnx"), metric).infer(image, CAMERA)
+    truth = cv2.resize(depth, (160, 120), interpolation=cv2.INTER_AREA)
+    assert answer.valid
+    assert not answer.depth[truth > 3.5].any()
+    assert answer.depth.max() <= 1.5 * np.percentile(metric.infer(image, CAMERA).depth, 99)
+    seen = truth < 3.0
+    assert np.percentile(np.abs(np.log(answer.depth[seen] / truth[seen])), 95) < 0.05

@@ -107,3 +107,9 @@ def test_final_poses_are_carried_by_their_keyframes_in_metres() -> None:
     np.testing.assert_allclose(final.positions[1], expected, atol=1e-12)
     turned = map_from_world[:3, :3] @ world_from_keyframe[:3, :3] @ keyframe_from_camera[:3, :3]
     assert Rotation.from_matrix(final.poses[1, :3, :3] @ turned.T).magnitude() < 1e-9
+
+
+def test_of_two_poses_of_one_stamp_the_first_counts() -> None:
+    """It is what a subscriber acted on."""
+    recording = Recording([pose(1, late_ms=8.0), pose(2), pose(1, late_ms=90.0)], [frame(1), frame(2)])
+    assert recording.published[PERIOD].arrival_ns == pose(1, late_ms=8.0).arrival_ns

@@ -304,3 +304,17 @@ def test_a_place_whose_scale_is_another_is_told_from_the_network_s_errors():
     assert seen > 0.25
     assert 0.5 * seen < there.local_sigma < seen
     assert play(estimator, 1, start=50, epoch=1)[0].local_sigma == 0.0
+
+
+def test_trust_counts_by_how_it_compares_with_the_best():
+    """A tracker that trusts all of its points little has said which it trusts more all the same."""
+    found = []
+    for most in (1.0, 0.02):
+        keyframe = keyframe_of_wall(0, 0.0, 1.0)
+        doubted = np.arange(len(keyframe.depths)) % 2 == 0
+        depths = np.where(doubted, 1.1, 1.0).astype(np.float32) * keyframe.depths
+        trust = np.where(doubted, 0.1 * most, most).astype(np.float32)
+        told = replace(keyframe, depths=depths, trust=trust)
+        found.append(ScaleEstimator(CONFIG).process(told, depth_of(keyframe))[0].observation)
+    assert found[0] == pytest.approx(0.0, abs=0.02)  # half of the way between is 0.048
+    assert found[1] == pytest.approx(found[0])

@@ -248,3 +248,23 @@ def test_certainty_and_endless_steps_are_survived():
         scale.update(Observation(0.0, 0.0, 0.0, 20))
         scale.update(Observation(0.0, 0.0, 0.0, 20))
         assert np.isfinite([scale.log_scale, scale.sigma]).all()
+
+
+def test_outliers_between_good_observations_never_overturn():
+    """However alike they are: what fits between them speaks against them."""
+    scale = played(np.arange(20) * 0.3, np.zeros(20))
+    for k in range(2 * REOPEN_AFTER[1]):
+        scale.predict(10 + k * 0.3, 0.0)
+        assert not scale.update(seen(np.log(10.0)))
+        assert scale.update(seen(0.0))
+    assert abs(scale.log_scale) < 0.05
+
+
+def test_drift_goes_with_metres_whatever_the_map_s_unit_is():
+    config = ScaleConfig()
+    scale = ScaleFilter(config)
+    scale.take_over(np.log(10.0), 0.01)
+    scale.predict(0.0, 0.0)
+    variance = scale.sigma**2
+    scale.predict(0.0, 1.0)  # a unit is ten metres
+    assert scale.sigma**2 - variance == pytest.approx(10.0 * config.drift_per_sqrt_m**2)

@@ -79,3 +79,13 @@ def test_whatever_stamps_come_no_image_is_from_the_future(pairs: list[tuple[int,
         arrival += step
         clock.observe(stamp, arrival)
         assert clock.host_ns(stamp) <= arrival
+
+
+def test_a_sender_whose_stamps_stood_still_is_a_new_clock() -> None:
+    """They go on where they were, and fifteen seconds have gone by: by the old clock all would be late."""
+    clock = ArrivalClock()
+    for k in range(300):
+        clock.observe(k * 33 * MS, k * 33 * MS + MS)
+    stamp, arrival = 300 * 33 * MS, 300 * 33 * MS + 15 * S
+    clock.observe(stamp, arrival)
+    assert arrival - S < clock.host_ns(stamp) <= arrival
