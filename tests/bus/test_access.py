@@ -197,6 +197,16 @@ class TestByCertificate:
         with pytest.raises(BusError), client(robot, fooled) as session:
             send(session, "robot", COMMANDS["info"], None, 1.0)
 
+    @pytest.mark.usefixtures("impatient")
+    def test_a_client_refuses_a_robot_that_shows_another_s_certificate(self, lab: Path) -> None:
+        """A viewer of our own lab, who took the robot's place: its certificate is for no such address."""
+        network = shown(lab, "viewer", endpoint=free_endpoint().replace("tcp/", "tls/"))
+        config = Config(bus=BusConfig(free_endpoint(), retry_ms=50), network=network)
+        with Bus.open(config, "supervisor", listen=True) as impostor:
+            impostor.pulse.ready()
+            with pytest.raises(BusError), client(config, shown(lab, "operator")):
+                pytest.fail("it linked")
+
 
 def test_what_the_network_reads_is_what_is_public() -> None:
     read = zenoh.KeyExpr(access._PUBLIC)

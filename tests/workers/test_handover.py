@@ -36,3 +36,10 @@ def test_a_worker_that_does_not_come_to_it_gives_nothing_and_nothing_stale_later
     assert handover.ask() is None
     handover.serve(lambda: "stale")  # nobody waits any more
     assert handover.ask() is None
+
+
+def test_what_nobody_waits_for_any_more_is_not_even_made() -> None:
+    """It may take a worker seconds: a snapshot of a large map."""
+    handover = Handover(patience_s=0.01)
+    assert handover.ask() is None
+    handover.serve(lambda: (_ for _ in ()).throw(AssertionError))
