@@ -1,7 +1,7 @@
 """A recording played otherwise: backwards, mirrored, thinned, there and back (other sequences for free).
 
     python tools/make_variant.py FOLDER OUT [--backwards] [--mirrored] [--every N] [--ways N] [--bonnet]
-        [--poses TUM]
+        [--light SHARE] [--poses TUM]
 
 FOLDER is any folder of images that `prism-edge run` plays. OUT becomes a folder of the TUM RGB-D layout:
 images, rgb.txt and, where FOLDER has true poses, groundtruth.txt with them as this camera would have moved;
@@ -9,7 +9,8 @@ camera.yaml describes it (`--camera`). Backwards the first stamp and the last ch
 between; images left out leave their time free. With several ways it turns back at each end, so that the
 camera is in a known place from the second way on. A mirrored image is that of a mirrored world: M T M for a
 pose T, M = diag(-1, 1, 1). With --bonnet the lowest fifth of each image is the robot itself, full of corners
-and always the same. --poses is another reference to be carried along: OUT/reference.tum.
+and always the same; with --light there is so much of the light, and the noise that goes with it, Poisson's, a
+grey level a photon. --poses is another reference to be carried along: OUT/reference.tum.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ class Variant:
     every: int = 1
     ways: int = 1
     bonnet: bool = False
+    light: float = 1.0
 
     def stamps(self, stamp_ns: int, first_ns: int, last_ns: int) -> list[int]:
         """When an image comes now: once on each way, and once where one way becomes the next."""
@@ -62,11 +64,14 @@ class Variant:
         """Where this camera is then, (4, 4)."""
         return MIRROR @ world_from_camera @ MIRROR if self.mirrored else world_from_camera
 
-    def image(self, taken: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """What it takes, of an image (h, w) or (h, w, 3)."""
+    def image(self, taken: NDArray[np.uint8], index: int) -> NDArray[np.uint8]:
+        """What it takes, of image ``index`` (h, w) or (h, w, 3)."""
         pixels = np.ascontiguousarray(taken[:, ::-1]) if self.mirrored else taken.copy()
         if self.bonnet:
             pixels[-(len(pixels) // BONNET_SHARE) :] = bonnet(pixels)
+        if self.light < 1.0:
+            light = np.random.default_rng(index).poisson(self.light * pixels.astype(np.float32))
+            pixels = np.minimum(light, 255).astype(np.uint8)
         return pixels
 
     def camera(self, taken: Camera) -> Camera:
@@ -84,6 +89,8 @@ def bonnet(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -> int:
     """Writes the recording; returns how many images it has. Raises PrismError for unusable folders."""
+    if not 0.0 < variant.light <= 1.0:
+        raise SystemExit("--light: a share of the light, above 0, 1 at most")
     if variant.every < 1 or variant.ways < 1:
         raise SystemExit("--every, --ways: a number, 1 or more")
     empty(out)
@@ -99,7 +106,7 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -
         while (image := source.read()) is not None:
             if not isinstance(image, Image) or image.index % variant.every:
                 continue
-            name, pixels = f"rgb/{image.index:06d}.png", variant.image(image.pixels)
+            name, pixels = f"rgb/{image.index:06d}.png", variant.image(image.pixels, image.index)
             if not cv2.imwrite(str(out / name), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
                 raise SystemExit(f"{out}: can't write images there")
             taken.append((image.stamp_ns, name))
@@ -134,9 +141,10 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1, help="keep every so manieth image (default 1)")
     parser.add_argument("--ways", type=int, default=1, help="2: there and back; 3: there again")
     parser.add_argument("--bonnet", action="store_true", help="the robot itself below, never moving")
+    parser.add_argument("--light", type=float, default=1.0, metavar="SHARE", help="so much of the light")
     parser.add_argument("--poses", type=Path, metavar="TUM", help="a reference to carry along")
     given = parser.parse_args()
-    variant = Variant(given.backwards, given.mirrored, given.every, given.ways, given.bonnet)
+    variant = Variant(given.backwards, given.mirrored, given.every, given.ways, given.bonnet, given.light)
     try:
         count = write(given.folder, given.out, variant, given.poses)
     except PrismError as error:

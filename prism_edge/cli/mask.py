@@ -57,7 +57,13 @@ def run(args: argparse.Namespace) -> int:
             f"only {parts.taken} images differ enough from the one before ({LEAST} are needed): "
             "let the robot drive and turn while it looks"
         )
-    own = cv2.resize(parts.found().astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    found = parts.found()
+    if parts.undecided:
+        raise CalibrationError(
+            "more than 60 % of the image stay as they are: did the camera stand before something that moves? "
+            "If not, draw the mask by hand"
+        )
+    own = cv2.resize(found.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
     print(f"{parts.taken} images of a moving camera looked at")
     if not own.any():
         print("nothing stays as it is: this camera needs no mask")

@@ -30,7 +30,7 @@ class OwnParts:
 
     def clear(self) -> None:
         """Begin anew."""
-        self.taken = 0
+        self.taken, self.undecided = 0, False
         self._last_ns: int | None = None
         self._last: F32 | None = None
         self._sum = self._squares = np.zeros((0, 0), np.float32)
@@ -63,7 +63,10 @@ class OwnParts:
         return np.asarray(fixed / np.maximum(all_of_it, 1e-6), np.float32), textured
 
     def found(self) -> NDArray[np.bool_]:
-        """Where the robot's own parts are in the small image; nowhere before two images were taken."""
+        """Where the robot's own parts are in the small image; nowhere before two images were taken.
+
+        Nowhere, too, and ``undecided``, where more than MOST of the image stays as it is.
+        """
         if self.taken < 2:
             return np.zeros(self._sum.shape, bool)
         share, textured = self.stays()
@@ -72,7 +75,8 @@ class OwnParts:
         kept = _larger(own, SMALLEST)
         filled = (1 - _larger(1 - kept, LARGEST_HOLE)).astype(np.uint8)
         own = cv2.dilate(filled, np.ones((2 * MARGIN + 1, 2 * MARGIN + 1), np.uint8))
-        return np.asarray(own, bool) if own.mean() <= MOST else np.zeros(own.shape, bool)
+        self.undecided = bool(own.mean() > MOST)
+        return np.zeros(own.shape, bool) if self.undecided else np.asarray(own, bool)
 
 
 def _fine_texture(pixels: NDArray[np.uint8]) -> F32:

@@ -18,6 +18,7 @@ from prism_edge.tracking.spreading import spread
 Index = NDArray[np.intp]
 CELL = 16  # pixels; about the radius of a search, so that one touches few cells
 FEW_MATCHES, MANY_MATCHES, GROWTH = 170, 200, 1.2
+TOO_FEW = 0.75  # of the features that are wanted at least
 VGA, MOST_AREA = (640, 480), 3.0  # what the configured numbers are for; the most that area counts
 
 
@@ -83,8 +84,7 @@ class OrbExtractor:
         self._least, self._most = config.features, max(config.features, config.max_features)
         self._wanted = self._most  # a first map can't have too many
         self.scale_factors: Array = config.scale_factor ** np.arange(config.levels, dtype=np.float64)
-        most = int(self._wanted * self.surplus)
-        self._orb = OrbPyramid(self.scale_factors, config.fast_threshold, most)
+        self._orb = OrbPyramid(self.scale_factors, config.fast_threshold, *self._limits())
 
     def look_only_at(self, shown: NDArray[np.bool_]) -> None:
         """Features only where ``shown`` (height, width), as large as the images to come, is True."""
@@ -116,7 +116,11 @@ class OrbExtractor:
         self._least = int(share * self._config.features)
         self._most = int(share * max(self._config.features, self._config.max_features))
         self._wanted = self._most
-        self._orb.limit(int(self._wanted * self.surplus))
+        self._orb.limit(*self._limits())
+
+    def _limits(self) -> tuple[int, int]:
+        """How many corners to detect at most, and how many are too few."""
+        return int(self._wanted * self.surplus), int(self._least * TOO_FEW)
 
     def want(self, matched: int) -> None:
         """Follow the matches: a scene that changes fast between frames needs more corners to hold on to."""
@@ -128,7 +132,7 @@ class OrbExtractor:
             return
         if wanted != self._wanted:
             self._wanted = wanted
-            self._orb.limit(int(wanted * self.surplus))
+            self._orb.limit(*self._limits())
 
 
 def _in_full_image(pixels: Array, octaves: Index, factors: Array, shape: tuple[int, ...]) -> Array:

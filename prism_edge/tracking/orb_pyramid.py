@@ -25,19 +25,22 @@ MASK_MARGIN = 8  # pixels of a level: half a descriptor's patch may show what is
 HIGHEST_THRESHOLD = 25  # of FAST
 ENOUGH = 0.95  # of what is wanted; from there on weaker corners would only be thrown away
 FAR_TOO_FEW = 0.4  # of what is wanted: the light has changed, and the threshold does not fit any more
+DIM = 0.3  # of the lowest threshold: where even that finds too little, in the dark and at plain walls
+SMOOTHING = (5, 5), 1.0  # pixels, sigma, of what is searched there: noise has no more corners than before
 _response = attrgetter("response")  # faster than a loop
 
 
 class OrbPyramid:
     """Corners of one image at every level, and descriptors of those among them that are wanted."""
 
-    def __init__(self, factors: Array, lowest_threshold: int, most: int) -> None:
-        """``factors`` (levels,) are the levels' scales, the first one 1; ``most`` corners of all together."""
+    def __init__(self, factors: Array, lowest_threshold: int, most: int, few: int = 0) -> None:
+        """``factors`` (levels,) are the levels' scales, the first one 1; ``most``, ``few``: see limit()."""
         self._factors = factors
         # In single precision and from a ratio in single precision, to be OpenCV's to the last digit.
         ratio = np.float64(np.float32(factors[1])) if len(factors) > 1 else 1.0
         self._enlarged = (ratio ** np.arange(len(factors))).astype(np.float32)
         self._lowest = self._threshold = lowest_threshold
+        self._dimmest = max(round(DIM * lowest_threshold), 1)
         self._detectors = [
             cv2.ORB.create(
                 nlevels=1,
@@ -48,15 +51,18 @@ class OrbPyramid:
             )
             for _ in factors
         ]
-        self.limit(most)
+        self.limit(most, few)
         self._shown: NDArray[np.bool_] | None = None
         self._masks: list[Grey | None] = [None] * len(factors)
         self._images: list[Grey] = []
         self._found: list[Sequence[cv2.KeyPoint]] = []
 
-    def limit(self, most: int) -> None:
-        """Share ``most`` corners out, each level as many for its length as any other."""
-        self._most = most
+    def limit(self, most: int, few: int) -> None:
+        """Share ``most`` corners out, each level as many for its length as any other.
+
+        Where an image has fewer than ``few``, weaker ones are taken, too.
+        """
+        self._most, self._few = most, few
         shares = np.rint(most / self._factors / (1.0 / self._factors).sum()).astype(int)
         shares[-1] = most - shares[:-1].sum()
         for detector, share in zip(self._detectors, shares.tolist(), strict=True):
@@ -78,6 +84,8 @@ class OrbPyramid:
         at_first = sum(counts)
         if self._threshold > self._lowest and at_first < FAR_TOO_FEW * self._most:
             counts = self._search(self._lowest)
+        if sum(counts) < self._few:
+            counts = self._search_smoothed()
         levels = np.repeat(np.arange(len(counts)), counts)
         pixels = np.concatenate([_pixels(found) for found in self._found])
         pixels *= self._enlarged[levels, None]
@@ -104,6 +112,15 @@ class OrbPyramid:
         at_levels = zip(self._detectors, self._images, self._masks, strict=False)
         self._found = [detector.detect(image, mask) for detector, image, mask in at_levels]
         return [len(found) for found in self._found]
+
+    def _search_smoothed(self) -> list[int]:
+        """Find corners of less contrast; smoothed, so that noise has no more of them than otherwise."""
+        size, sigma = SMOOTHING
+        sharp = self._images
+        self._images = [np.asarray(cv2.GaussianBlur(image, size, sigma), np.uint8) for image in sharp]
+        counts = self._search(self._dimmest)
+        self._images = sharp
+        return counts
 
     def _scaled(self, grey: Grey) -> list[Grey]:
         """The image at each level; the first always, a later one only where a keypoint has room."""

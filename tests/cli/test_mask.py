@@ -65,6 +65,19 @@ def test_a_camera_that_hardly_moved_is_refused(tmp_path: Path, capsys: pytest.Ca
     assert not (tmp_path / "mask.png").exists()
 
 
+def test_where_nearly_all_stays_nothing_is_decided(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    recording = film(tmp_path / "film", 60)
+    for file in (recording / "rgb").iterdir():
+        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        image[80:] = WORLD[80:240, :320]
+        cv2.imwrite(str(file), image)
+    assert mask(recording, "--out", tmp_path / "mask.png") == 9
+    assert "draw the mask by hand" in capsys.readouterr().err
+    assert not (tmp_path / "mask.png").exists()
+
+
 @pytest.mark.parametrize(
     ("out", "why"),
     [("mask.jpg", "is a PNG file"), ("nowhere/mask.png", "there is no folder"), (".", "is there already")],

@@ -82,6 +82,7 @@ def test_where_nearly_all_stays_it_is_the_camera_that_stood() -> None:
         parts.look(image, i * APART_NS)
     assert parts.taken > 20
     assert not parts.found().any()
+    assert parts.undecided
 
 
 def test_images_soon_after_each_other_are_passed_over_and_stamps_may_go_back() -> None:

@@ -102,6 +102,17 @@ def test_poses_of_images_left_out_are_left_out(tmp_path):
     assert len(read_truth(str(tmp_path / "out"))[0]) == 3
 
 
+def test_in_little_light_images_are_darker_and_noisier(tmp_path):
+    source = write_sequence(tmp_path / "in", frames=3, width=160, height=120)
+    write(str(source), tmp_path / "out", Variant(light=0.1))
+    before, _, _ = played(source, camera=False)
+    now, _, _ = played(tmp_path / "out")
+    for bright, dark in zip(before, now, strict=True):
+        expected = 0.1 * bright.astype(float)
+        assert dark.mean() == pytest.approx(expected.mean(), rel=0.02)
+        assert np.mean((dark - expected) ** 2) == pytest.approx(expected.mean(), rel=0.05), "Poisson's"
+
+
 def test_a_bonnet_is_the_same_in_every_image_and_hides_no_more_than_a_fifth(tmp_path):
     source = write_sequence(tmp_path / "in", frames=3, width=160, height=120)
     write(str(source), tmp_path / "out", Variant(bonnet=True))
@@ -113,7 +124,8 @@ def test_a_bonnet_is_the_same_in_every_image_and_hides_no_more_than_a_fifth(tmp_
 
 
 @pytest.mark.parametrize(
-    ("argument", "says"), [("--every=0", "1 or more"), ("--ways=0", "1 or more"), ("nothing", "nothing")]
+    ("argument", "says"),
+    [("--every=0", "1 or more"), ("--ways=0", "1 or more"), ("--light=0", "--light"), ("nothing", "nothing")],
 )
 def test_what_makes_no_sense_is_one_line(tmp_path, monkeypatch, argument, says):
     source = write_sequence(tmp_path / "in", frames=2, width=160, height=120)

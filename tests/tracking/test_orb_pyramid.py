@@ -143,3 +143,35 @@ def test_where_nothing_is_hidden_a_mask_changes_nothing():
     masked.look_only_at(np.ones(image.shape, bool))
     for found, expected in zip(masked.detect(image), plain.detect(image), strict=True):
         assert np.array_equal(found, expected)
+
+
+def dim(image: np.ndarray, noise: float, seed: int = 0) -> np.ndarray:
+    """What is darker than the middle at 12 grey levels and what is brighter at 20, and a sensor's noise."""
+    grain = np.random.default_rng(seed).normal(0.0, noise, image.shape)
+    return np.clip(np.where(image > 128, 20.0, 12.0) + grain, 0, 255).astype(np.uint8)
+
+
+def test_in_the_dark_weaker_corners_are_taken_and_are_found_again_in_the_next_image():
+    image = blocks(6)
+    pyramid, plain = OrbPyramid(FACTORS, 10, 1200, few=450), OrbPyramid(FACTORS, 10, 1200)
+    assert len(plain.detect(dim(image, 1.0))[0]) < 450
+    first, levels, _ = pyramid.detect(dim(image, 1.0, seed=1))
+    second, again, _ = pyramid.detect(dim(image, 1.0, seed=2))
+    assert len(first) > 1000
+    near = np.linalg.norm(first[:, None] - second[None], axis=2) < 1.5 * FACTORS[levels][:, None]
+    assert (near & (levels[:, None] == again[None])).any(axis=1).mean() > 0.5, "by chance, a tenth"
+    assert len(pyramid.describe(np.arange(len(second)))) == len(second)
+
+
+@pytest.mark.parametrize("noise", [1.0, 2.0, 3.0])
+def test_noise_alone_has_no_corners_there(noise):
+    grey = np.full((480, 640), 160, np.uint8)
+    pixels, _, _ = OrbPyramid(FACTORS, 10, 1200, few=450).detect(dim(grey, noise))
+    assert len(pixels) < 20
+
+
+def test_where_there_are_enough_nothing_is_smoothed():
+    image = blocks(7)
+    dark, plain = OrbPyramid(FACTORS, 10, 1200, few=450), OrbPyramid(FACTORS, 10, 1200)
+    for found, expected in zip(dark.detect(image), plain.detect(image), strict=True):
+        assert np.array_equal(found, expected)
