@@ -32,7 +32,6 @@ class PartScales:
     def __init__(self, config: ScaleConfig, kalman: bool) -> None:
         self._kalman = kalman
         self._part, self._parts = HOME, {HOME: PartScale(config, kalman)}
-        self._unplaced = False  # taken over, and no keyframe has come since
 
     def __iter__(self) -> Iterator[PartScale]:
         return iter(self._parts.values())
@@ -47,17 +46,13 @@ class PartScales:
         return keyframe.part == self._part
 
     def take_over(self, log_scale: float, sigma: float) -> None:
-        """What an earlier run knew of the unit of the part that it was in."""
-        self.here.filter.take_over(log_scale, sigma)
-        self.here.steady.log_scale = log_scale
-        self._unplaced = True
+        """What was known of the map's unit before, which is its first part's."""
+        home = self._parts[HOME]
+        home.filter.take_over(log_scale, sigma)
+        home.steady.log_scale = log_scale
 
     def enter(self, keyframe: Keyframe, config: ScaleConfig) -> bool:
         """A keyframe is next; whether it belongs to another part than the one before."""
-        if self._unplaced:
-            self._unplaced = False
-            if keyframe.part != keyframe.id:  # else that part begins, and what is known is of the one it left
-                self._part, self._parts = keyframe.part, {keyframe.part: self.here}
         if self.is_here(keyframe):
             return False
         left, published = self.here, self.here.steady.log_scale

@@ -17,6 +17,7 @@ from prism_edge.bus.commands import Reply
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.messages import (
+    HOME,
     Acknowledged,
     Depth,
     Gate,
@@ -65,14 +66,14 @@ class BackendWorker:
         self._waiting: deque[tuple[float, Keyframe]] = deque()
         self._early: dict[int, Depth] = {}
         self._late: int | None = None  # the newest keyframe whose descriptor came after it was looked at
-        self._scale = KnownScale()
+        self._scale = self._home_scale = KnownScale()  # where the camera is; of the map's first part
         self._scaled: set[int] = set()
         self._gated: dict[int, Gate] = {}
         self._settled = False
         self._adjusting_since_ns = 0
         recovered = self._keeper.recover()
         if recovered is not None:
-            self._scale = recovered
+            self._scale = self._home_scale = recovered
         # A whole run's map, not a life's: the new scale filter does not know its unit.
         self._untold = recovered is not None and not bus.life
         self._snapshot = self._take_snapshot()
@@ -88,7 +89,7 @@ class BackendWorker:
         ending = False
         while not self._bus.stopped.is_set():
             self._desk.serve()
-            self._whole.serve(lambda: self._keeper.whole(self._scale))
+            self._whole.serve(lambda: self._keeper.whole(self._home_scale))
             if self._untold and not self._bus.await_ready(self._peers & {"scale"}, _LOOK_S):
                 self._untold = False
                 self._tell_loaded()
@@ -99,7 +100,7 @@ class BackendWorker:
                 self._receive(4 * _LOOK_S)
                 if self._late is None:
                     self._settle()
-        self._keeper.tidy(self._scale)  # where it is only this process that is started again
+        self._keeper.tidy(self._home_scale)  # where it is only this process that is started again
 
     def _settle(self) -> None:
         """Adjust what is still to be adjusted; the end has been reached where nothing comes meanwhile."""
@@ -107,13 +108,13 @@ class BackendWorker:
         while self._mapper.loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
             self._adjust()
         if not self._waiting:
-            self._keeper.tidy(self._scale)
+            self._keeper.tidy(self._home_scale)
             self._settled = True
             self._snapshot = self._take_snapshot()
             self._rest()
 
     def _tidy(self) -> None:
-        if self._keeper.tidy(self._scale):
+        if self._keeper.tidy(self._home_scale):
             self._rest()
 
     def _rest(self) -> None:
@@ -175,8 +176,10 @@ class BackendWorker:
             if scale.epoch == self._mapper.epoch and scale.metric and np.isfinite(scale.log_scale):
                 told = scale.log_scale, scale.filter_sigma, scale.bias_sigma, scale.network
                 self._scale = KnownScale(*told)
+                if scale.part == HOME:  # what is kept, and told to others, is of that one's unit
+                    self._home_scale = self._scale
         for number in sorted(late):
-            self._keeper.note_late(number, self._scale)
+            self._keeper.note_late(number, self._home_scale)
 
     def _take_late(self, depth: Depth) -> bool:
         """Depth that its keyframe has not waited for serves the windows and loops that are still to come.
@@ -197,7 +200,8 @@ class BackendWorker:
 
     def _absorb(self, keyframe: Keyframe) -> None:
         if keyframe.epoch != self._mapper.epoch:
-            self._scale, self._late = KnownScale(), None
+            self._scale = self._home_scale = KnownScale()
+            self._late = None
         self._settled = False
         self._mapper.absorb(keyframe)
         depth = self._early.pop(keyframe.id, None)
@@ -213,7 +217,7 @@ class BackendWorker:
             )
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
             self._mapper.loops.add_place(keyframe.id, depth.descriptor, depth.model)
-        self._keeper.note(keyframe, self._scale)
+        self._keeper.note(keyframe, self._home_scale)
 
     def _solve(self, keyframe: Keyframe) -> MapUpdate | None:
         self._bus.pulse.working(f"window of keyframe {keyframe.id}", _SOLVE_S)
@@ -321,14 +325,15 @@ class BackendWorker:
 
     def _save_map(self, argument: str) -> Reply:
         try:
-            return Reply(True, self._keeper.save(argument, self._scale))
+            return Reply(True, self._keeper.save(argument, self._home_scale))
         finally:
             self._rest()
 
     def _load_map(self, argument: str) -> Reply:
         try:
             heard = self._bus.ask("epoch", _ASK_S)  # None: it is down, and takes over what there is then
-            self._scale, said = self._keeper.load(argument, 0 if heard is None else heard.epoch)
+            self._home_scale, said = self._keeper.load(argument, 0 if heard is None else heard.epoch)
+            self._scale = self._home_scale
         finally:
             self._rest()
         self._waiting.clear()  # keyframes of the map that has gone
@@ -341,7 +346,7 @@ class BackendWorker:
         self._bus.publish("map_loaded", self._loaded())
 
     def _loaded(self) -> MapLoaded:
-        known = self._scale
+        known = self._home_scale
         told = known.log_scale, known.sigma, known.bias_sigma, known.network
         return MapLoaded(self._mapper.epoch, *told, metric=known.is_known)
 
@@ -359,7 +364,7 @@ class BackendWorker:
             epoch=self._mapper.epoch,
             sequence=self._mapper.sequence,
             settled=self._settled,
-            log_scale=self._scale.log_scale,
+            log_scale=self._home_scale.log_scale,
             keyframes=numbers,
             indices=frames,
             poses=poses,

@@ -68,12 +68,16 @@ def test_a_part_that_had_no_depth_leaves_no_trace(depth):
     assert later.log_scale == pytest.approx(home[-1].log_scale, abs=2e-3)
 
 
-def test_a_scale_process_that_was_started_again_takes_what_was_known_for_the_part_it_finds_itself_in():
+def test_what_a_scale_process_that_was_started_again_takes_over_is_of_the_map_s_first_part():
+    """The backend and a stored map tell of that one's unit, wherever the camera is by then."""
     estimator = ScaleEstimator(CONFIG)
     estimator.take_over(0, np.log(1.5), 0.02, bias_sigma=0.1)
-    (there,) = play(estimator, [90], part=60, unit=1.5)
-    assert there.filter_sigma < 0.03
-    assert there.log_scale == pytest.approx(np.log(1.5), abs=0.01)
+    there = play(estimator, range(90, 120), part=60, unit=1.1)
+    assert there[0].filter_sigma > 0.1
+    assert there[-1].log_scale == pytest.approx(np.log(1.1), abs=0.05)
+    (home,) = play(estimator, [120], unit=1.5)
+    assert home.filter_sigma < 0.03
+    assert home.log_scale == pytest.approx(np.log(1.5), abs=0.01)
 
 
 def test_a_part_that_begins_in_a_map_that_was_taken_over_is_not_that_map():

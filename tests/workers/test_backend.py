@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prism_edge.config import Config
+from prism_edge.backend.stored_map import KnownScale
+from prism_edge.config import Config, StateConfig, TrackingConfig
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import IDS_A_LIFE, EndOfStream, MapLoaded, MapSnapshot
@@ -153,6 +154,26 @@ def test_who_asks_is_told_the_map_s_unit_once_it_is_known():
     again, new = keyframes(1, epoch=3, first=3)
     hear(made, bus, new, again)
     assert asked() is None, "nothing is known of the new map's"
+
+
+def test_a_part_s_scale_is_not_the_map_s(tmp_path):
+    """It is of the part's own unit: windows there go by it, all that is kept or told of the map does not."""
+    state = StateConfig(directory=str(tmp_path), journal=False)
+    config = replace(CONFIG, tracking=TrackingConfig(scale_factor=1.2, levels=8), state=state)
+    bus, (teller, told) = ListBus("keyframe"), keyframes(4)
+    made = worker.BackendWorker(config, bus)
+    hear(made, bus, told[:3], teller, log_scale=0.25)
+    bus.give("log_scale", scale_of(told[2], 0.9, part=told[2].id))
+    hear(made, bus, told[3:], teller, log_scale=NAN)
+    assert made._scale.log_scale == 0.9
+    assert snapshot(bus).log_scale == bus.answers["map_loaded"]().log_scale == 0.25
+    assert made._keeper.whole(made._home_scale).log_scale == 0.25
+    made._save_map("lab")
+    assert made._load_map("lab").ok
+    assert bus.of("map_loaded")[-1].log_scale == made._scale.log_scale == 0.25
+    again, new = keyframes(1, epoch=5000, first=4)
+    hear(made, bus, new, again, log_scale=NAN)
+    assert made._scale == made._home_scale == KnownScale()
 
 
 def test_the_snapshot_is_the_whole_map():
