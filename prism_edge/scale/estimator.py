@@ -41,16 +41,7 @@ class ScaleEstimator:
         self._says_spread = False  # whether the source of depth has told its own frame_sigma
         self._gate = KeyframeGate(gate or GateConfig(), "dsug" not in ablate)
         self._parts = PartScales(config, self._kalman)
-
-    @property
-    def accepted(self) -> int:
-        """Observations taken in since this epoch began."""
-        return sum(part.filter.accepted for part in self._parts)
-
-    @property
-    def rejected(self) -> int:
-        """Observations refused as outliers since this epoch began."""
-        return sum(part.filter.rejected for part in self._parts)
+        self.accepted = self.rejected = 0  # observations since this epoch began; refused are outliers
 
     @property
     def metric(self) -> bool:
@@ -94,6 +85,8 @@ class ScaleEstimator:
             observation = self._observe(keyframe, depth, camera, weights * _relative_trust(keyframe))
             if observation is not None:
                 accepted = scale.update(observation)
+                self.accepted += accepted
+                self.rejected += not accepted
             elif scale.is_open and not (keyframe.parallax_deg > 0.0).any():
                 scale.fix_unit()
         # A network that is steadier than the filter's model leaves less room to hold; a wilder one no more.
@@ -139,6 +132,7 @@ class ScaleEstimator:
         """A map of whose unit nothing is known."""
         self._epoch = epoch
         self._parts = PartScales(self._config, self._kalman)
+        self.accepted = self.rejected = 0
         self._network = ""
         self._gate.forget()
 

@@ -15,6 +15,8 @@ from prism_edge.scale.filter import ScaleFilter
 from prism_edge.scale.spread import LocalScale
 from prism_edge.scale.steady import SteadyScale
 
+MOST = 64  # parts besides home: a camera before what can't be tracked begins one every few seconds
+
 
 class PartScale:
     """One part's."""
@@ -61,4 +63,7 @@ class PartScales:
         self._part = keyframe.part
         if self._part not in self._parts:
             self._parts[self._part] = PartScale(config, self._kalman, published)
+            besides = [part for part in self._parts if part != HOME]
+            if len(besides) > MOST:
+                del self._parts[besides[0]]  # the oldest, which is likely to have gone from the map
         return True

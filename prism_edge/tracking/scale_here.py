@@ -15,6 +15,7 @@ from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import Tracker
 
 UNKNOWN_SCALE_SIGMA = 1.0
+MOST = 64  # parts besides home and the present one: what can't be tracked begins one every few seconds
 
 
 class ScaleHere:
@@ -40,7 +41,11 @@ class ScaleHere:
 
     def hear(self, scale: Scale) -> None:
         """Something was said of this map; for a part that nothing was said of yet it holds as well."""
+        self._told.pop(scale.part, None)
         self._told[scale.part] = scale
+        others = [part for part in self._told if part not in (HOME, self._part)]
+        if len(others) > MOST:
+            del self._told[others[0]]  # nothing was said of it for longest
         if scale.part == self._part or self._part not in self._told:
             self._apply(scale)
             self.sigma = scale.sigma

@@ -9,6 +9,7 @@ import pytest
 
 from prism_edge.config import ScaleConfig
 from prism_edge.messages import HOME
+from prism_edge.scale import parts
 from prism_edge.scale.estimator import ScaleEstimator
 from tests.scale.scene import depth_of, keyframe_of_wall
 
@@ -89,6 +90,22 @@ def test_a_part_that_begins_in_a_map_that_was_taken_over_is_not_that_map():
     play(estimator, range(91, 120), part=90, unit=1.1)
     (home,) = play(estimator, [120], unit=1.5)
     assert home.log_scale == pytest.approx(np.log(1.5), abs=0.01)
+
+
+def test_of_parts_without_end_the_oldest_are_forgotten(monkeypatch):
+    """A camera before what can't be tracked begins one every few seconds."""
+    monkeypatch.setattr(parts, "MOST", 3)
+    estimator, home = at_home()
+    for part in range(60, 80, 2):
+        play(estimator, range(part, part + 2), part=part, unit=1.5)
+    assert len(list(estimator._parts)) == 3 + 1
+    assert (estimator.accepted, estimator.rejected) == (59 + 10, 0), "what was counted there still is"
+    (again,) = play(estimator, [80], part=76, unit=1.5)
+    assert again.filter_sigma < 0.2, "the newest are known"
+    (back,) = play(estimator, [81], unit=1.1)
+    assert back.log_scale == pytest.approx(home[-1].log_scale, abs=2e-3)
+    estimator.begin(1)
+    assert (estimator.accepted, estimator.rejected) == (0, 0)
 
 
 def test_another_network_puts_all_parts_in_doubt():

@@ -9,6 +9,7 @@ import pytest
 
 from prism_edge.config import CovarianceConfig
 from prism_edge.messages import HOME, Scale
+from prism_edge.tracking import scale_here
 from prism_edge.tracking.drift import Drift
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.scale_here import UNKNOWN_SCALE_SIGMA, ScaleHere
@@ -66,6 +67,21 @@ def test_each_part_has_what_was_said_of_it_last(camera):
     assert camera.known == (0.1, 0.12, 0.0)
     camera.enter(60)
     assert camera.known == (0.4, 0.16, 0.0)
+
+
+def test_of_parts_without_end_home_the_present_one_and_the_last_told_are_known(camera, monkeypatch):
+    monkeypatch.setattr(scale_here, "MOST", 3)
+    camera.hear(0.1, 0.12)
+    camera.enter(60)
+    for part in range(60, 70):
+        camera.hear(0.01 * part, 0.17, part=part)
+    assert set(camera.scale._told) == {HOME, 60, 67, 68, 69}
+    camera.hear(0.67, 0.17, part=67)  # again
+    camera.hear(0.7, 0.17, part=70)
+    assert set(camera.scale._told) == {HOME, 60, 69, 67, 70}
+    assert camera.known == (0.6, 0.17, 0.0)
+    camera.enter(HOME)
+    assert camera.known == (0.1, 0.12, 0.0)
 
 
 def test_in_one_map_the_whole_way_has_the_present_sigma(camera):
