@@ -125,6 +125,10 @@ class ScaleFilter:
         if self._covariance[0, 0] > _MAX_LOG**2:
             self._covariance = np.diag([_MAX_LOG**2, float(self._covariance[1, 1])])
 
+    def resume(self, travelled: float) -> None:
+        """The camera is back in this part of the map: the way since was gone in another, in its unit."""
+        self._travelled += _step(travelled - self._travelled)
+
     def fix_unit(self) -> None:
         """The map's unit has just been defined by network depth: now, x + f is known whatever the two are.
 

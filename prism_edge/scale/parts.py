@@ -61,7 +61,9 @@ class PartScales:
         if left.filter.is_open:  # nothing is known of it: it had no depth
             del self._parts[self._part]
         self._part = keyframe.part
-        if self._part not in self._parts:
+        if self._part in self._parts:
+            self.here.filter.resume(keyframe.travelled)
+        else:
             self._parts[self._part] = PartScale(config, self._kalman, published)
             besides = [part for part in self._parts if part != HOME]
             if len(besides) > MOST:

@@ -126,6 +126,17 @@ def test_distance_and_time_let_the_scale_drift():
     assert scale.sigma**2 - variance == pytest.approx(drift)
 
 
+@pytest.mark.parametrize(("resumed", "counts"), [(900.0, 100.0), (50.0, 950.0), (math.nan, 950.0)])
+def test_way_before_it_is_resumed_is_none_of_its(resumed, counts):
+    config = replace(STILL, drift_per_sqrt_m=0.01)
+    scale = ScaleFilter(config)
+    scale.take_over(0.0, 0.02)
+    scale.predict(0.0, 50.0)
+    scale.resume(resumed)
+    scale.predict(1.0, 1000.0)
+    assert scale.sigma == pytest.approx(math.sqrt(0.02**2 + 0.01**2 * counts))
+
+
 @pytest.mark.parametrize("first", [(0.0, 0.0), (math.nan, 0.0), (0.0, math.inf)])
 def test_what_lies_between_a_late_depth_and_the_newest_keyframe_is_added_once(first):
     config, sigmas = ScaleConfig(), []

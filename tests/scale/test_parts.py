@@ -92,6 +92,19 @@ def test_a_part_that_begins_in_a_map_that_was_taken_over_is_not_that_map():
     assert home.log_scale == pytest.approx(np.log(1.5), abs=0.01)
 
 
+def test_the_way_that_was_gone_elsewhere_is_no_doubt_of_home():
+    sigmas = []
+    for way in (0.0, 1000.0):
+        estimator, _ = at_home()
+        play(estimator, range(60, 63), part=60)
+        back = replace(keyframe_of_wall(63, 0.4 * 63, 1.1), travelled=way)
+        sigmas.append(estimator.process(back, None)[0].filter_sigma)
+        later = replace(keyframe_of_wall(64, 0.4 * 64, 1.1), travelled=way + 1000.0)
+        sigmas.append(estimator.process(later, None)[0].filter_sigma)
+    assert sigmas[2] == sigmas[0], "time passed there as well"
+    assert sigmas[1] == sigmas[3] > 1.5 * sigmas[0], "the way at home counts on"
+
+
 def test_of_parts_without_end_the_oldest_are_forgotten(monkeypatch):
     """A camera before what can't be tracked begins one every few seconds."""
     monkeypatch.setattr(parts, "MOST", 3)
