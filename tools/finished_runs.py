@@ -55,7 +55,8 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
         config = effective(args)
     except PrismError as error:
         return [str(error)]  # `eval` says so too
-    made, now = _flat(metrics.get("config")), _flat(_as_written(asdict(config)))
+    defaults, now = (_flat(_as_written(asdict(each))) for each in (Config(), config))
+    made = defaults | _flat(metrics.get("config"))  # of what is newer than the run, it had the default
     apart = [key for key in sorted(made.keys() | now.keys()) if made.get(key) != now.get(key)]
     found = [key for key in apart if key not in _NO_SETTINGS]
     before, present = _flat(metrics.get("versions")), versions()

@@ -85,6 +85,18 @@ def test_a_file_that_was_written_since_makes_another_run(
     assert str(tmp_path / name) in capsys.readouterr().err
 
 
+def test_a_setting_that_is_newer_than_the_run_had_its_default(run: Path, tmp_path: Path) -> None:
+    file = run / "metrics.json"
+    made = json.loads(file.read_text())
+    del made["config"]["tracking"]["features"], made["config"]["gate"]
+    file.write_text(json.dumps(made))
+    assert finished(run, words_for(tmp_path)) == made
+    assert finished(run, words_for(tmp_path, "--set", "tracking.features=700")) is None
+    made["config"]["tracking"]["of_old"] = 1
+    file.write_text(json.dumps(made))
+    assert finished(run, words_for(tmp_path)) is None, "what is no setting any more may have counted"
+
+
 def test_weights_of_any_name_count(tmp_path: Path) -> None:
     """As a network's own file names them."""
     network, run = write_tiny_network(tmp_path / "net.onnx"), tmp_path / "run"
