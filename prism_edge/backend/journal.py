@@ -9,6 +9,7 @@ a kill at any moment costs the record that was being written, no more.
 from __future__ import annotations
 
 import contextlib
+import os
 import struct
 import zlib
 from collections.abc import Callable
@@ -59,6 +60,8 @@ class Journal:
     def begin(self, pack: Callable[[int], bytes]) -> None:
         """Write a new base, what ``pack`` makes for a generation, and go on from it. Raises MapError."""
         self.close()
+        with contextlib.suppress(OSError):  # said below; a folder above that has gone is not ours to make
+            self._base.parent.mkdir(exist_ok=True)  # a cleaner may have taken it
         generation = self._generation + 1
         data = pack(generation)
         map_file.write(self._base, data, durable=False)  # for a process that dies, not for a power cut
@@ -77,6 +80,9 @@ class Journal:
         """
         if self._file is None:
             raise MapError("the journal has no base to go on from")
+        if os.fstat(self._file.fileno()).st_nlink == 0 or not self._base.exists():  # a cleaner's work
+            self.close()
+            raise MapError(f"the journal in {self._base.parent} has been removed")
         data = _HEAD.pack(_MAGIC, len(record), zlib.crc32(record)) + record
         try:
             if self._file.write(data) != len(data):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO, cast
@@ -136,7 +137,7 @@ class Crowded:
     """A file on a disk with room for three bytes more: the system writes what fits, and says how much."""
 
     def __init__(self, real: BinaryIO) -> None:
-        self._real, self.close = real, real.close
+        self._real, self.close, self.fileno = real, real.close, real.fileno
 
     def write(self, data: bytes) -> int:
         return self._real.write(data[:3])
@@ -155,6 +156,30 @@ def test_nothing_is_added_to_half_a_record(written: Path) -> None:
     journal.begin(base(2))
     journal.append(b"after it")
     assert recovered(written) == (2, [b"after it"])
+
+
+@pytest.mark.parametrize("taken", [("base", "tail", "."), ("base", "tail"), ("tail",), ("base",)], ids=str)
+def test_what_a_cleaner_took_is_an_error_once_and_made_anew(written: Path, taken: tuple[str, ...]) -> None:
+    journal = Journal(written)
+    journal.begin(base(1))
+    for name in taken:
+        (written / name).rmdir() if name == "." else (written / name).unlink()
+    with pytest.raises(MapError, match="removed"):
+        journal.append(b"lost")
+    assert not journal.is_open
+    journal.begin(base(2))
+    journal.append(b"kept")
+    assert recovered(written) == (2, [b"kept"])
+
+
+def test_a_folder_above_that_has_gone_is_not_made(written: Path) -> None:
+    """Whoever removed it may have meant to; a run's own is its supervisor's."""
+    journal = Journal(written.parent / "run" / "j")
+    journal.begin(base(1))
+    shutil.rmtree(written.parent / "run")
+    with pytest.raises(MapError, match="can't write"):
+        journal.begin(base(2))
+    assert not (written.parent / "run").exists()
 
 
 def test_clear_forgets(written: Path) -> None:
