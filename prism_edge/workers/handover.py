@@ -6,7 +6,7 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-PATIENCE_S = 15.0  # the worker may be in the midst of a solve
+PATIENCE_S = 25.0  # the worker may be in the midst of a solve: longer than one may take
 
 
 class Handover:

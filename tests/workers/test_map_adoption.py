@@ -14,6 +14,7 @@ from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig
 from prism_edge.messages import IDS_A_LIFE, Keyframe, MapLoaded, WholeMap
 from prism_edge.tracking.drift import Drift
+from prism_edge.workers import backend, map_adoption
 from prism_edge.workers.handover import PATIENCE_S
 from tests.tracking.footage import footage
 from tests.workers.list_bus import ListBus
@@ -175,6 +176,11 @@ def test_a_backend_in_the_midst_of_a_solve_is_waited_for(whole: WholeMap) -> Non
     run(life.bus, [frame(i) for i in AFTER])
     assert {k.epoch for k in life.bus.of("keyframe")} == {EPOCH}
     assert life.bus.budgets_s["asking for the map"] > sum(patience), "it is not taken for a hang meanwhile"
+
+
+def test_whoever_asks_waits_longer_than_the_backend_and_that_longer_than_a_solve_may_take() -> None:
+    assert PATIENCE_S > backend._SOLVE_S
+    assert min(map_adoption.BUSY_S, map_adoption.LOADED_S, map_adoption.RECOVERED_S) > PATIENCE_S
 
 
 def test_the_first_life_asks_nobody(whole: WholeMap) -> None:
