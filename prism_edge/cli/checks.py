@@ -244,7 +244,13 @@ def check_folders(config: Config) -> Iterator[Finding]:
     advice = "make room, or name another: TMPDIR, XDG_RUNTIME_DIR"
     yield _writable(run, "a run's files", Finding(FAIL, "disk", "", advice))
     advice = "make room, or set state.directory; the service writes there as a user of its own"
-    yield _writable(state_directory(config.state), "maps and journal", Finding(WARN, "disk", "", advice))
+    otherwise = Finding(WARN, "disk", "", advice)
+    try:
+        kept = state_directory(config.state)
+    except RuntimeError as error:  # a user without a home
+        yield replace(otherwise, found=f"no folder for maps and journal: {error}")
+        return
+    yield _writable(kept, "maps and journal", otherwise)
 
 
 def _writable(folder: Path, what: str, otherwise: Finding) -> Finding:

@@ -123,6 +123,22 @@ def test_where_the_daemon_writes_is_tried(tmp_path: Path, monkeypatch: pytest.Mo
     assert "/proc/nowhere/state" in kept.found
 
 
+def test_a_user_without_a_home_has_no_place_for_maps(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nobody(_: object) -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.setattr(Path, "home", classmethod(nobody))
+    run, kept = checks.check_folders(Config())
+    assert (run.level, kept.level) == (OK, WARN)
+    assert "home directory" in kept.found
+    assert "state.directory" in kept.advice
+
+
 def test_a_full_disk_is_found_where_the_daemon_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "TemporaryFile", lambda dir: open("/dev/full", "wb"))  # noqa: SIM115
     findings = list(checks.check_folders(Config()))
