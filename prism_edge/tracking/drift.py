@@ -30,8 +30,8 @@ FORGET_ABOVE = 2  # times as many keyframes remembered as there are
 COHERENT_S = 1.0  # for so long the local map is off by the same share; speed is averaged over as long
 COHERENT_M = 1.0  # and, between two places, at least over so much of the way, however slow the camera is now
 LONGEST_S = 0.5  # between two frames: longer than that nothing was seen
-# Of a camera that nobody sees: one that is covered or carried off often stood before, and is then carried.
 MOST_DETOUR = 4.0  # a moving camera has 1.1 to 2.5: the walk's numbers were fitted with that
+# Of a camera that nobody sees: one that is covered or carried off often stood before, and is then carried.
 UNSEEN_M_S, UNSEEN_RAD_S = 0.5, 0.5
 
 
@@ -52,7 +52,6 @@ class Walk:
     def covariance(self) -> Array:
         """(6, 6), translation first; alike in all axes, so the same in every frame."""
         return np.diag([self.metres2] * 3 + [self.radians2] * 3)
-
 
     def grown(self, step: Walk, most: Walk) -> Walk:
         """This and a step, but not beyond ``most``; never less than this."""
