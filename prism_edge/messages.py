@@ -29,7 +29,9 @@ RECOVERED = "recovered"
 IDS_A_LIFE = 10**10  # a process's lives begin to number things so far apart: months of mapping in each
 LARGEST_ID = 2**55  # of what comes from outside: gtsam has 56 bits for a number, and others follow it
 
-HOME = -1  # the part of a map that it began with; any other bears the number of its first keyframe
+# The part of a map that it began with. Any other bears the number of its first keyframe; where that one had
+# been culled when the tracker was started again, of the first that was still there.
+HOME = -1
 
 _DIGEST = re.compile(r"@[0-9a-f]{12}")  # in a network's identity
 
