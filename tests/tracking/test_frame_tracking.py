@@ -189,11 +189,11 @@ def test_beside_firm_points_a_seed_s_depth_counts_five_times_less():
     table.log_depth_sigma[seeds] = 0.2
     own = depth_error(table, rows, reference_origins(world, rows))
     assert (~seeds).sum() >= ENOUGH_TRIANGULATED
-    error = tracker._depth_error(world, rows)
+    error = tracker._depth_error(world, world.centres(), rows)
     assert error[seeds] == pytest.approx(SHARED_SEED_ERROR * own[seeds])
     assert np.array_equal(error[~seeds], own[~seeds])
     few = np.r_[rows[seeds], rows[~seeds][: ENOUGH_TRIANGULATED - 1]]
-    assert np.array_equal(tracker._depth_error(world, few), own[few])
+    assert np.array_equal(tracker._depth_error(world, world.centres(), few), own[few])
 
 
 def test_a_reference_that_is_gone_is_not_taken_for_the_next_keyframe():

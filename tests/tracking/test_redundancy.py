@@ -23,7 +23,7 @@ def test_what_sees_nothing_is_all_redundant():
 
 
 def test_those_of_many_are_as_those_of_each_also_once_some_are_gone():
-    world = walk(12, 0.3)
+    world = walk(12, 0.25)
     world.keyframes[2].points[:] = -1
     numbers = [1, 2, 3, 5, 8, 9]
     many = Redundancies(world, numbers)

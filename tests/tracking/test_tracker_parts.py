@@ -231,7 +231,7 @@ def test_what_can_not_be_tracked_adds_no_keyframe_for_each_look_at_it():
 
 def test_a_map_with_many_too_many_loses_some_where_a_part_begins():
     config = replace(CONFIG, submap_after_s=0.3, max_keyframes=20)
-    tracker, world = Tracker(config), walk(40)
+    tracker, world = Tracker(config), walk(40, 0.2)
     tracker.adopt(world, PlaceIndex(), Parts(), 0, 0.0)
     run = Run(tracker=tracker)
     for i, image in enumerate(churning(15)):
