@@ -80,12 +80,12 @@ class OrbPyramid:
         self._images = self._scaled(grey)
         if self._shown is not None and not self._masks:
             self._masks = [_mask(self._shown, image.shape) for image in self._images]
-        counts = self._search(self._threshold)
+        counts = self._search(self._images, self._threshold)
         at_first = sum(counts)
         if self._threshold > self._lowest and at_first < FAR_TOO_FEW * self._most:
-            counts = self._search(self._lowest)
+            counts = self._search(self._images, self._lowest)
         if sum(counts) < self._few:
-            counts = self._search_smoothed()
+            counts = self._search([_smoothed(image) for image in self._images], self._dimmest)
         levels = np.repeat(np.arange(len(counts)), counts)
         pixels = np.concatenate([_pixels(found) for found in self._found])
         pixels *= self._enlarged[levels, None]
@@ -105,22 +105,13 @@ class OrbPyramid:
                 described.append(self._detectors[level].compute(self._images[level], wanted)[1])
         return np.concatenate(described) if described else np.zeros((0, 32), np.uint8)
 
-    def _search(self, threshold: int) -> list[int]:
-        """Find corners at every level; returns how many."""
+    def _search(self, images: Sequence[Grey], threshold: int) -> list[int]:
+        """Find corners in every level's image; returns how many."""
         for detector in self._detectors:
             detector.setFastThreshold(threshold)
-        at_levels = zip(self._detectors, self._images, self._masks, strict=False)
+        at_levels = zip(self._detectors, images, self._masks, strict=False)
         self._found = [detector.detect(image, mask) for detector, image, mask in at_levels]
         return [len(found) for found in self._found]
-
-    def _search_smoothed(self) -> list[int]:
-        """Find corners of less contrast; smoothed, so that noise has no more of them than otherwise."""
-        size, sigma = SMOOTHING
-        sharp = self._images
-        self._images = [np.asarray(cv2.GaussianBlur(image, size, sigma), np.uint8) for image in sharp]
-        counts = self._search(self._dimmest)
-        self._images = sharp
-        return counts
 
     def _scaled(self, grey: Grey) -> list[Grey]:
         """The image at each level; the first always, a later one only where a keypoint has room."""
@@ -138,6 +129,11 @@ class OrbPyramid:
         enough = found > ENOUGH * self._most
         threshold = min(self._threshold + 1, HIGHEST_THRESHOLD) if enough else self._threshold - 2
         self._threshold = max(threshold, self._lowest)
+
+
+def _smoothed(image: Grey) -> Grey:
+    size, sigma = SMOOTHING
+    return np.asarray(cv2.GaussianBlur(image, size, sigma), np.uint8)
 
 
 def _mask(shown: NDArray[np.bool_], shape: tuple[int, ...]) -> Grey:

@@ -6,11 +6,8 @@ import os
 import shutil
 import signal
 import socket
-import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,15 +18,12 @@ from prism_edge.bus.commands import Reply, send
 from prism_edge.bus.links import open_session
 from prism_edge.bus.session import Bus
 from prism_edge.config import (
-    BusConfig,
     Config,
     DepthConfig,
     MetricsConfig,
     SourceConfig,
     StateConfig,
-    SupervisorConfig,
 )
-from prism_edge.config_file import dump
 from prism_edge.errors import BusError, ConfigError, SupervisionError
 from prism_edge.processes import Process
 from prism_edge.supervisor.child import Child
@@ -41,61 +35,7 @@ from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.supervisor.watch import StartRefusedError
 from prism_edge.topics import COMMANDS
 from tests.supervisor.fake_daemon import cast
-
-DAEMON = Path(__file__).with_name("fake_daemon.py")
-CHECKOUT = Path(__file__).resolve().parents[2]
-DEADLINE_S = 30.0
-
-
-def running(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in ("Z", "X")
-    except (FileNotFoundError, ProcessLookupError):
-        return False
-
-
-def until(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.02)
-
-
-def in_time(condition: Callable[[], object]) -> Callable[[], bool]:
-    """The condition, for ``Supervisor.run``; fails the test after the deadline."""
-    end = time.monotonic() + DEADLINE_S
-
-    def check() -> bool:
-        assert time.monotonic() < end, "waited in vain"
-        return bool(condition())
-
-    return check
-
-
-@pytest.fixture
-def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    supervisor = SupervisorConfig(stop_s=1.5, max_restarts=2, backoff_s=0.05)
-    return Config(robot="fake", bus=BusConfig(endpoint), supervisor=supervisor, depth=DepthConfig("net.onnx"))
-
-
-@pytest.fixture
-def left_behind(tmp_path: Path, config: Config) -> Iterator[None]:
-    """Checks after the test that the run's folder is gone and its port is free."""
-    yield
-    assert not list(tmp_path.glob("*" + PREFIX + "*"))
-    assert_port_free(config)
-
-
-def assert_port_free(config: Config) -> None:
-    host, port = config.bus.endpoint.removeprefix("tcp/").split(":")
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # what waits to time out owns nothing
-        probe.bind((host, int(port)))
+from tests.supervisor.whole_runs import DEADLINE_S, in_time, running, until
 
 
 def supervisor(config: Config, *behaviours: str) -> Supervisor:
@@ -392,67 +332,3 @@ def test_defect_of_a_worker_is_logged_and_counts_as_a_death(
     with pytest.raises(SupervisionError, match="exit code 70"), run:
         run.run(in_time(lambda: False))
     assert "RuntimeError: a defect" in capfd.readouterr().err
-
-
-@pytest.fixture
-def daemon(config: Config, tmp_path: Path) -> Iterator[Callable[..., tuple[Any, dict[str, int]]]]:
-    """Starts fake_daemon.py as a process of its own and waits until it is ready."""
-    started: list[subprocess.Popen[str]] = []
-
-    def start(*behaviours: str, before: Sequence[str] = ()) -> tuple[Any, dict[str, int]]:
-        file = tmp_path / "given.yaml"
-        file.write_text(dump(config))
-        command = [sys.executable, str(DAEMON), str(file), *behaviours]
-        process = subprocess.Popen([*before, *command], stdout=subprocess.PIPE, text=True)
-        started.append(process)
-        assert process.stdout is not None
-        word, *pairs = process.stdout.readline().split()
-        assert word == "ready"
-        return process, {name: int(pid) for name, _, pid in (pair.partition("=") for pair in pairs)}
-
-    yield start
-    for process in started:
-        process.kill()
-        process.communicate()
-
-
-@pytest.mark.usefixtures("left_behind")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_signal_ends_everything(daemon: Any, number: signal.Signals) -> None:
-    process, pids = daemon("source:steady", "tracker:steady", "depth:steady")
-    process.send_signal(number)
-    assert process.wait(DEADLINE_S) == 0
-    assert not any(running(pid) for pid in pids.values())
-
-
-IGNORING = (
-    "import os, signal, sys;"
-    "signal.signal(signal.SIGCHLD, signal.SIG_IGN);"
-    "os.execv(sys.argv[1], sys.argv[1:])"
-)
-
-
-@pytest.mark.usefixtures("left_behind")
-def test_a_death_is_noticed_though_whoever_started_us_ignores_such(daemon: Any, tmp_path: Path) -> None:
-    note = tmp_path / "note"
-    process, pids = daemon(f"source:waits={note}", before=[sys.executable, "-c", IGNORING])
-    note.unlink()
-    os.kill(pids["source"], signal.SIGKILL)
-    until(lambda: note.exists() or process.poll() is not None)  # its next life is ready
-    process.terminate()
-    assert process.wait(DEADLINE_S) == 0
-
-
-def test_kill_of_the_supervisor_leaves_no_orphan_and_the_next_start_clears_up(
-    daemon: Any, config: Config, tmp_path: Path
-) -> None:
-    process, pids = daemon("source:steady", "tracker:stubborn")
-    process.kill()
-    process.wait(DEADLINE_S)
-    until(lambda: not any(running(pid) for pid in pids.values()))
-    assert_port_free(config)
-    assert list(tmp_path.glob(PREFIX + "*"))
-    process, _ = daemon("source:steady")
-    process.terminate()
-    assert process.wait(DEADLINE_S) == 0
-    assert not list(tmp_path.glob("*" + PREFIX + "*"))

@@ -1,0 +1,34 @@
+"""The daemon's configuration with a folder and a port of the test's own, and what must not be left of it."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from prism_edge.config import BusConfig, Config, DepthConfig, SupervisorConfig
+from prism_edge.supervisor.run_directory import PREFIX
+from tests.supervisor.whole_runs import assert_port_free
+
+CHECKOUT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    supervisor = SupervisorConfig(stop_s=1.5, max_restarts=2, backoff_s=0.05)
+    return Config(robot="fake", bus=BusConfig(endpoint), supervisor=supervisor, depth=DepthConfig("net.onnx"))
+
+
+@pytest.fixture
+def left_behind(tmp_path: Path, config: Config) -> Iterator[None]:
+    """Checks after the test that the run's folder is gone and its port is free."""
+    yield
+    assert not list(tmp_path.glob("*" + PREFIX + "*"))
+    assert_port_free(config)
