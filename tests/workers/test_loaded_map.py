@@ -10,7 +10,7 @@ import pytest
 
 from prism_edge.backend import map_file
 from prism_edge.backend.stored_map import KnownScale
-from prism_edge.config import StateConfig, TrackingConfig
+from prism_edge.config import Config, StateConfig, TrackingConfig
 from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE, Epoch, MapLoaded
 from prism_edge.workers import backend, tracker
@@ -21,15 +21,21 @@ from tests.workers.backend_bench import CONFIG, hear, keyframes
 from tests.workers.list_bus import ListBus
 
 
-@pytest.mark.parametrize("there", [0, 7, 1000, IDS_A_LIFE, None])
-def test_the_tracker_takes_a_loaded_map_up_whatever_epoch_it_is_in(tmp_path: Path, there: int | None) -> None:
-    """In its second life and without a keyframe yet, or beside a backend whose journal is gone; or away."""
-    state = StateConfig(directory=str(tmp_path), journal=False)
+def of_three_keyframes(folder: Path) -> tuple[Config, ListBus, backend.BackendWorker]:
+    """A backend that has a map, and keeps maps in a folder."""
+    state = StateConfig(directory=str(folder), journal=False)
     config = replace(CONFIG, tracking=TrackingConfig(scale_factor=1.2, levels=8), state=state)
     teller, told = keyframes(3)
     bus = ListBus("keyframe")
     made = backend.BackendWorker(config, bus)
     hear(made, bus, told, teller)
+    return config, bus, made
+
+
+@pytest.mark.parametrize("there", [0, 7, 1000, IDS_A_LIFE, None])
+def test_the_tracker_takes_a_loaded_map_up_whatever_epoch_it_is_in(tmp_path: Path, there: int | None) -> None:
+    """In its second life and without a keyframe yet, or beside a backend whose journal is gone; or away."""
+    config, bus, made = of_three_keyframes(tmp_path)
     bus.desk.ask("save_map", "lab")
     made._desk.serve()
     bus = ListBus("keyframe")
@@ -49,15 +55,10 @@ def test_the_tracker_takes_a_loaded_map_up_whatever_epoch_it_is_in(tmp_path: Pat
 
 @pytest.mark.parametrize("odd", [{"places_of": 5}, {"cameras": [["pinhole", [10**400, 480, 1, 1, 1, 1]]]}])
 def test_odd_values_are_refused_in_a_line(tmp_path: Path, odd: dict[str, object]) -> None:
-    state = StateConfig(directory=str(tmp_path), journal=False)
-    config = replace(CONFIG, tracking=TrackingConfig(scale_factor=1.2, levels=8), state=state)
-    teller, told = keyframes(3)
-    bus = ListBus("keyframe")
-    made = backend.BackendWorker(config, bus)
-    hear(made, bus, told, teller)
+    config, _, made = of_three_keyframes(tmp_path)
     made._mapper.loops.index.network = "exact@0123456789ab"
     info, arrays = made._mapper.stored()
-    path = map_path(state, "lab")
+    path = map_path(config.state, "lab")
     path.parent.mkdir(parents=True)
     path.write_bytes(map_file.pack({**info, **KnownScale().info, **odd}, arrays))
     with pytest.raises(MapError):
