@@ -16,13 +16,14 @@ from prism_edge.bus.keys import address_of, check_endpoint, protocol_of
 from prism_edge.bus.leftovers import sweep
 from prism_edge.config import BusConfig, NetworkConfig
 from prism_edge.errors import BusError
-from prism_edge.topics import Topic
+from prism_edge.topics import TOPICS, Topic
 
 _DIRECT = "tcp/127.0.0.1:0"
 _SOCKET = "unixsock-stream"
 _sessions = itertools.count()
 # How long a publisher waits, once, for a receiver that is megabytes behind, before it drops what is for it.
 _PATIENCE_US = 50_000
+_BATCHES = 16  # that wait to be sent, of each priority: the most that Zenoh allows
 
 
 # How long a session on another host tries to reach the listener before it gives up.
@@ -94,6 +95,7 @@ def on_this_host(endpoint: str) -> bool:
 
 
 def _zenoh_config(links: dict[str, Any], retry_ms: int) -> Any:
+    priorities = {topic.priority for topic in TOPICS.values()}
     settings: dict[str, Any] = {
         **links,
         "scouting/multicast/enabled": False,
@@ -105,7 +107,8 @@ def _zenoh_config(links: dict[str, Any], retry_ms: int) -> Any:
             "period_increase_factor": 1,
         },
         # A frame of 460 kB is eight batches: with the default of two it would wait for the receiver's thread.
-        "transport/link/tx/queue/size/data": 16,
+        # And poses would be lost as soon as the sending thread got no processor for a tenth of a second.
+        **{f"transport/link/tx/queue/size/{priority}": _BATCHES for priority in priorities},
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": _PATIENCE_US,
         # With a small memlock limit, subscribers would silently receive nothing.
         "transport/shared_memory/enabled": False,
