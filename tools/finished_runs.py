@@ -21,6 +21,7 @@ from prism_edge.depth import locate, networks_of
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError, PrismError
 from prism_edge.evaluation.metrics import versions
+from prism_edge.named_path import named_path
 
 Metrics = dict[str, Any]
 OWN_TRUTH = (None, "the sequence's own")
@@ -71,7 +72,7 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
 
 def files_of(config: Config) -> list[Path]:
     """Files that a configuration names: camera, mask, and each network's with its card and weights."""
-    files = [Path(name).expanduser() for name in (config.source.camera, config.source.mask) if name]
+    files = [named_path(name) for name in (config.source.camera, config.source.mask) if name]
     try:
         networks = networks_of(config.depth.network)
     except ModelError:

@@ -13,6 +13,7 @@ from typing import Any
 from prism_edge.bus.keys import check_endpoint, collide, protocol_of
 from prism_edge.config import NetworkConfig
 from prism_edge.errors import ConfigError
+from prism_edge.named_path import named_path
 from prism_edge.processes import PROCESSES
 from prism_edge.topics import TOPICS
 
@@ -48,7 +49,7 @@ def unreadable(network: NetworkConfig) -> list[str]:
     return [
         f"network.{key}: can't read {path}"
         for key, path in files.items()
-        if path and not os.access(path, os.R_OK)
+        if path and not os.access(named_path(path), os.R_OK)
     ]
 
 
@@ -78,15 +79,15 @@ def tls(network: NetworkConfig) -> dict[str, Any]:
     if not network.ca:
         return {}
     settings: dict[str, Any] = {
-        "root_ca_certificate": network.ca,
+        "root_ca_certificate": str(named_path(network.ca)),
         "enable_mtls": bool(network.certificate),
         "verify_name_on_connect": True,
         "close_link_on_expiration": True,
     }
     if network.certificate:
         for side in ("listen", "connect"):
-            settings[f"{side}_certificate"] = network.certificate
-            settings[f"{side}_private_key"] = network.key
+            settings[f"{side}_certificate"] = str(named_path(network.certificate))
+            settings[f"{side}_private_key"] = str(named_path(network.key))
     return {"transport/link/tls": settings}
 
 

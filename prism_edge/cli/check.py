@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from importlib.util import find_spec
-from pathlib import Path
 
 from prism_edge.bus.access import check_settings, unreadable
 from prism_edge.bus.keys import check_loopback, check_robot_name
@@ -11,6 +10,7 @@ from prism_edge.cli.settings import with_network
 from prism_edge.config import SENSOR, Config, SourceConfig
 from prism_edge.depth import locate, networks_of
 from prism_edge.errors import ConfigError, ModelError, SourceError
+from prism_edge.named_path import named_path
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.live.oak import is_oak
 from prism_edge.sources.live.open import is_live
@@ -62,9 +62,9 @@ def _source(source: SourceConfig) -> list[str]:
     missing: list[str] = []
     if is_live(source.uri) or is_simulated(source.uri):
         open_source(source, calibrated=False)  # nothing is connected yet: only the address is read
-    if source.camera != AUTO and Path(source.camera).expanduser().is_file():
-        read_camera(Path(source.camera).expanduser())
-    mask = Path(source.mask).expanduser()
+    if source.camera != AUTO and named_path(source.camera).is_file():
+        read_camera(named_path(source.camera))
+    mask = named_path(source.mask)
     if source.mask and mask.is_file():
         read_mask(mask)
     elif source.mask:

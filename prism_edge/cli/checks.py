@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from prism_edge.config import Config
-from prism_edge.errors import PrismError
+from prism_edge.errors import MapError, PrismError
 
 OK, WARN, FAIL = "ok", "warn", "fail"
 
@@ -247,8 +247,8 @@ def check_folders(config: Config) -> Iterator[Finding]:
     otherwise = Finding(WARN, "disk", "", advice)
     try:
         kept = state_directory(config.state)
-    except RuntimeError as error:  # a user without a home
-        yield replace(otherwise, found=f"no folder for maps and journal: {error}")
+    except MapError as error:
+        yield replace(otherwise, found=str(error))
         return
     yield _writable(kept, "maps and journal", otherwise)
 

@@ -31,6 +31,7 @@ from prism_edge.depth.prediction import Prediction, checked
 from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of, pulled_files
 from prism_edge.depth.registry import File, find_digest, is_non_commercial, sha256_of
 from prism_edge.errors import ModelError
+from prism_edge.named_path import named_path
 
 _AS_REGISTERED, _AS_PULLED = "as registered", "as pulled (unverified then)"
 
@@ -44,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _pull(console: Console, args: argparse.Namespace) -> int:
-    into = Path(args.into).expanduser() if args.into else download_folder()
+    into = named_path(args.into) if args.into else download_folder()
     entry = find(args.model)
     here = entry.located() if entry and not entry.can_be_pulled else None
     if here is not None:
@@ -157,8 +158,8 @@ def _at_hand() -> list[str]:
 
 def _digests(name: str) -> tuple[str, bool]:
     """What the files' digests say, and whether they are right."""
-    if Path(name).expanduser().is_file():
-        return _digests_of_path(Path(name).expanduser())
+    if named_path(name).is_file():
+        return _digests_of_path(named_path(name))
     entry, pulled = find(name), find_pulled(name)
     files: tuple[File, ...] = ()
     folder = Path()

@@ -17,6 +17,7 @@ from prism_edge.depth.registry import File, entries, find
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.named_path import named_path
 
 NESTED = "nested:"
 
@@ -67,7 +68,7 @@ def open_onnx(spec: str, config: DepthConfig) -> OnnxNetwork:
     """One network of any kind by file or registered name, warmed up. Raises ModelError."""
     path = locate(spec)
     # Files found through a name, or that were pulled, must be those files; any other may be any.
-    by_path = path == Path(spec).expanduser()
+    by_path = path == named_path(spec)
     return OnnxNetwork(path, config, pulled_files(path) if by_path else pinned_files(spec))
 
 
@@ -81,7 +82,7 @@ def pinned_files(name: str) -> tuple[File, ...]:
 
 def locate(spec: str) -> Path:
     """The file of a path or registered name. Raises ModelError where there is none."""
-    path = Path(spec).expanduser()
+    path = named_path(spec)
     if path.is_file():
         return path
     entry = find(spec)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from prism_edge.named_path import named_path
+
 
 def data_folder() -> Path:
     """The project's models/: within an installed package, else beside the package in a checkout."""
@@ -37,4 +39,4 @@ def download_folder() -> Path:
 
 def _named() -> list[Path]:
     named = os.environ.get("PRISM_EDGE_MODELS", "").split(os.pathsep)
-    return [Path(part).expanduser() for part in named if part]
+    return [named_path(part) for part in named if part]

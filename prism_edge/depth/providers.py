@@ -25,6 +25,7 @@ from prism_edge.depth.folders import cache_home
 from prism_edge.depth.inner_tensor import with_output
 from prism_edge.depth.vetting import Vetted
 from prism_edge.errors import ModelError
+from prism_edge.named_path import named_path
 
 log = logging.getLogger("prism_edge.depth")
 
@@ -218,7 +219,7 @@ def engine_cache(config: DepthConfig) -> Path:
     Engines are machine code that is run unchecked: nobody else may write there. Raises ModelError where
     the folder can't be made.
     """
-    folder = Path(config.engine_cache).expanduser() if config.engine_cache else cache_home() / "engines"
+    folder = named_path(config.engine_cache) if config.engine_cache else cache_home() / "engines"
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:

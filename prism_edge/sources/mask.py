@@ -21,7 +21,7 @@ def read_mask(path: Path) -> Shown:
     Raises ConfigError, naming the file, where it is no image or leaves less than LEAST_SHOWN of it.
     """
     try:
-        data = np.frombuffer(path.expanduser().read_bytes(), np.uint8)
+        data = np.frombuffer(path.read_bytes(), np.uint8)
     except OSError as error:
         raise ConfigError(f"mask {path} can't be read ({error.strerror})") from None
     try:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import ConfigError, SourceError
+from prism_edge.named_path import named_path
 from prism_edge.sources import image_folder, kitti, seven_scenes, tum
 from prism_edge.sources.address import shown_address
 from prism_edge.sources.base import Source
@@ -46,7 +47,7 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
     calibrated = calibrated and config.camera != AUTO
     if not config.uri:
         raise SourceError(f"no source given; name one of: {RECOGNISED}")
-    path = Path(config.uri).expanduser()
+    path = named_path(config.uri)
     source: Source
     if is_simulated(config.uri):
         if config.camera:
@@ -90,7 +91,7 @@ def _folder(folder: Path, config: SourceConfig, calibrated: bool) -> Source:
 def _camera_file(folder: Path, config: SourceConfig) -> Intrinsics | None:
     """The configured camera file, else one that lies with the images."""
     if config.camera:
-        return config.camera, read_camera(Path(config.camera).expanduser())
+        return config.camera, read_camera(named_path(config.camera))
     for name in CAMERA_FILES:
         if (folder / name).is_file():
             return str(folder / name), read_camera(folder / name)

@@ -11,6 +11,7 @@ import numpy as np
 from prism_edge.errors import SourceError
 from prism_edge.geometry.poses import Array, from_rt, rotation_from_quaternion
 from prism_edge.messages import F64, I64
+from prism_edge.named_path import named_path
 from prism_edge.sources.kitti import camera0_from_played, read_times
 from prism_edge.sources.listing import lines_of
 from prism_edge.sources.open import find_listing
@@ -31,7 +32,7 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
     """
     if is_simulated(uri):
         return SimSource(uri).truth()
-    folder = Path(uri).expanduser()
+    folder = named_path(uri)
     if not folder.is_dir():
         return None
     listing = find_listing(folder)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +12,7 @@ from prism_edge.bus.pulse import Pulse
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Frame
+from prism_edge.named_path import named_path
 
 log = logging.getLogger("prism_edge.tracker")
 
@@ -27,7 +27,7 @@ class FrameCamera:
         if mask:
             from prism_edge.sources.mask import read_mask  # the tracker needs nothing else of the sources
 
-            self.shown = read_mask(Path(mask))
+            self.shown = read_mask(named_path(mask))
 
     def of(self, frame: Frame) -> Camera | None:
         """The frame's camera; None where no camera takes such a frame."""

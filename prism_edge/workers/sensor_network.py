@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 import time
-from pathlib import Path
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor
 from prism_edge.errors import ModelError, SourceError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.named_path import named_path
 from prism_edge.sources.address import shown_address
 from prism_edge.sources.sensor_depth import SensorDepth
 
@@ -33,7 +33,7 @@ class SensorNetwork:
     dsug = (math.nan, math.nan)  # the gate stays open: it was fitted for networks
 
     def __init__(self, source: SourceConfig) -> None:
-        folder = Path(source.uri).expanduser()
+        folder = named_path(source.uri)
         needs = "--model sensor needs a recording with depth images (TUM RGB-D, BONN or 7-Scenes)"
         if not folder.is_dir():
             raise ModelError(f"{shown_address(source.uri) or 'no source'}: {needs}")

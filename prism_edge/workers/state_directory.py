@@ -9,19 +9,26 @@ from pathlib import Path
 from prism_edge.backend.map_file import SUFFIX
 from prism_edge.config import StateConfig
 from prism_edge.errors import MapError
+from prism_edge.named_path import named_path
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
 
 
 def state_directory(config: StateConfig) -> Path:
-    """As configured; else systemd's StateDirectory=; else the user's own folder for state (XDG)."""
+    """As configured; else systemd's StateDirectory=; else the user's own folder for state (XDG).
+
+    Raises MapError for a user without a home, who has none.
+    """
     if config.directory:
-        return Path(config.directory)
+        return named_path(config.directory)
     given = os.environ.get("STATE_DIRECTORY", "").partition(":")[0]
     if given:
         return Path(given)
-    home = os.environ.get("XDG_STATE_HOME", "")
-    return (Path(home) if os.path.isabs(home) else Path.home() / ".local" / "state") / "prism-edge"
+    given = os.environ.get("XDG_STATE_HOME", "")
+    folder = Path(given) if os.path.isabs(given) else named_path("~/.local/state")
+    if not folder.is_absolute():
+        raise MapError("there is no folder for maps: the user has no home; set state.directory")
+    return folder / "prism-edge"
 
 
 def kept_journal(config: StateConfig) -> Path | None:
@@ -31,7 +38,7 @@ def kept_journal(config: StateConfig) -> Path | None:
 
 
 def map_path(config: StateConfig, name: str) -> Path:
-    """The file of a map. Raises MapError for a name that could lead anywhere but into the folder of maps."""
+    """The file of a map. Raises MapError for one that could lead elsewhere, or where there is no folder."""
     if not _NAME.fullmatch(name):
         raise MapError(f"{name!r:.80} is no name for a map: up to 64 letters, digits, _ - and . (not first)")
     return maps_folder(config) / (name + SUFFIX)

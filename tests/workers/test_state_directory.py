@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from prism_edge.config import StateConfig
+from prism_edge.errors import MapError
 from prism_edge.workers import state_directory
 
 
@@ -18,6 +19,7 @@ from prism_edge.workers import state_directory
         ({"XDG_STATE_HOME": "/x"}, StateConfig(), "/x/prism-edge"),
         ({"XDG_STATE_HOME": "relative", "HOME": "/h"}, StateConfig(), "/h/.local/state/prism-edge"),
         ({"HOME": "/h"}, StateConfig(), "/h/.local/state/prism-edge"),
+        ({"HOME": "/h"}, StateConfig(directory="~/kept"), "/h/kept"),
     ],
 )
 def test_where_state_is_kept(
@@ -28,3 +30,12 @@ def test_where_state_is_kept(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     assert state_directory.state_directory(config) == Path(expected)
+
+
+def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("os.path.expanduser", lambda path: path)
+    for of in (state_directory.map_names, lambda config: state_directory.map_path(config, "kitchen")):
+        with pytest.raises(MapError, match=r"no home; set state\.directory"):
+            of(StateConfig())

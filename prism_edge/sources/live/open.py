@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.named_path import named_path
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.camera import LiveCamera, Timing
@@ -31,7 +31,7 @@ def open_live(config: SourceConfig, calibrated: bool = True) -> LiveCamera:
     for key, given in (("source.loop", config.loop), ("source.rate_hz", config.rate_hz)):
         if given:
             raise ConfigError(f"{key} is for recordings; a live camera runs at its own rate, without end")
-    camera = read_camera(Path(config.camera).expanduser()) if config.camera and calibrated else None
+    camera = read_camera(named_path(config.camera)) if config.camera and calibrated else None
     driver = _driver(config.uri, camera)
     timing = replace(Timing(), absent_s=config.absent_s)
     if not calibrated:
