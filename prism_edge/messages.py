@@ -144,6 +144,8 @@ class Keyframe:
     travelled: float = 0.0  # path length since start, map units
     scale_factor: float = 1.2  # between pyramid levels: a keypoint is as much less precise a level up
     part: int = HOME  # of the map: each has a unit of its own until it is joined to an older one
+    joined: I64 = optional("int64", -1, 2)  # parts that were since the keyframe before: the newer, the older,
+    joined_units: F64 = optional("float64", -1, 2)  # ... and of each what MapUpdate.loop_units says
 
 
 def probe_of(index: int) -> int:
@@ -253,6 +255,8 @@ class MapUpdate:
     dropped_points: I64 = array("int64", -1)  # ... point
     loop_query: int = -1  # the loop that was closed: its newer keyframe, -1 for none,
     loop_candidate: int = -1  # ... and the older
+    # Where that joined two parts: log of the newer one's unit in the older one's, which it now has; its sigma
+    loop_units: F64 = optional("float64", -1)
     # It shows that points are one, and that keyframes see points of the other end: keyframe,
     fused_from: I64 = optional("int64", -1)
     fused_into: I64 = optional("int64", -1)

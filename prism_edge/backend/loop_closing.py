@@ -44,6 +44,8 @@ class Accepted:
     candidate_index: int
     candidate_from_query: Array
     inliers: int
+    # Of separate parts: log of the newer one's unit in the older one's, which it now has, and its sigma.
+    units: tuple[float, float] | None = None
 
 
 @dataclass
@@ -156,15 +158,18 @@ class LoopCloser:
         world = self._world
         query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
         joined = self._connected(loop)
+        units = None
         if not joined or not self._slight(loop, query):
             moved = pose_graph.spread(world, loop, self._pairs(), joined)
             if moved is None:
                 return False
+            if not joined:
+                unit = pose_graph.unit_of_newer(world, loop, self._pairs(), moved)
+                units = math.log(unit), loop.log_scale_sigma
             pose_graph.apply(world, moved)
         relative = inverse(candidate.world_from_camera) @ loop.world_from_query
-        self.accepted.append(
-            Accepted(loop.query, loop.candidate, query.index, candidate.index, relative, loop.inliers)
-        )
+        ends = loop.query, loop.candidate, query.index, candidate.index
+        self.accepted.append(Accepted(*ends, relative, loop.inliers, units))
         if len(self.accepted) > MOST_ACCEPTED:
             self._forget_one()
         made = self._join(query, [(i, world.present(p)) for i, p in loop.pairs])

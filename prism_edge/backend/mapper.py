@@ -222,6 +222,7 @@ class Mapper:
             loop_closed=closed is not None,
             loop_query=-1 if closed is None else closed.query,
             loop_candidate=-1 if closed is None else closed.candidate,
+            loop_units=np.array(() if closed is None or closed.units is None else closed.units),
             solve_ms=0.0 if beside is None else beside.solve_ms,
             keyframes=np.array(list(world.keyframes), np.int64),
             poses=np.array([k.world_from_camera for k in world.keyframes.values()]).reshape(-1, 4, 4),

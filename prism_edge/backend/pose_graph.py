@@ -13,7 +13,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from prism_edge.backend.connectivity import reachable, ties
+from prism_edge.backend.connectivity import Ties, reachable, ties
 from prism_edge.backend.frame import take_references
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop, median_depth
@@ -38,15 +38,18 @@ class Similarity:
         return self.scale * local @ self.world_from_camera[:3, :3].T + self.world_from_camera[:3, 3]
 
 
+Moved = dict[int, Similarity]  # keyframes
+
+
 def spread(
     world: GlobalMap, loop: Loop, earlier: list[tuple[int, int]], joined: bool = True
-) -> dict[int, Similarity] | None:
+) -> Moved | None:
     """Where each keyframe belongs once ``loop`` holds; None where the solver fails.
 
     The first keyframe is held, and the map keeps its unit on the whole:
     the scale that everybody uses stays right. ``earlier`` are pairs that past loops joined. Keyframes
     that hang together with neither end stay out. With ``joined`` False the ends are of separate parts, and
-    the newer moves as one.
+    the newer moves as one, into the unit of the older.
     """
     if not (np.isfinite(loop.world_from_query).all() and np.isfinite(loop.scale) and loop.scale > 0):
         return None
@@ -70,9 +73,7 @@ def spread(
             _noise(depths[loop.candidate], LOOP_SHARE, loop.log_scale_sigma),
         )
     )
-    home = part
-    if not joined:  # the newer part is moved
-        home = min((reachable(edges, {end}) for end in (loop.candidate, loop.query)), key=min)
+    home = part if joined else _older(edges, loop)
     held = min(home)
     tight = gtsam.noiseModel.Isotropic.Sigma(7, 1e-6)
     graph.add(
@@ -90,9 +91,9 @@ def spread(
     except RuntimeError:
         return None
     found = {k: _pose_and_scale(result.atSimilarity3(X(k))) for k in sorted(part)}
-    unit = float(np.exp(np.median([np.log(scale) for _, scale in found.values()])))
+    unit = float(np.exp(np.median([np.log(found[k][1]) for k in home])))
     anchor = world.keyframes[held].world_from_camera[:3, 3]
-    out: dict[int, Similarity] = {}
+    out: Moved = {}
     for k, (pose, scale) in found.items():
         centre = anchor + (pose[:3, 3] - anchor) / unit
         out[k] = Similarity(normalised(from_rt(pose[:3, :3], centre)), scale / unit)
@@ -100,7 +101,18 @@ def spread(
     return out if sound else None
 
 
-def apply(world: GlobalMap, moved: dict[int, Similarity]) -> None:
+def unit_of_newer(world: GlobalMap, loop: Loop, earlier: list[tuple[int, int]], moved: Moved) -> float:
+    """What a unit of the newer of two parts is in the older's, where a loop has joined the two."""
+    newer = moved.keys() - _older(ties(world, earlier), loop)
+    return float(np.exp(np.median([np.log(moved[k].scale) for k in newer])))
+
+
+def _older(edges: Ties, loop: Loop) -> set[int]:
+    """Of the parts that the ends of a loop are of, the one that was there first."""
+    return min((reachable(edges, {end}) for end in (loop.candidate, loop.query)), key=min)
+
+
+def apply(world: GlobalMap, moved: Moved) -> None:
     """Move keyframes, the points that they see (by the first that does), and their network depths."""
     before = {k: world.keyframes[k].world_from_camera for k in moved}
     owned: dict[int, list[int]] = {}

@@ -63,6 +63,7 @@ class ScaleEstimator:
             return None
         if self._epoch != keyframe.epoch:
             self.begin(keyframe.epoch)
+        self._join(keyframe)
         if self._parts.enter(keyframe, self._config):
             self._gate.forget()
         self._gate.note(keyframe)
@@ -135,6 +136,13 @@ class ScaleEstimator:
         self.accepted = self.rejected = 0
         self._network = ""
         self._gate.forget()
+
+    def _join(self, keyframe: Keyframe) -> None:
+        """Parts whose way to one another was found since the keyframe before."""
+        if len(keyframe.joined) == len(keyframe.joined_units):
+            for (newer, older), units in zip(keyframe.joined.tolist(), keyframe.joined_units, strict=True):
+                if np.isfinite(units).all():
+                    self._parts.join(newer, older, *units.tolist())
 
     def _meet(self, depth: Depth) -> None:
         """Another network has other metres: they are off by its bias and by that of the one before."""

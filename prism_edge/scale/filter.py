@@ -16,6 +16,7 @@ x = -f there, known as well as f is: P = frame_sigma^2 [[1, -1], [-1, 1]] (see :
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import deque
 
@@ -152,6 +153,35 @@ class ScaleFilter:
     def widen(self, sigma: float) -> None:
         """What is known may be off by so much more."""
         self._covariance = self._covariance + np.diag([sigma**2, 0.0])
+
+    def joined(self, other: ScaleFilter, log_unit: float, sigma: float) -> ScaleFilter:
+        """Both in one, now that another part of the map is in this one's unit.
+
+        ``log_unit`` is the log of the other's unit in this one's, known to ``sigma``. The images of either
+        are taken to err independently of the other's; f is that of whom an image has come to since.
+        """
+        if other.is_open or not self._kalman:
+            return self
+        came = copy.deepcopy(other)
+        came._state = came._state - np.array([log_unit, 0.0])
+        came._travelled = self._travelled
+        came.widen(sigma)
+        if self.is_open:
+            return came
+        first, last = sorted((copy.deepcopy(self), came), key=lambda known: known._time_s or 0.0)
+        first.predict(last._time_s or 0.0, first._travelled)
+        last._know(first.log_scale, first.sigma**2)
+        last._spread = max(self._spread, came._spread, key=lambda spread: spread.weight)
+        last.accepted, last.rejected = self.accepted + other.accepted, self.rejected + other.rejected
+        last._support = self._support + other._support
+        return last
+
+    def _know(self, log_scale: float, variance: float) -> None:
+        """Take in what somebody else knows of x."""
+        gain = self._covariance[:, 0] / (self._covariance[0, 0] + variance + _LEAST_VARIANCE)
+        keep = np.eye(2) - np.outer(gain, [1.0, 0.0])
+        self._state = self._state + gain * (log_scale - self._state[0])
+        self._covariance = keep @ self._covariance @ keep.T + variance * np.outer(gain, gain)
 
     def update(self, observation: Observation) -> bool:
         """Takes in a keyframe's observation; False where it was refused as an outlier."""

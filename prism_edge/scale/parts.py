@@ -2,7 +2,8 @@
 
 A part is seeded by its first depth, turned to map units with the log scale that was published then. Whatever
 that image errs by is the part's own error, not that of the part that was left, which waits as it was. Joined
-to an older part it has that one's unit: its keyframes bear the older one's number from then on.
+to an older part it has that one's unit: its keyframes bear the older one's number from then on, and what was
+learned in both counts.
 """
 
 from __future__ import annotations
@@ -52,6 +53,12 @@ class PartScales:
         home = self._parts[HOME]
         home.filter.take_over(log_scale, sigma)
         home.steady.log_scale = log_scale
+
+    def join(self, newer: int, older: int, log_unit: float, sigma: float) -> None:
+        """A part is in an older one's unit from now on: the log of its own in that one's, and its sigma."""
+        if newer in self._parts and older in self._parts:
+            known = self._parts[older]
+            known.filter = known.filter.joined(self._parts[newer].filter, log_unit, sigma)
 
     def enter(self, keyframe: Keyframe, config: ScaleConfig) -> bool:
         """A keyframe is next; whether it belongs to another part than the one before."""

@@ -26,6 +26,11 @@ class FrameSpread:
         self._sum = PRIOR_WEIGHT * prior**2
 
     @property
+    def weight(self) -> float:
+        """Independent observations that the belief counts as."""
+        return self._weight
+
+    @property
     def sigma(self) -> float:
         """Root of the belief's mean variance."""
         return math.sqrt(self._sum / self._weight)

@@ -39,6 +39,7 @@ def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float
     late = np.array(holds, np.int64).reshape(-1, 3)
     fused = np.array(changes.fused, np.int64).reshape(-1, 2)
     anchor = max((k for k in world.keyframes if k < keyframe.id), default=keyframe.id)
+    joined = np.array(tracker.parts.take_joined(), np.float64).reshape(-1, 4)
     return Keyframe(
         id=keyframe.id,
         index=keyframe.index,
@@ -68,6 +69,8 @@ def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float
         travelled=travelled,
         scale_factor=tracker.scale_factor,
         part=tracker.parts.of(keyframe.id),
+        joined=joined[:, :2].astype(np.int64),
+        joined_units=joined[:, 2:],
     )
 
 

@@ -48,7 +48,9 @@ def flaw(update: MapUpdate) -> str:
             return f"its {one} and {other} are not equally many"
     if len(update.weights) not in (0, len(update.points)):
         return "its points and weights are not equally many"
-    for name in ("poses", "positions", "parallax_deg", "weights"):
+    if len(update.loop_units) not in (0, 2):
+        return "its units of joined parts are not two numbers"
+    for name in ("poses", "positions", "parallax_deg", "weights", "loop_units"):
         if not np.isfinite(getattr(update, name)).all():
             return f"its {name} are not all finite"
     if len(update.camera):
@@ -71,7 +73,7 @@ def take_over(
     world.drop_observations(update.dropped_keyframes, update.dropped_points)
     became = join(world, update)
     if update.loop_query >= 0:
-        if parts.merge(update.loop_query, update.loop_candidate):
+        if parts.merge(update.loop_query, update.loop_candidate, update.loop_units):
             log.info("the part of keyframe %d has its place in the map", update.loop_query)
         world.look_anew()  # a part, or one end of the map, was turned and scaled: it is seen from elsewhere
     if last is not None:

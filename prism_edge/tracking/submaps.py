@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection
 
+from prism_edge.geometry.poses import Array
 from prism_edge.messages import HOME
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.point_table import Ids
@@ -20,6 +21,7 @@ class Parts:
     def __init__(self) -> None:
         self.current = HOME
         self._of: dict[int, int] = {}  # keyframes that are not at home
+        self._joined: list[tuple[int, int, float, float]] = []  # what nobody has been told of
 
     @classmethod
     def given(cls, of: dict[int, int]) -> Parts:
@@ -60,11 +62,16 @@ class Parts:
         if votes:
             self.current = max(sorted(votes), key=lambda part: votes[part])
 
-    def merge(self, one: int, other: int) -> bool:
-        """Two keyframes turned out to see one place: the newer part becomes of the older. False: it was."""
+    def merge(self, one: int, other: int, units: Array | None = None) -> bool:
+        """Two keyframes turned out to see one place: the newer part becomes of the older. False: it was.
+
+        ``units`` (2,), where they are known: log of the newer one's unit in the older one's, and its sigma.
+        """
         old, new = sorted((self.of(one), self.of(other)))
         if old == new:
             return False
+        if units is not None and len(units):
+            self._joined.append((new, old, *units.tolist()))
         for keyframe in [k for k, part in self._of.items() if part == new]:
             if old == HOME:
                 del self._of[keyframe]
@@ -73,6 +80,11 @@ class Parts:
         if self.current == new:
             self.current = old
         return True
+
+    def take_joined(self) -> list[tuple[int, int, float, float]]:
+        """Parts that were merged since this was last asked, each newer, older and their ``units``."""
+        joined, self._joined = self._joined, []
+        return joined
 
     def alone(self) -> set[int]:
         """Keyframes that are all there is of a part, other than of the one that the camera is in."""

@@ -249,6 +249,12 @@ def test_a_part_mapped_apart_is_merged_when_its_place_is_recognised():
     mapper = walk(ring, 26, mapper=mapper)
     first = mapper.loops.accepted[0]
     assert first.candidate < 10 <= first.query
+    unit, sigma = first.units
+    assert abs(unit) < 0.02  # the new part was told in the old one's unit
+    assert 0.0 < sigma < 0.02
+    assert all(later.units is None for later in mapper.loops.accepted[1:])
+    assert mapper.whole(35, mapper.loops.take_changes(), closed=first).loop_units.tolist() == [unit, sigma]
+    assert not len(mapper.whole(35, mapper.loops.take_changes()).loop_units)
     finish(mapper)
     poses = mapper.world.poses()
     assert position_error(poses, ring.true) < 0.05

@@ -9,7 +9,15 @@ from gtsam.symbol_shorthand import X
 
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop
-from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, _carry, _similarity, apply, spread
+from prism_edge.backend.pose_graph import (
+    LOOP_SHARE,
+    Similarity,
+    _carry,
+    _similarity,
+    apply,
+    spread,
+    unit_of_newer,
+)
 from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
 from tests.backend.world import SHARED, chain
 from tests.tracking.cloud import pose_at
@@ -104,20 +112,28 @@ def test_nonsense_is_refused():
     assert spread(world, loop(world, 3, 0, np.full((4, 4), np.nan)), []) is None
 
 
-def test_the_unit_of_the_larger_part_is_kept():
-    """The published scale was learnt on it last: the few old keyframes take it on, the first one in place."""
+def test_the_unit_of_the_older_part_is_kept_however_small_it_is():
+    """Its scale goes into everything that is told of the map; the newer one's unit is said."""
     world = chain([pose_at(1.0 + 0.3 * i) for i in range(3)])
     poses = [pose_at(50.0 + 0.2 * i) for i in range(6)]
     chain(poses, first=100, world=world)
-    old = [world.keyframes[k].world_from_camera.copy() for k in range(3)]
-    moved = spread(world, loop(world, 102, 1, pose_at(1.3), 2.0), [], joined=False)
-    assert moved[0].world_from_camera == pytest.approx(old[0], abs=1e-3)
+    back = loop(world, 102, 1, pose_at(1.3), 2.0)
+    moved = spread(world, back, [], joined=False)
     for k in range(3):
-        assert moved[k].scale == pytest.approx(0.5, abs=1e-3)
-        shift = moved[k].world_from_camera[:3, 3] - old[0][:3, 3]
-        assert shift == pytest.approx(0.5 * (old[k] - old[0])[:3, 3], abs=1e-3)
+        assert moved[k].world_from_camera == pytest.approx(world.keyframes[k].world_from_camera, abs=1e-3)
+        assert moved[k].scale == pytest.approx(1.0, abs=1e-3)
     for i in range(6):
-        assert moved[100 + i].scale == pytest.approx(1.0, abs=1e-3)
+        assert moved[100 + i].scale == pytest.approx(2.0, abs=1e-3)
+    assert unit_of_newer(world, back, [], moved) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_the_newer_part_may_be_the_candidate_s():
+    world = chain([pose_at(0.3 * i) for i in range(4)])
+    chain([pose_at(50.0 + 0.2 * i) for i in range(3)], first=100, world=world)
+    back = loop(world, 2, 101, pose_at(50.3), 0.5)  # what is 1 in the query's is half in the candidate's
+    moved = spread(world, back, [], joined=False)
+    assert moved[3].scale == pytest.approx(1.0, abs=1e-3)
+    assert moved[100].scale == unit_of_newer(world, back, [], moved) == pytest.approx(2.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("moving", ["query", "candidate"])

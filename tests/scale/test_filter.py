@@ -50,6 +50,60 @@ def test_it_is_batch_least_squares_over_all_keyframes_at_once():
     assert scale.sigma == pytest.approx(1 / np.sqrt(information.sum()), abs=1e-9)
 
 
+def two_parts(sigma=0.0):
+    """A filter of one part for 10 s, of another, whose unit is 1.3 of the first's, for 20 s after a pause.
+
+    The first and the joined one, and what batch least squares needs: values in the first's unit, covariance.
+    """
+    rng, own = np.random.default_rng(3), STILL.point_sigma**2 / STILL.min_points
+    times = np.arange(0.0, 10.0, 0.5), np.arange(30.0, 50.0, 0.5)
+    values = [np.concatenate([[0.0], rng.normal(0.1 * k, 0.05, len(t) - 1)]) for k, t in enumerate(times)]
+    home, part = (played(*seen_there) for seen_there in zip(times, values, strict=True))
+    joined = home.joined(part, np.log(1.3), sigma)
+    blocks = [shared_errors(t) + np.diag([own] + [WHITE] * (len(t) - 1)) for t in times]
+    values[1] = values[1] - np.log(1.3)
+    return home, joined, times, values, blocks
+
+
+def test_two_parts_joined_are_batch_least_squares_over_both_and_what_comes_after():
+    """The images of the two err independently; those that come after err as the newer part's last ones."""
+    _, joined, times, values, blocks = two_parts()
+    later = np.arange(50.5, 54.0, 0.5)
+    shown = np.random.default_rng(4).normal(0.0, 0.05, len(later))
+    for count in (0, len(later)):
+        for time, value in zip(later[:count], shown, strict=False):
+            joined.predict(time, 0.0)
+            assert joined.update(seen(value))
+        white = np.concatenate([np.diag(blocks[1]) - STILL.frame_sigma**2, np.full(count, WHITE)])
+        second = shared_errors(np.concatenate([times[1], later[:count]])) + np.diag(white)
+        information = [np.linalg.inv(block) for block in (blocks[0], second)]
+        seen_then = [values[0], np.concatenate([values[1], shown[:count]])]
+        total = sum(i.sum() for i in information)
+        mean = sum(i.sum(0) @ z for i, z in zip(information, seen_then, strict=True)) / total
+        assert joined.log_scale == pytest.approx(mean, abs=1e-9)
+        assert joined.sigma == pytest.approx(total**-0.5, abs=1e-9)
+    assert joined.accepted == 19 + 39 + 7
+
+
+def test_a_part_whose_unit_is_hardly_known_adds_little():
+    home, joined, *_ = two_parts(sigma=0.5)
+    assert joined.sigma == pytest.approx((home.sigma**-2 + 1 / (0.5**2 + home.sigma**2)) ** -0.5, rel=0.01)
+    assert joined.log_scale == pytest.approx(home.log_scale, abs=0.2 * home.sigma)
+
+
+def test_joined_to_a_part_of_which_nothing_is_known_it_is_what_is_known():
+    _, joined, times, values, _ = two_parts()
+    part = played(times[1], values[1])
+    fresh = ScaleFilter(STILL)
+    assert fresh.joined(part, 0.2, 0.0).log_scale == pytest.approx(part.log_scale - 0.2)
+    assert joined.joined(ScaleFilter(STILL), 0.2, 0.0) is joined
+    before = part.log_scale, part.sigma, part.accepted
+    again = fresh.joined(part, 0.2, 0.0)
+    again.predict(60.0, 0.0)
+    again.update(seen(0.4))
+    assert (part.log_scale, part.sigma, part.accepted) == before  # a late image may still come to it
+
+
 def test_independent_errors_average_as_white_noise():
     config = replace(STILL, correlation_s=0.0)
     scale = played(np.arange(50) * 0.3, np.full(50, 0.05), config, unit=False)

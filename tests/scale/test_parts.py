@@ -57,6 +57,21 @@ def test_back_at_home_nothing_of_the_part_is_left_in_its_scale():
     assert estimator.accepted == 59 + 29 + 5 + 1
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_joined_parts_know_what_either_did(known):
+    """Lost after two seconds, mapped for longer, and home again: what was learned meanwhile counts."""
+    estimator = ScaleEstimator(CONFIG)
+    home = play(estimator, range(6), unit=1.3)
+    there = play(estimator, range(30, 120), part=30, unit=1.5)
+    joined, units = np.array([[30, HOME]]), np.array([[np.log(1.5 / 1.3), 0.002 if known else np.inf]])
+    keyframe = replace(keyframe_of_wall(120, 48.0, 1.3), joined=joined, joined_units=units)
+    back, _ = estimator.process(keyframe, depth_of(keyframe, **FITTED))
+    assert back.part == HOME
+    assert (abs(back.log_scale - np.log(1.3)) < 0.03) == known
+    assert (back.filter_sigma < 1.05 * there[-1].filter_sigma) == known
+    assert back.filter_sigma < 1.05 * home[-1].filter_sigma
+
+
 @pytest.mark.parametrize("depth", [None, "unusable"])
 def test_a_part_that_had_no_depth_leaves_no_trace(depth):
     estimator, home = at_home()

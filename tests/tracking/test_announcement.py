@@ -66,6 +66,12 @@ def test_a_message_says_which_part_of_the_map_it_is_of():
     tracker.parts.begin(newest.id)
     assert sent(tracker, newest).part == newest.id
     assert sent(tracker, world.keyframes[0]).part == HOME
+    assert not len(sent(tracker, newest).joined)
+    assert tracker.parts.merge(newest.id, 0, np.array([0.3, 0.01]))
+    home = sent(tracker, newest)
+    assert (home.part, home.joined.tolist(), home.joined_units.tolist()) == (HOME, [[1, HOME]], [[0.3, 0.01]])
+    assert not tracker.parts.merge(newest.id, 0, np.array([0.3, 0.01]))  # it was home
+    assert not len(sent(tracker, newest).joined)  # said once
 
 
 def test_the_first_keyframe_is_its_own_anchor():

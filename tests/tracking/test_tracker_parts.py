@@ -10,7 +10,7 @@ import pytest
 
 from prism_edge.config import CovarianceConfig
 from prism_edge.geometry.poses import inverse, scaled, se3_log, transform
-from prism_edge.messages import INITIALISING, LOST, OK
+from prism_edge.messages import HOME, INITIALISING, LOST, OK
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.keyframe_culling import AT_ONCE
 from prism_edge.tracking.place_index import PlaceIndex
@@ -99,7 +99,8 @@ def bring_home(run: Run, motion: np.ndarray, size: float = 1.0) -> None:
         positions=transform(motion, size * world.points.position[world.points.rows(ids)]),
         parallax_deg=np.zeros(len(ids), np.float32),
     )
-    run.tracker.apply_update(replace(update, loop_query=mine[-1], loop_candidate=0))
+    units = np.array([np.log(size), 0.01])
+    run.tracker.apply_update(replace(update, loop_query=mine[-1], loop_candidate=0, loop_units=units))
 
 
 def test_a_loop_between_the_parts_brings_the_camera_home():
@@ -111,7 +112,9 @@ def test_a_loop_between_the_parts_brings_the_camera_home():
     last = run.results[71]
     assert not last.in_map
     motion = pose_at(3.0, 0.5, -1.0, 0.2, 0.7, -0.1)
-    bring_home(run, motion)
+    part = run.tracker.parts.current
+    bring_home(run, motion, size=1.0)
+    assert run.tracker.parts.take_joined() == [(part, HOME, 0.0, 0.01)]
     after = run.feed(0, room[-1][0], at=72)
     assert after.in_map
     off = inverse(motion @ last.world_from_camera) @ after.world_from_camera
