@@ -30,9 +30,12 @@ if str(ROOT) not in sys.path:  # run from a checkout
     sys.path.insert(0, str(ROOT))
 
 from prism_edge.errors import PrismError, SourceError  # noqa: E402
+from prism_edge.evaluation.trajectory import write_tum  # noqa: E402
+from prism_edge.sources.bonn import holds_markers  # noqa: E402
 from tools.distractors.plan import MOST_COVERED, plan  # noqa: E402
 from tools.distractors.recording import Recording, empty  # noqa: E402
 from tools.distractors.solids import Distractor, draw, texture  # noqa: E402
+from tools.true_poses import own_truth  # noqa: E402
 
 Array = NDArray[np.float64]
 
@@ -103,10 +106,12 @@ def _write_depth(recording: Recording, file: Path, shown: Array, out: Path) -> N
 
 
 def copy_rest(recording: Recording, out: Path) -> None:
-    """Lists, truth and camera, as they are."""
+    """Lists, truth and camera, as they are; of BONN's truth, which is the markers', what is the camera's."""
     for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
         if (recording.folder / name).is_file():
             shutil.copyfile(recording.folder / name, out / name)
+    if holds_markers(recording.folder) and len(truth := own_truth(str(recording.folder))):
+        write_tum(out / "groundtruth.txt", truth)
     for path in sorted(recording.folder.glob("*.pose.txt")):
         shutil.copyfile(path, out / path.name)
     c = recording.camera

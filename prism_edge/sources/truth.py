@@ -12,6 +12,7 @@ from prism_edge.errors import SourceError
 from prism_edge.geometry.poses import Array, from_rt, rotation_from_quaternion
 from prism_edge.messages import F64, I64
 from prism_edge.named_path import named_path
+from prism_edge.sources.bonn import camera_from_markers, holds_markers
 from prism_edge.sources.kitti import camera0_from_played, read_times
 from prism_edge.sources.listing import lines_of
 from prism_edge.sources.open import find_listing
@@ -25,10 +26,11 @@ _ROTATION_TOLERANCE = 0.01
 def read_truth(uri: str) -> tuple[I64, F64] | None:
     """(stamps_ns (n,), world_from_camera (n, 4, 4), metres) in order of time; None where there is none.
 
-    TUM RGB-D: groundtruth.txt. 7-Scenes: the frames' .pose.txt, those not finite left out. KITTI odometry:
-    poses.txt, or ../../poses/NN.txt as the benchmark lays it out, which are camera 0's, carried over to the
-    one that is played. Simulator: exact, and computed. Raises SourceError naming the file where it is
-    damaged, and ConfigError where KITTI's calib.txt is.
+    TUM RGB-D: groundtruth.txt, carried over from the markers to the camera where the folder is BONN's.
+    7-Scenes: the frames' .pose.txt, those not finite left out. KITTI odometry: poses.txt, or
+    ../../poses/NN.txt as the benchmark lays it out, which are camera 0's, carried over to the one that is
+    played. Simulator: exact, and computed. Raises SourceError naming the file where it is damaged, and
+    ConfigError where KITTI's calib.txt is.
     """
     if is_simulated(uri):
         return SimSource(uri).truth()
@@ -39,6 +41,8 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
     rows: list[tuple[int, Array]] = []
     if listing.layout == "TUM RGB-D":
         rows = _tum(folder / "groundtruth.txt")
+        if holds_markers(folder):
+            rows = [(stamp, camera_from_markers(pose)) for stamp, pose in rows]
     elif listing.layout == "7-Scenes":
         poses = (path.with_name(path.name.split(".")[0] + ".pose.txt") for path in listing.files)
         rows = _seven_scenes(zip(listing.stamps_ns, poses, strict=True))

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from prism_edge.evaluation.trajectory import Trajectory, read_tum, write_tum
 from prism_edge.geometry.cameras import Camera
+from prism_edge.sources.bonn import camera_from_markers
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.truth import read_truth
 from tests.synthetic.network import write_tiny_network
@@ -39,6 +41,15 @@ def as_tum(room: Path, folder: Path) -> Path:
     return folder
 
 
+def as_bonn(room: Path, folder: Path) -> Path:
+    """Its groundtruth.txt holds the markers' poses: the chain that leads to the camera, undone."""
+    turned = np.linalg.inv(camera_from_markers(np.eye(4)))
+    ros = np.array([[-1.0, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+    truth = read_tum(as_tum(room, folder) / "groundtruth.txt")
+    write_tum(folder / "groundtruth.txt", Trajectory(truth.stamps, ros @ truth.poses @ turned @ ros))
+    return folder
+
+
 def as_seven_scenes(room: Path, folder: Path) -> Path:
     folder.mkdir(parents=True)
     for i, (image, pose) in enumerate(zip(images(room), poses(room), strict=True)):
@@ -62,7 +73,7 @@ def as_kitti(room: Path, folder: Path) -> Path:
 
 LAYOUTS = {
     "rgbd_dataset_freiburg3_walking_xyz": (as_tum, "### TUM RGB-D", "23.2 / 26.8", 1.0),
-    "rgbd_bonn_balloon": (as_tum, "### BONN Dynamic", "9.8 / 18.1", 1.0),
+    "rgbd_bonn_balloon": (as_bonn, "### BONN Dynamic", "9.8 / 18.1", 1.0),
     "chess/seq-01": (as_seven_scenes, "### 7-Scenes", "7.1 / 7.1", 1.0),
     "sequences/03": (as_kitti, "### KITTI odometry", "- / 4.3", 0.01),  # metres, not centimetres
 }

@@ -214,6 +214,17 @@ def test_a_folder_without_depth_and_one_that_is_taken_are_refused(sequence: Path
     assert "not empty" in capsys.readouterr().err
 
 
+def test_bonns_truth_is_carried_over_once(sequence: Path, tmp_path: Path):
+    """Its folder's name says that the markers' poses lie there; the name of what is made doesn't."""
+    folder, out = tmp_path / "rgbd_bonn_room", tmp_path / "out"
+    folder.symlink_to(sequence)
+    out.mkdir()
+    make_distractors.copy_rest(Recording(folder, None), out)
+    (stamps, poses), before = read_truth(str(out)), read_truth(str(folder))
+    assert stamps.tolist() == before[0].tolist()
+    assert poses == pytest.approx(before[1], abs=1e-8)
+
+
 def test_replaced_extents_are_the_only_change_of_size():
     """Planning scales an object and nothing else of it."""
     ball = thing(ELLIPSOID, (0.2, 0.2, 0.2), [(0.0, 0.0, 2.0), (0.0, 0.0, 2.0)])

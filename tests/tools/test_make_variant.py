@@ -96,6 +96,14 @@ def test_stamps_near_todays_epoch_are_kept_to_the_nanosecond(tmp_path):
     assert read_truth(str(tmp_path / "out"))[0].tolist() == stamps
 
 
+def test_no_recording_is_made_under_a_name_of_bonns(tmp_path):
+    """Its true poses are the camera's, and would be taken for the markers'."""
+    source, out = write_sequence(tmp_path / "in", frames=2, width=160, height=120), tmp_path / "rgbd_bonn_b"
+    with pytest.raises(SourceError, match="another folder"):
+        write(str(source), out, Variant(backwards=True))
+    assert not out.exists()
+
+
 def test_poses_of_images_left_out_are_left_out(tmp_path):
     source = write_sequence(tmp_path / "in", frames=7, width=160, height=120)
     write(str(source), tmp_path / "out", Variant(every=3))

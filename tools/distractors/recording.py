@@ -13,6 +13,7 @@ from prism_edge.errors import SourceError
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log
+from prism_edge.sources.bonn import holds_markers
 from prism_edge.sources.open import find_listing, open_source
 from prism_edge.sources.sensor_depth import COLOUR_IN_DEPTH, DEPTH_CAMERA, SensorDepth
 from prism_edge.sources.truth import read_truth
@@ -21,9 +22,14 @@ Array = NDArray[np.float64]
 
 
 def empty(out: Path) -> None:
-    """Raises SourceError where a folder for a recording holds something, which would be played too."""
+    """Raises SourceError where a folder for a recording holds something, which would be played too.
+
+    So it does where the folder has a name of BONN's: the camera's true poses would be taken for the markers'.
+    """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise SourceError(f"{out} is there already and not empty; name a new folder")
+    if holds_markers(out):
+        raise SourceError(f"{out}: rgbd_bonn_* is for recordings with BONN's own truth; name another folder")
 
 
 class Recording:
