@@ -9,13 +9,16 @@ from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import SUFFIXES
 from prism_edge.sources.known_cameras import by_name
 from prism_edge.sources.listing import Listing, files_in
-from prism_edge.sources.stamps import at_rate
+from prism_edge.sources.stamps import at_rate, from_names
 
 COVERAGE = ".coverage.png"  # what calibrate calls its picture, behind the stem of its camera file
 
 
 def find(folder: Path, rate_hz: float) -> Listing | None:
-    """The images in a folder, stamped at ``rate_hz`` (0: 30 Hz); None where there are none."""
+    """The images in a folder; None where there are none.
+
+    Stamped by their names where those are nanoseconds, else at ``rate_hz`` (0: 30 Hz).
+    """
     files = files_in(folder)
     others = {path.stem for path in files if path.suffix.lower() not in SUFFIXES}
     images = tuple(
@@ -23,8 +26,9 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     )
     if not images:
         return None
-    stamps = tuple(at_rate(i, rate_hz or DEFAULT_RATE_HZ) for i in range(len(images)))
-    return Listing("folder of images", images, stamps, lambda: by_name(folder))
+    named = from_names([path.stem for path in images])
+    stamps = named or tuple(at_rate(i, rate_hz or DEFAULT_RATE_HZ) for i in range(len(images)))
+    return Listing("folder of images", images, stamps, lambda: by_name(folder), stamped=named is not None)
 
 
 def _is_coverage(name: str, stems: Set[str]) -> bool:

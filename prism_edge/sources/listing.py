@@ -22,6 +22,7 @@ class Listing:
     stamps_ns: tuple[int, ...]
     # Asked only where no camera file speaks; None: the layout knows none.
     intrinsics: Callable[[], Intrinsics | None]
+    stamped: bool = True  # False: nothing says when images were taken, so they come at a rate
 
     def __post_init__(self) -> None:
         if len(self.files) != len(self.stamps_ns):

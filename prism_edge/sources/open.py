@@ -10,7 +10,7 @@ from prism_edge.errors import ConfigError, SourceError
 from prism_edge.named_path import named_path
 from prism_edge.sources import image_folder, kitti, seven_scenes, tum
 from prism_edge.sources.address import shown_address
-from prism_edge.sources.base import Source
+from prism_edge.sources.base import DEFAULT_RATE_HZ, Source
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.image_sequence import ImageSequence
@@ -85,6 +85,9 @@ def _folder(folder: Path, config: SourceConfig, calibrated: bool) -> Source:
     origin, camera = known or _no_camera(folder)
     if known is ROS_DEFAULT:
         log.warning("%s names no known camera: taking the %s", folder, origin)
+    if not listing.stamped and not config.rate_hz and (calibrated or config.camera == AUTO):
+        words = "%s: nothing says when its images were taken: assuming %g Hz (else set source.rate_hz)"
+        log.warning(words, folder, DEFAULT_RATE_HZ)
     return ImageSequence(folder, listing, camera, origin)
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 _NS = Decimal(10**9)
 _LIMIT = Decimal(2**63 - 1)
+_LEAST_NS = 1_000_000  # between images that are named by nanoseconds
 _ROS_NS = 2**31 * 10**9  # builtin_interfaces/Time has 32 bits for seconds: until January 2038
 
 
@@ -33,6 +34,21 @@ def write_seconds(stamp_ns: int) -> str:
     """Decimal seconds, nine decimals, exact: what :func:`parse_seconds` reads back."""
     sign, stamp = ("-", -stamp_ns) if stamp_ns < 0 else ("", stamp_ns)
     return f"{sign}{stamp // 10**9}.{stamp % 10**9:09d}"
+
+
+def from_names(names: Sequence[str]) -> tuple[int, ...] | None:
+    """The stamps (ns) that images are named by, as EuRoC's are; None where their names are no such.
+
+    Whole numbers of 16 to 19 digits, all alike, ascending, usually by a millisecond and more: microseconds,
+    and counters with zeros in front, are none.
+    """
+    if len(names) < 2 or len({len(name) for name in names}) > 1 or not 16 <= len(names[0]) <= 19:
+        return None
+    if not all(name.isascii() and name.isdecimal() for name in names):
+        return None
+    stamps = tuple(map(int, names))
+    ascending = all(b > a for a, b in pairwise(stamps)) and fits_ros(stamps[-1])
+    return stamps if ascending and usual_period_ns(stamps, 0) >= _LEAST_NS else None
 
 
 def at_rate(index: int, rate_hz: float) -> int:
