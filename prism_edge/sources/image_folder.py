@@ -7,7 +7,7 @@ from pathlib import Path
 
 from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import SUFFIXES
-from prism_edge.sources.known_cameras import by_name
+from prism_edge.sources.known_cameras import by_full_name
 from prism_edge.sources.listing import Listing, files_in
 from prism_edge.sources.stamps import at_rate, from_names
 
@@ -28,7 +28,7 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
         return None
     named = from_names([path.stem for path in images])
     stamps = named or tuple(at_rate(i, rate_hz or DEFAULT_RATE_HZ) for i in range(len(images)))
-    return Listing("folder of images", images, stamps, lambda: by_name(folder), stamped=named is not None)
+    return Listing("folder of images", images, stamps, lambda: by_full_name(folder), bool(named))
 
 
 def _is_coverage(name: str, stems: Set[str]) -> bool:

@@ -52,17 +52,32 @@ SHORT = {
     "tsukuba": "new_tsukuba",
 }
 
+# Names that nobody gives to images of his own: for folders in which nothing else speaks for a dataset.
+_FULL = re.compile(
+    r"(?<![a-z0-9])(?:rgbd_dataset_(freiburg[123])(?![0-9])|(rgbd_bonn)_|(tartanair)|(new_tsukuba)(?![a-z0-9]))"
+)
+
 # A name further up says little about the folder; TartanAir's images lie four below its own.
 _LEVELS = 5
 
 
 def by_name(folder: Path) -> tuple[str, Camera] | None:
     """What a folder's name, or else that of one of its nearest parents, is known for."""
-    for part in reversed(folder.absolute().parts[-_LEVELS:]):
+    for part in _names(folder):
         for name, known in BY_NAME.items():
-            if name in part.lower():
+            if name in part:
                 return known
-        for word in re.split(r"[^a-z0-9]+", part.lower()):
+        for word in re.split(r"[^a-z0-9]+", part):
             if word in SHORT:
                 return BY_NAME[SHORT[word]]
     return None
+
+
+def by_full_name(folder: Path) -> tuple[str, Camera] | None:
+    """The same by a dataset's full name alone, as it unpacks."""
+    found = next((match for part in _names(folder) if (match := _FULL.search(part))), None)
+    return found and BY_NAME[next(filter(None, found.groups()))]
+
+
+def _names(folder: Path) -> list[str]:
+    return [part.lower() for part in reversed(folder.absolute().parts[-_LEVELS:])]

@@ -258,6 +258,44 @@ def test_tartanairs_images_lie_deep_below_its_name(tmp_path: Path) -> None:
     assert "TartanAir" in source.camera_origin
 
 
+@pytest.mark.parametrize(
+    ("name", "fx"),
+    [
+        ("rgbd_dataset_freiburg1_desk/rgb", 517.306408),
+        ("rgbd_dataset_freiburg3_walking_xyz/rgb", 535.4),
+        ("rgbd_bonn_dataset/rgbd_bonn_crowd/rgb", 542.822841),
+        ("tartanair_hospital/rgb", 320.0),
+        ("data/TartanAir/office/Easy/P000/image_left", 320.0),
+        ("new_tsukuba/rgb", 615.0),
+    ],
+)
+def test_images_alone_are_a_datasets_by_its_full_name(tmp_path: Path, name: str, fx: float) -> None:
+    tiny.write_image(tmp_path / name / "000001.png", tiny.picture(1, 640, 480))
+    assert opened(tmp_path / name).camera.fx == fx
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "bonn/thesis/run3",
+        "tsukuba/walk",
+        "fr1",
+        "tum_fr2/a",
+        "freiburg1/market",
+        "rgbd_bonn",
+        "my_new_tsukubas",
+        "rgbd_dataset_freiburg12/a",
+        "notartanair",
+    ],
+)
+def test_images_of_ones_own_are_not_taken_for_a_datasets(tmp_path: Path, name: str) -> None:
+    """From Bonn, say: a town's name is no lens."""
+    tiny.write_image(tmp_path / name / "000001.png", tiny.picture(1, 640, 480))
+    error = refusal(tmp_path / name)
+    assert isinstance(error, ConfigError)
+    assert "--camera" in str(error)
+
+
 def test_an_unknown_tum_folder_is_guessed_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder = tiny.write_tum(tmp_path / "office", count=1, suffix="jpg", width=640, height=480)
     (folder / "camera.yaml").unlink()
