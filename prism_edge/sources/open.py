@@ -32,6 +32,9 @@ RECOGNISED = (
     "a camera (v4l2:/dev/video0, oak:, rtsp://HOST/PATH, http://HOST/PATH)"
 )
 
+# What datasets come in; none of them can be played as it is.
+PACKED = {".zip", ".tgz", ".tar", ".gz", ".bz2", ".xz", ".7z", ".rar", ".bag", ".db3", ".mcap", ".klg"}
+
 AUTO = "auto"  # in place of a camera file: the depth network is asked (workers/uncalibrated.py)
 _UNKNOWN: Intrinsics = ("not calibrated", UNCALIBRATED)
 
@@ -57,6 +60,8 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
         return open_live(config, calibrated)
     elif path.is_dir():
         source = _folder(path, config, calibrated)
+    elif path.is_file() and path.suffix.lower() in PACKED:
+        raise SourceError(f"{path} is an archive or bag: unpack it first, and name the folder")
     elif path.is_file():
         known = _camera_file(path.parent, config) if calibrated else _UNKNOWN
         origin, camera = known or _no_camera(path)

@@ -217,6 +217,19 @@ def test_images_and_videos_without_a_camera_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    "name", ["seq-01.zip", "a.tgz", "a.tar", "a.tar.gz", "a.7z", "a.bag", "a.db3", "a.mcap", "A.KLG"]
+)
+def test_what_is_still_packed_is_said_to_be(tmp_path: Path, name: str) -> None:
+    """Before a camera is asked for, which would not help."""
+    (tmp_path / name).write_bytes(b"\0" * 100)
+    for settings in ({}, {"camera": "none.yaml"}, {"camera": "auto"}):
+        error = refusal(tmp_path / name, **settings)
+        assert isinstance(error, SourceError)
+        assert "unpack it first" in str(error)
+        assert name in str(error)
+
+
+@pytest.mark.parametrize(
     ("name", "fx", "coefficients"),
     [
         ("rgbd_dataset_freiburg1_desk", 517.306408, 5),
