@@ -14,14 +14,17 @@ from prism_edge.sources.listing import Intrinsics, Listing, files_in, lines_of
 from prism_edge.sources.stamps import parse_seconds
 
 _CAMERAS = {"image_2": "P2", "image_0": "P0"}  # colour before grey
+TABLES = "calib.txt and times.txt come with the benchmark's data_odometry_calib.zip"
 
 
 def find(folder: Path, rate_hz: float) -> Listing | None:
     """The sequence in a folder, None where its layout is another; SourceError where tables are damaged."""
-    names = _image_folders(folder)
+    names = image_folders(folder)
     if not names or not (folder / "calib.txt").is_file():
         return None
     images = [path for path in files_in(folder / names[0]) if path.stem.isdecimal()]
+    if not (folder / "times.txt").is_file():
+        raise SourceError(f"{folder} has KITTI's {names[0]} but no times.txt: {TABLES}")
     times = read_times(folder / "times.txt")
     if images and int(images[-1].stem) >= len(times):
         table = folder / "times.txt"
@@ -52,7 +55,7 @@ def camera0_from_played(folder: Path) -> Array:
     Rectified cameras differ by a translation t alone: P2 = K [I | t]. Raises ConfigError where calib.txt is
     damaged.
     """
-    name = _image_folders(folder)[0]
+    name = image_folders(folder)[0]
     if name == "image_0":
         return np.eye(4)
     path = folder / "calib.txt"
@@ -64,8 +67,8 @@ def camera0_from_played(folder: Path) -> Array:
         raise ConfigError(f"{path} line {number}: no camera projects so") from None
 
 
-def _image_folders(folder: Path) -> list[str]:
-    """The first is played."""
+def image_folders(folder: Path) -> list[str]:
+    """Names of those of its cameras that can be played; the first is."""
     return [name for name in _CAMERAS if (folder / name).is_dir()]
 
 

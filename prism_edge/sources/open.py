@@ -19,6 +19,7 @@ from prism_edge.sources.listing import Intrinsics, Listing
 from prism_edge.sources.live.open import is_live, open_live
 from prism_edge.sources.loop import Looped
 from prism_edge.sources.sim import SimSource, is_simulated
+from prism_edge.sources.unrecognised import guess
 from prism_edge.sources.video import Video
 
 log = logging.getLogger("prism_edge.sources")
@@ -81,7 +82,12 @@ def find_listing(folder: Path, rate_hz: float = 0.0) -> Listing:
             if not listing.files:
                 raise SourceError(f"{folder} looks like {listing.layout} but holds no image")
             return listing
-    raise SourceError(f"{folder} is empty or of no known kind; recognised are: {RECOGNISED}")
+    if words := guess(folder):
+        raise SourceError(f"{folder} {words}")
+    raise SourceError(
+        f"{folder} is empty or of no known kind; recognised are: {RECOGNISED}; "
+        "docs/SOURCES.md, Another dataset, says how any recording is laid out"
+    )
 
 
 def _folder(folder: Path, config: SourceConfig, calibrated: bool) -> Source:

@@ -129,7 +129,9 @@ def test_damaged_kitti_tables(tmp_path: Path, file: str, content: str, words: li
 def test_kitti_without_times(tmp_path: Path) -> None:
     tiny.write_kitti(tmp_path)
     (tmp_path / "times.txt").unlink()
-    assert "times.txt" in str(refusal(tmp_path))
+    message = str(refusal(tmp_path))
+    assert "image_0 but no times.txt" in message
+    assert "data_odometry_calib.zip" in message
 
 
 def test_a_folder_of_images_is_in_natural_order(tmp_path: Path) -> None:

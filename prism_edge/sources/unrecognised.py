@@ -1,0 +1,35 @@
+"""What a folder that can't be played seems to be: datasets unpacked in part, and folders of sequences."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+
+from prism_edge.sources import kitti
+from prism_edge.sources.listing import natural_order
+
+_NAMED = 4  # sequences; more than a few are no line any more
+
+
+def guess(folder: Path) -> str:
+    """What to do with a folder that no layout knows, in a few words that follow its name; empty: no idea."""
+    with suppress(OSError):
+        if images := kitti.image_folders(folder):
+            return f"has KITTI's {images[0]} but no calib.txt: {kitti.TABLES}"
+        below = sorted((path for path in folder.iterdir() if _is_sequence(path)), key=natural_order)
+        names = ", ".join([path.name for path in below[:_NAMED]] + ["..."] * (len(below) > _NAMED))
+        if below:
+            which = "it" if len(below) == 1 else "one of them"
+            return f"is no sequence but holds {len(below)}; name {which}: {names}"
+    return ""
+
+
+def _is_sequence(folder: Path) -> bool:
+    """Whether a dataset's marks are there, of one sequence or of a scene of 7-Scenes; nothing is read."""
+    with suppress(OSError):
+        if not folder.is_dir():
+            return False
+        scenes = ("frame-*.color.*", "seq-*/frame-*.color.*")
+        frames = (next(folder.glob(pattern), None) for pattern in scenes)
+        return (folder / "rgb.txt").is_file() or bool(kitti.image_folders(folder)) or any(frames)
+    return False

@@ -1,0 +1,80 @@
+"""What is said of folders that hold a dataset, but not as one can be played."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from sources import tiny_datasets as tiny
+
+from prism_edge.errors import SourceError
+from prism_edge.sources.open import find_listing
+from prism_edge.sources.unrecognised import guess
+
+
+def refusal(folder: Path) -> str:
+    with pytest.raises(SourceError) as caught:
+        find_listing(folder)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("camera", ["image_0", "image_2"])
+def test_kitti_without_its_tables_names_their_download(tmp_path: Path, camera: str) -> None:
+    tiny.write_kitti(tmp_path, cameras=(camera,))
+    (tmp_path / "calib.txt").unlink()
+    (tmp_path / "times.txt").unlink()
+    message = refusal(tmp_path)
+    assert f"{camera} but no calib.txt" in message
+    assert "data_odometry_calib.zip" in message
+
+
+def bare_kitti(folder: Path) -> Path:
+    """As the images' own download unpacks."""
+    tiny.write_image(folder / "image_2" / "000000.png", tiny.picture(0))
+    return folder
+
+
+def scene(folder: Path) -> Path:
+    for name in ("seq-01", "seq-02"):
+        tiny.write_seven_scenes(folder / name, count=1, size=(64, 48))
+    return folder
+
+
+LAYOUTS = [tiny.write_tum, tiny.write_seven_scenes, tiny.write_kitti, bare_kitti, scene]
+
+
+@pytest.mark.parametrize("write", LAYOUTS)
+def test_a_folder_of_sequences_names_a_few(tmp_path: Path, write: Callable[[Path], Path]) -> None:
+    for name in ("b2", "b10", "b1"):
+        write(tmp_path / name)
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "readme.txt").write_text("nothing")
+    message = refusal(tmp_path)
+    assert message.endswith("holds 3; name one of them: b1, b2, b10")
+    for name in ("b3", "b4"):
+        write(tmp_path / name)
+    assert refusal(tmp_path).endswith("holds 5; name one of them: b1, b2, b3, b4, ...")
+
+
+def test_of_other_folders_nothing_is_said(tmp_path: Path) -> None:
+    tiny.write_images(tmp_path / "rgb")
+    assert guess(tmp_path) == ""
+    message = refusal(tmp_path)
+    assert "no known kind" in message
+    assert "docs/SOURCES.md" in message
+
+
+def test_what_can_not_be_read_is_no_sequence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny.write_tum(tmp_path / "a", count=1)
+    (tmp_path / "locked").mkdir()
+    is_dir = Path.is_dir
+
+    def locked(path: Path) -> bool:
+        if path.name == "locked":
+            raise PermissionError(13, "Permission denied")
+        return is_dir(path)
+
+    monkeypatch.setattr(Path, "is_dir", locked)
+    assert guess(tmp_path).endswith("holds 1; name it: a")
