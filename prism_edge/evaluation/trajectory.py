@@ -137,7 +137,7 @@ def read_tum(path: Path) -> Trajectory:
     Raises EvaluationError naming file and line where a line is no pose, and where there is none at all.
     """
     try:
-        text = path.read_text()
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise EvaluationError(f"{path}: {error.strerror}: can't read the trajectory") from error
     except UnicodeDecodeError as error:
@@ -160,8 +160,11 @@ def _parse(fields: list[str], where: str) -> tuple[int, Array]:
         values = np.array([float(field) for field in fields[1:]])
     except (InvalidOperation, ValueError):
         raise EvaluationError(f"{where}: a field is not a number") from None
-    if not stamp.is_finite() or abs(stamp) > _LATEST_S or not np.isfinite(values).all():
-        raise EvaluationError(f"{where}: a number is not finite or out of range")
+    if not stamp.is_finite() or not np.isfinite(values).all():
+        raise EvaluationError(f"{where}: a number is not finite")
+    if abs(stamp) > _LATEST_S:
+        unit = "nanoseconds or milliseconds? TUM files have seconds"
+        raise EvaluationError(f"{where}: the stamp is out of range; {unit}")
     if not 1e-6 < np.linalg.norm(values[3:]) < 1e6:
         raise EvaluationError(f"{where}: the quaternion has no direction")
     return round(stamp * NS), from_rt(rotation_from_quaternion(values[3:]), values[:3])

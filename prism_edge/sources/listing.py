@@ -51,7 +51,7 @@ def lines_of(path: Path) -> list[tuple[int, list[str]]]:
     Raises SourceError where the file can't be read or is no text.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # Windows' editors put a mark in front
     except OSError as error:
         raise SourceError(f"{path} can't be read ({error.strerror})") from None
     except UnicodeDecodeError:

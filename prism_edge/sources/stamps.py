@@ -15,13 +15,18 @@ _ROS_NS = 2**31 * 10**9  # builtin_interfaces/Time has 32 bits for seconds: unti
 
 
 def parse_seconds(text: str) -> int:
-    """Nanoseconds of decimal seconds ('1305031102.175304', '1.0e-01'); ValueError for anything else."""
+    """Nanoseconds of decimal seconds ('1305031102.175304', '1.0e-01'); ValueError for anything else.
+
+    Its text asks about the unit where that may be another: today's date in milliseconds is past any second.
+    """
     try:
         value = Decimal(text) * _NS
     except InvalidOperation:
         raise ValueError(f"{text!r} is no time in seconds") from None
-    if not value.is_finite() or abs(value) > _LIMIT:
+    if not value.is_finite():
         raise ValueError(f"{text!r} is no time in seconds")
+    if abs(value) > _LIMIT:
+        raise ValueError(f"{text!r} is no time in seconds; nanoseconds or milliseconds? lists have seconds")
     return int(value.to_integral_value())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,6 +19,8 @@ from prism_edge.sources.listing import lines_of
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.sim import SimSource, is_simulated
 from prism_edge.sources.stamps import parse_seconds
+
+log = logging.getLogger("prism_edge.sources")
 
 # A rotation written with few digits is off by less than this.
 _ROTATION_TOLERANCE = 0.01
@@ -58,10 +61,14 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
 
 
 def _tum(path: Path) -> list[tuple[int, Array]]:
-    rows = []
-    for number, words in lines_of(path) if path.is_file() else []:
+    rows, left_out = [], ""
+    lines = lines_of(path) if path.is_file() else []
+    for number, words in lines:
         where = f"{path} line {number}"
-        *position, x, y, z, w = _numbers(words[1:], 7, where)
+        *position, x, y, z, w = numbers = _numbers(words[1:], 7, where, finite=False)
+        if not np.all(np.isfinite(numbers)):
+            left_out = left_out or where
+            continue
         if not 0.9 < float(np.hypot(np.hypot(x, y), np.hypot(z, w))) < 1.1:
             raise SourceError(f"{where}: the quaternion is not of length one")
         rotation = rotation_from_quaternion(np.array([x, y, z, w]))
@@ -69,6 +76,11 @@ def _tum(path: Path) -> list[tuple[int, Array]]:
             rows.append((parse_seconds(words[0]), from_rt(rotation, np.array(position))))
         except ValueError as error:
             raise SourceError(f"{where}: {error}") from None
+    if left_out and not rows:
+        raise SourceError(f"{left_out}: not finite, nor is any other pose of it")
+    if left_out:
+        count = len(lines) - len(rows)
+        log.warning("%s: not finite; %d of %d poses are such, and left out", left_out, count, len(lines))
     return rows
 
 
@@ -102,8 +114,10 @@ def _numbers(words: list[str], count: int, where: str, finite: bool = True) -> l
         numbers = [float(word) for word in words]
     except ValueError:
         numbers = []
-    if len(numbers) != count or (finite and not np.all(np.isfinite(numbers))):
+    if len(numbers) != count:
         raise SourceError(f"{where}: expected {count} numbers of a pose")
+    if finite and not np.all(np.isfinite(numbers)):
+        raise SourceError(f"{where}: not finite")
     return numbers
 
 

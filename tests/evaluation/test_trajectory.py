@@ -55,6 +55,11 @@ def test_stamps_survive_to_the_nanosecond(stamps: list[int]) -> None:
     np.testing.assert_allclose(back.poses, ours.poses, atol=1e-8)
 
 
+def test_the_mark_of_windows_editors_is_read_over(tmp_path: Path) -> None:
+    (tmp_path / "a.tum").write_bytes(b"\xef\xbb\xbf1 2 3 4 0 0 0 1\r\n")
+    assert read_tum(tmp_path / "a.tum").stamps.tolist() == [1_000_000_000]
+
+
 def test_comments_blank_lines_and_disorder_are_fine(tmp_path: Path) -> None:
     file = tmp_path / "d.tum"
     file.write_text("# truth\n\n2.5 1 2 3 0 0 0 2 # twice too long\n1e0 0 0 0 0 0 0 1\n")
@@ -73,6 +78,7 @@ def test_comments_blank_lines_and_disorder_are_fine(tmp_path: Path) -> None:
         ("0 0 nan 0 0 0 0 1", "not finite"),
         ("inf 0 0 0 0 0 0 1", "not finite"),
         ("1e30 0 0 0 0 0 0 1", "out of range"),
+        ("1305031102175 0 0 0 0 0 0 1", "milliseconds"),
         ("0 0 0 0 0 0 0 0", "quaternion"),
     ],
 )

@@ -2,39 +2,16 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
 from pathlib import Path
 
-import cv2
-import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
+from sources.opening import all_of, opened, refusal
 
 from prism_edge.config import SourceConfig
-from prism_edge.errors import ConfigError, PrismError, SourceError
-from prism_edge.sources import Image, Source, Unreadable, open_source
-
-
-def opened(folder: Path, **settings: object) -> Source:
-    return open_source(SourceConfig(uri=str(folder), **settings))  # type: ignore[arg-type]
-
-
-def all_of(source: Source) -> list[Image | Unreadable]:
-    with source:
-        items = []
-        while (item := source.read()) is not None:
-            items.append(item)
-        assert source.peek() is None
-        return items
-
-
-def refusal(folder: Path, **settings: object) -> PrismError:
-    """The error of opening; its text must be one line."""
-    with pytest.raises(PrismError) as caught, opened(folder, **settings):
-        pass
-    assert "\n" not in str(caught.value)
-    return caught.value
+from prism_edge.errors import ConfigError, SourceError
+from prism_edge.sources import Image, Unreadable, open_source
 
 
 def test_tum(tmp_path: Path) -> None:
@@ -134,76 +111,6 @@ def test_kitti_without_times(tmp_path: Path) -> None:
     assert "data_odometry_calib.zip" in message
 
 
-def test_a_folder_of_images_is_in_natural_order(tmp_path: Path) -> None:
-    source = opened(tiny.write_images(tmp_path))
-    items = all_of(source)
-    assert [item.stamp_ns for item in items[:3]] == [0, 33333333, 66666667]
-    for i, item in enumerate(items):
-        assert isinstance(item, Image)
-        assert (item.pixels == tiny.picture(i + 1)).all()
-
-
-def test_a_folder_of_images_is_stamped_at_the_rate_asked_for(tmp_path: Path) -> None:
-    items = all_of(opened(tiny.write_images(tmp_path), rate_hz=5.0))
-    assert [item.stamp_ns for item in items[:2]] == [0, 200_000_000]
-
-
-def test_images_without_stamps_are_assumed_to_come_at_30_hz_aloud(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    folder = tiny.write_images(tmp_path)
-    with caplog.at_level(logging.WARNING):
-        opened(folder)
-    (record,) = caplog.records
-    assert "30 Hz" in record.getMessage()
-    assert "source.rate_hz" in record.getMessage()
-    caplog.clear()
-    opened(folder, rate_hz=30.0)
-    open_source(SourceConfig(uri=str(folder)), calibrated=False)  # to calibrate: no rate matters
-    opened(tiny.write_tum(tmp_path / "tum"))
-    assert not caplog.records
-
-
-def test_names_that_are_nanoseconds_are_stamps(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    """EuRoC's mav0/cam0/data, whose images are a twentieth of a second apart."""
-    first, step = 1403636579763555584, 50_000_128
-    for i in range(4):
-        tiny.write_image(tmp_path / f"{first + i * step}.png", tiny.picture(i))
-    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
-    for rate_hz in (0.0, 30.0):
-        source = opened(tmp_path, rate_hz=rate_hz)
-        assert [item.stamp_ns for item in all_of(source)] == [first + i * step for i in range(4)]
-        assert source.period_ns == step
-    assert not caplog.records
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        ["1403636579763555", "1403636579813555", "1403636579863555"],  # microseconds
-        ["0000000000000000", "0000000000000001", "0000000000000002"],
-        ["1403636579763555584"],  # nothing to compare it with
-        ["1403636579763555584", "1403636579813555584", "cover"],
-        ["140363657976355558", "1403636579813555584", "1403636579863555584"],
-        ["9403636579763555584", "9403636579813555584"],  # beyond what ROS can hold
-        ["140363657976355", "140363659976355"],
-    ],
-)
-def test_names_that_may_be_something_else_are_no_stamps(tmp_path: Path, names: list[str]) -> None:
-    for i, name in enumerate(names):
-        tiny.write_image(tmp_path / f"{name}.png", tiny.picture(i))
-    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
-    stamps = [item.stamp_ns for item in all_of(opened(tmp_path))]
-    assert stamps == [round(i * 1e9 / 30) for i in range(len(names))]
-
-
-def test_one_stamp_twice_is_none(tmp_path: Path) -> None:
-    for i, name in enumerate(("63555584.png", "63555584.jpg", "113555584.png")):
-        tiny.write_image(tmp_path / f"1403636579{name:0>13}", tiny.picture(i))
-    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
-    assert all_of(opened(tmp_path))[0].stamp_ns == 0
-
-
 def test_a_datasets_own_stamps_are_kept_at_any_rate(tmp_path: Path) -> None:
     items = all_of(opened(tiny.write_tum(tmp_path), rate_hz=5.0))
     assert items[1].stamp_ns - items[0].stamp_ns == 100_000_000
@@ -229,96 +136,6 @@ def test_what_is_still_packed_is_said_to_be(tmp_path: Path, name: str) -> None:
         assert isinstance(error, SourceError)
         assert "unpack it first" in str(error)
         assert name in str(error)
-
-
-@pytest.mark.parametrize(
-    ("name", "fx", "coefficients"),
-    [
-        ("rgbd_dataset_freiburg1_desk", 517.306408, 5),
-        ("rgbd_dataset_freiburg2_xyz", 520.908620, 5),
-        ("rgbd_dataset_freiburg3_long_office_household", 535.4, 0),
-        ("rgbd_bonn_balloon", 542.822841, 5),
-        ("tartanair_hospital", 320.0, 0),
-        ("new_tsukuba", 615.0, 0),
-        ("fr1_desk", 517.306408, 5),
-        ("TUM-fr2.xyz", 520.908620, 5),
-        ("tum_fr3_walking", 535.4, 0),
-        ("bonn_balloon", 542.822841, 5),
-        ("Tsukuba", 615.0, 0),
-    ],
-)
-def test_published_intrinsics_go_by_the_name(tmp_path: Path, name: str, fx: float, coefficients: int) -> None:
-    for folder in (tmp_path / name, tmp_path / f"in_{name}" / "P001"):
-        tiny.write_tum(folder, count=1, suffix="jpg", width=640, height=480)
-        (folder / "camera.yaml").unlink()
-        source = opened(folder)
-        assert (source.camera.width, source.camera.height, source.camera.fx) == (640, 480, fx)
-        assert len(source.camera.distortion) == coefficients
-
-
-@pytest.mark.parametrize("name", ["bonner_weg", "sfr1", "fr10", "afr2b"])
-def test_short_names_count_only_as_words(tmp_path: Path, name: str) -> None:
-    folder = tiny.write_tum(tmp_path / name, count=1, suffix="jpg", width=640, height=480)
-    (folder / "camera.yaml").unlink()
-    assert "guess" in opened(folder).camera_origin
-
-
-def test_tartanairs_images_lie_deep_below_its_name(tmp_path: Path) -> None:
-    folder = tmp_path / "tartanair" / "office" / "Easy" / "P000" / "image_left"
-    folder.mkdir(parents=True)
-    for i in range(2):
-        cv2.imwrite(str(folder / f"00000{i}_left.png"), np.zeros((480, 640, 3), np.uint8))
-    source = opened(folder)
-    assert source.camera.fx == 320.0
-    assert "TartanAir" in source.camera_origin
-
-
-@pytest.mark.parametrize(
-    ("name", "fx"),
-    [
-        ("rgbd_dataset_freiburg1_desk/rgb", 517.306408),
-        ("rgbd_dataset_freiburg3_walking_xyz/rgb", 535.4),
-        ("rgbd_bonn_dataset/rgbd_bonn_crowd/rgb", 542.822841),
-        ("tartanair_hospital/rgb", 320.0),
-        ("data/TartanAir/office/Easy/P000/image_left", 320.0),
-        ("new_tsukuba/rgb", 615.0),
-    ],
-)
-def test_images_alone_are_a_datasets_by_its_full_name(tmp_path: Path, name: str, fx: float) -> None:
-    tiny.write_image(tmp_path / name / "000001.png", tiny.picture(1, 640, 480))
-    assert opened(tmp_path / name).camera.fx == fx
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "bonn/thesis/run3",
-        "tsukuba/walk",
-        "fr1",
-        "tum_fr2/a",
-        "freiburg1/market",
-        "rgbd_bonn",
-        "my_new_tsukubas",
-        "rgbd_dataset_freiburg12/a",
-        "notartanair",
-    ],
-)
-def test_images_of_ones_own_are_not_taken_for_a_datasets(tmp_path: Path, name: str) -> None:
-    """From Bonn, say: a town's name is no lens."""
-    tiny.write_image(tmp_path / name / "000001.png", tiny.picture(1, 640, 480))
-    error = refusal(tmp_path / name)
-    assert isinstance(error, ConfigError)
-    assert "--camera" in str(error)
-
-
-def test_an_unknown_tum_folder_is_guessed_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    folder = tiny.write_tum(tmp_path / "office", count=1, suffix="jpg", width=640, height=480)
-    (folder / "camera.yaml").unlink()
-    with caplog.at_level(logging.WARNING):
-        source = opened(folder)
-    assert (source.camera.fx, source.camera.cx, source.camera.cy) == (525.0, 319.5, 239.5)
-    assert "guess" in caplog.text
-    assert "guess" in source.camera_origin
 
 
 def test_camera_files_win_over_the_table_and_the_option_over_all(tmp_path: Path) -> None:
@@ -367,32 +184,6 @@ def test_nothing_recognised_lists_what_would_be(tmp_path: Path) -> None:
             assert layout in str(error)
     with pytest.raises(SourceError, match="no source given"):
         open_source(SourceConfig())
-
-
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
-        ("", ["holds no image"]),
-        ("# only a comment\n", ["holds no image"]),
-        ("0.1 rgb/a.png extra\n", ["line 1"]),
-        ("# c\nsoon rgb/a.png\n", ["line 2", "soon"]),
-        ("nan rgb/a.png\n", ["line 1"]),
-        ("1e400 rgb/a.png\n", ["line 1"]),
-        ("inf rgb/a.png\n", ["line 1"]),
-    ],
-)
-def test_damaged_tum_lists(tmp_path: Path, table: str, words: list[str]) -> None:
-    folder = tiny.write_tum(tmp_path)
-    (folder / "rgb.txt").write_text(table)
-    message = str(refusal(folder))
-    for word in words:
-        assert word in message
-
-
-def test_a_binary_list_is_refused(tmp_path: Path) -> None:
-    folder = tiny.write_tum(tmp_path)
-    (folder / "rgb.txt").write_bytes(b"\xff\x00\x80")
-    assert "rgb.txt" in str(refusal(folder))
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg"])

@@ -124,6 +124,34 @@ def test_damaged_truth_is_named(tmp_path: Path, line: str) -> None:
         read_truth(str(folder))
 
 
+def test_poses_that_are_not_finite_are_left_out_and_counted(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tiny.write_tum(tmp_path)
+    table = folder / "groundtruth.txt"
+    lines = table.read_text().splitlines()
+    lines[2] = f"{lines[2].split()[0]} nan nan nan nan nan nan nan"
+    lines[4] = lines[4].replace("0.300", "-inf")
+    table.write_text("\n".join(lines))
+    truth = read_truth(str(folder))
+    assert truth is not None
+    np.testing.assert_allclose(truth[1][:, 0, 3], [0.0, 0.2, 0.4])
+    (record,) = caplog.records
+    assert "groundtruth.txt line 3" in record.getMessage()
+    assert "2 of 5" in record.getMessage()
+    table.write_text("# c\n1 nan 0 0 0 0 0 1\n2 0 0 0 inf 0 0 1\n")
+    with pytest.raises(SourceError, match="line 2: not finite"):
+        read_truth(str(folder))
+
+
+def test_kittis_poses_must_be_finite(tmp_path: Path) -> None:
+    """They go by their place in the file: to leave one out is no choice."""
+    folder = tiny.write_kitti(tmp_path)
+    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 nan 0 1 0 0 0 0 1 0\n" * 2)
+    with pytest.raises(SourceError, match="line 2: not finite"):
+        read_truth(str(folder))
+
+
 def test_damaged_poses_are_named(tmp_path: Path) -> None:
     scenes = tiny.write_seven_scenes(tmp_path / "scenes")
     (scenes / "frame-000002.pose.txt").write_text("1 0 0\n")

@@ -1,0 +1,83 @@
+"""Plain folders of images: their order, and when they were taken."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import pytest
+from sources import tiny_datasets as tiny
+from sources.opening import all_of, opened
+
+from prism_edge.config import SourceConfig
+from prism_edge.sources import Image, open_source
+
+
+def test_a_folder_of_images_is_in_natural_order(tmp_path: Path) -> None:
+    source = opened(tiny.write_images(tmp_path))
+    items = all_of(source)
+    assert [item.stamp_ns for item in items[:3]] == [0, 33333333, 66666667]
+    for i, item in enumerate(items):
+        assert isinstance(item, Image)
+        assert (item.pixels == tiny.picture(i + 1)).all()
+
+
+def test_a_folder_of_images_is_stamped_at_the_rate_asked_for(tmp_path: Path) -> None:
+    items = all_of(opened(tiny.write_images(tmp_path), rate_hz=5.0))
+    assert [item.stamp_ns for item in items[:2]] == [0, 200_000_000]
+
+
+def test_images_without_stamps_are_assumed_to_come_at_30_hz_aloud(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tiny.write_images(tmp_path)
+    with caplog.at_level(logging.WARNING):
+        opened(folder)
+    (record,) = caplog.records
+    assert "30 Hz" in record.getMessage()
+    assert "source.rate_hz" in record.getMessage()
+    caplog.clear()
+    opened(folder, rate_hz=30.0)
+    open_source(SourceConfig(uri=str(folder)), calibrated=False)  # to calibrate: no rate matters
+    opened(tiny.write_tum(tmp_path / "tum"))
+    assert not caplog.records
+
+
+def test_names_that_are_nanoseconds_are_stamps(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """EuRoC's mav0/cam0/data, whose images are a twentieth of a second apart."""
+    first, step = 1403636579763555584, 50_000_128
+    for i in range(4):
+        tiny.write_image(tmp_path / f"{first + i * step}.png", tiny.picture(i))
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    for rate_hz in (0.0, 30.0):
+        source = opened(tmp_path, rate_hz=rate_hz)
+        assert [item.stamp_ns for item in all_of(source)] == [first + i * step for i in range(4)]
+        assert source.period_ns == step
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["1403636579763555", "1403636579813555", "1403636579863555"],  # microseconds
+        ["0000000000000000", "0000000000000001", "0000000000000002"],
+        ["1403636579763555584"],  # nothing to compare it with
+        ["1403636579763555584", "1403636579813555584", "cover"],
+        ["140363657976355558", "1403636579813555584", "1403636579863555584"],
+        ["9403636579763555584", "9403636579813555584"],  # beyond what ROS can hold
+        ["140363657976355", "140363659976355"],
+    ],
+)
+def test_names_that_may_be_something_else_are_no_stamps(tmp_path: Path, names: list[str]) -> None:
+    for i, name in enumerate(names):
+        tiny.write_image(tmp_path / f"{name}.png", tiny.picture(i))
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    stamps = [item.stamp_ns for item in all_of(opened(tmp_path))]
+    assert stamps == [round(i * 1e9 / 30) for i in range(len(names))]
+
+
+def test_one_stamp_twice_is_none(tmp_path: Path) -> None:
+    for i, name in enumerate(("63555584.png", "63555584.jpg", "113555584.png")):
+        tiny.write_image(tmp_path / f"1403636579{name:0>13}", tiny.picture(i))
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    assert all_of(opened(tmp_path))[0].stamp_ns == 0
