@@ -68,7 +68,9 @@ class Journal:
         self._generation, self._base_size, self._tail_size = generation, len(data), 0
         try:
             self._tail.unlink(missing_ok=True)
-            self._file = open(self._tail, "xb", buffering=0)  # noqa: SIM115 - open until the next base
+            self._file = open(  # noqa: SIM115 - open until the next base
+                self._tail, "xb", buffering=0, opener=lambda path, flags: os.open(path, flags, 0o600)
+            )
         except OSError as error:
             raise MapError(f"can't write {self._tail}: {error.strerror or error}") from None
         self.append(_GENERATION.pack(generation))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable
+import stat
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import BinaryIO, cast
 
@@ -44,6 +45,25 @@ def written(tmp_path: Path) -> Path:
 
 def test_what_was_written_is_recovered(written: Path) -> None:
     assert recovered(written) == (7, RECORDS)
+
+
+@pytest.fixture
+def _open_umask() -> Iterator[None]:
+    """A service's umask may take nothing away."""
+    before = os.umask(0)
+    yield
+    os.umask(before)
+
+
+@pytest.mark.usefixtures("_open_umask")
+def test_only_its_owner_can_read_it(tmp_path: Path) -> None:
+    """What it holds is a picture of the inside of somebody's rooms."""
+    journal = Journal(tmp_path / "j")
+    for generation in range(2):  # the second tail takes the first one's place
+        journal.begin(base(generation))
+        journal.append(b"more")
+        modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in (tmp_path / "j").iterdir()}
+        assert modes == {"base": 0o600, "tail": 0o600}
 
 
 def test_nothing_to_recover(tmp_path: Path) -> None:
