@@ -146,6 +146,10 @@ class Keyframe:
     part: int = HOME  # of the map: each has a unit of its own until it is joined to an older one
     joined: I64 = optional("int64", -1, 2)  # parts that were since the keyframe before: the newer, the older,
     joined_units: F64 = optional("float64", -1, 2)  # ... and of each what MapUpdate.loop_units says
+    # Where the camera sat on the robot that began the map, metres: `map` is that times the map's world.
+    base_from_camera: F64 = field(
+        default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
+    )
 
 
 def probe_of(index: int) -> int:
@@ -297,6 +301,9 @@ class MapSnapshot:
     loop_candidates: I64 = optional("int64", -1)
     loop_poses: F64 = optional("float64", -1, 4, 4)  # candidate_from_query, map units
     loop_inliers: I64 = optional("int64", -1)
+    base_from_camera: F64 = field(  # as in Keyframe, of this map
+        default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
+    )
 
 
 @dataclass(frozen=True)

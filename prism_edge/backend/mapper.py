@@ -13,6 +13,7 @@ from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.loop_closing import Accepted, LoopCloser, MapChanges
 from prism_edge.backend.map_file import Arrays, Info
+from prism_edge.backend.map_mount import mount_info, mount_of
 from prism_edge.backend.stored_map import KnownScale, from_arrays, to_arrays
 from prism_edge.backend.unit import keep_unit
 from prism_edge.backend.window import Solution, choose_window, solve
@@ -53,6 +54,7 @@ class Mapper:
     def begin(self, epoch: int, world: GlobalMap | None = None, index: PlaceIndex | None = None) -> None:
         """Begin a map, empty or one that there was."""
         self.epoch = epoch
+        self.mount = np.eye(4)  # base_from_camera of who began it, metres: until its first keyframe says
         self.world = GlobalMap(self._config.max_carried) if world is None else world
         self.loops = LoopCloser(self.world, self._config, self._use_depth, self._seed)
         if index is not None:
@@ -61,24 +63,31 @@ class Mapper:
     def stored(self) -> tuple[Info, Arrays]:
         """The map for a file (stored_map.py), with its epoch."""
         info, arrays = to_arrays(self.world, self.loops.index)
-        return {**info, "epoch": self.epoch}, arrays
+        return {**info, **mount_info(self.mount), "epoch": self.epoch}, arrays
 
-    def restore(self, info: Info, arrays: Arrays, epoch: int | None = None) -> KnownScale:
+    def restore(
+        self, info: Info, arrays: Arrays, epoch: int | None = None, mount: Array | None = None
+    ) -> KnownScale:
         """Take up a map that was stored, as ``epoch`` or its own; returns what was known of its unit.
 
-        Raises MapError for one that can't be.
+        ``mount`` (4, 4) is for one that doesn't say what it was made with. Raises MapError for one that
+        can't be.
         """
         world, index = from_arrays(info, arrays, self._config.max_carried)
-        own, known = info.get("epoch"), KnownScale.of(info)
+        own, known, made_with = info.get("epoch"), KnownScale.of(info), mount_of(info)
         if type(own) is not int or not 0 <= own < LARGEST_ID:
             raise MapError("the map's epoch is none")
         self.begin(own if epoch is None else epoch, world, index)
+        known_mount = mount if made_with is None else made_with
+        self.mount = self.mount if known_mount is None else known_mount
         return known
 
     def absorb(self, message: Keyframe) -> None:
         """Take in a keyframe; a new epoch begins a new map."""
         if message.epoch != self.epoch:
             self.begin(message.epoch)
+        if not self.world.keyframes:
+            self.mount = message.base_from_camera.copy()
         self.world.absorb(message)
         for gone in message.culled_keyframes.tolist():
             self.loops.index.remove(gone)

@@ -23,7 +23,6 @@ from prism_edge.evaluation.recorder import Recorder
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import Meter, Usage
 from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
-from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import MapSnapshot
 from prism_edge.processes import processes_for
 from prism_edge.sources import Slot, open_source
@@ -81,7 +80,7 @@ def evaluate(
     final, missing = Trajectory.of([]), 0
     if heard.snapshot is not None:
         # The map's world frame is the first camera's, and `map` begins where base_link was then.
-        final, missing = heard.recording.final(heard.snapshot, base_from_camera(config.frames))
+        final, missing = heard.recording.final(heard.snapshot, heard.snapshot.base_from_camera)
     write_tum(out / "live.tum", live)
     write_tum(out / "final.tum", final)
     report = metrics(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from prism_edge.geometry.poses import Array
 from prism_edge.messages import Frame, Keyframe, KeyframeImage
 from prism_edge.tracking.local_map import Changes, LocalKeyframe
 from prism_edge.tracking.point_trust import trust
@@ -16,8 +17,13 @@ def picture_message(frame: Frame, number: int, epoch: int) -> KeyframeImage:
     return KeyframeImage(number, frame.index, frame.stamp_ns, epoch, frame.colour, *lens, frame.image)
 
 
-def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float = 0.0) -> Keyframe:
-    """The message for a new keyframe, with every change of the map since the one before."""
+def keyframe_message(
+    tracker: Tracker, keyframe: LocalKeyframe, travelled: float = 0.0, mount: Array | None = None
+) -> Keyframe:
+    """The message for a new keyframe, with every change of the map since the one before.
+
+    ``mount`` (4, 4) is the camera's on the robot that began the map; None: the camera is the robot.
+    """
     world, changes = tracker.world, tracker.world.changes
     world.changes = Changes()
     tracker.announced(keyframe)
@@ -71,6 +77,7 @@ def keyframe_message(tracker: Tracker, keyframe: LocalKeyframe, travelled: float
         part=tracker.parts.of(keyframe.id),
         joined=joined[:, :2].astype(np.int64),
         joined_units=joined[:, 2:],
+        base_from_camera=np.eye(4) if mount is None else mount,
     )
 
 

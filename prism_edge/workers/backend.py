@@ -374,6 +374,7 @@ class BackendWorker:
             loop_candidates=np.array([loop.candidate_index for loop in loops], np.int64),
             loop_poses=np.array([loop.candidate_from_query for loop in loops]).reshape(-1, 4, 4),
             loop_inliers=np.array([loop.inliers for loop in loops], np.int64),
+            base_from_camera=self._mapper.mount,
         )
 
 

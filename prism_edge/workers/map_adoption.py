@@ -8,10 +8,13 @@ from collections.abc import Callable
 from prism_edge.backend import map_file
 from prism_edge.backend.connectivity import parts_of
 from prism_edge.backend.local_copy import local_copy
+from prism_edge.backend.map_mount import mount_of
 from prism_edge.backend.stored_map import from_arrays
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.errors import MapError
+from prism_edge.geometry.mount import base_from_camera
+from prism_edge.geometry.poses import Array
 from prism_edge.messages import WholeMap
 from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.tracker import Tracker
@@ -35,6 +38,12 @@ class MapAdoption:
         self._config, self._bus = config, bus
         self._loaded = bus.queue("map_loaded", 8)
         self.travelled = 0.0  # path length of the map that was taken over, map units
+        self._mount = base_from_camera(config.frames)
+        self._taken: tuple[int, Array] | None = None  # epoch and mount of that map
+
+    def mount(self, epoch: int) -> Array:
+        """base_from_camera (4, 4) of who began the map of an epoch: `map` is that times the map's world."""
+        return self._taken[1] if self._taken is not None and self._taken[0] == epoch else self._mount
 
     def of_the_last_life(self) -> WholeMap | None:
         """The backend's map after a restart of the tracker; None where there is none to go on in."""
@@ -80,11 +89,13 @@ class MapAdoption:
             world, index = from_arrays(info, arrays, self._config.backend.max_carried)
             if flaw := map_flaw(arrays, self._config.tracking):
                 raise MapError(flaw)
+            mount = mount_of(info)
         except MapError as error:
             log.error("the backend's map can't be gone on in: %s", error)
             return False
         self.travelled = max(k.travelled for k in world.keyframes.values())
         parts = Parts.given(parts_of(world))
         tracker.adopt(local_copy(world), index, parts, whole.epoch, whole.log_scale)
+        self._taken = whole.epoch, self._mount if mount is None else mount
         log.info("looking for the camera among %d keyframes", len(world.keyframes))
         return True

@@ -15,12 +15,14 @@ from prism_edge import __version__
 from prism_edge.backend import map_file
 from prism_edge.backend.journal import Journal
 from prism_edge.backend.map_file import Arrays, Info
+from prism_edge.backend.map_mount import difference, mount_of
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus import codec
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.errors import BusError, MapError
+from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import Keyframe, WholeMap, same_network
 from prism_edge.workers.cut_off import OWN_JOURNAL, goes_on
 from prism_edge.workers.map_flaw import map_flaw, pyramid_flaw, size_flaw
@@ -37,6 +39,7 @@ class MapKeeper:
 
     def __init__(self, config: Config, bus: Bus, mapper: Mapper) -> None:
         self._config, self._bus, self._mapper = config, bus, mapper
+        self._mount = base_from_camera(config.frames)
         self._journal: Journal | None = None
         self._failed_s, self._wait_s = float("-inf"), AGAIN_S
         self._overhauled = False
@@ -73,7 +76,7 @@ class MapKeeper:
             self._journal.clear()
             return None
         try:
-            scale = self._mapper.restore(info, arrays, 0 if foreign else None)
+            scale = self._mapper.restore(info, arrays, 0 if foreign else None, self._mount)
             for record in records:
                 scale = self._absorb(record)
         except (MapError, BusError, KeyError, ValueError) as error:
@@ -82,6 +85,8 @@ class MapKeeper:
             return None
         world = self._mapper.world
         log.info("recovered %d keyframes and %d points", len(world.keyframes), len(world.points))
+        if odd := difference(mount_of(info), self._mount):
+            log.warning("the map that was left was %s", odd)
         if foreign:
             self._bus.pulse.values["recovered"] = f"{len(world.keyframes)} keyframes of an earlier run"
         return scale
@@ -159,7 +164,8 @@ class MapKeeper:
             raise MapError(flaw)
         foreign = self._places_are_foreign(info)
         ours = self._mapper.world.camera
-        scale = self._mapper.restore(info, arrays, max(self._mapper.epoch, tracked) + EPOCHS_BETWEEN)
+        epoch = max(self._mapper.epoch, tracked) + EPOCHS_BETWEEN
+        scale = self._mapper.restore(info, arrays, epoch, self._mount)
         if foreign:
             self._mapper.loops.index.clear()
         self.overhauled()
@@ -174,6 +180,8 @@ class MapKeeper:
         theirs = world.camera
         if ours is not None and theirs is not None and not theirs.like(ours):
             said += ", of another camera"
+        if odd := difference(mount_of(info), self._mount):
+            said += f", {odd}"
         return scale, said
 
     def _places_are_foreign(self, info: Info) -> bool:

@@ -38,25 +38,29 @@ class PosePublisher:
         odom_error: Array,
         drift: Walk = NO_DRIFT,
         walk: Walk = NO_DRIFT,
+        mount_of_map: Array | None = None,
     ) -> None:
         """Send the three messages of one frame; ``result`` must have a pose (map units).
 
         ``twist`` (6) is the camera's, m/s and rad/s, as measured over ``interval_s`` (0: it isn't known).
         ``scale_sigma`` is that of the log scale; ``odom_error`` (3) is by what it puts the camera off in
         `odom`, metres along the axes of its start. ``drift`` is what the map may have drifted there since
-        its beginning, ``walk`` what `odom` has.
+        its beginning, ``walk`` what `odom` has. ``mount_of_map`` (4, 4) is base_from_camera of who began the
+        map, where that may be another than ours.
         Where its place in the map is not known there is no `pose`, and `tf` ends at `odom`.
         """
         assert result.world_from_camera is not None
         metres = float(np.exp(log_scale))
-        # The map begins where the robot's base was at the first keyframe.
-        map_from_camera = scaled(result.world_from_camera, metres)
-        map_from_base = self._based(map_from_camera)
-        odom_from_base = self._based(odom_from_camera)
+        # The map begins where the base of the robot that began it was at its first keyframe.
+        begun_with = self._mount if mount_of_map is None else mount_of_map
+        world_from_camera = scaled(result.world_from_camera, metres)
+        map_from_base = self._based(world_from_camera, begun_with)
+        odom_from_base = self._based(odom_from_camera, self._mount)
         own = self._covariance(result, metres)
         # Scale multiplies the camera's path since the start; where it sits on the robot is known in metres.
         start = self._mount[:3, :3]
-        in_map = with_scale_error(turned(own, map_from_base), start @ map_from_camera[:3, 3], scale_sigma)
+        walked = begun_with[:3, :3] @ world_from_camera[:3, 3]
+        in_map = with_scale_error(turned(own, map_from_base), walked, scale_sigma)
         in_odom = with_scale_error(turned(own, odom_from_base), start @ odom_error, 1.0)
         names = self._frames
         velocity = self._twist(twist)
@@ -83,9 +87,12 @@ class PosePublisher:
             links.insert(0, (stamp_ns, names.map, names.odom, map_from_base @ inverse(odom_from_base)))
         return ros.transforms(links)
 
-    def _based(self, start_from_camera: Array) -> Array:
-        """From a camera's pose relative to its start to the base's relative to the base's start."""
-        return self._mount @ start_from_camera @ self._camera_from_base
+    def _based(self, start_from_camera: Array, begun_with: Array) -> Array:
+        """From a camera's pose relative to its start to the base's relative to the base's start.
+
+        ``begun_with`` (4, 4) is the mount that the camera had then.
+        """
+        return begun_with @ start_from_camera @ self._camera_from_base
 
     def _covariance(self, result: FrameResult, metres: float) -> Array:
         """Covariance of the base along its own axes, of what a frame says of the camera in map units."""

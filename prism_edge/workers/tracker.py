@@ -230,6 +230,7 @@ class TrackerWorker:
             self._scale.odom_error,
             self._drift.here,
             self._drift.total,
+            self._maps.mount(tracker.epoch),
         )
 
     def _probe(self, frame: Frame) -> bool:
@@ -244,7 +245,8 @@ class TrackerWorker:
         return True
 
     def _announce(self, keyframe: LocalKeyframe, frame: Frame, travelled: float) -> None:
-        self._bus.publish("keyframe", keyframe_message(self._tracker, keyframe, travelled))
+        mount = self._maps.mount(self._tracker.epoch)
+        self._bus.publish("keyframe", keyframe_message(self._tracker, keyframe, travelled, mount))
         self._bus.publish("keyframe_image", picture_message(frame, keyframe.id, self._tracker.epoch))
         if "depth" in self._peers:
             self._status.metres.keyframe(keyframe.id, keyframe.stamp_ns)

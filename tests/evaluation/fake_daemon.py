@@ -39,15 +39,17 @@ def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threadin
     for name in ("source", "tracker", "depth", "scale", "backend"):
         bus.publish("heartbeat", Heartbeat(name, worker, now, "ready", "", now, 5.0, {}))
     mount, no_ids = base_from_camera(config.frames), np.zeros(0, dtype=np.int64)
+    begun_with = np.diag([1.0, -1, -1, 1]) @ mount if scenario == "loaded" else mount  # another robot's map
     ended = False
 
     def snapshot() -> MapSnapshot:
         settled = ended and scenario != "unsettled"
         ids = np.array([0, 4], dtype=np.int64)
         # The map's world is the first camera's; half its unit is a metre.
-        world = np.array([inverse(mount) @ camera_at(0), inverse(mount) @ camera_at(4)])
+        world = np.array([inverse(begun_with) @ camera_at(0), inverse(begun_with) @ camera_at(4)])
         world[:, :3, 3] *= 2.0
-        return MapSnapshot(0, 1, settled, float(np.log(0.5)), ids, ids, world, no_ids, np.zeros((0, 3)))
+        table = ids, ids, world, no_ids, np.zeros((0, 3))
+        return MapSnapshot(0, 1, settled, float(np.log(0.5)), *table, base_from_camera=begun_with)
 
     bus.answer("map_snapshot", snapshot)
     begin = time.monotonic_ns()

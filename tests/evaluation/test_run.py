@@ -105,6 +105,14 @@ def test_a_recording_that_can_t_be_played_is_refused_before_the_run(tmp_path: Pa
         extent(SourceConfig(uri="sim:nowhere"))
 
 
+def test_a_map_taken_up_lies_where_its_maker_began_it(tiny_sequence: Path, tmp_path: Path) -> None:
+    """Its first camera was mounted otherwise: `live.tum` and `final.tum` are in one `map` all the same."""
+    run("loaded", tiny_sequence, tmp_path)
+    live, final = read_tum(tmp_path / "live.tum"), read_tum(tmp_path / "final.tum")
+    both = np.isin(live.stamps, final.stamps)
+    np.testing.assert_allclose(final.poses, live.poses[both], atol=1e-6)
+
+
 def test_files_hold_the_cameras_pose_under_the_recordings_stamps(tiny_sequence: Path, tmp_path: Path) -> None:
     run("normal", tiny_sequence, tmp_path)
     live, final = read_tum(tmp_path / "live.tum"), read_tum(tmp_path / "final.tum")

@@ -38,11 +38,12 @@ def test_a_message_carries_the_keyframe_and_survives_the_codec():
     world, _ = cloud.mapped([np.eye(4), pose_at(0.2)], parallax_deg=4.0)
     world.points.parallax_deg[:10] = 0.0
     tracker, newest = teller(world), world.newest()
-    made = keyframe_message(tracker, newest, travelled=1.5)
+    made = keyframe_message(tracker, newest, travelled=1.5, mount=pose_at(0.3, -0.1, 0.5, 0.2))
     message = codec.unpack(codec.pack(made), Keyframe)
     for f in fields(Keyframe):
         assert np.array_equal(getattr(message, f.name), getattr(made, f.name)), f.name
     assert (message.id, message.index, message.epoch, message.travelled) == (1, 10, 3, 1.5)
+    assert message.base_from_camera.tolist() == pose_at(0.3, -0.1, 0.5, 0.2).tolist()
     assert tracker.told == [1]
     keypoints, depths = world.depths_in(newest)
     assert message.depths[keypoints] == pytest.approx(depths, rel=1e-6)
