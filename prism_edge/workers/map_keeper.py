@@ -79,7 +79,9 @@ class MapKeeper:
             scale = self._mapper.restore(info, arrays, 0 if foreign else None, self._mount)
             for record in records:
                 scale = self._absorb(record)
-        except (MapError, BusError, KeyError, ValueError) as error:
+        except BusError as error:  # a message that can't be read: nothing of its record is in the map yet
+            log.warning("keyframes since then are left out, they are of another build: %s", error)
+        except (MapError, KeyError, ValueError) as error:
             log.warning("the map could not be recovered: %s", error)
             self._mapper.begin(0)
             return None
