@@ -124,9 +124,10 @@ def _both(row: Row, which: str, factor: float) -> str:
 
 
 def _met(row: Row) -> str:
-    """Poses that have a true one at their time, of the frames tracked."""
-    pairs, tracked = (_figure(row, at(*path), ".0f") for path in (("live", "pairs"), ("tracked",)))
-    return f"{pairs} of {tracked}"
+    """Live and final poses that have a true one at their time, of the frames tracked."""
+    paths = (("live", "pairs"), ("final", "pairs"), ("tracked",))
+    live, final, tracked = (_figure(row, at(*path), ".0f") for path in paths)
+    return f"{live} of {tracked}" if live == final else f"{live} and {final} of {tracked}"
 
 
 def _number(value: float | None, factor: float = 1.0) -> str:

@@ -12,11 +12,12 @@ import prism_edge
 from prism_edge.config import SENSOR, Config
 from prism_edge.evaluation.adjustments import cost_of_adjustments
 from prism_edge.evaluation.consistency import NO_NEES, Nees, relative_nees, scale_errors
+from prism_edge.evaluation.doubts import apart_in_time, not_in_the_map
 from prism_edge.evaluation.loops import judge_loops
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import VOID_ABOVE, Usage
 from prism_edge.evaluation.scores import UNKNOWN, score
-from prism_edge.evaluation.trajectory import NS, Trajectory
+from prism_edge.evaluation.trajectory import Trajectory
 from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import MapSnapshot
 
@@ -67,7 +68,10 @@ def metrics(
         "log_scale": snapshot.log_scale if snapshot is not None else None,
         "scale": recording.last_scale(),
         "violations": recording.violations(),
-        "warnings": [] if truth is None else apart_in_time(live, truth, scores["live"]["pairs"]),
+        "warnings": [
+            *([] if truth is None else apart_in_time(live, truth, scores["live"]["pairs"])),
+            *not_in_the_map(final_missing, len(recording.tracked)),
+        ],
         "seed": config.seed,
         "versions": versions(),
         "config": dataclasses.asdict(config),
@@ -86,17 +90,6 @@ def _consistency(nees: Nees, scale_ratio: Any, recording: Recording) -> dict[str
         "scale_log_error_sigmas": error,
         "scale_sigma_to_bias": to_bias,
     }
-
-
-def apart_in_time(estimate: Trajectory, truth: Trajectory, pairs: int) -> list[str]:
-    """What to say where not even half of the poses of either could be paired: they may be of other times."""
-    if not len(estimate) or 2 * pairs >= min(len(estimate), len(truth)):
-        return []
-    (first, last), (begin, end) = ((t.stamps[0] / NS, t.stamps[-1] / NS) for t in (estimate, truth))
-    return [
-        f"{pairs} of {len(estimate)} poses have a true one at their time: the poses are of {first:.3f} to "
-        f"{last:.3f} s, the {len(truth)} true ones of {begin:.3f} to {end:.3f} s"
-    ]
 
 
 def versions() -> dict[str, str]:

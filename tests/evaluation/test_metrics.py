@@ -145,6 +145,13 @@ def test_sparse_truth_that_is_all_met_is_no_cause_to_warn() -> None:
     assert report()["warnings"] == report(live=Trajectory.of([]))["warnings"] == []
 
 
+def test_final_errors_over_fewer_frames_are_said(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+    torn = report(final=circle(1.1).at(np.arange(N) < 33), final_missing=27)
+    assert torn["warnings"] == ["27 of 60 tracked frames are not in the finished map (final.tum)"]
+    show(torn, tmp_path)
+    assert "33 of 60" in capsys.readouterr().out
+
+
 def test_the_table_shows_the_figures(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
     show(report(), tmp_path)
     shown = capsys.readouterr().out

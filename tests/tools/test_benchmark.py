@@ -50,7 +50,7 @@ def ran(monkeypatch) -> list[list[str]]:
             "coverage": 0.5,
             "tracked": 100,
             "live": {**errors, "pairs": 99},
-            "final": {**errors, "ate_se3_m": None},
+            "final": {**errors, "ate_se3_m": None, "pairs": 29 if "torn" in words[1] else 99},
             "warnings": ["3 of 100 poses have a true one"] if "elsewhen" in words[1] else [],
         }
         Path(option["--out"]).mkdir(parents=True, exist_ok=True)
@@ -109,6 +109,12 @@ def test_what_a_run_warns_of_is_said_below_its_table(tmp_path: Path, ran, capsys
     words = [*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--runs", "2"]
     assert benchmark.main(words) == 0
     assert capsys.readouterr().out.count("\nelsewhen: 3 of 100 poses have a true one.\n") == 1
+
+
+def test_final_errors_over_fewer_frames_say_so(tmp_path: Path, ran, capsys):
+    words = [str(layout(tmp_path / "torn", "tum")), "--model", "net.onnx", "--out", str(tmp_path / "out")]
+    assert benchmark.main(words) == 0
+    assert row(capsys.readouterr().out, "torn")[2] == "99 and 29 of 100"
 
 
 def test_a_finished_run_with_the_same_settings_is_not_repeated(tmp_path: Path, ran, capsys):

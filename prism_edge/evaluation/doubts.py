@@ -1,0 +1,23 @@
+"""What makes a run's figures say less than they seem to, in words for metrics.json's `warnings`; pure."""
+
+from __future__ import annotations
+
+from prism_edge.evaluation.trajectory import NS, Trajectory
+
+
+def apart_in_time(estimate: Trajectory, truth: Trajectory, pairs: int) -> list[str]:
+    """What to say where not even half of the poses of either could be paired: they may be of other times."""
+    if not len(estimate) or 2 * pairs >= min(len(estimate), len(truth)):
+        return []
+    (first, last), (begin, end) = ((t.stamps[0] / NS, t.stamps[-1] / NS) for t in (estimate, truth))
+    return [
+        f"{pairs} of {len(estimate)} poses have a true one at their time: the poses are of {first:.3f} to "
+        f"{last:.3f} s, the {len(truth)} true ones of {begin:.3f} to {end:.3f} s"
+    ]
+
+
+def not_in_the_map(missing: int, tracked: int) -> list[str]:
+    """What to say where the final errors are of other frames than the live ones."""
+    if not missing:
+        return []
+    return [f"{missing} of {tracked} tracked frames are not in the finished map (final.tum)"]
