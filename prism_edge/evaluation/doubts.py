@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from prism_edge.evaluation.played import Played
 from prism_edge.evaluation.trajectory import NS, Trajectory
 
 
@@ -21,3 +22,10 @@ def not_in_the_map(missing: int, tracked: int) -> list[str]:
     if not missing:
         return []
     return [f"{missing} of {tracked} tracked frames are not in the finished map (final.tum)"]
+
+
+def guessed_camera(played: Played) -> list[str]:
+    """What to say where nothing names the camera."""
+    if not played.guessed or played.camera is None:
+        return []
+    return [f"nothing says which camera took the recording: {played.camera['origin']}"]

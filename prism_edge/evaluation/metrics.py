@@ -12,8 +12,9 @@ import prism_edge
 from prism_edge.config import SENSOR, Config
 from prism_edge.evaluation.adjustments import cost_of_adjustments
 from prism_edge.evaluation.consistency import NO_NEES, Nees, relative_nees, scale_errors
-from prism_edge.evaluation.doubts import apart_in_time, not_in_the_map
+from prism_edge.evaluation.doubts import apart_in_time, guessed_camera, not_in_the_map
 from prism_edge.evaluation.loops import judge_loops
+from prism_edge.evaluation.played import Played
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import VOID_ABOVE, Usage
 from prism_edge.evaluation.scores import UNKNOWN, score
@@ -37,6 +38,7 @@ def metrics(
     final_missing: int,
     truth: Trajectory | None,
     truth_name: str,
+    played: Played,
 ) -> dict[str, Any]:
     """The contents of metrics.json; None wherever something can't be computed."""
     split_ns = None
@@ -57,6 +59,9 @@ def metrics(
         "final_settled": snapshot is not None and snapshot.settled,
         "final_missing": final_missing,
         "truth": truth_name if truth is not None else None,
+        "truth_file": played.truth_file if truth is not None else None,
+        "layout": played.layout,
+        "camera": played.camera,
         "cpu_ms_per_frame": _cpu(usage, processed),
         "peak_pss_mb": _with_total(usage.peak_pss_mb, usage.peak_total_pss_mb),
         "foreign_cpu": usage.foreign_cpu,
@@ -70,6 +75,7 @@ def metrics(
         "violations": recording.violations(),
         "warnings": [
             *([] if truth is None else apart_in_time(live, truth, scores["live"]["pairs"])),
+            *guessed_camera(played),
             *not_in_the_map(final_missing, len(recording.tracked)),
         ],
         "seed": config.seed,

@@ -18,6 +18,7 @@ from prism_edge.config_file import dump
 from prism_edge.errors import EvaluationError
 from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, free_endpoint
 from prism_edge.evaluation.metrics import metrics
+from prism_edge.evaluation.played import played
 from prism_edge.evaluation.progress import Progress
 from prism_edge.evaluation.recorder import Recorder
 from prism_edge.evaluation.recording import Recording
@@ -25,7 +26,7 @@ from prism_edge.evaluation.resources import Meter, Usage
 from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
 from prism_edge.messages import MapSnapshot
 from prism_edge.processes import processes_for
-from prism_edge.sources import Slot, open_source
+from prism_edge.sources import Slot, Source, open_source
 from prism_edge.sources.truth import read_truth
 
 # The first frame waits this long after the daemon is ready, so that we, who connect at the same time, are
@@ -67,7 +68,9 @@ def evaluate(
     sequence or its truth, DaemonError with the daemon's own exit code where it fails, and EvaluationError for
     an unusable ``truth`` or where the run broke a rule (the files are written then too).
     """
-    first, frame_count = extent(config.source)
+    source = open_source(config.source)
+    first, frame_count = _extent(source)
+    made_of = played(config.source, source, truth)
     if truth is not None and not truth.is_file():
         raise EvaluationError(f"{truth}: no such file: nothing to score against")
     true_path = _truth(config, truth)
@@ -95,6 +98,7 @@ def evaluate(
         final_missing=missing,
         truth=true_path,
         truth_name=str(truth) if truth else "the sequence's own",
+        played=made_of.after(out / "daemon.log"),
     )
     (out / "metrics.json").write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
     if report["violations"]:
@@ -108,7 +112,10 @@ def extent(config: SourceConfig) -> tuple[Slot | None, int | None]:
     A synthetic source is not opened for that: it would build its whole world. Raises SourceError or
     ConfigError where the source is unusable, EvaluationError where it is a live camera.
     """
-    source = open_source(config)
+    return _extent(open_source(config))
+
+
+def _extent(source: Source) -> tuple[Slot | None, int | None]:
     if source.live:
         raise EvaluationError("a live camera has neither an end nor truth: evaluate a recording of it")
     with contextlib.nullcontext() if source.synthetic else source:

@@ -50,7 +50,10 @@ def show(metrics: dict[str, Any], out: Path) -> None:
     if not metrics["monocular"]:
         console.print("depth came from the recording's own sensor: not a monocular run", soft_wrap=True)
     if metrics["truth"]:
-        console.print(f"scored against {metrics['truth']}", highlight=False, soft_wrap=True)
+        named = metrics["truth_file"] or metrics["truth"]
+        console.print(f"scored against {named}", highlight=False, soft_wrap=True)
+    if metrics["camera"]:
+        console.print(f"camera: {metrics['camera']['origin']}", highlight=False, soft_wrap=True)
     for warning in metrics["warnings"]:
         console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
     console.print(f"written to {out}", highlight=False, soft_wrap=True)

@@ -34,6 +34,8 @@ def test_metric_poses_come_without_any_camera_file(room: Path, tmp_path: Path) -
     assert report["tracked"] >= FRAMES - 5
     assert report["final"]["ate_se3_m"] < 0.03
     assert "as tiny_tint sees it" in (out / "daemon.log").read_text()
+    assert report["camera"]["origin"].startswith("auto: as tiny_tint sees it in 5 images: f ")
+    assert report["camera"]["fx"] is None
 
 
 def test_run_says_that_auto_needs_a_network(room: Path) -> None:

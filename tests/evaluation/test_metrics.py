@@ -10,6 +10,7 @@ import pytest
 
 from prism_edge.config import Config
 from prism_edge.evaluation.metrics import metrics
+from prism_edge.evaluation.played import Played
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.resources import Usage
 from prism_edge.evaluation.table import show
@@ -60,6 +61,7 @@ def report(**changes: Any) -> dict[str, Any]:
         "final_missing": 0,
         "truth": circle(1.0),
         "truth_name": "the sequence's own",
+        "played": Played(),
     }
     return metrics(**(inputs | changes))
 
@@ -143,6 +145,19 @@ def test_truth_of_another_time_is_said(capsys: pytest.CaptureFixture[str], tmp_p
 def test_sparse_truth_that_is_all_met_is_no_cause_to_warn() -> None:
     assert report(truth=circle(1.0).at(np.arange(0, N, 10)))["warnings"] == []
     assert report()["warnings"] == report(live=Trajectory.of([]))["warnings"] == []
+
+
+def test_a_guessed_camera_is_said(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+    camera = {"origin": "a Kinect's (a guess)", "fx": 525.0}
+    guessed = report(played=Played(camera, "TUM RGB-D", "desk/groundtruth.txt", guessed=True))
+    assert guessed["camera"] == camera
+    assert (guessed["layout"], guessed["truth_file"]) == ("TUM RGB-D", "desk/groundtruth.txt")
+    assert guessed["warnings"] == ["nothing says which camera took the recording: a Kinect's (a guess)"]
+    show(guessed, tmp_path)
+    shown = capsys.readouterr().out
+    assert "camera: a Kinect's (a guess)" in shown
+    assert "scored against desk/groundtruth.txt" in shown
+    assert report(played=Played(camera))["warnings"] == []
 
 
 def test_final_errors_over_fewer_frames_are_said(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:

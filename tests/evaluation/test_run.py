@@ -76,6 +76,12 @@ def test_a_run_is_recorded_and_scored(tiny_sequence: Path, tmp_path: Path) -> No
     assert {"supervisor", "total"} <= set(found["cpu_ms_per_frame"])
     assert found["peak_pss_mb"]["total"] > 1.0
     assert found["truth"] == "the sequence's own"
+    assert found["truth_file"] == str(tiny_sequence / "groundtruth.txt")
+    assert found["layout"] == "TUM RGB-D"
+    assert found["camera"] == {
+        **{"origin": str(tiny_sequence / "camera.yaml"), "model": "pinhole", "width": 64, "height": 48},
+        **{"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "distortion": []},
+    }
     effective = load(str(tmp_path / "effective.yaml"))
     assert effective.source.uri == str(tiny_sequence)
     assert effective.bus.endpoint != Config().bus.endpoint

@@ -1,0 +1,81 @@
+"""What a run was made of, as every layout has it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from prism_edge.config import SourceConfig
+from prism_edge.evaluation.played import Played, played
+from prism_edge.sources import open_source
+from tests.sources import tiny_datasets as tiny
+
+
+def of(uri: Path | str, truth: Path | None = None, camera: str = "") -> Played:
+    config = SourceConfig(uri=str(uri), camera=camera)
+    return played(config, open_source(config), truth)
+
+
+@pytest.mark.parametrize(
+    ("write", "layout", "truth", "origin"),
+    [
+        (tiny.write_tum, "TUM RGB-D", "groundtruth.txt", "{}/camera.yaml"),
+        (tiny.write_seven_scenes, "7-Scenes", ".", "7-Scenes published intrinsics"),
+        (tiny.write_kitti, "KITTI odometry", "poses.txt", "P0 of calib.txt"),
+        (tiny.write_images, "folder of images", "", "{}/camera.yaml"),
+    ],
+)
+def test_layout_truth_and_camera_of_a_folder(
+    write: Callable[[Path], Path], layout: str, truth: str, origin: str, tmp_path: Path
+) -> None:
+    found = of(write(tmp_path))
+    assert found.layout == layout
+    assert found.truth_file == (str(tmp_path / truth) if truth else None)
+    assert found.camera is not None
+    assert found.camera["origin"] == origin.format(tmp_path)
+    assert not found.guessed
+
+
+def test_the_truth_of_kittis_own_tree_is_found(tmp_path: Path) -> None:
+    folder = tiny.write_kitti(tmp_path / "sequences" / "03")
+    (tmp_path / "poses").mkdir()
+    poses = (folder / "poses.txt").rename(tmp_path / "poses" / "03.txt")
+    assert of(folder).truth_file == str(poses)
+
+
+def test_another_truth_is_named_in_its_place(tmp_path: Path) -> None:
+    assert of(tiny.write_tum(tmp_path), tmp_path / "mine.tum").truth_file == str(tmp_path / "mine.tum")
+
+
+def test_a_camera_that_nobody_named_is_a_guess(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path / "desk")
+    (folder / "camera.yaml").unlink()
+    found = of(folder)
+    assert found.guessed
+    assert found.camera is not None
+    assert (found.camera["width"], found.camera["fx"], found.camera["distortion"]) == (640, 525.0, ())
+
+
+def test_an_estimated_camera_is_what_the_daemon_says(tmp_path: Path) -> None:
+    found = of(tiny.write_tum(tmp_path), camera="auto")
+    log = tmp_path / "daemon.log"
+    for written in (None, "nothing"):
+        if written is not None:
+            log.write_text(written)
+        assert found.after(log).camera == {
+            "origin": "auto",
+            **dict.fromkeys(("model", "width", "height", "fx", "fy", "cx", "cy", "distortion")),
+        }
+    log.write_text("source: folder x; camera: as net sees it in 5 images: f 500.0, 501.0\nmore\n")
+    after = found.after(log).camera
+    assert after is not None
+    assert after["origin"] == "auto: as net sees it in 5 images: f 500.0, 501.0"
+
+
+def test_videos_and_simulated_worlds_have_no_file_of_truth(tmp_path: Path) -> None:
+    video = of(tiny.write_video(tmp_path / "film.avi"))
+    assert (video.layout, video.truth_file) == ("video file", None)
+    simulated = of("sim:room?frames=9")
+    assert (simulated.layout, simulated.truth_file) == ("simulator", None)
