@@ -1,7 +1,8 @@
 """Whether a run that is there is what `prism-edge eval` would make now, or is to be repeated.
 
-Compared are what metrics.json holds, the effective configuration and the versions, and when files were
-written that it only names. Nothing in it says of which commit the code was, nor what a recording holds.
+Compared are what metrics.json holds, the effective configuration, the versions and the camera, and when files
+were written that it only names: a recording's tables and truth too. Nothing in it says of which commit the
+code was, nor what the images hold.
 """
 
 from __future__ import annotations
@@ -16,17 +17,21 @@ from typing import Any
 
 from prism_edge.cli.eval import effective
 from prism_edge.cli.main import build_parser
-from prism_edge.config import Config
+from prism_edge.config import Config, SourceConfig
 from prism_edge.depth import locate, networks_of
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError, PrismError
 from prism_edge.evaluation.metrics import versions
+from prism_edge.evaluation.played import layout_of, played, truth_file
 from prism_edge.named_path import named_path
+from prism_edge.sources import open_source
+from prism_edge.sources.open import CAMERA_FILES, find_listing
 
 Metrics = dict[str, Any]
 OWN_TRUTH = (None, "the sequence's own")
 # What an evaluation sets by itself.
 _NO_SETTINGS = {"bus.endpoint", "source.wait_s", "source.loop"}
+_TABLES = {".txt", ".csv", ".yaml", ".yml"}  # of a recording: stamps, calibration, truth
 
 
 def finished(where: Path, words: Sequence[str]) -> Metrics | None:
@@ -60,14 +65,25 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     made = defaults | _flat(metrics.get("config"))  # of what is newer than the run, it had the default
     apart = [key for key in sorted(made.keys() | now.keys()) if made.get(key) != now.get(key)]
     found = [key for key in apart if key not in _NO_SETTINGS]
-    before, present = _flat(metrics.get("versions")), versions()
-    found += [f"the version of {key}" for key in sorted(present) if before.get(key) != present[key]]
-    truth = metrics.get("truth")
-    if truth != str(args.truth) if args.truth else truth not in OWN_TRUTH:
+    then, present = _flat(metrics.get("versions")), versions()
+    found += [f"the version of {key}" for key in sorted(present) if then.get(key) != present[key]]
+    if not _same_truth(metrics, args.truth):
         found.append("the truth")
-    named = files_of(config) + ([args.truth] if args.truth else [])
+    camera = _camera(config.source)
+    before = metrics.get("camera")  # runs of earlier builds don't say it
+    if camera and isinstance(before, dict) and camera != {key: before.get(key) for key in camera}:
+        found.append("the camera")
+    named = files_of(config) + tables_of(config.source) + ([args.truth] if args.truth else [])
     made_ns = (where / "metrics.json").stat().st_mtime_ns
     return found + [str(file) for file in named if file.is_file() and file.stat().st_mtime_ns > made_ns]
+
+
+def _same_truth(metrics: Metrics, given: Path | None) -> bool:
+    """Whether a run was scored against the truth ``given``, or the recording's own, which is still there."""
+    truth, file = metrics.get("truth"), metrics.get("truth_file")
+    if given:
+        return bool(truth == str(given))
+    return truth in OWN_TRUTH and (file is None or Path(file).exists())
 
 
 def files_of(config: Config) -> list[Path]:
@@ -78,6 +94,30 @@ def files_of(config: Config) -> list[Path]:
     except ModelError:
         return files
     return files + [file for name in networks for file in _network_files(name)]
+
+
+def tables_of(source: SourceConfig) -> list[Path]:
+    """A recording's tables: in its folder and on the way to its images; or a video and its camera file."""
+    folder = named_path(source.uri)
+    if not folder.is_dir():
+        return [folder, *(folder.with_name(name) for name in CAMERA_FILES)]
+    try:
+        images = find_listing(folder).files[0].parent
+        truth = truth_file(source, layout_of(source))
+    except PrismError:
+        return []
+    between = [path for path in (images, *images.parents) if folder in path.parents]
+    tables = {path for each in (folder, *between) for path in each.iterdir() if path.suffix in _TABLES}
+    return sorted(tables.union([truth] if truth else []))
+
+
+def _camera(source: SourceConfig) -> dict[str, Any] | None:
+    """The intrinsics that a run would have now, as JSON gives them back; None where there are none to see."""
+    try:
+        camera = played(source, open_source(source), None).camera or {}
+    except (PrismError, OSError):
+        return None  # `eval` says why
+    return dict(_as_written({key: value for key, value in camera.items() if key != "origin"}))
 
 
 def _network_files(name: str) -> list[Path]:

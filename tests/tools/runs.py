@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -11,16 +12,24 @@ from typing import Any
 
 from prism_edge.cli.eval import effective
 from prism_edge.cli.main import build_parser
+from prism_edge.errors import PrismError
 from prism_edge.evaluation import run
 from prism_edge.evaluation.metrics import versions
+from prism_edge.evaluation.played import Played, played
+from prism_edge.sources import open_source
 
 
 def metrics_of(words: Sequence[str]) -> dict[str, Any]:
-    """Settings, versions and truth as metrics.json has them, with whatever `eval` sets by itself."""
+    """Settings, versions, camera and truth as metrics.json has them, with whatever `eval` sets by itself."""
     args = build_parser("eval").parse_args(list(words))
     with TemporaryDirectory() as out:
         config = run._prepared(run.on_free_endpoint(effective(args)), Path(out))
+    made_of = Played()
+    with contextlib.suppress(PrismError):
+        made_of = played(config.source, open_source(config.source), args.truth)
     return {
+        "camera": json.loads(json.dumps(made_of.camera)),
+        "truth_file": made_of.truth_file,
         "config": json.loads(json.dumps(asdict(config))),
         "versions": versions(),
         "truth": str(args.truth) if args.truth else "the sequence's own",

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import onnx
 import pytest
 
+from tests.sources import tiny_datasets as tiny
 from tests.synthetic.network import write_tiny_network
 from tests.tools.runs import metrics_of
 from tools.finished_runs import finished
@@ -83,6 +85,78 @@ def test_a_file_that_was_written_since_makes_another_run(
     os.utime(tmp_path / name, (LATER_S, LATER_S))
     assert finished(run, words) is None
     assert str(tmp_path / name) in capsys.readouterr().err
+
+
+def aged(folder: Path) -> Path:
+    """The folder with all its files older than any run."""
+    for file in (path for path in folder.rglob("*") if path.is_file()):
+        os.utime(file, (1e9, 1e9))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("write", "name"),
+    [
+        *((tiny.write_tum, name) for name in ("camera.yaml", "rgb.txt", "groundtruth.txt")),
+        *((tiny.write_kitti, name) for name in ("calib.txt", "times.txt", "../../poses/03.txt")),
+        (tiny.write_seven_scenes, "frame-000001.pose.txt"),
+        (tiny.write_images, "camera.yaml"),
+    ],
+)
+def test_a_table_of_the_recording_that_was_written_since_makes_another_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], write: Callable[[Path], Path], name: str
+) -> None:
+    folder, run = write(tmp_path / "sequences" / "03"), tmp_path / "run"
+    if name.startswith(".."):
+        (tmp_path / "poses").mkdir()
+        (folder / "poses.txt").rename(tmp_path / "poses" / "03.txt")
+    aged(tmp_path)
+    words = ["eval", str(folder), "--out", str(run)]
+    run.mkdir()
+    (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
+    assert finished(run, words) is not None
+    os.utime(folder / name, (LATER_S, LATER_S))
+    assert finished(run, words) is None
+    assert Path(name).name in capsys.readouterr().err
+
+
+def test_another_camera_with_an_old_date_or_none_makes_another_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, run = aged(tiny.write_tum(tmp_path / "fr1_desk")), tmp_path / "run"
+    words = ["eval", str(folder), "--out", str(run)]
+    run.mkdir()
+    (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
+    assert finished(run, words) is not None
+    text = (folder / "camera.yaml").read_text()
+    (folder / "camera.yaml").write_text(text.replace("fx: 60", "fx: 61"))
+    aged(folder)
+    assert finished(run, words) is None
+    assert "the camera differ" in capsys.readouterr().err
+    (folder / "camera.yaml").unlink()  # that of freiburg1 then
+    assert finished(run, words) is None
+
+
+def test_a_truth_that_has_gone_makes_another_run(tmp_path: Path) -> None:
+    folder, run = aged(tiny.write_tum(tmp_path / "desk")), tmp_path / "run"
+    words = ["eval", str(folder), "--out", str(run)]
+    run.mkdir()
+    (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
+    assert finished(run, words) is not None
+    (folder / "groundtruth.txt").unlink()
+    assert finished(run, words) is None
+
+
+def test_a_video_and_the_camera_file_beside_it_count(tmp_path: Path) -> None:
+    video, run = tiny.write_video(tmp_path / "film.avi"), tmp_path / "run"
+    words = ["eval", str(video), "--out", str(run)]
+    run.mkdir()
+    for file in (video, tmp_path / "camera.yaml"):
+        aged(tmp_path)
+        (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
+        assert finished(run, words) is not None
+        os.utime(file, (LATER_S, LATER_S))
+        assert finished(run, words) is None
 
 
 def test_a_setting_that_is_newer_than_the_run_had_its_default(run: Path, tmp_path: Path) -> None:
