@@ -6,9 +6,9 @@
 FOLDER is any TUM RGB-D, BONN, 7-Scenes or KITTI odometry sequence. Each is played N times (default 1; medians
 count), in real time or lockstep; run n has seed n - 1. Files go to DIR/<folder>-<mode>-<n> (default:
 build/benchmark), and a run that is finished there with the same settings and versions, after the files of
-camera, networks and the recording's tables were written, is not repeated: stop it when you like, and go on later. The tables say
-which were. A folder that fails has the reason in its line, and the others go on. Tables go to stdout, all
-else to stderr. Exit code 1: a folder has failed.
+camera, networks and the recording's tables were written, is not repeated: stop it when you like, and go on
+later. The tables say which were. A folder that fails has the reason in its line, and the others go on. Tables
+go to stdout, all else to stderr. Exit code 1: a folder has failed.
 """
 
 from __future__ import annotations
@@ -130,6 +130,12 @@ def _met(row: Row) -> str:
     return f"{live} of {tracked}" if live == final else f"{live} and {final} of {tracked}"
 
 
+def _coverage(row: Row) -> str:
+    """Share of the frames that were tracked, and how many never reached the tracker for what they are."""
+    refused = _figure(row, at("unreadable_frames"), ".0f")
+    return _figure(row, at("coverage"), ".3f") + (f" ({refused} not played)" * (refused not in ("0", "-")))
+
+
 def _number(value: float | None, factor: float = 1.0) -> str:
     return "-" if value is None else f"{factor * value:g}"
 
@@ -148,7 +154,7 @@ def line(row: Row) -> str:
         cells += [f"failed: {row.failure.replace('|', '/')}", "", "", "", ""]
     else:
         cells += [
-            _figure(row, at("coverage"), ".3f"),
+            _coverage(row),
             _met(row),
             _both(row, "live", factor),
             _both(row, "final", factor),

@@ -49,7 +49,8 @@ def metrics_there(where: Path) -> Metrics | None:
     """The metrics of a run that ended there as it should; None: there is none."""
     try:
         metrics = json.loads((where / "metrics.json").read_text())
-        return metrics if "live" in metrics and not metrics.get("violations") else None
+        void = metrics.get("violations") or metrics.get("unscored")
+        return metrics if "live" in metrics and not void else None
     except (OSError, ValueError, AttributeError, TypeError):
         return None
 

@@ -29,3 +29,18 @@ def guessed_camera(played: Played) -> list[str]:
     if not played.guessed or played.camera is None:
         return []
     return [f"nothing says which camera took the recording: {played.camera['origin']}"]
+
+
+def not_played(refused: int, frames: int) -> list[str]:
+    """What to say where more than a hundredth of the frames never reached the tracker."""
+    if 100 * refused <= frames:
+        return []
+    return [
+        f"{refused} of {frames} frames were not played, and count as not tracked: unreadable, of another "
+        "size, or their stamp repeats or goes back (daemon.log has the first of each kind)"
+    ]
+
+
+def no_pose(poses: int, frames: int) -> list[str]:
+    """What to say of a run that published nothing."""
+    return [] if poses else [f"no pose came out of {frames} frames"]

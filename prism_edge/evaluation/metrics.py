@@ -12,7 +12,7 @@ import prism_edge
 from prism_edge.config import SENSOR, Config
 from prism_edge.evaluation.adjustments import cost_of_adjustments
 from prism_edge.evaluation.consistency import NO_NEES, Nees, relative_nees, scale_errors
-from prism_edge.evaluation.doubts import apart_in_time, guessed_camera, not_in_the_map
+from prism_edge.evaluation.doubts import apart_in_time, guessed_camera, no_pose, not_in_the_map, not_played
 from prism_edge.evaluation.loops import judge_loops
 from prism_edge.evaluation.played import Played
 from prism_edge.evaluation.recording import Recording
@@ -49,9 +49,13 @@ def metrics(
         for name, estimate in (("live", live), ("final", final))
     }
     nees = NO_NEES if truth is None else relative_nees(recording, truth, base_from_camera(config.frames))
+    flow = recording.flow(first_stamp_ns)
+    silent = no_pose(len(live), flow["frames"])
+    apart = [] if truth is None else apart_in_time(live, truth, scores["live"]["pairs"])
+    nothing = silent or (apart if not scores["live"]["pairs"] else [])
     processed = len({frame.index for frame in recording.frames})
     report = {
-        **recording.flow(first_stamp_ns),
+        **flow,
         "ready_s": ready_s,
         "monocular": config.depth.model != SENSOR,
         **scores,
@@ -73,8 +77,12 @@ def metrics(
         "log_scale": snapshot.log_scale if snapshot is not None else None,
         "scale": recording.last_scale(),
         "violations": recording.violations(),
+        # Without a network no pose is due, and that was said before.
+        "unscored": nothing[0] if nothing and config.depth.network else None,
         "warnings": [
-            *([] if truth is None else apart_in_time(live, truth, scores["live"]["pairs"])),
+            *silent,
+            *apart,
+            *not_played(flow["unreadable_frames"], flow["frames"]),
             *guessed_camera(played),
             *not_in_the_map(final_missing, len(recording.tracked)),
         ],

@@ -100,7 +100,7 @@ class Recording:
         values = {name: getattr(self.scale, name) for name in names}
         return {k: v if isinstance(v, bool) or np.isfinite(v) else None for k, v in values.items()}
 
-    def flow(self, first_stamp_ns: int | None) -> dict[str, object]:
+    def flow(self, first_stamp_ns: int | None) -> dict[str, Any]:
         """Counts, coverage, rate and latency, under their names in metrics.json (docs/EVALUATION.md).
 
         ``first_stamp_ns`` is the recording's first stamp; None takes that of the first frame tracked.

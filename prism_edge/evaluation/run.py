@@ -66,7 +66,7 @@ def evaluate(
     endpoint gives way to a free one, for runs side by side.
     Returns the metrics. Call it from the main thread. Raises SourceError or ConfigError for an unusable
     sequence or its truth, DaemonError with the daemon's own exit code where it fails, and EvaluationError for
-    an unusable ``truth`` or where the run broke a rule (the files are written then too).
+    an unusable ``truth``, and where the run broke a rule or there is nothing to score (with files written).
     """
     source = open_source(config.source)
     first, frame_count = _extent(source)
@@ -103,6 +103,8 @@ def evaluate(
     (out / "metrics.json").write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
     if report["violations"]:
         raise EvaluationError(f"the run is void: {'; '.join(report['violations'])}")
+    if report["unscored"]:
+        raise EvaluationError(f"the run can't be scored: {report['unscored']}; {out} holds what there is")
     return report
 
 

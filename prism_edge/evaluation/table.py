@@ -32,6 +32,7 @@ def show(metrics: dict[str, Any], out: Path) -> None:
     run = Table(show_header=False, title="run")
     for label, value in (
         ("coverage", f"{_number(metrics['coverage'])} of {metrics['frames']} frames"),
+        ("frames not played", f"{metrics['unreadable_frames']} (unreadable, wrong size or stamp)"),
         ("first pose, ready", f"{_number(metrics['first_pose_s'])}, {_number(metrics['ready_s'])} s"),
         ("rate", f"{_number(metrics['fps'])} fps, {metrics['dropped_frames']} dropped"),
         ("latency p50, p99", f"{_number(latency['p50'])}, {_number(latency['p99'])} ms"),

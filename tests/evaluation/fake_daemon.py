@@ -60,7 +60,7 @@ def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threadin
             print("prism-edge tracker: error: out of luck", file=sys.stderr, flush=True)
             return 7
         lost = 10 <= i < 12
-        if i > 0 and (not lost or scenario == "lost"):
+        if i > 0 and (not lost or scenario == "lost") and scenario != "silent":
             robot = camera_at(i) @ inverse(mount)
             bus.publish("pose", ros.pose_with_covariance(stamp, config.frames.map, robot, np.eye(6)))
         reference = 4 * (i >= 4)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prism_edge.config import Config
+from prism_edge.config import Config, DepthConfig
 from prism_edge.evaluation.metrics import metrics
 from prism_edge.evaluation.played import Played
 from prism_edge.evaluation.recording import Published, Recording
@@ -144,7 +144,33 @@ def test_truth_of_another_time_is_said(capsys: pytest.CaptureFixture[str], tmp_p
 
 def test_sparse_truth_that_is_all_met_is_no_cause_to_warn() -> None:
     assert report(truth=circle(1.0).at(np.arange(0, N, 10)))["warnings"] == []
-    assert report()["warnings"] == report(live=Trajectory.of([]))["warnings"] == []
+    assert report()["warnings"] == []
+    assert report()["unscored"] is None
+
+
+def test_a_run_with_nothing_to_score_says_so() -> None:
+    empty = Trajectory.of([])
+    network = Config(depth=DepthConfig(model="net.onnx"))
+    silent = report(config=network, live=empty, final=empty)
+    assert silent["warnings"] == ["no pose came out of 60 frames"]
+    assert silent["unscored"] == "no pose came out of 60 frames"
+    assert report(live=empty, final=empty)["unscored"] is None, "without a network none is due"
+    truth = circle(1.0)
+    elsewhen = report(config=network, truth=Trajectory(truth.stamps + 9 * NS, truth.poses))
+    assert elsewhen["unscored"] == elsewhen["warnings"][0]
+    assert elsewhen["unscored"].startswith("0 of 60 poses have a true one at their time")
+    assert report(config=network, truth=None)["unscored"] is None
+
+
+@pytest.mark.parametrize(("refused", "said"), [(0, 0), (6, 0), (7, 1)])
+def test_frames_that_were_not_played_are_said(
+    refused: int, said: int, capsys: pytest.CaptureFixture[str], tmp_path: Any
+) -> None:
+    recording = Recording(end=EndOfStream(600, 600 - refused, 0, refused, 599))
+    found = report(recording=recording)
+    assert len([text for text in found["warnings"] if "were not played" in text]) == said
+    show(found, tmp_path)
+    assert f"{refused} (unreadable, wrong size or stamp)" in capsys.readouterr().out
 
 
 def test_a_guessed_camera_is_said(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:

@@ -160,6 +160,23 @@ def test_a_pose_while_lost_voids_the_run_but_files_are_there(tiny_sequence: Path
     assert (tmp_path / "final.tum").exists()
 
 
+def test_a_run_without_a_pose_can_t_be_scored_but_files_are_there(
+    tiny_sequence: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(EvaluationError, match="can't be scored: no pose came out of 24 frames"):
+        run("silent", tiny_sequence, tmp_path)
+    assert json.loads((tmp_path / "metrics.json").read_text())["tracked"] == 0
+    assert (tmp_path / "final.tum").exists()
+
+
+def test_a_truth_of_another_time_can_t_score_a_run(tiny_sequence: Path, tmp_path: Path) -> None:
+    truth = tmp_path / "later.tum"
+    truth.write_text("".join(f"{900 + i} 0 0 {i} 0 0 0 1\n" for i in range(9)))
+    with pytest.raises(EvaluationError, match="can't be scored: 0 of 21 poses have a true one"):
+        run("normal", tiny_sequence, tmp_path / "out", truth=truth)
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["tracked"] == 21
+
+
 def test_a_map_that_never_settles_is_taken_as_it_is_and_said_so(tiny_sequence: Path, tmp_path: Path) -> None:
     found = run("unsettled", tiny_sequence, tmp_path, settle_s=0.3)
     assert found["final_settled"] is False

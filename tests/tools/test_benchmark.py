@@ -49,6 +49,7 @@ def ran(monkeypatch) -> list[list[str]]:
             **metrics_of(words),
             "coverage": 0.5,
             "tracked": 100,
+            "unreadable_frames": 30 if "damaged" in words[1] else 0,
             "live": {**errors, "pairs": 99},
             "final": {**errors, "ate_se3_m": None, "pairs": 29 if "torn" in words[1] else 99},
             "warnings": ["3 of 100 poses have a true one"] if "elsewhen" in words[1] else [],
@@ -109,6 +110,12 @@ def test_what_a_run_warns_of_is_said_below_its_table(tmp_path: Path, ran, capsys
     words = [*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--runs", "2"]
     assert benchmark.main(words) == 0
     assert capsys.readouterr().out.count("\nelsewhen: 3 of 100 poses have a true one.\n") == 1
+
+
+def test_frames_that_were_not_played_stand_beside_the_coverage(tmp_path: Path, ran, capsys):
+    words = [str(layout(tmp_path / "damaged", "tum")), "--model", "net.onnx", "--out", str(tmp_path / "out")]
+    assert benchmark.main(words) == 0
+    assert row(capsys.readouterr().out, "damaged")[1] == "0.500 (30 not played)"
 
 
 def test_final_errors_over_fewer_frames_say_so(tmp_path: Path, ran, capsys):

@@ -187,7 +187,8 @@ def test_weights_of_any_name_count(tmp_path: Path) -> None:
 def test_another_version_or_a_void_run_is_none(run: Path, tmp_path: Path) -> None:
     words, file = words_for(tmp_path), run / "metrics.json"
     made = json.loads(file.read_text())
-    for changed in ({"versions": {**made["versions"], "onnxruntime": "0"}}, {"violations": ["a pose twice"]}):
+    other = {"versions": {**made["versions"], "onnxruntime": "0"}}
+    for changed in (other, {"violations": ["a pose twice"]}, {"unscored": "no pose"}):
         file.write_text(json.dumps({**made, **changed}))
         os.utime(file, (LATER_S, LATER_S))
         assert finished(run, words) is None
