@@ -30,12 +30,17 @@ if str(ROOT) not in sys.path:  # run from a checkout
 from prism_edge.cli.main import main as prism_edge  # noqa: E402
 from prism_edge.errors import PrismError  # noqa: E402
 from prism_edge.evaluation.metrics import versions  # noqa: E402
+from prism_edge.evaluation.scores import of_own_length  # noqa: E402
+from prism_edge.evaluation.table import OWN_LENGTH  # noqa: E402
 from prism_edge.sources.open import find_listing  # noqa: E402
 from tools.accuracy import at  # noqa: E402
 from tools.finished_runs import Metrics, finished  # noqa: E402
 from tools.published_figures import NOTES, dataset_of, published  # noqa: E402
 
 OTHER = "Other folders"
+# Columns; ATE in the dataset's unit.
+OURS = ("coverage", "true poses found", "live, UNIT", "final, UNIT", "live t_rel, %", "live r_rel, deg/100 m")
+PAPERS = ("*paper*: ATE, UNIT", "*paper*: t_rel, %")
 
 
 @dataclass
@@ -123,6 +128,17 @@ def _both(row: Row, which: str, factor: float) -> str:
     return " / ".join(_figure(row, at(which, key, factor=factor)) for key in ("ate_sim3_m", "ate_se3_m"))
 
 
+def _of_own_length(row: Row) -> bool:
+    """Whether a run's t_rel is over less than KITTI's lengths."""
+    return any(of_own_length(run["live"].get("t_rel_lengths_m", [])) for run in row.runs)
+
+
+def _drift(row: Row, key: str) -> str:
+    """Live t_rel or r_rel, starred where it isn't KITTI's."""
+    figure = _figure(row, at("live", key), ".2f")
+    return figure + "\\*" * (figure != "-" and _of_own_length(row))
+
+
 def _met(row: Row) -> str:
     """Live and final poses that have a true one at their time, of the frames tracked."""
     paths = (("live", "pairs"), ("final", "pairs"), ("tracked",))
@@ -151,14 +167,15 @@ def line(row: Row) -> str:
     ate = " / ".join(_number(value, paper_factor) for value in printed) or "-"
     cells = [name]
     if row.failure:
-        cells += [f"failed: {row.failure.replace('|', '/')}", "", "", "", ""]
+        cells += [f"failed: {row.failure.replace('|', '/')}", *[""] * (len(OURS) - 1)]
     else:
         cells += [
             _coverage(row),
             _met(row),
             _both(row, "live", factor),
             _both(row, "final", factor),
-            _figure(row, at("live", "t_rel_percent"), ".2f"),
+            _drift(row, "t_rel_percent"),
+            _drift(row, "r_rel_deg_per_100m"),
         ]
     cells += [ate, _number(paper.t_rel_percent) if paper else "-"]
     return f"| {' | '.join(cells)} |"
@@ -175,6 +192,12 @@ def warnings(row: Row) -> list[str]:
     return list(dict.fromkeys(said))
 
 
+def _below(rows: list[Row]) -> list[str]:
+    """What is to be said of a table's rows."""
+    starred = [f"\\* {OWN_LENGTH}."] if any(map(_of_own_length, rows)) else []
+    return starred + [text for row in rows for text in warnings(row)]
+
+
 def tables(rows: list[Row], args: argparse.Namespace) -> str:
     """A table for each dataset, in the order in which they were given."""
     mode = "lockstep" if args.mode == "lockstep" else "real time"
@@ -183,14 +206,14 @@ def tables(rows: list[Row], args: argparse.Namespace) -> str:
         "Sim(3) / SE(3). The columns marked *paper* are what the PRISM-SLAM paper prints for its own system "
         "with DA3 on a GPU; they were not measured here, and it doesn't say whether they are live or final."
     ]
+    heads = ("sequence", *OURS, *PAPERS)
     for dataset in dict.fromkeys(row.dataset for row in rows):
         unit = "m" if dataset.startswith("KITTI") else "cm"
         parts.append(
             f"### {dataset}\n\n"
-            f"| sequence | coverage | true poses found | live, {unit} | final, {unit} | live t_rel, % "
-            f"| *paper*: ATE, {unit} | *paper*: t_rel, % |\n|---|---|---|---|---|---|---|---|\n"
+            f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|\n".replace("UNIT", unit)
             + "\n".join(line(row) for row in rows if row.dataset == dataset)
-            + "".join(f"\n\n{text}" for row in rows if row.dataset == dataset for text in warnings(row))
+            + "".join(f"\n\n{text}" for text in _below([row for row in rows if row.dataset == dataset]))
             + (f"\n\n{NOTES[dataset]}" if dataset in NOTES else "")
         )
     return "\n\n".join(parts)

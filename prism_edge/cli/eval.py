@@ -19,8 +19,8 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "eval",
         help=help_line,
         description="Play SEQUENCE through the daemon, listen as an ordinary subscriber, and write live.tum "
-        "(poses as published), final.tum (after the last optimisation) and metrics.json to the folder DIR "
-        "(docs/EVALUATION.md). Ground truth is for scores only. Unless --endpoint is "
+        "(poses as published), final.tum (after the last optimisation), truth.tum and metrics.json to the "
+        "folder DIR (docs/EVALUATION.md). Ground truth is for scores only. Unless --endpoint is "
         "given, a free loopback port is taken, so that several evaluations can run side by side.",
     )
     parser.add_argument("source", metavar="SEQUENCE", help=RECORDING_HELP)

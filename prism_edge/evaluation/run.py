@@ -7,7 +7,7 @@ import dataclasses
 import json
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ _SAMPLE_S = 1.0
 _LOOK_S = 0.1
 _LAST_FRAME_S = 10.0  # for the last frames to be tracked once the source has ended
 _SILENCE_S = 120.0  # without any frame: the run is given up
-FILES = ("live.tum", "final.tum", "metrics.json", "effective.yaml", "daemon.log")
+FILES = ("live.tum", "final.tum", "truth.tum", "metrics.json", "effective.yaml", "daemon.log")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -58,7 +58,7 @@ def evaluate(
     quiet: bool = False,
     keep_endpoint: bool = False,
 ) -> dict[str, Any]:
-    """Runs ``config`` through the daemon and writes live.tum, final.tum, metrics.json and more to ``out``.
+    """Runs ``config`` through the daemon, and writes live.tum, final.tum, metrics.json and more to ``out``.
 
     ``truth`` is a TUM file to score against instead of the sequence's own; either is read before the run, so
     that a damaged one is said at once, and stays in this process. ``settle_s`` is how long the last
@@ -74,7 +74,9 @@ def evaluate(
     if truth is not None and not truth.is_file():
         raise EvaluationError(f"{truth}: no such file: nothing to score against")
     true_path = _truth(config, truth)
-    config = _prepared(config if keep_endpoint else on_free_endpoint(config), out)
+    # Where the truth that was given lies among the results, it stays as it is.
+    kept = {truth.resolve()} if truth is not None else set()
+    config = _prepared(config if keep_endpoint else on_free_endpoint(config), out, kept)
     if not config.depth.network and not quiet:
         print(f"prism-edge: warning: depth {WITHOUT_NETWORK}", file=sys.stderr)
     heard = _run(config, out, settle_s, Progress(frame_count, quiet), command)
@@ -86,6 +88,8 @@ def evaluate(
         final, missing = heard.recording.final(heard.snapshot, heard.snapshot.base_from_camera)
     write_tum(out / "live.tum", live)
     write_tum(out / "final.tum", final)
+    if true_path is not None and (out / "truth.tum").resolve() not in kept:
+        write_tum(out / "truth.tum", true_path)
     report = metrics(
         config=config,
         recording=heard.recording,
@@ -131,16 +135,20 @@ def on_free_endpoint(config: Config) -> Config:
     return dataclasses.replace(config, bus=dataclasses.replace(config.bus, endpoint=free_endpoint()))
 
 
-def _prepared(config: Config, out: Path) -> Config:
-    """The configuration as it runs, written to ``out``, from which an earlier run's files are removed."""
+def _prepared(config: Config, out: Path, kept: Container[Path] = ()) -> Config:
+    """The configuration as it runs, written to ``out``, from which an earlier run's files are removed.
+
+    Files ``kept`` are named by their resolved paths.
+    """
     source = dataclasses.replace(config.source, wait_s=max(config.source.wait_s, _WAIT_S), loop=False)
     config = dataclasses.replace(config, source=source)
     check_robot_name(config.robot)
     check_endpoint(config.bus.endpoint)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for name in FILES:
-            (out / name).unlink(missing_ok=True)
+        for file in (out / name for name in FILES):
+            if file.resolve() not in kept:
+                file.unlink(missing_ok=True)
         (out / "effective.yaml").write_text(dump(config))
     except OSError as error:
         raise EvaluationError(f"{out}: {error.strerror}: can't write results there") from error

@@ -33,6 +33,7 @@ class Scores:
     rpe_trans_m: float | None
     rpe_rot_deg: float | None
     t_rel_percent: float | None
+    r_rel_deg_per_100m: float | None
     t_rel_lengths_m: list[float]
 
     def as_dict(self) -> dict[str, Any]:
@@ -40,7 +41,7 @@ class Scores:
         return asdict(self)
 
 
-UNKNOWN = Scores(0, None, None, None, [None, None], None, None, None, [])
+UNKNOWN = Scores(0, None, None, None, [None, None], None, None, None, None, [])
 
 
 def score(
@@ -70,6 +71,7 @@ def score(
         rpe_trans_m=trans,
         rpe_rot_deg=rot,
         t_rel_percent=percent,
+        r_rel_deg_per_100m=r_rel(estimate, truth),
         t_rel_lengths_m=lengths,
     )
 
@@ -121,25 +123,46 @@ def t_rel(estimate: Trajectory, truth: Trajectory) -> tuple[float | None, list[f
     pose. Paths that hold no 100 m use 10 to 80 percent of their own length, starting at every pose;
     (None, []) for paths under 1 m.
     """
-    if len(truth) < 2:
+    segments = _segments(estimate, truth)
+    if not segments:
         return None, []
+    errors = [np.linalg.norm(relative[:, :3, 3], axis=1) / length for length, relative in segments]
+    return 100.0 * float(np.concatenate(errors).mean()), [length for length, _ in segments]
+
+
+def r_rel(estimate: Trajectory, truth: Trajectory) -> float | None:
+    """KITTI's mean rotation error per length travelled (deg / 100 m), over the segments of `t_rel`."""
+    segments = _segments(estimate, truth)
+    if not segments:
+        return None
+    errors = [_angles(relative[:, :3, :3]) / length for length, relative in segments]
+    return 100.0 * float(np.degrees(np.concatenate(errors).mean()))
+
+
+def of_own_length(lengths_m: list[float]) -> bool:
+    """Whether `t_rel` and `r_rel` rest on shares of a path that holds no 100 m: not KITTI's figures."""
+    return bool(lengths_m) and lengths_m[0] < KITTI_LENGTHS_M[0]
+
+
+def _segments(estimate: Trajectory, truth: Trajectory) -> list[tuple[float, Array]]:
+    """Lengths (m), each with the errors (n, 4, 4) of the motion over all segments of that length."""
+    if len(truth) < 2:
+        return []
     steps = np.linalg.norm(np.diff(truth.positions, axis=0), axis=1)
     travelled = np.concatenate([[0.0], np.cumsum(steps)])
     path = float(travelled[-1])
     if path < _SHORTEST_PATH_M:
-        return None, []
+        return []
     standard = path > KITTI_LENGTHS_M[0]
-    step = _KITTI_STEP if standard else 1
-    starts = np.arange(0, len(truth), step)
-    errors, used = [], []
+    starts = np.arange(0, len(truth), _KITTI_STEP if standard else 1)
+    found = []
     for length in KITTI_LENGTHS_M if standard else [fraction * path for fraction in _FRACTIONS]:
         ends = np.searchsorted(travelled, travelled[starts] + length, side="right")
         inside = ends < len(travelled)
         if inside.any():
-            relative = _relative_errors(estimate.poses, truth.poses, starts[inside], ends[inside])
-            errors.append(np.linalg.norm(relative[:, :3, 3], axis=1) / length)
-            used.append(length)
-    return 100.0 * float(np.concatenate(errors).mean()), used
+            errors = _relative_errors(estimate.poses, truth.poses, starts[inside], ends[inside])
+            found.append((length, errors))
+    return found
 
 
 def _relative_errors(

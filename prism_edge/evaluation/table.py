@@ -8,6 +8,12 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+from prism_edge.evaluation.scores import of_own_length
+
+OWN_LENGTH = "over shares of a path that holds no 100 m: not to be compared with KITTI's figures"
+_BOTH = ("live", "final")
+_OF_SEGMENTS = ("t_rel_percent", "r_rel_deg_per_100m")
+
 
 def show(metrics: dict[str, Any], out: Path) -> None:
     """Prints a short table of metrics.json's contents on stdout."""
@@ -20,12 +26,17 @@ def show(metrics: dict[str, Any], out: Path) -> None:
         ("RPE over 1 s", "rpe_trans_m", 100.0, "cm"),
         ("RPE over 1 s", "rpe_rot_deg", 1.0, "deg"),
         ("t_rel", "t_rel_percent", 1.0, "%"),
+        ("r_rel", "r_rel_deg_per_100m", 1.0, "deg/100 m"),
     ):
-        errors.add_row(label, *(_number(metrics[which][key], factor, unit) for which in ("live", "final")))
+        starred = [key in _OF_SEGMENTS and of_own_length(metrics[w]["t_rel_lengths_m"]) for w in _BOTH]
+        values = [_number(metrics[which][key], factor, unit) for which in _BOTH]
+        errors.add_row(label, *(text + " *" * star for text, star in zip(values, starred, strict=True)))
     if metrics["truth"]:
-        met = (f"{metrics[which]['pairs']} of {metrics['tracked']}" for which in ("live", "final"))
+        met = (f"{metrics[which]['pairs']} of {metrics['tracked']}" for which in _BOTH)
         errors.add_row("true poses found", *met)
     console.print(errors)
+    if any(of_own_length(metrics[which]["t_rel_lengths_m"]) for which in _BOTH):
+        console.print(f"* {OWN_LENGTH}", highlight=False, soft_wrap=True)
 
     latency, cpu, void = metrics["latency_ms"], metrics["cpu_ms_per_frame"], metrics["timings_void"]
     loops = metrics["loops"]

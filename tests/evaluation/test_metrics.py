@@ -25,7 +25,7 @@ KEYS = {
 }
 ERRORS = {
     *("ate_se3_m", "ate_sim3_m", "scale_ratio", "scale_ratio_halves", "rpe_trans_m", "rpe_rot_deg"),
-    "t_rel_percent",
+    *("t_rel_percent", "r_rel_deg_per_100m"),
 }
 N = 60
 
@@ -191,6 +191,19 @@ def test_final_errors_over_fewer_frames_are_said(capsys: pytest.CaptureFixture[s
     assert torn["warnings"] == ["27 of 60 tracked frames are not in the finished map (final.tum)"]
     show(torn, tmp_path)
     assert "33 of 60" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("radius", "starred"), [(1.0, True), (100.0, False)])
+def test_drift_over_a_paths_own_length_is_starred(
+    radius: float, starred: bool, capsys: pytest.CaptureFixture[str], tmp_path: Any
+) -> None:
+    found = report(live=circle(1.1 * radius), final=circle(1.1 * radius), truth=circle(radius))
+    show(found, tmp_path)
+    shown = capsys.readouterr().out
+    assert ("* over shares of a path that holds no 100 m" in shown) is starred
+    for name in ("t_rel", "r_rel"):
+        (line,) = [line for line in shown.splitlines() if line.startswith(f"│ {name} ")]
+        assert line.count(" *") == 2 * starred
 
 
 def test_the_table_shows_the_figures(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:

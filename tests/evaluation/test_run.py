@@ -22,6 +22,7 @@ from prism_edge.config_file import load
 from prism_edge.errors import EvaluationError, SourceError
 from prism_edge.evaluation.daemon import DaemonError
 from prism_edge.evaluation.run import evaluate, extent
+from prism_edge.evaluation.scores import score
 from prism_edge.evaluation.trajectory import NS, read_tum
 from prism_edge.sources import open_source, sim
 
@@ -140,6 +141,30 @@ def test_another_truth_may_be_given(tiny_sequence: Path, tmp_path: Path) -> None
     found = run("normal", tiny_sequence, tmp_path / "out", truth=truth)
     assert found["live"]["scale_ratio"] == pytest.approx(1.0, rel=1e-5)
     assert found["truth"] == str(truth)
+
+
+def test_the_truth_lies_beside_what_it_scores(tiny_sequence: Path, tmp_path: Path) -> None:
+    found = run("normal", tiny_sequence, tmp_path)
+    truth, live = read_tum(tmp_path / "truth.tum"), read_tum(tmp_path / "live.tum")
+    assert len(truth) == 24
+    np.testing.assert_allclose(truth.positions[:, 0], np.arange(24) / 15, atol=1e-6)
+    assert score(live, truth).ate_se3_m == pytest.approx(found["live"]["ate_se3_m"], abs=1e-6)
+    before = (tmp_path / "truth.tum").read_text()
+    given = tmp_path / "truth.tum"
+    given.write_text("# mine\n" + before)
+    again = run("normal", tiny_sequence, tmp_path, truth=given)
+    assert again["live"] == found["live"]
+    assert given.read_text() == "# mine\n" + before, "what was given stays as it is"
+
+
+def test_without_truth_none_of_an_earlier_run_is_left(tiny_sequence: Path, tmp_path: Path) -> None:
+    sequence = shutil.copytree(tiny_sequence, tmp_path / "sequence")
+    (sequence / "groundtruth.txt").unlink()
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "truth.tum").write_text("of another\n")
+    assert run("normal", sequence, out)["truth"] is None
+    assert not (out / "truth.tum").exists()
 
 
 @pytest.mark.parametrize("own", [True, False])

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from prism_edge.evaluation.scores import ate, rpe, score, t_rel
+from prism_edge.evaluation.scores import ate, of_own_length, r_rel, rpe, score, t_rel
 from prism_edge.evaluation.trajectory import NS, Trajectory, associate, read_tum
 from prism_edge.geometry.poses import se3_exp
 
@@ -171,6 +171,50 @@ def test_t_rel_is_kittis_on_long_paths() -> None:
     assert percent == pytest.approx(kitti_loop(estimate, truth, [100.0 * k for k in range(1, 9)], 10))
 
 
+def devkit_degrees(estimate: Trajectory, truth: Trajectory, lengths: list[float], step: int) -> float:
+    """As KITTI's development kit has it, a segment at a time: deg / 100 m, angles by their quaternions."""
+    travelled, errors = [0.0], []
+    for a, b in zip(truth.positions[:-1], truth.positions[1:], strict=True):
+        travelled.append(travelled[-1] + float(np.linalg.norm(b - a)))
+    turns = [Rotation.from_matrix(run.poses[:, :3, :3]) for run in (estimate, truth)]
+    for first in range(0, len(truth), step):
+        for length in lengths:
+            beyond = [i for i in range(first, len(truth)) if travelled[i] > travelled[first] + length]
+            if beyond:
+                turned, truly = (turn[first].inv() * turn[beyond[0]] for turn in turns)
+                errors.append(float((truly.inv() * turned).magnitude()) / length)
+    return 100.0 * float(np.degrees(np.mean(errors)))
+
+
+def test_r_rel_is_kittis_on_long_paths() -> None:
+    truth = walk(11, n=300, rate_hz=10.0, step_m=1.0)
+    estimate = disturbed(truth, 12, radians=0.05)
+    expected = devkit_degrees(estimate, truth, [100.0 * k for k in range(1, 9)], 10)
+    assert r_rel(estimate, truth) == pytest.approx(expected)
+    assert score(estimate, truth).r_rel_deg_per_100m == pytest.approx(expected)
+
+
+def test_r_rel_of_short_paths_uses_fractions() -> None:
+    truth = walk(13)
+    estimate = disturbed(truth, 14)
+    path = float(np.linalg.norm(np.diff(truth.positions, axis=0), axis=1).sum())
+    lengths = [path * k / 10 for k in range(1, 9)]
+    assert r_rel(estimate, truth) == pytest.approx(devkit_degrees(estimate, truth, lengths, 1))
+    assert of_own_length(score(estimate, truth).t_rel_lengths_m)
+
+
+def test_a_steady_turn_is_its_r_rel() -> None:
+    n = 401
+    poses = np.tile(np.eye(4), (n, 1, 1))
+    poses[:, 2, 3] = np.arange(n)
+    stamps = np.arange(n) * NS // 10
+    turned = poses.copy()  # on the spot, by 0.02 degrees a metre
+    turned[:, :3, :3] = Rotation.from_euler("y", 0.02 * np.arange(n)[:, None], degrees=True).as_matrix()
+    truth = Trajectory(stamps, poses)
+    assert r_rel(Trajectory(stamps, turned), truth) == pytest.approx(2.0, rel=0.01)
+    assert not of_own_length(t_rel(truth, truth)[1])
+
+
 def test_t_rel_of_short_paths_uses_fractions() -> None:
     truth = walk(13)
     estimate = disturbed(truth, 14)
@@ -213,3 +257,4 @@ def test_an_estimate_that_stands_still_has_no_scale() -> None:
 def test_a_path_too_short_has_no_t_rel() -> None:
     truth = walk(1, step_m=0.0001)
     assert t_rel(truth, truth) == (None, [])
+    assert r_rel(truth, truth) is None

@@ -44,7 +44,9 @@ def ran(monkeypatch) -> list[list[str]]:
             print("prism-edge: error: there is no | image", file=sys.stderr)
             return 4
         metres = 0.01 * (int(option["--seed"]) + 1)
-        errors = {"ate_sim3_m": metres, "ate_se3_m": 2 * metres, "t_rel_percent": 1.5}
+        errors: dict[str, object] = {"ate_sim3_m": metres, "ate_se3_m": 2 * metres, "t_rel_percent": 1.5}
+        lengths = [7.0, 14.0] if "stroll" in words[1] else [100.0, 200.0]
+        errors |= {"r_rel_deg_per_100m": 0.25, "t_rel_lengths_m": lengths}
         report = {
             **metrics_of(words),
             "coverage": 0.5,
@@ -81,12 +83,12 @@ def test_ours_and_the_papers_figures_are_side_by_side_and_labelled(tmp_path: Pat
     out, err = capsys.readouterr()
     assert len(ran) == 15
     # Medians of three runs: 2 cm; the paper's in the columns that say so.
-    ours = ["0.500", "99 of 100", "2.0 / 4.0", "2.0 / -", "1.50"]
+    ours = ["0.500", "99 of 100", "2.0 / 4.0", "2.0 / -", "1.50", "0.25"]
     first = "tum/rgbd_dataset_freiburg1_xyz (fr1/xyz)"
     assert row(out, "freiburg1_xyz") == [first, *ours, "2.86 / 3.04", "-"]
     assert row(out, "balloon2")[-2:] == ["14 / 17.7", "-"]
     assert row(out, "seq-01")[-2:] == ["3.6 / 12.1", "-"]
-    metres = ["0.0 / 0.0", "0.0 / -", "1.50", "- / 4.3", "2.29"]
+    metres = ["0.0 / 0.0", "0.0 / -", "1.50", "0.25", "- / 4.3", "2.29"]
     assert row(out, "sequences/03") == ["sequences/03 (seq 03)", "0.500", "99 of 100", *metres]
     assert row(out, "desk")[-2:] == ["-", "-"]
     assert "### BONN Dynamic" in out
@@ -110,6 +112,15 @@ def test_what_a_run_warns_of_is_said_below_its_table(tmp_path: Path, ran, capsys
     words = [*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--runs", "2"]
     assert benchmark.main(words) == 0
     assert capsys.readouterr().out.count("\nelsewhen: 3 of 100 poses have a true one.\n") == 1
+
+
+def test_drift_over_a_short_paths_own_length_is_starred(tmp_path: Path, ran, capsys):
+    folders = [layout(tmp_path / name, "tum") for name in ("stroll", "drive")]
+    assert benchmark.main([*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    assert row(out, "stroll")[-4:-2] == ["1.50\\*", "0.25\\*"]
+    assert row(out, "drive")[-4:-2] == ["1.50", "0.25"]
+    assert out.count("\n\\* over shares of a path that holds no 100 m") == 1
 
 
 def test_frames_that_were_not_played_stand_beside_the_coverage(tmp_path: Path, ran, capsys):
