@@ -63,6 +63,7 @@ class SourceConfig:
     camera: str = text("", "camera file (YAML); auto: as the network sees it; empty: what the recording says")
     mask: str = text("", "image, black where the camera sees its own robot or writing; empty: none")
     rate_hz: float = limits(0.0, 0.0, 1000.0, "play at this rate; 0: the recording's own stamps, else 30 Hz")
+    frames: int = limits(0, 0, 10**9, "play no more than the first so many frames of a recording; 0: all")
     wait_s: float = limits(0.0, 0.0, 3600.0, "release the first frame no sooner than this after ready")
     absent_s: float = limits(10.0, 0.0, 45.0, "longest wait, at the start, for a camera that isn't there")
     peers_s: float = limits(30.0, 0.0, 3600.0, "longest wait for the run's other processes; 0: none")

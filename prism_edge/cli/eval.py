@@ -8,7 +8,14 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from prism_edge.cli.settings import RECORDING_HELP, add_common, add_playing, config_from, endpoint_given
+from prism_edge.cli.settings import (
+    RECORDING_HELP,
+    add_common,
+    add_playing,
+    config_from,
+    endpoint_given,
+    whole_above_zero,
+)
 from prism_edge.config import ABLATIONS, Config
 from prism_edge.errors import ConfigError
 
@@ -28,6 +35,12 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "--out", metavar="DIR", type=Path, required=True, help="where results go (created; overwritten)"
     )
     add_playing(parser)
+    parser.add_argument(
+        "--frames",
+        metavar="N",
+        type=whole_above_zero,
+        help="play the first N frames of the recording alone (default: all)",
+    )
     parser.add_argument(
         "--ablate",
         metavar="PART",
@@ -60,6 +73,8 @@ def run(args: argparse.Namespace) -> int:
 def effective(args: argparse.Namespace) -> Config:
     """The configuration that these options ask for. Raises ConfigError."""
     check_ablations(args.ablate)
+    if args.frames:
+        args.set.append(f"source.frames={args.frames}")
     if args.ablate:
         args.set.append(f"ablate=[{', '.join(args.ablate)}]")
     return config_from(args)

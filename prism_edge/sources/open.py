@@ -11,6 +11,7 @@ from prism_edge.named_path import named_path
 from prism_edge.sources import image_folder, kitti, seven_scenes, tum
 from prism_edge.sources.address import shown_address
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Source
+from prism_edge.sources.beginning import Beginning
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.image_sequence import ImageSequence
@@ -71,6 +72,7 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
         raise SourceError(f"{path} is neither a folder nor a file; recognised are: {RECOGNISED}")
     else:
         raise SourceError(f"{shown_address(str(path))} does not exist; give one of: {RECOGNISED}")
+    source = Beginning(source, config.frames) if config.frames else source
     return Looped(source) if config.loop else source
 
 

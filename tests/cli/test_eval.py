@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from prism_edge.cli import demo
-from prism_edge.cli.main import main
+from prism_edge.cli.eval import effective
+from prism_edge.cli.main import build_parser, main
 from prism_edge.config import BusConfig
 from prism_edge.config_file import load
 from prism_edge.errors import ConfigError, EvaluationError, SourceError
@@ -43,6 +44,7 @@ def test_out_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     ("arguments", "words", "code"),
     [
         (["--ablate", "gravity"], "no such part", ConfigError.exit_code),
+        (["--set", "source.frames=-1"], "source.frames", ConfigError.exit_code),
         (["--seed", "many"], "seed", ConfigError.exit_code),
         (["--config", "absent.yaml"], "absent.yaml", ConfigError.exit_code),
         (["--set", "tracking.feature=7"], "tracking.feature", ConfigError.exit_code),
@@ -68,6 +70,20 @@ def test_a_missing_truth_is_found_before_the_run(
     code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "o"), "--truth", str(absent)])
     assert code == EvaluationError.exit_code
     assert "no.tum" in one_line(capsys)
+
+
+def test_only_the_first_frames_may_be_played(tiny_sequence: Path) -> None:
+    words = ["eval", str(tiny_sequence), "--out", "nowhere"]
+    for more, frames in (([], 0), (["--frames", "7"], 7), (["--set", "source.frames=5"], 5)):
+        args = build_parser("eval").parse_args([*words, *more])
+        assert effective(args).source.frames == frames
+
+
+def test_frames_are_a_whole_number(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["eval", "somewhere", "--out", "nowhere", "--frames", "0"])
+    assert ended.value.code == 2
+    assert "whole number above 0" in capsys.readouterr().err
 
 
 def test_a_robot_name_that_is_no_key_is_refused(

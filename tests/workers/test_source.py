@@ -220,6 +220,15 @@ def test_loop_plays_on(tmp_path: Path) -> None:
     assert len({frame.stamp_ns for frame in frames}) == 8
 
 
+@pytest.mark.parametrize("kind", ["folder", "video"])
+def test_lockstep_ends_after_the_first_frames(tmp_path: Path, kind: str) -> None:
+    path = tiny.write_tum(tmp_path) if kind == "folder" else tiny.write_video(tmp_path / "clip.avi", 5)
+    with playing(settings(path, "lockstep", frames=3)) as bus:
+        frames, end = acknowledging(bus, "tracker", "backend")
+    assert [frame.index for frame in frames] == [0, 1, 2]
+    assert end == EndOfStream(frames=3, released=3, duplicates=0, unreadable=0, last_index=2)
+
+
 def test_what_cannot_be_played_is_an_error_before_ready(tmp_path: Path) -> None:
     bus = Recorder()
     folder = tiny.write_tum(tmp_path)

@@ -28,7 +28,8 @@ def open_live(config: SourceConfig, calibrated: bool = True) -> LiveCamera:
     Raises SourceError where the address is wrong, and ConfigError where a setting is that of recordings
     or the intrinsics are missing.
     """
-    for key, given in (("source.loop", config.loop), ("source.rate_hz", config.rate_hz)):
+    unfit = {"source.loop": config.loop, "source.rate_hz": config.rate_hz, "source.frames": config.frames}
+    for key, given in unfit.items():
         if given:
             raise ConfigError(f"{key} is for recordings; a live camera runs at its own rate, without end")
     camera = read_camera(named_path(config.camera)) if config.camera and calibrated else None
