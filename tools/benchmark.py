@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Runs dataset folders through `prism-edge eval`; result tables in Markdown beside the paper's figures.
 
-    python tools/benchmark.py FOLDER... --model MODEL [--lockstep] [--runs N] [--camera FILE] [--out DIR]
+    python tools/benchmark.py FOLDER... --model MODEL [--lockstep] [--runs N] [--frames N] [--camera FILE]
+        [--out DIR]
 
 FOLDER is any TUM RGB-D, BONN, 7-Scenes or KITTI odometry sequence. Each is played N times (default 1; medians
 count), in real time or lockstep; run n has seed n - 1. Files go to DIR/<folder>-<mode>-<n> (default:
@@ -28,6 +29,7 @@ if str(ROOT) not in sys.path:  # run from a checkout
     sys.path.insert(0, str(ROOT))
 
 from prism_edge.cli.main import main as prism_edge  # noqa: E402
+from prism_edge.cli.settings import whole_above_zero  # noqa: E402
 from prism_edge.errors import PrismError  # noqa: E402
 from prism_edge.evaluation.metrics import versions  # noqa: E402
 from prism_edge.evaluation.scores import of_own_length  # noqa: E402
@@ -39,7 +41,9 @@ from tools.published_figures import NOTES, dataset_of, published  # noqa: E402
 
 OTHER = "Other folders"
 # Columns; ATE in the dataset's unit.
-OURS = ("coverage", "true poses found", "live, UNIT", "final, UNIT", "live t_rel, %", "live r_rel, deg/100 m")
+OURS = ("frames", "path, m", "coverage", "true poses found", "live, UNIT", "final, UNIT")
+OURS += ("live t_rel, %", "live r_rel, deg/100 m")
+UNKNOWN_LENGTH = "† Of a sequence whose number of frames is not noted here: see that the folder has it all."
 PAPERS = ("*paper*: ATE, UNIT", "*paper*: t_rel, %")
 
 
@@ -96,6 +100,7 @@ def command(folder: Path, args: argparse.Namespace, run: int) -> list[str]:
     words = ["eval", str(folder), "--model", args.model, "--seed", str(run - 1)]
     words += ["--out", str(place(args.out, folder, args.mode, run))]
     words += ["--camera", args.camera] if args.camera else []
+    words += ["--frames", str(args.frames)] if args.frames else []
     return [*words, "--lockstep"] if args.mode == "lockstep" else words
 
 
@@ -163,13 +168,13 @@ def line(row: Row) -> str:
     name += f" ({paper.sequence})" if paper else ""
     outdoors = row.dataset.startswith("KITTI")
     factor, paper_factor = (1.0, 0.01) if outdoors else (100.0, 1.0)
-    printed = (paper.sim3_cm, paper.se3_cm) if paper else ()
-    ate = " / ".join(_number(value, paper_factor) for value in printed) or "-"
     cells = [name]
     if row.failure:
         cells += [f"failed: {row.failure.replace('|', '/')}", *[""] * (len(OURS) - 1)]
     else:
         cells += [
+            _figure(row, at("frames"), ".0f"),
+            _figure(row, at("path_m"), ".1f"),
             _coverage(row),
             _met(row),
             _both(row, "live", factor),
@@ -177,7 +182,12 @@ def line(row: Row) -> str:
             _drift(row, "t_rel_percent"),
             _drift(row, "r_rel_deg_per_100m"),
         ]
-    cells += [ate, _number(paper.t_rel_percent) if paper else "-"]
+    if paper is None or not all(paper.fits(run["frames"]) for run in row.runs):
+        cells += ["-", "-"]
+    else:
+        mark = UNKNOWN_LENGTH[0] * (paper.frames is None)
+        ate = " / ".join(_number(value, paper_factor) for value in (paper.sim3_cm, paper.se3_cm))
+        cells += [ate + mark, _number(paper.t_rel_percent)]
     return f"| {' | '.join(cells)} |"
 
 
@@ -194,8 +204,16 @@ def warnings(row: Row) -> list[str]:
 
 def _below(rows: list[Row]) -> list[str]:
     """What is to be said of a table's rows."""
-    starred = [f"\\* {OWN_LENGTH}."] if any(map(_of_own_length, rows)) else []
-    return starred + [text for row in rows for text in warnings(row)]
+    said = [f"\\* {OWN_LENGTH}."] if any(map(_of_own_length, rows)) else []
+    papers = [(row, published(row.dataset, row.folder)) for row in rows]
+    if any(paper and paper.frames is None for _, paper in papers):
+        said.append(UNKNOWN_LENGTH)
+    for row, paper in papers:
+        if paper and not all(paper.fits(run["frames"]) for run in row.runs):
+            frames = _figure(row, at("frames"), ".0f")
+            whose = f"{row.folder.name} has {frames} frames, and the paper's figures are of {paper.frames}"
+            said.append(f"{whose}: they are left out.")
+    return said + [text for row in rows for text in warnings(row)]
 
 
 def tables(rows: list[Row], args: argparse.Namespace) -> str:
@@ -227,6 +245,7 @@ def _settings(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--model", metavar="MODEL", required=True, help="as for `prism-edge eval`")
     parser.add_argument("--lockstep", dest="mode", action="store_const", const="lockstep", default="realtime")
     parser.add_argument("--runs", metavar="N", type=int, choices=range(1, 100), default=1)
+    parser.add_argument("--frames", metavar="N", type=whole_above_zero, help="of each folder the first N")
     parser.add_argument("--camera", metavar="FILE", help="camera file of all the folders, or auto")
     parser.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "build" / "benchmark")
     args = parser.parse_args(arguments)

@@ -8,6 +8,9 @@ import platform
 from importlib import metadata
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 import prism_edge
 from prism_edge.config import SENSOR, Config
 from prism_edge.evaluation.adjustments import cost_of_adjustments
@@ -18,7 +21,7 @@ from prism_edge.evaluation.played import Played
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import VOID_ABOVE, Usage
 from prism_edge.evaluation.scores import UNKNOWN, score
-from prism_edge.evaluation.trajectory import Trajectory
+from prism_edge.evaluation.trajectory import Trajectory, path_length
 from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import MapSnapshot
 
@@ -64,6 +67,7 @@ def metrics(
         "final_missing": final_missing,
         "truth": truth_name if truth is not None else None,
         "truth_file": played.truth_file if truth is not None else None,
+        "path_m": None if truth is None else path_length(_stamps(recording), truth),
         "layout": played.layout,
         "camera": played.camera,
         "cpu_ms_per_frame": _cpu(usage, processed),
@@ -104,6 +108,10 @@ def _consistency(nees: Nees, scale_ratio: Any, recording: Recording) -> dict[str
         "scale_log_error_sigmas": error,
         "scale_sigma_to_bias": to_bias,
     }
+
+
+def _stamps(recording: Recording) -> NDArray[np.int64]:
+    return np.unique(np.array([frame.stamp_ns for frame in recording.frames], np.int64))
 
 
 def versions() -> dict[str, str]:

@@ -34,6 +34,7 @@ def show(metrics: dict[str, Any], out: Path) -> None:
     if metrics["truth"]:
         met = (f"{metrics[which]['pairs']} of {metrics['tracked']}" for which in _BOTH)
         errors.add_row("true poses found", *met)
+        errors.add_row("true path", _number(metrics["path_m"], 1.0, "m"), "")
     console.print(errors)
     if any(of_own_length(metrics[which]["t_rel_lengths_m"]) for which in _BOTH):
         console.print(f"* {OWN_LENGTH}", highlight=False, soft_wrap=True)

@@ -99,6 +99,16 @@ def nearest_rows(stamps: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArra
     return np.where(np.abs(stamps[after] - wanted) < np.abs(stamps[before] - wanted), after, before)
 
 
+def path_length(stamps: NDArray[np.int64], truth: Trajectory, tolerance_s: float = 0.01) -> float | None:
+    """Metres of the true way over poses at ``stamps`` (n,), ascending; None where fewer than two have one."""
+    if not len(truth):
+        return None
+    nearest = nearest_rows(truth.stamps, stamps)
+    near = np.abs(truth.stamps[nearest] - stamps) <= round(tolerance_s * NS)
+    way = truth.positions[nearest[near]]
+    return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) if len(way) > 1 else None
+
+
 def rows_apart(stamps: NDArray[np.int64], delta_s: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows (starts, ends) of ``stamps`` (n,), ascending, that are ``delta_s`` apart, one end for each start.
 

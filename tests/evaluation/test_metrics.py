@@ -86,6 +86,7 @@ def test_figures_of_a_run_without_surprises() -> None:
     assert found["peak_pss_mb"] == {"tracker": 90.0, "source": 60.0, "total": 140.0}
     assert (found["keyframes"], found["map_points"], found["seed"]) == (1, 7, 3)
     assert found["timings_void"] is False
+    assert found["path_m"] == pytest.approx(np.pi, rel=1e-3)
     assert found["config"]["tracking"]["features"] == Config().tracking.features
 
 

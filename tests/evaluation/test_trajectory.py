@@ -16,7 +16,16 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from prism_edge.errors import EvaluationError
-from prism_edge.evaluation.trajectory import NS, Trajectory, associate, paired, read_tum, tum_line, write_tum
+from prism_edge.evaluation.trajectory import (
+    NS,
+    Trajectory,
+    associate,
+    paired,
+    path_length,
+    read_tum,
+    tum_line,
+    write_tum,
+)
 
 
 def random_trajectory(stamps_ns: np.ndarray, seed: int = 0) -> Trajectory:
@@ -174,3 +183,16 @@ def test_nothing_pairs_with_nothing() -> None:
     some, none = random_trajectory(np.arange(3) * NS), Trajectory.of([])
     for first, second in ((some, none), (none, some)):
         assert [len(t) for t in associate(first, second)] == [0, 0]
+
+
+def test_the_length_of_a_path_is_that_over_the_frames_alone() -> None:
+    poses = np.tile(np.eye(4), (101, 1, 1))
+    poses[:, 0, 3] = np.arange(101) * 0.1  # 1 m/s
+    poses[1::2, 1, 3] = 0.05  # what a fast tracker adds, between the frames
+    truth = Trajectory(np.arange(101) * NS // 10, poses)
+    frames = np.arange(10, 91, 2) * NS // 10
+    assert path_length(frames, truth) == pytest.approx(8.0)
+    assert path_length(frames + NS // 20, truth) is None, "none has a true pose within 10 ms"
+    assert path_length(frames[:1], truth) is None
+    assert path_length(frames[:0], truth) is None
+    assert path_length(frames, truth.at(np.arange(0))) is None

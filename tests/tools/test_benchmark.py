@@ -14,6 +14,9 @@ from tests.tools.runs import metrics_of
 from tools import benchmark, finished_runs
 from tools.published_figures import published
 
+# Frames of what is played; 40 where nothing fits.
+LENGTHS = {"freiburg1_xyz": 798, "seq-01": 1000, "sequences/03": 500, "sequences_whole/03": 801}
+
 
 def layout(folder: Path, kind: str) -> Path:
     """As little of a dataset as is needed for it to be recognised."""
@@ -49,6 +52,8 @@ def ran(monkeypatch) -> list[list[str]]:
         errors |= {"r_rel_deg_per_100m": 0.25, "t_rel_lengths_m": lengths}
         report = {
             **metrics_of(words),
+            "frames": next((n for name, n in LENGTHS.items() if name in words[1]), 40),
+            "path_m": 7.06,
             "coverage": 0.5,
             "tracked": 100,
             "unreadable_frames": 30 if "damaged" in words[1] else 0,
@@ -85,16 +90,33 @@ def test_ours_and_the_papers_figures_are_side_by_side_and_labelled(tmp_path: Pat
     # Medians of three runs: 2 cm; the paper's in the columns that say so.
     ours = ["0.500", "99 of 100", "2.0 / 4.0", "2.0 / -", "1.50", "0.25"]
     first = "tum/rgbd_dataset_freiburg1_xyz (fr1/xyz)"
-    assert row(out, "freiburg1_xyz") == [first, *ours, "2.86 / 3.04", "-"]
-    assert row(out, "balloon2")[-2:] == ["14 / 17.7", "-"]
+    assert row(out, "freiburg1_xyz") == [first, "798", "7.1", *ours, "2.86 / 3.04", "-"]
+    assert row(out, "balloon2")[-2:] == ["14 / 17.7†", "-"]
     assert row(out, "seq-01")[-2:] == ["3.6 / 12.1", "-"]
     metres = ["0.0 / 0.0", "0.0 / -", "1.50", "0.25", "- / 4.3", "2.29"]
-    assert row(out, "sequences/03") == ["sequences/03 (seq 03)", "0.500", "99 of 100", *metres]
+    assert row(out, "sequences/03") == ["sequences/03 (seq 03)", "500", "7.1", "0.500", "99 of 100", *metres]
     assert row(out, "desk")[-2:] == ["-", "-"]
     assert "### BONN Dynamic" in out
     assert out.count("*paper*: ATE") == 4
     assert "not measured here" in out
     assert "[5/5]" in err
+
+
+def test_the_papers_figures_stand_beside_recordings_of_their_length_alone(tmp_path: Path, ran, capsys):
+    folders = [
+        layout(tmp_path / "cut" / "rgbd_dataset_freiburg1_rpy", "tum"),
+        layout(tmp_path / "rgbd_dataset_freiburg3_walking_static", "tum"),
+        layout(tmp_path / "sequences_whole" / "03", "kitti"),
+    ]
+    words = [*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--frames", "801"]
+    assert benchmark.main(words) == 0
+    assert all(words[words.index("--frames") + 1] == "801" for words in ran)
+    out = capsys.readouterr().out
+    assert row(out, "freiburg1_rpy")[-2:] == row(out, "sequences_whole/03")[-2:] == ["-", "-"]
+    assert row(out, "walking_static")[-2:] == ["1.9 / 2.7†", "-"]
+    assert "\nrgbd_dataset_freiburg1_rpy has 40 frames, and the paper's figures are of 723: they are" in out
+    assert "\n03 has 801 frames, and the paper's figures are of 500: they are left out.\n" in out
+    assert out.count("\n† Of a sequence whose number of frames") == 1
 
 
 def test_a_folder_that_fails_has_the_reason_in_its_line_and_the_others_go_on(tmp_path: Path, ran, capsys):
@@ -103,7 +125,8 @@ def test_a_folder_that_fails_has_the_reason_in_its_line_and_the_others_go_on(tmp
     assert benchmark.main(words) == 1
     out = capsys.readouterr().out
     assert row(out, "broken")[1] == "failed: there is no / image"
-    assert row(out, "desk")[1] == "0.500"
+    assert row(out, "desk")[3] == "0.500"
+    assert len(row(out, "desk")) == len(row(out, "broken"))
     assert all("--lockstep" in words for words in ran)
 
 
@@ -126,13 +149,13 @@ def test_drift_over_a_short_paths_own_length_is_starred(tmp_path: Path, ran, cap
 def test_frames_that_were_not_played_stand_beside_the_coverage(tmp_path: Path, ran, capsys):
     words = [str(layout(tmp_path / "damaged", "tum")), "--model", "net.onnx", "--out", str(tmp_path / "out")]
     assert benchmark.main(words) == 0
-    assert row(capsys.readouterr().out, "damaged")[1] == "0.500 (30 not played)"
+    assert row(capsys.readouterr().out, "damaged")[3] == "0.500 (30 not played)"
 
 
 def test_final_errors_over_fewer_frames_say_so(tmp_path: Path, ran, capsys):
     words = [str(layout(tmp_path / "torn", "tum")), "--model", "net.onnx", "--out", str(tmp_path / "out")]
     assert benchmark.main(words) == 0
-    assert row(capsys.readouterr().out, "torn")[2] == "99 and 29 of 100"
+    assert row(capsys.readouterr().out, "torn")[4] == "99 and 29 of 100"
 
 
 def test_a_finished_run_with_the_same_settings_is_not_repeated(tmp_path: Path, ran, capsys):
