@@ -2,8 +2,10 @@
 """The paper's two ablation tables on recorded sequences: every part switched off in turn, in lockstep.
 
     python tools/ablate.py [--shared FOLDER] [--out DIR] [--seeds 0 1 2] [--most N] [--table static|dynamic]
+    python tools/ablate.py RECORDING... --model MODEL [--out DIR] [--seeds 0 1 2] [--most N]
 
-FOLDER (default: `shared` beside the checkout) holds data/ and models/. Each run's files go to
+The second is the static table for recordings of one's own, against their own truth; RECORDING and MODEL are
+as for `prism-edge eval`. FOLDER (default: `shared` beside the checkout) holds data/ and models/. Files go to
 DIR/<sequence>/<part>-<seed> (default: build/ablation), and a run that is there, of the same settings,
 versions and files, is not repeated: stop it when you like, and go on later; --most ends it after so many
 runs. All parts are run with the first seed, on real recordings and then on dynamic ones, before any with the
@@ -41,28 +43,31 @@ from prism_edge.evaluation.scores import score  # noqa: E402
 from prism_edge.evaluation.trajectory import Trajectory, read_tum  # noqa: E402
 from prism_edge.sources.truth import read_truth  # noqa: E402
 from tools import make_distractors  # noqa: E402
+from tools.benchmark import path_name  # noqa: E402
 from tools.finished_runs import differences, metrics_there  # noqa: E402
 
 NETWORK = "models/fastdepth_nyu_224.onnx"
 FULL = ""  # nothing switched off
 MOST_TRACKED = 97.0  # per cent of the frames: with fewer, a cell of the table says so
+OWN = "own recordings"
 STATIC_PARTS = (FULL, *ABLATIONS)
 DYNAMIC_PARTS = (FULL, "dsug", "consistency", "dsug+consistency")
 
 
 @dataclass(frozen=True)
 class Sequence:
-    """A recording below the shared folder; ``distractors`` is the seed of what is composited into it."""
+    """A recording below the shared folder, or anywhere; ``distractors`` seeds what is composited into it."""
 
     name: str
     folder: str
     truth: str = ""
     distractors: int | None = None
+    model: str = ""  # as for `prism-edge eval`; empty: NETWORK
 
 
 KITCHEN = ("data/7scenes_redkitchen/seq-01", "data/7scenes_redkitchen/sfm_reference.tum")
 HOSPITAL = "data/tartanair_hospital"
-TABLES = {
+TABLES: dict[str, tuple[tuple[str, ...], tuple[Sequence, ...]]] = {
     "static": (
         STATIC_PARTS,
         (
@@ -136,7 +141,8 @@ def recording(shared: Path, out: Path, sequence: Sequence) -> Path:
 
 def command(shared: Path, out: Path, sequence: Sequence, part: str, seed: int) -> list[str]:
     """What `prism-edge` is given for one run."""
-    words = ["eval", str(folder_of(shared, out, sequence)), "--model", str(shared / NETWORK), "--lockstep"]
+    model = sequence.model or str(shared / NETWORK)
+    words = ["eval", str(folder_of(shared, out, sequence)), "--model", model, "--lockstep"]
     words += ["--seed", str(seed), "--out", str(place(out, sequence, part, seed))]
     words += ["--truth", str(shared / sequence.truth)] if sequence.truth else []
     for name in part.split("+") if part else ():
@@ -226,7 +232,10 @@ def truth_of(shared: Path, sequence: Sequence) -> Trajectory | None:
     """The true path of a recording; None where it isn't there."""
     if sequence.truth:
         return read_tum(shared / sequence.truth) if (shared / sequence.truth).is_file() else None
-    known = read_truth(str(shared / sequence.folder))
+    try:
+        known = read_truth(str(shared / sequence.folder))
+    except PrismError:
+        return None  # `eval` says why
     return None if known is None else Trajectory(*known)
 
 
@@ -304,22 +313,43 @@ def note(names: list[str], shared: Path, out: Path, seeds: list[int]) -> str:
     return f"{others} of these {there} runs would be made otherwise now, by: {most}." if others else ""
 
 
+def own_sequences(recordings: list[Path], model: str) -> tuple[Sequence, ...]:
+    """Recordings of one's own, by the ends of their paths. Raises ValueError where two end alike."""
+    folders = list(dict.fromkeys(recording.expanduser().resolve() for recording in recordings))
+    named = [Sequence(path_name(folder), str(folder), model=model) for folder in folders]
+    if len({sequence.name for sequence in named}) < len(named):
+        raise ValueError("two recordings have names that end alike: run them with different --out")
+    return tuple(named)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Returns the exit code."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+    parser.add_argument("recordings", metavar="RECORDING", nargs="*", type=Path)
+    parser.add_argument("--model", metavar="MODEL", help="with recordings of one's own: as for `eval`")
     parser.add_argument("--shared", metavar="FOLDER", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "build" / "ablation")
     parser.add_argument("--seeds", metavar="N", type=int, nargs="+", default=[0, 1, 2])
     parser.add_argument("--most", metavar="N", type=int, default=10**6, help="runs at most this time")
-    parser.add_argument("--table", choices=list(TABLES), action="append")
+    parser.add_argument("--table", choices=("static", "dynamic"), action="append")
     args = parser.parse_args(arguments)
     shared, out = args.shared.resolve(), args.out.resolve()
-    if args.most and not (shared / NETWORK).is_file():
+    if bool(args.recordings) != bool(args.model) or (args.recordings and args.table):
+        parser.error("RECORDING and --model go together, and without --table")
+    if args.recordings:
+        try:
+            TABLES[OWN] = STATIC_PARTS, own_sequences(args.recordings, args.model)
+        except ValueError as error:
+            parser.error(str(error))
+        for sequence in TABLES[OWN][1]:
+            if truth_of(shared, sequence) is None:
+                print(f"ablate: warning: {sequence.folder} has no truth: no errors", file=sys.stderr)
+    elif args.most and not (shared / NETWORK).is_file():
         print(f"ablate: error: {shared / NETWORK} is not there; see --shared", file=sys.stderr)
         return 2
-    names = args.table or list(TABLES)
+    names = [OWN] if args.recordings else args.table or ["static", "dynamic"]
     wanted = missing(names, shared, out, args.seeds)[: args.most]
     failed = 0
     for count, (sequence, part, seed) in enumerate(wanted, 1):

@@ -89,10 +89,14 @@ def row_of(folder: Path) -> Row:
         return Row(folder, OTHER)  # `eval` says why when it is played
 
 
+def path_name(folder: Path) -> str:
+    """The end of a folder's path, as a name for what came of it."""
+    return "_".join(part for part in folder.parts[-3:] if part != folder.anchor)
+
+
 def place(out: Path, folder: Path, mode: str, run: int) -> Path:
     """Where a run's files are."""
-    name = "_".join(part for part in folder.parts[-3:] if part != folder.anchor)
-    return out / f"{name}-{mode}-{run}"
+    return out / f"{path_name(folder)}-{mode}-{run}"
 
 
 def command(folder: Path, args: argparse.Namespace, run: int) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from prism_edge.config import ABLATIONS
 from prism_edge.evaluation.trajectory import Trajectory, write_tum
+from tests.sources.tiny_datasets import write_seven_scenes
 from tests.tools.runs import metrics_of
 from tools import ablate
 
@@ -157,6 +159,78 @@ def test_runs_that_would_be_made_otherwise_are_printed_counted_and_repeated(
     ablate.main(words)
     full = [words[1] for words in ran if "--ablate" not in words]
     assert full == [str(shared / sequence.folder) for sequence in ablate.TABLES["static"][1][1:]]
+
+
+@pytest.fixture
+def own(monkeypatch) -> list[list[str]]:
+    """What `eval` is given for recordings of one's own; without a part the error is 3 cm instead of 2."""
+    monkeypatch.setattr(ablate, "TABLES", dict(ablate.TABLES))
+    given: list[list[str]] = []
+
+    def evaluate(words: list[str]) -> int:
+        given.append(words)
+        metres = 0.03 if "--ablate" in words else 0.02
+        out = Path(words[words.index("--out") + 1])
+        out.mkdir(parents=True)
+        live = {"ate_se3_m": metres, "ate_sim3_m": metres / 2}
+        made = {**metrics_of(words), "live": live, "coverage": 1.0}
+        (out / "metrics.json").write_text(json.dumps(made))
+        write_tum(out / "live.tum", on_a_spiral(20))
+        return 0
+
+    monkeypatch.setattr(ablate, "prism_edge", evaluate)
+    return given
+
+
+def test_recordings_of_ones_own_have_a_table(tmp_path: Path, own, capsys):
+    folders = [tmp_path / "lab" / name for name in ("hall", "yard")]
+    for folder in folders:
+        write_seven_scenes(folder)
+    words = [*map(str, folders), "--model", "mine.onnx", "--out", str(tmp_path / "out"), "--seeds", "0"]
+    assert ablate.main([*words, "--most", "3"]) == 1
+    assert len(own) == 3
+    assert ablate.main(words) == 0
+    assert len(own) == 2 * len(ablate.STATIC_PARTS)
+    assert {words[1] for words in own} == set(map(str, folders))
+    assert all(words[words.index("--model") + 1] == "mine.onnx" and "--lockstep" in words for words in own)
+    parts = {words[words.index("--ablate") + 1] for words in own if "--ablate" in words}
+    assert parts == set(ABLATIONS)
+    said = capsys.readouterr().out
+    heads = r"\S*lab_hall \| \S*lab_yard \| mean SE"
+    assert re.search(rf"\| own recordings: live SE\(3\) / Sim\(3\), cm \| {heads}", said)
+    assert "| full system | 2.0 / 1.0 | 2.0 / 1.0 | 2.0 |" in said
+    assert "| without loop | 3.0 / 1.5 | 3.0 / 1.5 | 3.0 (+1.0) |" in said
+    assert "redkitchen" not in said
+    assert ablate.main(words) == 0
+    assert len(own) == 2 * len(ablate.STATIC_PARTS), "what is there is not repeated"
+
+
+def test_a_recording_that_is_not_there_fails_run_by_run(tmp_path: Path, own, monkeypatch, capsys):
+    monkeypatch.setattr(ablate, "prism_edge", lambda words: 4)
+    words = [str(tmp_path / "nowhere"), "--model", "mine.onnx", "--out", str(tmp_path / "out")]
+    assert ablate.main([*words, "--seeds", "0", "--most", "2"]) == 8
+    said = capsys.readouterr()
+    assert said.err.count("eval ended with code 4") == 2
+    assert "| full system | - / - | - |" in said.out
+    assert f"ablate: warning: {tmp_path / 'nowhere'} has no truth" in said.err
+
+
+@pytest.mark.parametrize(
+    "words", [["hall"], ["--model", "m.onnx"], ["hall", "--model", "m.onnx", "--table", "static"]]
+)
+def test_recordings_and_their_network_go_together(words: list[str], own, capsys):
+    with pytest.raises(SystemExit) as ended:
+        ablate.main(words)
+    assert ended.value.code == 2
+    assert "go together" in capsys.readouterr().err
+
+
+def test_recordings_whose_names_end_alike_are_refused(tmp_path: Path, own, capsys):
+    folders = [str(tmp_path / n / "a" / "b" / "c") for n in "xy"]
+    with pytest.raises(SystemExit):
+        ablate.main([*folders, "--model", "m.onnx"])
+    assert "end alike" in capsys.readouterr().err
+    assert not own
 
 
 def test_a_dynamic_recording_that_was_cut_off_is_made_anew(tmp_path: Path, monkeypatch):
