@@ -18,7 +18,7 @@ _MODEL_IR, _MODEL_GRAPH, _MODEL_OPSET, _MODEL_PROPS = 1, 7, 8, 14
 _MODEL_TRAINING, _MODEL_FUNCTIONS = 20, 25
 _GRAPH_NODE, _GRAPH_INITIALIZER, _GRAPH_SPARSE = 1, 5, 15
 _NODE_OPERATOR, _NODE_ATTRIBUTE = 4, 5
-_FUNCTION_NODE = 7
+_FUNCTION_NODE, _FUNCTION_DEFAULT = 7, 11  # the latter: an attribute with its value
 _ATTRIBUTE_TENSOR, _ATTRIBUTE_TENSORS, _ATTRIBUTE_GRAPH, _ATTRIBUTE_GRAPHS = 5, 10, 6, 11
 _ATTRIBUTE_SPARSE = (22, 23)
 _SPARSE_TENSORS = (1, 2)  # values, indices
@@ -91,9 +91,11 @@ def _model_field(outline: Outline, number: int, value: int | Bytes) -> None:
         if isinstance(said, int) or len(said) <= LONGEST_TEXT:  # else somebody's training log: no card's
             outline.metadata[key] = _text(said)
     elif number == _MODEL_FUNCTIONS:
-        for inner, node in _fields(_message(value)):
+        for inner, part in _fields(_message(value)):
             if inner == _FUNCTION_NODE:
-                _walk_node(outline, _message(node), 0)
+                _walk_node(outline, _message(part), 0)
+            elif inner == _FUNCTION_DEFAULT:
+                _walk_attribute(outline, _message(part), 0)
     elif number == _MODEL_TRAINING:
         raise _NotOnnxError("it carries a training graph; export it for inference")
 
@@ -115,13 +117,17 @@ def _walk_node(outline: Outline, node: Bytes, depth: int) -> None:
         if number == _NODE_OPERATOR:
             outline.operators.add(_text(value))
         elif number == _NODE_ATTRIBUTE:
-            for kind, content in _fields(_message(value)):
-                if kind in (_ATTRIBUTE_TENSOR, _ATTRIBUTE_TENSORS):
-                    _walk_tensor(outline, _message(content))
-                elif kind in (_ATTRIBUTE_GRAPH, _ATTRIBUTE_GRAPHS):
-                    _walk_graph(outline, _message(content), depth + 1)
-                elif kind in _ATTRIBUTE_SPARSE:
-                    _walk_sparse(outline, _message(content))
+            _walk_attribute(outline, _message(value), depth)
+
+
+def _walk_attribute(outline: Outline, attribute: Bytes, depth: int) -> None:
+    for kind, content in _fields(attribute):
+        if kind in (_ATTRIBUTE_TENSOR, _ATTRIBUTE_TENSORS):
+            _walk_tensor(outline, _message(content))
+        elif kind in (_ATTRIBUTE_GRAPH, _ATTRIBUTE_GRAPHS):
+            _walk_graph(outline, _message(content), depth + 1)
+        elif kind in _ATTRIBUTE_SPARSE:
+            _walk_sparse(outline, _message(content))
 
 
 def _walk_sparse(outline: Outline, sparse: Bytes) -> None:

@@ -46,6 +46,7 @@ _PREAMBLES = (
     (re.compile(r"/\S+\.(?:cc|h):\d+ .*?\) (?=[A-Z\[])"), ""),
 )
 _DATA_FOLDER = "session.model_external_initializers_file_folder_path"
+_FORMAT = ("session.load_model_format", "ONNX")  # else content or ending may make another of what was vetted
 _QUIET = 4  # onnxruntime's severity "fatal": errors come as exceptions, once, and warnings are harmless
 
 
@@ -172,6 +173,7 @@ def session_options(config: DepthConfig) -> Any:
     """The session options that the configuration sets."""
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _QUIET
+    options.add_session_config_entry(*_FORMAT)
     options.intra_op_num_threads = config.threads
     options.inter_op_num_threads = 1
     options.enable_cpu_mem_arena = config.arena

@@ -80,6 +80,12 @@ def places() -> dict[str, onnx.ModelProto]:
     entry = sparse.graph.sparse_initializer.add(dims=[9])
     entry.values.CopyFrom(external("t", "w.bin"))
     function = helper.make_function("mine", "F", [], ["out"], [constant], [helper.make_opsetid("", 17)])
+    passed_on = helper.make_node("Constant", [], ["out"])
+    passed_on.attribute.add(name="value", ref_attr_name="value", type=onnx.AttributeProto.TENSOR)
+    default = helper.make_attribute("value", external("t", "w.bin"))
+    of_defaults = helper.make_function(
+        "mine", "F", [], ["out"], [passed_on], [helper.make_opsetid("", 17)], attribute_protos=[default]
+    )
     unmarked = external("t", "w.bin")
     unmarked.ClearField("data_location")
     return {
@@ -90,6 +96,7 @@ def places() -> dict[str, onnx.ModelProto]:
         "branch of a branch": model_of([deeper]),
         "sparse": sparse,
         "function": model_of(functions=[function]),
+        "function's default": model_of(functions=[of_defaults]),
         "not marked as external": model_of(initializers=[unmarked]),
     }
 
@@ -97,6 +104,34 @@ def places() -> dict[str, onnx.ModelProto]:
 @pytest.mark.parametrize("place", places())
 def test_external_data_is_found_wherever_a_tensor_can_be(place: str):
     assert outline_of(places()[place]).external == [External("t", "w.bin", 0, 0)]
+
+
+def test_there_is_no_other_place_for_a_tensor_in_a_file():
+    """Every field of every message, by onnx's own schema, through which a tensor can be reached."""
+    messages, todo = {}, [onnx.ModelProto.DESCRIPTOR]
+    while todo:
+        message = todo.pop()
+        messages[message.name] = [field for field in message.fields if field.message_type]
+        todo += [f.message_type for f in messages[message.name] if f.message_type.name not in messages]
+    holding: set[str] = set()
+    found = {"TensorProto"}
+    while found != holding:
+        holding = found
+        found = holding | {
+            name for name, held in messages.items() if any(f.message_type.name in holding for f in held)
+        }
+    ways = {
+        f"{name}.{f.name}" for name, held in messages.items() for f in held if f.message_type.name in holding
+    }
+    refused = {"ModelProto.training_info", "TrainingInfoProto.initialization", "TrainingInfoProto.algorithm"}
+    assert ways - refused == {
+        *("ModelProto.graph", "ModelProto.functions", "FunctionProto.node", "FunctionProto.attribute_proto"),
+        *("GraphProto.node", "GraphProto.initializer", "GraphProto.sparse_initializer"),
+        *("NodeProto.attribute", "AttributeProto.t", "AttributeProto.tensors"),
+        *("AttributeProto.g", "AttributeProto.graphs"),
+        *("AttributeProto.sparse_tensor", "AttributeProto.sparse_tensors"),
+        *("SparseTensorProto.values", "SparseTensorProto.indices"),
+    }  # those that read_outline walks, and places() has a model of
 
 
 def test_where_external_data_lies_is_read():

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +15,9 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
 from prism_edge.depth import vetting
-from prism_edge.depth.registry import sha256_of
+from prism_edge.depth.cards import card_of
+from prism_edge.depth.fingerprint import fingerprint
+from prism_edge.depth.registry import File, sha256_of
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
@@ -138,6 +142,67 @@ def test_external_data_elsewhere_is_refused(tmp_path: Path, location: str, says:
     folder = tmp_path / "model"
     folder.mkdir()
     refused(redirected(folder / "net.onnx", location), says)
+
+
+def with_function(path: Path, location: str) -> Path:
+    """A network that adds what lies in ``location``, which is a default of a function's attribute."""
+    what = TinyNetwork()
+    graph = tiny_graph(what)
+    graph.node[-1].output[0] = "sum_in"
+    graph.node.append(helper.make_node("Hidden", ["sum_in"], ["depth"], domain="mine"))
+    tensor = TensorProto(name="t", data_type=TensorProto.FLOAT, dims=[4])
+    tensor.data_location = TensorProto.EXTERNAL
+    for key, value in (("location", location), ("offset", "0"), ("length", "16")):
+        tensor.external_data.add(key=key, value=value)
+    nodes = [
+        helper.make_node("Constant", [], ["c"]),
+        helper.make_node("ReduceSum", ["c"], ["s"], keepdims=0),
+        helper.make_node("Add", ["x", "s"], ["y"]),
+    ]
+    nodes[0].attribute.add(name="value", ref_attr_name="value", type=onnx.AttributeProto.TENSOR)
+    default, own = helper.make_attribute("value", tensor), helper.make_opsetid("", 13)
+    function = helper.make_function("mine", "Hidden", ["x"], ["y"], nodes, [own], attribute_protos=[default])
+    opsets = [own, helper.make_opsetid("mine", 1)]
+    model = helper.make_model(graph, opset_imports=opsets, functions=[function], ir_version=9)
+    helper.set_model_props(model, what.card().to_metadata())
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+@pytest.mark.parametrize("location", ["../secret.bin", "/etc/passwd", "link.bin"])
+def test_external_data_of_a_functions_defaults_is_vetted_too(tmp_path: Path, location: str):
+    (tmp_path / "secret.bin").write_bytes(SECRET)
+    folder = tmp_path / "model"
+    folder.mkdir()
+    (folder / "link.bin").symlink_to(tmp_path / "secret.bin")
+    says = "symbolic link" if location == "link.bin" else "outside its own folder"
+    refused(with_function(folder / "net.onnx", location), says)
+
+
+def test_data_of_a_functions_defaults_in_the_own_folder_are_the_networks(tmp_path: Path):
+    (tmp_path / "own.bin").write_bytes(SECRET)
+    path = with_function(tmp_path / "net.onnx", "own.bin")
+    vetted = vet(path)
+    assert vetted.data == (tmp_path / "own.bin",)
+    card = TinyNetwork().card()
+    before = fingerprint(card, vetted)
+    (tmp_path / "own.bin").write_bytes(SECRET[::-1])
+    assert fingerprint(card, vet(path)) != before
+    pinned = (File("net.onnx", vetted.sha256), File("own.bin", hashlib.sha256(SECRET).hexdigest()))
+    with pytest.raises(ModelError, match=r"own\.bin: its SHA-256"):
+        card_of(path, vetted, pinned)
+
+
+@pytest.mark.parametrize("name", ["net.onnx", "net.ort"])
+def test_what_was_read_as_onnx_is_loaded_as_onnx(tmp_path: Path, name: str):
+    """onnxruntime has a format of its own, known by its fifth to eighth byte or by the file's ending."""
+    what = TinyNetwork()
+    card = replace(what.card(), descriptor_layer="small", descriptor_pooling="grid")
+    path = tmp_path / name
+    save(path, tiny_graph(what), card)
+    producer = b"\x00\x00ORTM".ljust(64)
+    path.write_bytes(b"\x12\x40" + producer + path.read_bytes())
+    assert OnnxNetwork(path).name == what.name
 
 
 @pytest.mark.parametrize("what", ["the file", "its folder"])
