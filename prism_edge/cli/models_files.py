@@ -24,7 +24,7 @@ from rich.table import Table
 
 from prism_edge.config import DepthConfig
 from prism_edge.depth import entries, find, open_onnx, pulling
-from prism_edge.depth.contract import INVERSE_RELATIVE
+from prism_edge.depth.contract import INVERSE_RELATIVE, RELATIVE
 from prism_edge.depth.download import Patience
 from prism_edge.depth.folders import download_folder, folders
 from prism_edge.depth.prediction import Prediction, checked
@@ -215,10 +215,14 @@ def _runs(name: str) -> tuple[str, bool]:
 
 
 def _above_zero(raw: Prediction, kind: str) -> Prediction:
-    """Inverse depth that is known up to a shift may be negative."""
-    if kind != INVERSE_RELATIVE or not np.isfinite(raw.depth).any():
+    """What is known up to a shift may be negative; 0 is no relative depth, but any inverse depth."""
+    said = np.isfinite(raw.depth) & ((raw.depth != 0) | (kind == INVERSE_RELATIVE))
+    if kind not in (RELATIVE, INVERSE_RELATIVE) or not said.any():
         return raw
-    return replace(raw, depth=raw.depth - raw.depth[np.isfinite(raw.depth)].min())
+    least = raw.depth[said].min()
+    if kind == RELATIVE and least > 0:
+        return raw
+    return replace(raw, depth=np.where(said, raw.depth - least, raw.depth))
 
 
 def _picture() -> NDArray[np.uint8]:

@@ -28,6 +28,7 @@ log = logging.getLogger("prism_edge.depth")
 GRID = (64, 48)  # columns and rows of samples: enough for two unknowns
 LEAST_SAMPLES = 100
 WORST_SPREAD = 0.4  # median relative residual beyond which the networks contradict each other
+_NEARLY_ALL = 0.98  # share of positive relative depths from which their inverse is tried
 _ITERATIONS = 10
 _HUBER = 1.345  # sigmas; 95 % efficient on Gaussian noise
 
@@ -57,10 +58,16 @@ def fit_depth(relative: F64, metric: F64) -> Fit | None:
     """As :func:`fit_inverse_depth` of relative depths (n,): the better fit of 1 / z by 1 / d and of z by d.
 
     The latter, which alone knows a shift of depth, is of relative residuals, else the far would outweigh all.
+    Exactly 0 is no depth. Below 0 lies a depth whose shift is unknown: 1 / d of it has no sense, and is tried
+    only where nearly all values are above.
     """
+    said = np.isfinite(relative) & (relative != 0)
     positive = relative > 0
-    d, z = relative[positive], metric[positive]
-    fits = (_fit(1.0 / d, z, of_depth=False), _fit(d, z, of_depth=True))
+    nearly_all = np.sum(positive & said) >= _NEARLY_ALL * np.sum(said)
+    fits = (
+        _fit(1.0 / relative[positive], metric[positive], of_depth=False) if nearly_all else None,
+        _fit(relative[said], metric[said], of_depth=True),
+    )
     return min((fit for fit in fits if fit), key=lambda fit: fit.spread, default=None)
 
 
@@ -163,7 +170,8 @@ class PairedNetwork:
         values = raw.depth
         if is_depth:
             inverse = 1.0 / np.maximum(values, 1e-6)
-            values = np.where(values > 0, values if fit.of_depth else inverse, np.nan).astype(np.float32)
+            there = values != 0 if fit.of_depth else values > 0
+            values = np.where(there, values if fit.of_depth else inverse, np.nan).astype(np.float32)
         farthest = 1.5 * float(np.percentile(metric.depth[metric.depth > 0], 99))
         paired = checked(replace(raw, depth=metres(values, fit, farthest)))
         return paired if paired.valid else None

@@ -231,9 +231,10 @@ def test_verify_judges_the_answer(tmp_path: Path, capsys, misbehaviour: str, say
     assert says in out
 
 
-def test_verify_knows_that_inverse_depth_up_to_a_shift_may_be_negative(tmp_path: Path, capsys):
+@pytest.mark.parametrize("kind", ["relative", "inverse_relative"])
+def test_verify_knows_that_depth_up_to_a_shift_may_be_negative(tmp_path: Path, capsys, kind: str):
     for misbehaviour, code, says in (("negative", 0, "on CPUExecution"), ("constant", 5, "of no use")):
-        what = TinyNetwork(depth_kind="inverse_relative", misbehaviour=misbehaviour)
+        what = TinyNetwork(depth_kind=kind, misbehaviour=misbehaviour)
         path = write_tiny_network(tmp_path / f"{misbehaviour}.onnx", what)
         assert says in said(capsys, "verify", str(path), code=code)
 

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from onnx import TensorProto, helper
 
+from prism_edge.depth import pairing
 from prism_edge.depth.pairing import Fit, PairedNetwork, fit_depth, fit_inverse_depth, metres
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
@@ -73,7 +74,7 @@ def test_any_values_give_a_finite_fit_or_none(values, seed):
     assert fit is None or np.isfinite([fit.slope, fit.shift, fit.spread]).all()
 
 
-@pytest.mark.parametrize("shift", [0.8, 0.4, 0.0, -2.0])
+@pytest.mark.parametrize("shift", [3.0, 1.6, 0.8, 0.4, 0.0, -2.0])
 def test_depth_up_to_scale_and_shift_is_found_as_such(shift: float):
     rng = np.random.default_rng(3)
     relative = (DEPTHS - shift) / 7
@@ -96,11 +97,32 @@ def test_depth_up_to_scale_alone_is_exact_too():
     assert fit.spread < 1e-6
 
 
-def test_a_shift_of_relative_depth_is_found_in_a_pair(tmp_path: Path):
+def test_relative_depth_that_is_nothing_counts_for_nothing():
+    relative = np.where(np.arange(DEPTHS.size) % 3 == 0, 0.0, (DEPTHS - 3.0) / 7)
+    relative[1:600:3] = np.nan
+    fit = fit_depth(relative, DEPTHS)
+    assert fit is not None
+    assert (fit.of_depth, fit.slope, fit.shift) == (True, pytest.approx(7.0), pytest.approx(3.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3]), st.sampled_from([-1.0, 1.0]))
+def test_of_positive_depths_both_fits_are_tried_on_all_of_them(seed, nothing, power):
+    rng = np.random.default_rng(seed)
+    relative = (DEPTHS * np.exp(rng.normal(0, 0.2, DEPTHS.size)) + rng.uniform(0, 3)) ** power
+    relative[rng.random(DEPTHS.size) < nothing] = 0.0
+    relative[rng.random(DEPTHS.size) < nothing] = np.nan
+    d, z = relative[relative > 0], DEPTHS[relative > 0]
+    fits = (fit_inverse_depth(1.0 / d, z), pairing._fit(d, z, of_depth=True))
+    assert fit_depth(relative, DEPTHS) == min((f for f in fits if f), key=lambda f: f.spread, default=None)
+
+
+@pytest.mark.parametrize("shift", [-0.45, -2.5])
+def test_a_shift_of_relative_depth_is_found_in_a_pair(tmp_path: Path, shift: float):
     what = TinyNetwork(name="shifted", depth_kind="relative", width=640, height=480)
     graph = tiny_graph(what)
     graph.output[0].name = "moved"
-    value = helper.make_tensor("shift", TensorProto.FLOAT, [1], [-0.45])  # the nearest is at 0.5 m
+    value = helper.make_tensor("shift", TensorProto.FLOAT, [1], [shift])  # of 0.5 to 4 m
     graph.node.append(helper.make_node("Constant", [], ["shift"], value=value))
     graph.node.append(helper.make_node("Add", ["depth", "shift"], ["moved"]))
     save(tmp_path / "shifted.onnx", graph, replace(what.card(), depth_output="moved"))
@@ -109,6 +131,7 @@ def test_a_shift_of_relative_depth_is_found_in_a_pair(tmp_path: Path):
     answer = paired.infer(image, CAMERA)
     truth = cv2.resize(depth, (160, 120), interpolation=cv2.INTER_AREA)
     assert paired.counters == {"unpaired": 0}
+    assert (answer.depth > 0).all()
     assert np.percentile(np.abs(np.log(answer.depth / truth)), 95) < 0.03
 
 
