@@ -4,11 +4,11 @@
     python tools/expose_descriptor.py MODEL.onnx --list
 
 Nothing is trained and the depth stays what it was, bit for bit: the written file is run against the
-original before it is kept. Without --layer the one that the network's card names is taken, else one is
-chosen: of the encoder's maps the middle one at a sixteenth of the input's size. An input of free size has the
-card's size in the written file. Needs the package `onnx`
-(the extra `dev`). The daemon itself does the same to a file whose card names a layer but no output
-(docs/MODELS.md); this tool makes files that need no such card, for any other use of them.
+original before it is kept. Without --layer the one that the network's card names is taken; where it names
+none, one is chosen: of the encoder's maps the middle one at a sixteenth of the input's size. An input of free
+size has the card's size in the written file. Needs the package `onnx` (the extra `dev`). The daemon itself
+does the same to a file whose card names a layer but no output (docs/MODELS.md); this tool makes files that
+need no such card, for any other use of them.
 """
 
 from __future__ import annotations
@@ -91,9 +91,10 @@ def _fix_input(model: onnx.ModelProto, card: ModelCard) -> None:
 
 
 def poolable(model: onnx.ModelProto) -> dict[str, tuple[int, ...]]:
-    """Inner tensors that can be pooled, with their shapes: maps (1, C, h, w) and tokens (1, n, C)."""
+    """Tensors that can be pooled, outputs too, with their shapes: maps (1, C, h, w), tokens (1, n, C)."""
     shapes = {}
-    for value in onnx.shape_inference.infer_shapes(model).graph.value_info:
+    inferred = onnx.shape_inference.infer_shapes(model).graph
+    for value in (*inferred.value_info, *inferred.output):
         kind = value.type.tensor_type
         shape = tuple(dim.dim_value for dim in kind.shape.dim)
         is_float = kind.elem_type in (TensorProto.FLOAT, TensorProto.FLOAT16)
@@ -109,10 +110,14 @@ def chosen(
     shapes = poolable(model)
     if not layer:
         layer, pooling = card.descriptor_layer, pooling or card.descriptor_pooling
-    if layer not in shapes:
-        if layer and layer != card.descriptor_layer:
-            raise ModelError(f"{card.name}: has no tensor {layer!r} to be pooled (--list shows those it has)")
+    if not layer:
         layer = middle_of_the_encoder(model, card.input_height)
+    if layer not in shapes:
+        whose = " that its card names" if layer == card.descriptor_layer else ""
+        raise ModelError(
+            f"{card.name}: has no tensor {layer!r}{whose} to be pooled (--list shows those it has, --layer "
+            "names one)"
+        )
     pooling = pooling or (GRID if len(shapes[layer]) == 4 else TOKEN)
     if (pooling == GRID and len(shapes[layer]) == 3) or (pooling == TOKEN and len(shapes[layer]) == 4):
         raise ModelError(f"{card.name}: pooling {pooling} does not go with {layer} {list(shapes[layer])}")

@@ -119,14 +119,38 @@ def test_an_input_of_free_size_is_of_its_cards(tool, tmp_path, capsys, named):
     assert OnnxNetwork(out).raw(np.full((48, 64, 3), 90, np.uint8))[0].descriptor.size == 12
 
 
+@pytest.mark.parametrize("by", ["card", "option"])
+def test_an_output_of_the_graph_is_pooled_like_any_inner_tensor(tool, tmp_path, by):
+    what = TinyNetwork()
+    graph = tiny_graph(what)
+    graph.output.append(helper.make_tensor_value_info("small", TensorProto.FLOAT, [1, 3, 60, 80]))
+    named = {"descriptor_layer": "small", "descriptor_pooling": "mean"} if by == "card" else {}
+    path, out = tmp_path / "net.onnx", tmp_path / "out.onnx"
+    save(path, graph, replace(what.card(), **named))
+    option = ["--layer", "small", "--pooling", "mean"] if by == "option" else []
+    assert tool.main([str(path), str(out), *option]) == 0
+    network = OnnxNetwork(out)
+    assert network.card.descriptor_layer == "small"
+    image = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
+    expected = pool(network._session.run(["small"], {"image": _input(image)})[0], "mean")
+    assert network.raw(image)[0].descriptor == pytest.approx(expected, abs=1e-5)
+
+
+def _input(image: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
+
+
 def test_what_cannot_be_done_is_refused_in_one_line_and_leaves_no_file(tool, tmp_path, capsys):
     path, out = write_tiny_network(tmp_path / "tiny.onnx"), tmp_path / "out.onnx"
     foreign = write_tiny_network(tmp_path / "foreign.onnx", TinyNetwork(describes_itself=False))
     (tmp_path / "text.onnx").write_text("no model")
+    elsewhere = {"descriptor_layer": "gone", "descriptor_pooling": "grid"}
+    save(tmp_path / "gone.onnx", tiny_graph(TinyNetwork()), replace(TinyNetwork().card(), **elsewhere))
     what = TinyNetwork(misbehaviour="zero")  # a constant 0 somewhere: its norm can't be 1
     save(tmp_path / "silent.onnx", tiny_graph(what), replace(what.card(), name="silent"))
     for arguments, says in (
         ([path, out, "--layer", "nowhere"], "no tensor 'nowhere'"),
+        ([tmp_path / "gone.onnx", out], "no tensor 'gone' that its card names"),
         ([path, out, "--layer", "small", "--pooling", "token"], "does not go with"),
         ([path, path], "name another file"),
         ([foreign, out], "does not say what it predicts"),
