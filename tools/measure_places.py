@@ -60,7 +60,7 @@ def main(arguments: list[str] | None = None) -> int:
     cv2.setNumThreads(1)
     try:
         network = open_onnx(args.model, DepthConfig(threads=1))
-        indices, poses, descriptors = describe(args.folder, network, max(1, args.every))
+        indices, poses, descriptors, silent = describe(args.folder, network, max(1, args.every))
     except PrismError as error:
         print(f"measure_places: error: {error}", file=sys.stderr)
         return error.exit_code
@@ -71,6 +71,8 @@ def main(arguments: list[str] | None = None) -> int:
     card = network.card
     what = f"{card.descriptor_pooling} of {card.descriptor_layer}" if card.descriptor_layer else "its own"
     print(f"{network.name} on {args.folder}: {what}, {descriptors.shape[1]} numbers, {len(indices)} frames")
+    if silent:
+        print(f"  left out: {silent} frames of which the descriptor says nothing (all 0, or not finite)")
     print(f"  AUC: {score.auc:.3f}")
     print(f"  revisits: {score.revisits}; best match {score.same:.2f} same place, {score.other:.2f} another")
     print(f"  found before the first false match: {score.before_false:.2f}")
@@ -78,10 +80,13 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def describe(folder: str, network: OnnxNetwork, every: int) -> tuple[NDArray[np.int64], F64, F64]:
-    """Frame indices (n,), their true poses (n, 4, 4) and descriptors (n, m) of each ``every``-th frame."""
+def describe(folder: str, network: OnnxNetwork, every: int) -> tuple[NDArray[np.int64], F64, F64, int]:
+    """Frame indices (n,), their true poses (n, 4, 4) and descriptors (n, m) of each ``every``-th frame.
+
+    Last comes how many more there are whose descriptor says nothing: the daemon compares none such either.
+    """
     truth = own_truth(folder)
-    indices, poses, descriptors = [], [], []
+    indices, poses, descriptors, silent = [], [], [], 0
     with open_source(SourceConfig(uri=folder)) as source:
         while (slot := source.peek()) is not None:
             if slot.index % every:
@@ -93,10 +98,14 @@ def describe(folder: str, network: OnnxNetwork, every: int) -> tuple[NDArray[np.
                 continue
             pixels = image.pixels
             rgb = pixels[:, :, ::-1] if pixels.ndim == 3 else np.repeat(pixels[:, :, None], 3, axis=2)
+            descriptor = normalised(network.raw(np.ascontiguousarray(rgb))[0].descriptor)
+            if not descriptor.size:
+                silent += 1
+                continue
             indices.append(slot.index)
             poses.append(pose)
-            descriptors.append(normalised(network.raw(np.ascontiguousarray(rgb))[0].descriptor))
-    return np.array(indices, np.int64), np.array(poses), np.array(descriptors, np.float64)
+            descriptors.append(descriptor)
+    return np.array(indices, np.int64), np.array(poses), np.array(descriptors, np.float64), silent
 
 
 def score_places(indices: NDArray[np.int64], poses: F64, descriptors: F64) -> PlaceScore | None:

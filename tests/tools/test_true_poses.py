@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -76,9 +77,30 @@ def test_a_variant_has_one_pose_for_each_image(filmed: Path, tmp_path: Path) -> 
 
 def test_places_are_measured_with_the_pose_of_each_image(filmed: Path) -> None:
     network = SimpleNamespace(raw=lambda rgb: [SimpleNamespace(descriptor=np.ones(4, np.float32))])
-    indices, poses, _ = measure_places.describe(str(filmed), network, 2)  # type: ignore[arg-type]
+    indices, poses, _, silent = measure_places.describe(str(filmed), network, 2)  # type: ignore[arg-type]
     assert indices.tolist() == [0, 2, 4, 6, 8]
+    assert silent == 0
     assert poses == pytest.approx(expected(9)[::2], abs=1e-5)
+
+
+def test_frames_whose_descriptor_says_nothing_are_left_out_and_counted(filmed: Path, monkeypatch, capsys):
+    said = [np.ones(4, np.float32), np.zeros(4, np.float32), np.zeros(0, np.float32)]
+    said += [np.full(4, np.nan, np.float32), np.arange(4, dtype=np.float32)]
+    answers = iter(2 * said)
+    card = SimpleNamespace(descriptor_layer="")
+    network: Any = SimpleNamespace(card=card, name="net")
+    network.raw = lambda rgb: [SimpleNamespace(descriptor=next(answers))]
+    indices, poses, descriptors, silent = measure_places.describe(str(filmed), network, 2)
+    assert (indices.tolist(), silent) == ([0, 8], 3)
+    assert poses == pytest.approx(expected(9)[[0, 8]], abs=1e-5)
+    assert descriptors.shape == (2, 4)
+    monkeypatch.setattr(measure_places, "open_onnx", lambda *_: network)
+    monkeypatch.setattr(measure_places, "APART", 4)
+    monkeypatch.setattr(measure_places, "OTHER_M", -1.0)  # so that there is something to score
+    monkeypatch.setattr(measure_places, "SAME_M", 1e3)
+    monkeypatch.setattr(measure_places, "SAME_DEG", 181.0)
+    assert measure_places.main([str(filmed), "--model", "net", "--every", "2"]) == 0
+    assert "left out: 3 frames" in capsys.readouterr().out
 
 
 def test_a_recording_without_truth_has_none(tmp_path: Path) -> None:
