@@ -37,6 +37,9 @@ def checkpoint(folder: str) -> None:
     torch.save(net.state_dict(), out / "bare.pth")
     torch.save({"head.norm.weight": torch.zeros(3)}, out / "other.pth")
     (out / "text.safetensors").write_text("no weights")
+    for name in ("da3mono-large", "DA3NESTED-GIANT-LARGE-1.1"):  # to be refused before they are read
+        (out / name).mkdir()
+        (out / name / "model.safetensors").write_text("no weights")
 
 
 def reference(weights: str, height: str, width: str, image: str, out: str) -> None:
@@ -97,12 +100,6 @@ def geometry() -> None:
     )
 
 
-def names() -> None:
-    """Prints which checkpoint each folder name is taken for."""
-    folders = ("DA3-SMALL", "da3_metric_large", "DA3MONO-LARGE", "da3_nested_giant_large")
-    print(json.dumps([checkpoints.variant_of(Path("/nowhere") / folder / "x.pth", "") for folder in folders]))
-
-
 def large(out: str, image: str) -> None:
     """Exports in every precision as if 20 MB were more than a file can hold."""
     convert._LARGEST_MESSAGE = 20_000_000
@@ -118,6 +115,7 @@ def refusals(folder: str) -> None:
     files = Path(folder)
     out = str(files / "refused.onnx")
     small = ["--random-weights", "1", "--model", "da3-small", "--height", "42", "--width", "56"]
+    published, unread = str(files / "published"), str(files / "text.safetensors")
     calls = {
         "size": ([out, "--random-weights", "1", "--model", "da3-small", "--height", "100"], {}),
         "no checkpoint": ([out], {}),
@@ -125,6 +123,11 @@ def refusals(folder: str) -> None:
         "no such file": ([str(files / "absent"), out, "--model", "da3-small"], {}),
         "wrong weights": ([str(files / "other.pth"), out, "--model", "da3-small"], {}),
         "wrong model": ([str(files / "bare.pth"), out, "--model", "da3-base"], {}),
+        "another": ([published, out, "--model", "da3-base"], {}),
+        "no metric": ([published, out, "--metric", str(files / "da3mono-large")], {}),
+        "nested already": ([str(files / "DA3NESTED-GIANT-LARGE-1.1"), out, "--metric", published], {}),
+        "name": ([unread, out, "--model", "da3-small", "--name", "two words"], {}),
+        "sigma": ([unread, out, "--model", "da3metric-large", "--scale-bias-sigma", "nan"], {}),
         "no weights": ([str(files / "text.safetensors"), out, "--model", "da3-small"], {}),
         "extension": ([*small, str(files / "refused.bin")], {}),
         "views": ([*small, out, "--views", "65"], {}),
@@ -143,6 +146,6 @@ def refusals(folder: str) -> None:
 
 if __name__ == "__main__":
     torch.set_num_threads(1)
-    known = (checkpoint, reference, geometry, names, large, refusals)
+    known = (checkpoint, reference, geometry, large, refusals)
     actions = {action.__name__: action for action in known}
     actions[sys.argv[1]](*sys.argv[2:])

@@ -157,11 +157,6 @@ def test_geometry_is_the_packages_own(exported):
     assert max(errors.values()) < 2e-5, errors
 
 
-def test_a_published_folders_name_says_which_checkpoint_it_is(exported):
-    found = json.loads(run(PROCESS, "names"))
-    assert found == ["da3-small", "da3metric-large", "da3mono-large", "da3nested-giant-large"]
-
-
 def test_what_is_too_large_for_one_file_becomes_two_in_every_precision(image, tmp_path):
     said = run(PROCESS, "large", tmp_path / "large.onnx", image).splitlines()
     assert said[-1] == "0"
@@ -180,6 +175,11 @@ def test_what_cannot_be_exported_is_refused_in_one_line_and_leaves_no_file(expor
         "no such file": "there is no such checkpoint",
         "wrong weights": "weights are missing",
         "wrong model": "is not da3-base",
+        "another": "is da3-small by its config.json, not da3-base",
+        "no metric": "is da3mono-large by its folder's name, not da3metric-large",
+        "nested already": "leave --metric out",
+        "name": "is no name",
+        "sigma": "scale_bias_sigma",
         "no weights": "can't be read as weights",
         "extension": "ending in .onnx",
         "views": "1 to 64",

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
@@ -18,8 +19,17 @@ from prism_edge.depth.inner_tensor import GRID
 from prism_edge.errors import ModelError, PrismError
 from tools.export_da3 import checkpoints
 from tools.export_da3.convert import FP32, PRECISIONS
-from tools.export_da3.export import Job, export
+from tools.export_da3.export import Job, check, export
 from tools.export_da3.networks import DESCRIPTORS, PATCH, Wanted
+from tools.export_da3.variants import (
+    METRIC,
+    MODEL_NAMES,
+    NESTED,
+    VARIANTS,
+    parts_of,
+    variant_of,
+    weights_file,
+)
 
 HEIGHT, WIDTH = 252, 336  # of a camera of 4:3
 
@@ -27,9 +37,9 @@ HEIGHT, WIDTH = 252, 336  # of a camera of 4:3
 def main(arguments: list[str] | None = None) -> int:
     args = _parser().parse_args(arguments)
     try:
-        given = _checkpoints(args)
+        names = _names(args)
         job = Job(
-            checkpoints=given,
+            checkpoints=[],
             out=args.out,
             height=args.height,
             width=args.width,
@@ -45,27 +55,41 @@ def main(arguments: list[str] | None = None) -> int:
             external=args.external_data,
             images=args.images or [],
         )
-        export(job)
+        check(job, [VARIANTS[part] for name in names for part in parts_of(name)])
+        export(replace(job, checkpoints=_loaded(args, names)))
     except PrismError as error:
         print(f"export_da3: error: {error}", file=sys.stderr)
         return error.exit_code
     return 0
 
 
-def _checkpoints(args: argparse.Namespace) -> list[checkpoints.Checkpoint]:
-    """One checkpoint, or a relative and a metric one to be nested."""
+def _names(args: argparse.Namespace) -> list[str]:
+    """Which checkpoint it is, and which the one to be nested with; nothing is loaded. Raises ModelError."""
     if args.random_weights is not None:
         if not args.model:
             raise ModelError("--random-weights needs --model")
-        given = checkpoints.random(args.model, args.random_weights)
-        if args.metric:
-            given += checkpoints.random("da3metric-large", args.random_weights + 1)
+        names = [args.model]
+    elif args.checkpoint is None:
+        raise ModelError("a checkpoint is needed: a folder or a file, or --random-weights SEED")
     else:
-        if args.checkpoint is None:
-            raise ModelError("a checkpoint is needed: a folder or a file, or --random-weights SEED")
-        given = checkpoints.load(args.checkpoint, checkpoints.variant_of(args.checkpoint, args.model))
-        if args.metric:
-            given += checkpoints.load(args.metric, "da3metric-large")
+        weights_file(args.checkpoint)
+        names = [variant_of(args.checkpoint, args.model)]
+    if args.metric and names[0] == NESTED:
+        raise ModelError(f"{NESTED} holds a metric network of its own: leave --metric out")
+    if args.metric and args.random_weights is None:
+        weights_file(args.metric)
+        variant_of(args.metric, METRIC)
+    return [*names, METRIC] if args.metric else names
+
+
+def _loaded(args: argparse.Namespace, names: list[str]) -> list[checkpoints.Checkpoint]:
+    """One checkpoint, or a relative and a metric one to be nested."""
+    given: list[checkpoints.Checkpoint] = []
+    for i, (name, path) in enumerate(zip(names, (args.checkpoint, args.metric), strict=False)):
+        if args.random_weights is None:
+            given += checkpoints.load(path, name)
+        else:
+            given += checkpoints.random(name, args.random_weights + i)
     return given
 
 
@@ -75,7 +99,7 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("checkpoint", metavar="CHECKPOINT", type=Path, nargs="?")
     add("out", metavar="OUT.onnx", type=Path)
-    add("--model", choices=checkpoints.MODEL_NAMES, default="", help="default: what its config.json says")
+    add("--model", choices=MODEL_NAMES, default="", help="default: what its config.json says")
     add("--metric", metavar="CHECKPOINT", type=Path, help="nest it with this da3metric-large: metric depth")
     add("--random-weights", metavar="SEED", type=int, help="no checkpoint: a test of the export")
     add("--height", type=int, default=HEIGHT, metavar="H", help=f"a multiple of {PATCH} (default {HEIGHT})")

@@ -1,9 +1,8 @@
-"""The checkpoints of Depth Anything 3: what each gives, and its network with its weights."""
+"""A checkpoint's network with its weights."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,38 +13,11 @@ from depth_anything_3.model.da3 import DepthAnything3Net
 from depth_anything_3.registry import MODEL_REGISTRY
 from depth_anything_3.utils.model_loading import convert_general_state_dict
 
-from prism_edge.depth.contract import FOCAL_NORMALISED, RELATIVE
 from prism_edge.errors import ModelError
+from tools.export_da3.variants import NESTED, VARIANTS, Variant, parts_of, weights_file
 
 # Metres = output * f / 300, f in pixels of the network's input (the package's apply_metric_scaling).
 METRIC_FOCAL_LENGTH = 300.0
-NESTED = "da3nested-giant-large"
-
-
-@dataclass(frozen=True)
-class Variant:
-    """One kind of checkpoint. Those of several views give confidence, rays and cameras; the others sky."""
-
-    name: str  # the package's
-    title: str
-    licence: str
-    depth_kind: str
-    several_views: bool
-
-
-APACHE, NON_COMMERCIAL = "Apache-2.0", "CC-BY-NC-4.0"
-VARIANTS = {
-    variant.name: variant
-    for variant in (
-        Variant("da3-small", "SMALL", APACHE, RELATIVE, True),
-        Variant("da3-base", "BASE", APACHE, RELATIVE, True),
-        Variant("da3-large", "LARGE", NON_COMMERCIAL, RELATIVE, True),
-        Variant("da3-giant", "GIANT", NON_COMMERCIAL, RELATIVE, True),
-        Variant("da3metric-large", "METRIC-LARGE", APACHE, FOCAL_NORMALISED, False),
-        Variant("da3mono-large", "MONO-LARGE", APACHE, RELATIVE, False),
-    )
-}
-MODEL_NAMES = (*VARIANTS, NESTED)
 
 
 @dataclass(frozen=True)
@@ -57,30 +29,6 @@ class Checkpoint:
     revision: str
 
 
-def variant_of(path: Path, named: str) -> str:
-    """The variant: ``named``, or what config.json beside the weights or the folder's name says.
-
-    Raises ModelError for none.
-    """
-    if named:
-        return named
-    config = (path if path.is_dir() else path.parent) / "config.json"
-    try:
-        name = json.loads(config.read_text(encoding="utf-8")).get("model_name")
-    except (OSError, ValueError, AttributeError):
-        name = None
-    folder = config.resolve().parent.name
-    for known in MODEL_NAMES:
-        if name == known or _letters(folder) == _letters(known):
-            return known
-    raise ModelError(f"{path}: does not say which checkpoint it is; name it with --model")
-
-
-def _letters(name: str) -> str:
-    """A name without what it is written with: DA3METRIC-LARGE and da3_metric_large are one."""
-    return "".join(letter for letter in name.lower() if letter.isalnum())
-
-
 def load(path: Path, name: str) -> list[Checkpoint]:
     """The checkpoint in a folder or file (.safetensors, .pth); a nested one holds two, relative and metric.
 
@@ -90,19 +38,17 @@ def load(path: Path, name: str) -> list[Checkpoint]:
     weights = _read(file)
     with file.open("rb") as content:
         revision = "sha256:" + hashlib.file_digest(content, "sha256").hexdigest()[:12]
-    if name == NESTED:
-        parts = (("da3-giant", "model.da3."), ("da3metric-large", "model.da3_metric."))
-    else:
-        parts = ((name, "model."),)
-    nets = [_filled(part, weights, prefix, file) for part, prefix in parts]
-    return [Checkpoint(VARIANTS[part], net, revision) for (part, _), net in zip(parts, nets, strict=True)]
+    prefixes = ("model.da3.", "model.da3_metric.") if name == NESTED else ("model.",)
+    return [
+        Checkpoint(VARIANTS[part], _filled(part, weights, prefix, file), revision)
+        for part, prefix in zip(parts_of(name), prefixes, strict=True)
+    ]
 
 
 def random(name: str, seed: int) -> list[Checkpoint]:
     """The architecture of ``name`` with seeded random weights, for tests: its depths mean nothing."""
-    names = ("da3-giant", "da3metric-large") if name == NESTED else (name,)
     checkpoints = []
-    for part in names:
+    for part in parts_of(name):
         torch.manual_seed(seed)
         net = build(part)
         with torch.no_grad():
@@ -125,17 +71,6 @@ def build(name: str) -> DepthAnything3Net:
     for part in ("gs_head", "gs_adapter"):
         config.pop(part, None)
     return create_object(config).eval().requires_grad_(False)
-
-
-def weights_file(path: Path) -> Path:
-    """The one weights file of a folder, or the file itself. Raises ModelError."""
-    if path.is_file():
-        return path
-    found = [file for kind in ("*.safetensors", "*.pth", "*.pt") for file in sorted(path.glob(kind))]
-    if len(found) != 1:
-        what = "several weight files: name one" if found else "no .safetensors or .pth file"
-        raise ModelError(f"{path}: {what}" if path.is_dir() else f"{path}: there is no such checkpoint")
-    return found[0]
 
 
 def _read(file: Path) -> dict[str, torch.Tensor]:

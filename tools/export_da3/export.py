@@ -15,7 +15,7 @@ from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard, card_from_map
 from prism_edge.depth.prediction import OPEN
 from prism_edge.errors import ModelError
 from tools.export_da3 import convert, parity
-from tools.export_da3.checkpoints import METRIC_FOCAL_LENGTH, NON_COMMERCIAL, Checkpoint
+from tools.export_da3.checkpoints import METRIC_FOCAL_LENGTH, Checkpoint
 from tools.export_da3.nested import SKY_LIMIT
 from tools.export_da3.networks import (
     PATCH,
@@ -26,6 +26,7 @@ from tools.export_da3.networks import (
     descriptor_layer,
 )
 from tools.export_da3.pictures import MEAN, STD, pictures, tensor
+from tools.export_da3.variants import NON_COMMERCIAL, Variant
 
 _IMAGES = 3  # on which parity is checked
 # DSUG as the paper gives it; its figures are for this network.
@@ -51,7 +52,7 @@ class Job:
 
 def export(job: Job) -> list[Path]:
     """Writes and checks the files of all precisions; returns them. ModelError leaves none that misses."""
-    check(job)
+    check(job, [checkpoint.variant for checkpoint in job.checkpoints])
     images = [tensor(image, job.height, job.width) for image in pictures(job.images, max(_IMAGES, job.views))]
     if job.views > 1:
         network, inputs, truths = _several_views(job, images)
@@ -81,22 +82,24 @@ def export(job: Job) -> list[Path]:
     return written
 
 
-def check(job: Job) -> None:
-    """Raises ModelError for what can't be exported."""
+def check(job: Job, variants: list[Variant]) -> None:
+    """Raises ModelError for what can't be exported; ``variants`` are the checkpoints', loaded or not."""
     if job.out.suffix != ".onnx" or not job.out.parent.is_dir():
         raise ModelError(f"{job.out}: a file ending in .onnx in a folder that exists is needed")
     for what, size in (("height", job.height), ("width", job.width)):
         if size % PATCH or not 3 * PATCH <= size <= 4096:
             raise ModelError(f"{what} {size}: a multiple of {PATCH} from {3 * PATCH} to 4096 is needed")
-    first = job.checkpoints[0].variant
-    if len(job.checkpoints) == 2 and not first.several_views:
+    first, nested = variants[0], len(variants) > 1
+    if nested and not first.several_views:
         raise ModelError(f"{first.name} gives no confidence, by which nested depths are compared")
     if job.views < 1 or job.views > 64:
         raise ModelError(f"{job.views} views: 1 to 64 can be exported")
-    if job.views > 1 and (len(job.checkpoints) == 2 or not first.several_views):
+    if job.views > 1 and (nested or not first.several_views):
         raise ModelError(f"{first.name}: takes one view, alone or nested; it has no poses to be given")
     if (job.wanted.rays or job.wanted.intrinsics) and not first.several_views:
         raise ModelError(f"{first.name}: predicts neither rays nor intrinsics")
+    for precision in job.precisions:
+        _card(job, variants, precision, {})
 
 
 def out_of(path: Path, precision: str) -> Path:
@@ -106,8 +109,27 @@ def out_of(path: Path, precision: str) -> Path:
 
 def card(job: Job, network: torch.nn.Module, precision: str) -> ModelCard:
     """The model card of one file, checked as the daemon will check it."""
-    variants = [checkpoint.variant for checkpoint in job.checkpoints]
     outputs = set(network.output_names)  # type: ignore[arg-type]
+    more: dict[str, object] = {
+        "revision": " ".join(checkpoint.revision for checkpoint in job.checkpoints) + f" {precision}"
+    }
+    if "confidence" in outputs:
+        more |= {"confidence_output": "confidence", "confidence_kind": OPEN}
+        more |= {"dsug_tau": _TAU, "dsug_temperature": _TEMPERATURE}
+    if "sky" in outputs:
+        more |= {"sky_output": "sky", "sky_limit": SKY_LIMIT}
+    if "descriptor" in outputs:
+        layer = descriptor_layer(job.checkpoints[0].net, job.wanted.descriptor)
+        more |= {"descriptor_output": "descriptor", "descriptor_layer": layer}
+        more |= {"descriptor_pooling": job.wanted.descriptor}
+    for role in ("rays", "intrinsics"):
+        if role in outputs:
+            more[f"{role}_output"] = role
+    return _card(job, [checkpoint.variant for checkpoint in job.checkpoints], precision, more)
+
+
+def _card(job: Job, variants: list[Variant], precision: str, more: dict[str, object]) -> ModelCard:
+    """The card with what is known before anything is loaded, and ``more``. Raises ModelError."""
     stem = "_".join(["nested", *(v.name for v in variants)] if len(variants) > 1 else [variants[0].name])
     stem = stem.replace("-", "_") + (f"_{job.views}views" if job.views > 1 else "")
     suffix = "" if precision == convert.FP32 else f"_{precision}"
@@ -115,7 +137,7 @@ def card(job: Job, network: torch.nn.Module, precision: str) -> ModelCard:
     values = {
         "contract": 1,
         "name": (job.name or f"{stem}_{job.height}x{job.width}")[:59] + suffix,
-        "revision": " ".join(checkpoint.revision for checkpoint in job.checkpoints) + f" {precision}",
+        "revision": precision,
         "licence": next((v.licence for v in variants if v.licence == NON_COMMERCIAL), variants[0].licence),
         "source": "Depth Anything 3 " + " scaled by ".join(v.title for v in variants) + " (Lin et al. 2025)",
         "depth_kind": kind,
@@ -129,19 +151,7 @@ def card(job: Job, network: torch.nn.Module, precision: str) -> ModelCard:
     }
     if kind == FOCAL_NORMALISED:
         values |= {"canonical_focal_length": METRIC_FOCAL_LENGTH, "scale_bias_sigma": job.scale_bias_sigma}
-    if "confidence" in outputs:
-        values |= {"confidence_output": "confidence", "confidence_kind": OPEN}
-        values |= {"dsug_tau": _TAU, "dsug_temperature": _TEMPERATURE}
-    if "sky" in outputs:
-        values |= {"sky_output": "sky", "sky_limit": SKY_LIMIT}
-    if "descriptor" in outputs:
-        layer = descriptor_layer(job.checkpoints[0].net, job.wanted.descriptor)
-        values |= {"descriptor_output": "descriptor", "descriptor_layer": layer}
-        values |= {"descriptor_pooling": job.wanted.descriptor}
-    for role in ("rays", "intrinsics"):
-        if role in outputs:
-            values[f"{role}_output"] = role
-    return card_from_mapping(values, job.out.name)
+    return card_from_mapping(values | more, job.out.name)
 
 
 def _single_view(
