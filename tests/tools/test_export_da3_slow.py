@@ -94,6 +94,9 @@ def test_five_views_are_conditioned_on_their_poses_and_not_for_the_daemon(tmp_pa
     matrix = np.tile(np.array([[100, 0, 63], [0, 100, 49], [0, 0, 1]], np.float32), (5, 1, 1))
     feed = {"image": rng.normal(size=(5, 3, HEIGHT, WIDTH)).astype(np.float32), "intrinsics": matrix}
     still = session.run(["depth"], {**feed, "extrinsics": poses})[0]
+    (cameras,) = session.run(["predicted_intrinsics"], {**feed, "extrinsics": poses})
+    # The middle of the image, pixels counted from the first one's centre.
+    assert cameras[:, :2, 2] == pytest.approx(np.tile([(WIDTH - 1) / 2, (HEIGHT - 1) / 2], (5, 1)), abs=1e-3)
     poses[3, 0, 3] = 1.0
     moved = session.run(["depth"], {**feed, "extrinsics": poses})[0]
     assert np.abs(moved / still - 1).max() > 1e-3

@@ -104,7 +104,7 @@ class SeveralViews(nn.Module):
             "depth": dense["depth"][0],
             "confidence": dense["depth_conf"][0],
             "predicted_extrinsics": cameras.inverse(poses[0]),
-            "predicted_intrinsics": matrices[0],
+            "predicted_intrinsics": matrices[0] - matrices.new_tensor(HALF_PIXEL),
             "rays": dense["ray"][0],
         }
         return tuple(given[name] for name in self.output_names)

@@ -126,6 +126,6 @@ def several_views_reference(
         "depth": whole.depth[0].numpy(),
         "confidence": whole.depth_conf[0].numpy(),
         "predicted_extrinsics": whole.extrinsics[0].numpy(),
-        "predicted_intrinsics": whole.intrinsics[0].numpy(),
+        "predicted_intrinsics": (whole.intrinsics[0] - torch.tensor(HALF_PIXEL)).numpy(),
         "rays": rays[0].numpy(),
     }
