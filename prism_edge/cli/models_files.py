@@ -5,11 +5,8 @@ from __future__ import annotations
 import argparse
 import sys
 from contextlib import AbstractContextManager, nullcontext, suppress
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import (
     BarColumn,
@@ -22,12 +19,11 @@ from rich.progress import (
 from rich.prompt import Confirm
 from rich.table import Table
 
+from prism_edge.cli.models_trial import tried
 from prism_edge.config import DepthConfig
-from prism_edge.depth import entries, find, open_onnx, pulling
-from prism_edge.depth.contract import INVERSE_RELATIVE, RELATIVE
+from prism_edge.depth import entries, find, networks_of, open_network, open_onnx, pulling
 from prism_edge.depth.download import Patience
 from prism_edge.depth.folders import download_folder, folders
-from prism_edge.depth.prediction import Prediction, checked
 from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of, pulled_files
 from prism_edge.depth.registry import File, find_digest, is_non_commercial, sha256_of
 from prism_edge.errors import ModelError
@@ -133,7 +129,7 @@ def _say_next(console: Console, done: Pulled) -> None:
 
 
 def _verify(console: Console, names: list[str]) -> int:
-    """A row for each network; 5 where one fails."""
+    """A row for each network, of a pair for each part; 5 where one fails."""
     chosen = names or _at_hand()
     if not chosen:
         console.print("No network is at hand: `prism-edge models list` shows what is known.")
@@ -143,10 +139,23 @@ def _verify(console: Console, names: list[str]) -> int:
         table.add_column(heading, overflow="fold")
     failed = False
     for name in chosen:
-        digests, digests_right = _digests(name)
-        runs, is_running = _runs(name)
-        failed = failed or not (digests_right and is_running)
-        table.add_row(name, digests, runs)
+        try:
+            parts = networks_of(name)
+        except ModelError as error:
+            table.add_row(name, "", str(error))
+            failed = True
+            continue
+        all_run = True
+        for part in parts:
+            digests, digests_right = _digests(part)
+            runs, is_running = _runs(part)
+            failed = failed or not (digests_right and is_running)
+            all_run = all_run and is_running
+            table.add_row(part, digests, runs)
+        unfit = _unfit(name) if len(parts) > 1 and all_run else ""
+        if unfit:
+            failed = True
+            table.add_row(name, "", unfit)
     Console(highlight=False).print(table)
     return ModelError.exit_code if failed else 0
 
@@ -206,35 +215,22 @@ def _runs(name: str) -> tuple[str, bool]:
         return "needs export", True
     try:
         network = open_onnx(name, DepthConfig())
-        answer = checked(_above_zero(network.raw(_picture())[0], network.card.depth_kind))
+        trial = tried(network)
     except ModelError as error:
         return str(error), False
-    if not answer.valid:
-        return f"on {network.provider}, but its answer is of no use: {answer.reason}", False
-    return f"on {network.provider}", True
+    if not trial.usable:
+        return f"on {network.provider}, but {trial.words}", False
+    warning = f"; warning: {trial.warning}" if trial.warning else ""
+    return f"on {network.provider}: {trial.words}{warning}", True
 
 
-def _above_zero(raw: Prediction, kind: str) -> Prediction:
-    """What is known up to a shift may be negative; 0 is no relative depth, but any inverse depth."""
-    said = np.isfinite(raw.depth) & ((raw.depth != 0) | (kind == INVERSE_RELATIVE))
-    if kind not in (RELATIVE, INVERSE_RELATIVE) or not said.any():
-        return raw
-    least = raw.depth[said].min()
-    if kind == RELATIVE and least > 0:
-        return raw
-    return replace(raw, depth=np.where(said, raw.depth - least, raw.depth))
-
-
-def _picture() -> NDArray[np.uint8]:
-    """A view (480, 640, 3) with some texture: boxes before a wall, on a floor that comes nearer."""
-    rng = np.random.default_rng(0)
-    picture = np.full((480, 640, 3), 150, np.uint8)
-    picture[240:] = np.linspace(70, 130, 240, dtype=np.uint8)[:, None, None]
-    for _ in range(24):
-        x, y = rng.integers(0, 560), rng.integers(80, 380)
-        width, height = rng.integers(30, 160, 2)
-        picture[y : y + height, x : x + width] = rng.integers(20, 235, 3)
-    return np.clip(picture + rng.normal(0.0, 8.0, picture.shape), 0, 255).astype(np.uint8)
+def _unfit(pair: str) -> str:
+    """Why two networks that run are no pair; empty where they are one."""
+    try:
+        open_network(pair, DepthConfig())
+    except ModelError as error:
+        return str(error)
+    return ""
 
 
 def _remove(console: Console, name: str, yes: bool) -> int:

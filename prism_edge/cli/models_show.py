@@ -8,8 +8,9 @@ from dataclasses import fields
 from rich.console import Console
 from rich.table import Table
 
+from prism_edge.cli.models_trial import tried
 from prism_edge.config import DepthConfig
-from prism_edge.depth import entries, find, locate, open_onnx
+from prism_edge.depth import entries, find, locate, networks_of, open_network, open_onnx
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.pulled import Pulled, all_pulled, find_pulled
 from prism_edge.depth.registry import Entry, is_non_commercial, sha256_of
@@ -21,8 +22,13 @@ def run(args: argparse.Namespace) -> int:
     if args.action == "list":
         console.print(listing())
         console.print("`pull` brings a checkpoint that needs export; unverified: no digest of it is known.")
-    else:
-        _describe(console, args.model)
+        return 0
+    parts = networks_of(args.model)
+    for part in parts:
+        _describe(console, part)
+    if len(parts) > 1:
+        open_network(args.model, DepthConfig())
+        console.print(f"They are a pair: use it with --model {args.model}", markup=False, soft_wrap=True)
     return 0
 
 
@@ -68,10 +74,14 @@ def _describe(console: Console, model: str) -> None:
         _describe_entry(console, entry)
         return
     network = open_onnx(model, DepthConfig())
+    trial = tried(network)
     console.print(_card_table(network.card, f"{network.name}: the file agrees with its card"))
     console.print(f"file      {locate(model)}", soft_wrap=True)
     console.print(f"sha256    {network.digest}", soft_wrap=True)
     console.print(f"provider  {network.provider}")
+    console.print(f"depth     of a test picture: {trial.words}", soft_wrap=True)
+    if trial.warning:
+        console.print(f"warning   {trial.warning}", soft_wrap=True)
     pulled = find_pulled(model)
     if pulled:
         console.print(f"pulled    {pulled.files[0].url}", soft_wrap=True)

@@ -54,6 +54,7 @@ class ModelCard:
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
     resize: str = STRETCH  # stretch: the whole image; crop: its centre, with its aspect kept
     depth_output: str = ""  # empty: the file's only output
+    depth_scale: float = 1.0  # what its depth is multiplied by to be metres: 0.001 of one in millimetres
     confidence_output: str = ""  # empty: the network gives none
     confidence_kind: str = ""  # probability | open; empty: told by its values
     descriptor_output: str = ""
@@ -162,6 +163,8 @@ def _scalar(key: str, value: str, where: str) -> Any:
 
 
 def _check_whole(card: ModelCard, where: str) -> None:
+    if card.depth_scale != 1.0 and not card.has_metres:
+        raise ModelError(f"{where}: depth_scale belongs to depth_kind {METRIC} and {FOCAL_NORMALISED} alone")
     if card.depth_kind == FOCAL_NORMALISED and card.canonical_focal_length is None:
         raise ModelError(f"{where}: depth_kind focal_normalised needs canonical_focal_length (pixels)")
     if card.depth_kind != FOCAL_NORMALISED and card.canonical_focal_length is not None:
@@ -263,6 +266,7 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "std": _triple(1e-6, 1e3),
     "resize": _choice(STRETCH, CROP),
     "depth_output": _text,
+    "depth_scale": _number(1e-6, 1e6),
     "confidence_output": _text,
     "confidence_kind": _choice(PROBABILITY, OPEN),
     "descriptor_output": _text,

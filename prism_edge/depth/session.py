@@ -59,18 +59,20 @@ class OnnxNetwork:
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
         """Metric depth of an image (height, width, 3) uint8 RGB that ``camera`` took.
 
-        Metres are the output itself (metric) or output * f / f0 (focal_normalised), f being the
-        geometric mean of fx and fy in pixels of the network's input. A lens's distortion is left in the
-        image, and f is then its focal length at the centre. Raises ModelError where the network's kind
-        has no metres, or where image and camera differ in size.
+        Metres are the output times the card's ``depth_scale``, and of a focal_normalised one times f / f0,
+        f being the geometric mean of fx and fy in pixels of the network's input. A lens's distortion is left
+        in the image, and f is then its focal length at the centre. Raises ModelError where the network's
+        kind has no metres, or where image and camera differ in size.
         """
         if not self.card.has_metres:
             raise ModelError(f"{self.name} is {self.card.depth_kind}: it has no metres of its own")
         if rgb.shape != (camera.height, camera.width, 3):
             raise ModelError(f"image {rgb.shape} is not of its camera ({camera.height}, {camera.width}, 3)")
         raw, placement = self.raw(rgb)
+        factor = self.card.depth_scale
         if self.card.depth_kind == FOCAL_NORMALISED and self.card.canonical_focal_length:
-            factor = placement.focal_length(camera) / self.card.canonical_focal_length
+            factor *= placement.focal_length(camera) / self.card.canonical_focal_length
+        if factor != 1.0:
             raw = _with_depth(raw, raw.depth * np.float32(factor))
         return checked(raw)
 
@@ -91,6 +93,28 @@ class OnnxNetwork:
         if not np.isfinite([fx, fy, cx, cy]).all() or fx <= 0 or fy <= 0:
             return None
         return placement.to_image(fx, fy, cx, cy)
+
+    def check_offline_outputs(self, rgb: NDArray[np.uint8]) -> None:
+        """Raises ModelError unless rays and intrinsics, which no keyframe asks for, are of their shapes."""
+        wanted = {"rays": self.card.rays_output, "intrinsics": self.card.intrinsics_output}
+        wanted = {role: output for role, output in wanted.items() if output}
+        if not wanted:
+            return
+        image = tensor(rgb, self.card, place(self.card, rgb.shape[1], rgb.shape[0]))
+        try:
+            values = self._session.run(list(wanted.values()), {self._input: image})
+        except Exception as error:  # whatever a foreign graph makes onnxruntime raise
+            raise ModelError(f"{self.path.name}: an inference failed ({first_line(error)})") from None
+        for (role, output), value in zip(wanted.items(), values, strict=True):
+            shape = list(value.shape)
+            is_right = value.size == 9 and shape[-2:] == [3, 3]
+            if role == "rays":
+                is_right = len(shape) == 4 and shape[0] == 1 and shape[3] == 6
+            if not is_right:
+                needed = "(1, h, w, 6)" if role == "rays" else "(1, 3, 3)"
+                raise ModelError(
+                    f"{self.path.name}: output {output!r} for {role} has shape {shape}, not {needed}"
+                )
 
     def raw(self, rgb: NDArray[np.uint8]) -> tuple[Prediction, Placement]:
         """The network's unchecked answer in its own unit, without sky, and where the image lay in it.

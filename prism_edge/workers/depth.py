@@ -15,6 +15,7 @@ from prism_edge.bus.pack import rgb
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.depth import DepthNetwork
+from prism_edge.depth.plausible import range_of
 from prism_edge.depth.prediction import no_confidence, no_descriptor
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
@@ -48,6 +49,7 @@ class DepthWorker:
         self._early: dict[int, KeyframeImage] = {}
         self._last = -1
         self._recent: deque[float] = deque(maxlen=100)
+        self._doubted = False
         self._network: DepthNetwork | SensorNetwork | None = None
         if config.depth.network:
             bus.pulse.working("loading the network", _LOADING_S)
@@ -133,12 +135,23 @@ class DepthWorker:
                 log.warning("keyframe %d has no depth: %s", image.keyframe, depth.reason)
         else:
             self._bus.pulse.values.pop("warning", None)
+            self._doubt(depth)
             self._recent.append(depth.inference_ms)
             self._bus.pulse.values.update(
                 inference_ms=f"{depth.inference_ms:.1f}", inference_ms_median=f"{median(self._recent):.1f}"
             )
         self._show_counters()
         self._bus.pulse.idle()
+
+    def _doubt(self, depth: Depth) -> None:
+        """Says where a network's metres can't be metres: on `health` while it is so, on the log once."""
+        metres = None if isinstance(self._network, SensorNetwork) else range_of(depth.depth)
+        if metres is None or not metres.doubt:
+            return
+        self._bus.pulse.values["warning"] = metres.doubt
+        if not self._doubted:
+            log.warning("keyframe %d: %s", depth.keyframe, metres.doubt)
+        self._doubted = True
 
     def _show_counters(self) -> None:
         if self._network is not None:

@@ -47,6 +47,27 @@ def test_info_checks_a_file_and_shows_its_card(tmp_path: Path, capsys):
         assert text in out
 
 
+def test_info_says_how_far_a_test_picture_is_and_doubts_millimetres(tmp_path: Path, capsys):
+    for name, gain, doubted in (("m", 1.0, False), ("mm", 1000.0, True)):
+        path = write_tiny_network(tmp_path / f"{name}.onnx", TinyNetwork(name=name, gain=gain))
+        assert main(["models", "info", str(path)]) == 0
+        out = capsys.readouterr().out
+        assert "depth     of a test picture: " in out
+        assert ("warning   a median depth of" in out) == doubted
+
+
+def test_info_shows_the_card_of_each_part_of_a_pair(tmp_path: Path, capsys):
+    relative = write_tiny_network(tmp_path / "r.onnx", TinyNetwork(name="fine", depth_kind="relative"))
+    metric = write_tiny_network(tmp_path / "m.onnx", TinyNetwork(name="coarse"))
+    pair = f"nested:{relative},{metric}"
+    assert main(["models", "info", pair]) == 0
+    out = capsys.readouterr().out
+    for text in ("fine: the file agrees", "coarse: the file agrees", f"use it with --model {pair}"):
+        assert text in out
+    assert main(["models", "info", f"nested:{metric},{relative}"]) == 5
+    assert "the first network must be a relative one" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("name", "says"), [("fastdepth_nyu", "229.7"), ("da3_small", "must be exported")])
 def test_info_describes_a_network_whose_file_is_not_here(capsys, name: str, says: str):
     assert main(["models", "info", name]) == 0

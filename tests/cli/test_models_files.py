@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import builtins
 import hashlib
+import re
 from collections.abc import Iterator
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth import registry
 from prism_edge.errors import ModelError
 from tests.depth.web_server import WebServer, web_server
-from tests.synthetic.network import TinyNetwork, write_tiny_network
+from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_sidecar, write_tiny_network
 
 
 @pytest.fixture(autouse=True)
@@ -237,6 +238,36 @@ def test_verify_knows_that_depth_up_to_a_shift_may_be_negative(tmp_path: Path, c
         what = TinyNetwork(depth_kind=kind, misbehaviour=misbehaviour)
         path = write_tiny_network(tmp_path / f"{misbehaviour}.onnx", what)
         assert says in said(capsys, "verify", str(path), code=code)
+
+
+def test_verify_says_how_far_a_test_picture_is_and_doubts_millimetres(tmp_path: Path, capsys):
+    metres = said(capsys, "verify", str(write_tiny_network(tmp_path / "m.onnx")))
+    assert re.search(r"on CPUExecutionProvider: [\d.]+ to [\d.]+ m, median [\d.]+ m", metres)
+    assert "warning" not in metres
+    path = write_tiny_network(tmp_path / "mm.onnx", TinyNetwork(gain=1000.0, describes_itself=False))
+    write_sidecar(path, TinyNetwork().card())
+    doubted = " ".join(said(capsys, "verify", str(path)).replace("│", " ").split())
+    assert re.search(r"warning: a median depth of [\de.+]+ m is not within 0.05 and 300 m", doubted)
+    write_sidecar(path, replace(TinyNetwork().card(), depth_scale=0.001))
+    assert "warning" not in said(capsys, "verify", str(path))
+
+
+def test_verify_holds_outputs_that_no_keyframe_asks_for_to_their_shapes(tmp_path: Path, capsys):
+    what = TinyNetwork(descriptor=True)
+    path = tmp_path / "bad.onnx"
+    save(path, tiny_graph(what), replace(what.card(), descriptor_output="", intrinsics_output="descriptor"))
+    assert "for intrinsics has shape [1, 75], not (1, 3, 3)" in said(capsys, "verify", str(path), code=5)
+
+
+def test_verify_has_a_row_for_each_part_of_a_pair(tmp_path: Path, capsys):
+    relative = write_tiny_network(tmp_path / "r.onnx", TinyNetwork(name="r", depth_kind="relative"))
+    metric = write_tiny_network(tmp_path / "m.onnx", TinyNetwork(name="m"))
+    out = said(capsys, "verify", f"nested:{relative},{metric}")
+    assert out.count("on CPUExecutionProvider") == 2
+    assert "no metres of its own" in out
+    out = said(capsys, "verify", f"nested:{metric},{relative}", code=5)
+    assert "the first network must be a relative one" in out
+    assert "nested takes two networks" in said(capsys, "verify", "nested:alone", str(metric), code=5)
 
 
 def test_verify_says_what_is_wrong_with_a_file(tmp_path: Path, capsys):

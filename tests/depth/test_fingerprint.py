@@ -32,6 +32,8 @@ def opened(path: Path, **change: object) -> OnnxNetwork:
     [
         ({"descriptor_output": "", "descriptor_layer": "small", "descriptor_pooling": "grid"}, False),
         ({"mean": (0.1, 0.1, 0.1)}, False),
+        ({"depth_scale": 0.001}, False),
+        ({"depth_scale": 1.0}, True),
         ({"depth_kind": "focal_normalised", "canonical_focal_length": 300.0}, False),
         ({"revision": "2"}, True),
         ({"source": "elsewhere", "scale_bias_sigma": 0.2}, True),

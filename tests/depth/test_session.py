@@ -87,6 +87,18 @@ def test_confidence_is_held_to_the_kind_that_the_card_names(tmp_path: Path):
     assert np.all(OnnxNetwork(tmp_path / "net.onnx").infer(slanted_wall()[0], CAMERA).confidence == 1.0)
 
 
+@pytest.mark.parametrize("kind", ["metric", "focal_normalised"])
+def test_millimetres_become_metres_by_the_card(tmp_path: Path, kind: str):
+    image, _ = slanted_wall()
+    metres = OnnxNetwork(write_tiny_network(tmp_path / "m.onnx", TinyNetwork(depth_kind=kind)))
+    what = TinyNetwork(depth_kind=kind, gain=1000.0)
+    save(tmp_path / "mm.onnx", tiny_graph(what), replace(what.card(), depth_scale=0.001))
+    millimetres = OnnxNetwork(tmp_path / "mm.onnx")
+    expected = metres.infer(image, CAMERA).depth
+    assert millimetres.infer(image, CAMERA).depth == pytest.approx(expected, rel=1e-5)
+    assert np.median(millimetres.raw(image)[0].depth) > 1000  # its own unit
+
+
 @pytest.mark.parametrize("resize", ["stretch", "crop"])
 @pytest.mark.parametrize("shape", [[1, 3, 3], [3, 3], [1, 1, 3, 3]])
 def test_a_networks_own_intrinsics_come_in_pixels_of_the_image(tmp_path: Path, resize: str, shape):
@@ -100,6 +112,33 @@ def test_a_networks_own_intrinsics_come_in_pixels_of_the_image(tmp_path: Path, r
     save(tmp_path / "net.onnx", graph, replace(card, intrinsics_output="intrinsics", resize=resize))
     found = OnnxNetwork(tmp_path / "net.onnx").intrinsics(np.zeros((360, 640, 3), np.uint8))
     assert found == pytest.approx([400, 380, 310, 170], rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("role", "shape", "needed"),
+    [
+        ("intrinsics", [1, 3], "(1, 3, 3)"),
+        ("intrinsics", [1, 9], "(1, 3, 3)"),
+        ("intrinsics", [1, 1, 3, 3], ""),
+        ("rays", [1, 3, 48, 64], "(1, h, w, 6)"),
+        ("rays", [1, 6, 48, 64], "(1, h, w, 6)"),
+        ("rays", [2, 48, 64, 6], "(1, h, w, 6)"),
+        ("rays", [1, 48, 64, 6], ""),
+    ],
+)
+def test_outputs_that_no_keyframe_asks_for_are_held_to_their_shapes(tmp_path: Path, role, shape, needed):
+    graph, card = _two_outputs()
+    value = helper.make_tensor("value", TensorProto.FLOAT, shape, np.zeros(np.prod(shape)))
+    graph.node.append(helper.make_node("Constant", [], [role], value=value))
+    graph.output.append(helper.make_tensor_value_info(role, TensorProto.FLOAT, shape))
+    save(tmp_path / "net.onnx", graph, replace(card, **{f"{role}_output": role}))
+    network = OnnxNetwork(tmp_path / "net.onnx")
+    if not needed:
+        network.check_offline_outputs(slanted_wall()[0])
+        return
+    with pytest.raises(ModelError) as error:
+        network.check_offline_outputs(slanted_wall()[0])
+    assert str(error.value) == f"net.onnx: output {role!r} for {role} has shape {shape}, not {needed}"
 
 
 def test_intrinsics_that_can_not_be_are_none(tmp_path: Path, tiny: OnnxNetwork):

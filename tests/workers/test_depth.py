@@ -123,6 +123,22 @@ def test_an_inference_that_fails_is_an_invalid_answer(tiny: str, change: dict):
     assert bus.pulse.values["invalid"] == "1"
 
 
+def test_metres_that_can_not_be_are_on_health_and_once_on_the_log(tmp_path: Path, caplog):
+    bus, config = live(str(write_tiny_network(tmp_path / "mm.onnx", TinyNetwork(gain=1000.0))))
+    bus.give("keyframe_image", picture(1), picture(2), picture(3))
+    main(config, bus)
+    assert all(depth.valid for depth in bus.of("depth"))
+    assert "a median depth of" in bus.pulse.values["warning"]
+    assert caplog.text.count("depth_scale in its card") == 1
+
+
+def test_metres_that_can_be_are_no_warning(tiny: str):
+    bus, config = live(tiny)
+    bus.give("keyframe_image", picture(1))
+    main(config, bus)
+    assert "warning" not in bus.pulse.values
+
+
 def test_lockstep_acknowledges_each_frame_after_its_depth(tiny: str):
     bus, config = lockstep(tiny)
     bus.give("keyframe_image", picture(0), picture(1))  # the second is early

@@ -1,0 +1,62 @@
+"""What a network says of one picture, for `prism-edge models info` and `verify`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.depth.contract import INVERSE_RELATIVE, RELATIVE
+from prism_edge.depth.plausible import range_of
+from prism_edge.depth.prediction import Prediction, checked
+from prism_edge.depth.session import OnnxNetwork
+from prism_edge.geometry.cameras import Camera
+
+CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)  # an ordinary one: what a focal-normalised one needs
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Whether an answer is of use, what it was in words, and a warning where it is doubtful (or nothing)."""
+
+    usable: bool
+    words: str
+    warning: str = ""
+
+
+def tried(network: OnnxNetwork) -> Trial:
+    """The answer to :func:`picture`. Raises ModelError where an output is not of the shape it should be."""
+    rgb = picture()
+    network.check_offline_outputs(rgb)
+    if network.card.has_metres:
+        answer = network.infer(rgb, CAMERA)
+    else:
+        answer = checked(_above_zero(network.raw(rgb)[0], network.card.depth_kind))
+    if not answer.valid:
+        return Trial(False, f"its answer is of no use: {answer.reason}")
+    metres = range_of(answer.depth) if network.card.has_metres else None
+    return Trial(True, str(metres or "no metres of its own"), metres.doubt if metres else "")
+
+
+def picture() -> NDArray[np.uint8]:
+    """A view (480, 640, 3) with some texture: boxes before a wall, on a floor that comes nearer."""
+    rng = np.random.default_rng(0)
+    view = np.full((480, 640, 3), 150, np.uint8)
+    view[240:] = np.linspace(70, 130, 240, dtype=np.uint8)[:, None, None]
+    for _ in range(24):
+        x, y = rng.integers(0, 560), rng.integers(80, 380)
+        width, height = rng.integers(30, 160, 2)
+        view[y : y + height, x : x + width] = rng.integers(20, 235, 3)
+    return np.clip(view + rng.normal(0.0, 8.0, view.shape), 0, 255).astype(np.uint8)
+
+
+def _above_zero(raw: Prediction, kind: str) -> Prediction:
+    """What is known up to a shift may be negative; 0 is no relative depth, but any inverse depth."""
+    said = np.isfinite(raw.depth) & ((raw.depth != 0) | (kind == INVERSE_RELATIVE))
+    if not said.any():
+        return raw
+    least = raw.depth[said].min()
+    if kind == RELATIVE and least > 0:
+        return raw
+    return replace(raw, depth=np.where(said, raw.depth - least, raw.depth))
