@@ -38,12 +38,16 @@ SHORT = {
     "openvino": "OpenVINOExecutionProvider",
     "qnn": "QNNExecutionProvider",
 }
-# What onnxruntime says before it comes to the point: its code, the path, the place in its source.
+# What onnxruntime says before it comes to the point: its code, the path, the place in its source. That is a
+# path with a whole signature (in parentheses, three deep at most), or a file's name with a function's.
+_ARGUMENTS = r"\((?:[^()]|\((?:[^()]|\([^()]*\))*\))*\)"
+_AFTER = rf"(?:::<lambda{_ARGUMENTS}>)?(?: const)?(?: \[with [^]]*\])?"
 _PREAMBLES = (
     (re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : "), ""),
     (re.compile(r"Load model from .*? failed: ?"), ""),
     (re.compile(r"Non-zero status code .*? running (\w+) node\. Name:'.*?' Status Message: "), r"\1: "),
-    (re.compile(r"/\S+\.(?:cc|h):\d+ .*?\) (?=[A-Z\[])"), ""),
+    (re.compile(rf"/\S+\.(?:cc|h):\d+ [^(]*{_ARGUMENTS}{_AFTER} "), ""),
+    (re.compile(r"(?<![\w/.])\w+\.(?:cc|h):\d+ \S+ "), ""),
 )
 _DATA_FOLDER = "session.model_external_initializers_file_folder_path"
 _FORMAT = ("session.load_model_format", "ONNX")  # else content or ending may make another of what was vetted

@@ -206,3 +206,44 @@ def test_every_node_of_a_real_network_is_counted(network):
 
     graph = Counter(node.op_type for node in onnx.load(network).graph.node)
     assert 0 < OnnxNetwork(network).nodes[CPU] <= graph.total()  # nodes are fused when loading
+
+
+CODE = "[ONNXRuntimeError] : 1 : FAIL : "
+SOURCE = "/onnxruntime_src/onnxruntime/core"
+TABLE = "const std::unordered_map<std::__cxx11::basic_string<char>, int>&"
+NODES = "const std::vector<const Node*>&, const std::function<bool(const std::basic_string<char>&)>&"
+
+
+@pytest.mark.parametrize(
+    ("said", "line"),
+    [
+        (
+            f"{CODE}Load model from /a/b c.onnx failed:{SOURCE}/graph/model.cc:256 onnxruntime::Model::Model("
+            "onnx::ModelProto&&, const ModelOptions&) Unsupported model IR version: 99\n",
+            "Unsupported model IR version: 99",
+        ),
+        (
+            f"{CODE}Load model from /a/b.onnx failed:{SOURCE}/graph/graph.cc:1421 onnxruntime::Graph::Graph("
+            f"const onnxruntime::Model&, {TABLE}, bool) !utils::InMemory(tensor) was false. It is not.",
+            "!utils::InMemory(tensor) was false. It is not.",
+        ),
+        (
+            f"{CODE}Exception during initialization: {SOURCE}/optimizer/frame.cc:74 Info::Info({NODES}) "
+            f"{CODE}env.cc:538 OpenRandomAccessFile Random-access reads require a file (not a pipe)",
+            "Exception during initialization: Random-access reads require a file (not a pipe)",
+        ),
+        (f"{CODE}tensorprotoutils.cc:2276 ToTensorProto Constant node ''", "Constant node ''"),
+        (f"{CODE}External: big. Error: utils.cc:434 Validate Absolute", "External: big. Error: Absolute"),
+        (f"{CODE}inference_session.cc:2226 operator() ORT model failed.", "ORT model failed."),
+        (
+            f"{CODE}Non-zero status code returned while running Add node. Name:'x' Status Message: "
+            f"{SOURCE}/a/b.h:9 T onnxruntime::f(int) const [with T = int; U = bool] axis == 1 fails. (no)",
+            "Add: axis == 1 fails. (no)",
+        ),
+        (f"{CODE}{SOURCE}/a/b.cc:9 onnxruntime::f(int)::<lambda(const A&, B)> no", "no"),
+        ("Conv (node) has (a shape) that /is/not.h so", "Conv (node) has (a shape) that /is/not.h so"),
+        ("/a/b.cc:9 f" + "(x" * 5000, "/a/b.cc:9 f" + ("(x" * 5000)[:189]),
+    ],
+)
+def test_an_error_is_one_line_without_onnxruntimes_own_source(said: str, line: str):
+    assert providers.first_line(RuntimeError(said)) == line
