@@ -139,12 +139,23 @@ def card_from_sidecar(path: Path) -> ModelCard:
     return card_from_mapping(read_yaml(path), path.name)
 
 
+class _Loader(yaml.SafeLoader):
+    """YAML in which a card's text is as written, where YAML sees a number (1.10, 0276) or a date."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            is_said = isinstance(value, yaml.ScalarNode) and value.tag != "tag:yaml.org,2002:null"
+            if is_said and _is_text(key.value):
+                value.tag = "tag:yaml.org,2002:str"
+        return super().construct_mapping(node, deep)
+
+
 def read_yaml(path: Path, largest: int = _LARGEST_FILE) -> Any:
     """The content of a small YAML file; ModelError in one line for whatever is wrong with it."""
     try:
         if path.stat().st_size > largest:
             raise ModelError(f"{path}: larger than {largest} bytes, which no model description needs")
-        return yaml.safe_load(path.read_text(encoding="utf-8"))
+        return yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         raise ModelError(f"{path}: can't be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
@@ -154,12 +165,16 @@ def read_yaml(path: Path, largest: int = _LARGEST_FILE) -> Any:
 
 
 def _scalar(key: str, value: str, where: str) -> Any:
-    if _CHECKS.get(key) in (_text, _name, sha256_text):
+    if _is_text(key):
         return value
     try:
         return yaml.safe_load(value[:4096])
     except (yaml.YAMLError, ValueError, RecursionError):
         raise ModelError(f"{where}: {key}: {value[:40]!r} can't be read") from None
+
+
+def _is_text(key: Any) -> bool:
+    return isinstance(key, str) and _CHECKS.get(key) in (_text, _name, sha256_text)
 
 
 def _check_whole(card: ModelCard, where: str) -> None:

@@ -116,7 +116,41 @@ def test_yaml_writes_small_numbers_that_pyyaml_reads_as_text(tmp_path: Path):
     assert card_from_sidecar(path).pixel_scale == 0.01
 
 
-BROKEN = [b"a: [1", b"\xff\xfe\x00", b"[" * 1500, b"x" * 70_000, b"a: 2020-99-99", b""]
+BROKEN = [b"a: [1", b"\xff\xfe\x00", b"[" * 1500, b"x" * 70_000, b"a: 2020-99-99", b"", b"!!map [a, b]"]
+
+
+@pytest.mark.parametrize(
+    ("key", "written"),
+    [
+        ("revision", "1.10"),
+        ("revision", "2024-01-01"),
+        ("revision", "1e3"),
+        ("revision", "12:30:00"),
+        ("source", "on"),
+        ("descriptor_layer", "0276"),
+        ("depth_output", "1_000"),
+        ("depth_output", "007"),
+        ("name", "0x10"),
+        ("sha256", "1" * 64),
+        ("sha256", "0" * 63 + "1"),
+        ("sha256", "1e" + "2" * 62),
+    ],
+)
+def test_text_in_a_sidecar_is_as_written_though_yaml_has_another_name_for_it(tmp_path, key, written):
+    lines = {"contract": "1", "name": "net", "revision": "1", "licence": "MIT", "depth_kind": "metric"}
+    lines |= {"scale_bias_sigma": "0.1", "input_width": "64", "input_height": "48"}
+    lines |= {"descriptor_output": "d", key: written}
+    path = tmp_path / "net.onnx.yaml"
+    path.write_text("".join(f"{name}: {value}\n" for name, value in lines.items()))
+    assert getattr(card_from_sidecar(path), key) == written
+
+
+@pytest.mark.parametrize("line", ["source:", "source: ~", "source: [a]", "source: {a: 1}"])
+def test_what_is_no_text_in_a_sidecar_is_refused_still(tmp_path: Path, line: str):
+    path = write_sidecar(tmp_path / "net.onnx", TinyNetwork().card())
+    path.write_text(path.read_text().replace("source: made by the project's tests", line))
+    with pytest.raises(ModelError, match=r"net.onnx.yaml: source: text is needed"):
+        card_from_sidecar(path)
 
 
 @pytest.mark.parametrize("content", BROKEN)
