@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from pathlib import Path
 from typing import Any
@@ -17,14 +18,24 @@ from prism_edge.depth.data_watch import DataWatch
 from prism_edge.depth.fingerprint import fingerprint
 from prism_edge.depth.inner_tensor import pool
 from prism_edge.depth.placement import Placement, place, tensor
-from prism_edge.depth.prediction import Prediction, checked, in_its_range, no_confidence, no_descriptor
+from prism_edge.depth.prediction import (
+    PROBABILITY,
+    Prediction,
+    checked,
+    in_its_range,
+    no_confidence,
+    no_descriptor,
+)
 from prism_edge.depth.providers import first_line, start
 from prism_edge.depth.registry import File
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 
+log = logging.getLogger("prism_edge.depth")
+
 _LARGEST_DESCRIPTOR = 16_384
+_SURELY_NO_PROBABILITY = 1.001  # rounding makes a little more than 1 of one
 
 
 class OnnxNetwork:
@@ -51,6 +62,7 @@ class OnnxNetwork:
         self.bias_sigma = self.card.scale_bias_sigma or 0.0
         self.dsug = self.card.dsug
         self.counters: dict[str, int] = {}
+        self._doubted = False
         if len(self.nodes) > 1:
             self.counters["nodes_elsewhere"] = sum(self.nodes.values()) - self.nodes[self.provider]
         self._input, self._outputs = roles(self._session, self.card, path.name)
@@ -142,7 +154,9 @@ class OnnxNetwork:
             descriptor = _descriptor(answer["descriptor"])
         confidence = no_confidence()
         if "confidence" in answer:
-            confidence = in_its_range(_plane(answer["confidence"]), self.card.confidence_kind)
+            confidence = _plane(answer["confidence"])
+            self._doubt(confidence)
+            confidence = in_its_range(confidence, self.card.confidence_kind)
         prediction = Prediction(
             depth=depth,
             image_to_depth=placement.image_to_depth(depth.shape[1], depth.shape[0]),
@@ -151,6 +165,20 @@ class OnnxNetwork:
             inference_ms=1e3 * (time.perf_counter() - started),
         )
         return prediction, placement
+
+    def _doubt(self, confidence: NDArray[np.float32]) -> None:
+        """Says once where what the card calls a probability mostly is none, and would be clipped away."""
+        if self._doubted or self.card.confidence_kind != PROBABILITY:
+            return
+        share = float(np.mean(confidence > _SURELY_NO_PROBABILITY))
+        if share > 0.5:
+            self._doubted = True
+            log.warning(
+                "%s: %.0f %% of its confidence is above 1, though its card says probability; is it percent, "
+                "or open-ended (docs/MODELS.md)?",
+                self.name,
+                100 * share,
+            )
 
     def _warm_up(self) -> None:
         """One inference, so that the first keyframe does not pay for it and output shapes are known."""

@@ -87,6 +87,23 @@ def test_confidence_is_held_to_the_kind_that_the_card_names(tmp_path: Path):
     assert np.all(OnnxNetwork(tmp_path / "net.onnx").infer(slanted_wall()[0], CAMERA).confidence == 1.0)
 
 
+@pytest.mark.parametrize(
+    ("kind", "addend", "doubted"),
+    [("probability", 1.0, 1), ("probability", -0.5, 0), ("open", 1.0, 0), ("", 1.0, 0)],
+)
+def test_a_probability_that_is_none_is_said_once(tmp_path: Path, caplog, kind, addend, doubted):
+    what = TinyNetwork(confidence=True)  # a sigmoid and ``one``
+    graph = tiny_graph(what)
+    (one,) = (tensor for tensor in graph.initializer if tensor.name == "one")
+    one.CopyFrom(helper.make_tensor("one", TensorProto.FLOAT, [1], [addend]))
+    save(tmp_path / "net.onnx", graph, replace(what.card(), confidence_kind=kind))
+    network = OnnxNetwork(tmp_path / "net.onnx")
+    for _ in range(3):
+        network.infer(slanted_wall()[0], CAMERA)
+    assert caplog.text.count("tiny_tint: 100 % of its confidence is above 1") == doubted
+    assert len(caplog.records) == doubted
+
+
 @pytest.mark.parametrize("kind", ["metric", "focal_normalised"])
 def test_millimetres_become_metres_by_the_card(tmp_path: Path, kind: str):
     image, _ = slanted_wall()
