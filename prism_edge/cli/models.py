@@ -28,10 +28,12 @@ def add_parser(subparsers: Any, help_line: str) -> None:
 
     action("list", _SHOW, "every known network, its licence, and whether it is at hand")
     info = action("info", _SHOW, "one network's card; a file is loaded and checked against it")
-    info.add_argument("model", metavar="NAME_OR_PATH", help="registered name or ONNX file")
+    info.add_argument("model", metavar="NAME_OR_PATH", help="registered name, ONNX file or nested:...")
     _add_pull(action("pull", _FILES, "download a registered network, or an ONNX file from anywhere"))
     verify = action("verify", _FILES, "hold files to their digests, load them and run them once")
-    verify.add_argument("models", metavar="NAME_OR_PATH", nargs="*", help="default: all that are at hand")
+    verify.add_argument(
+        "models", metavar="NAME_OR_PATH", nargs="*", help="nested:... too; default: all that are at hand"
+    )
     remove = action("remove", _FILES, "delete what `pull` brought")
     remove.add_argument("name", metavar="NAME")
     remove.add_argument("--yes", action="store_true", help="don't ask")
