@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 
 from prism_edge.calibration.board import Board, View
+from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.poses import Array
 
@@ -130,8 +131,12 @@ def _moved(fit: Fit, step: Array, poses: list[Array]) -> Fit | None:
     if not np.all(np.isfinite(values)) or values[:2].min() <= 0:
         return None
     fx, fy, cx, cy, *distortion = (float(value) for value in values)
+    try:
+        moved = replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(distortion))
+    except ConfigError:
+        return None
     return Fit(
-        replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(distortion)),
+        moved,
         [r + p[:3] for r, p in zip(fit.rotations, poses, strict=True)],
         [t + p[3:] for t, p in zip(fit.translations, poses, strict=True)],
     )

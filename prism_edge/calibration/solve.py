@@ -10,7 +10,7 @@ import numpy as np
 
 from prism_edge.calibration.board import Board, View
 from prism_edge.calibration.refine import Fit, refine, residuals, sigmas
-from prism_edge.errors import CalibrationError
+from prism_edge.errors import CalibrationError, ConfigError
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
 from prism_edge.geometry.poses import Array
 
@@ -87,7 +87,7 @@ def _fit(
         if model == FISHEYE:
             return _fit_fisheye(board, views, width, height)
         return _fit_pinhole(board, views, width, height, with_k3)
-    except (cv2.error, np.linalg.LinAlgError):
+    except (cv2.error, np.linalg.LinAlgError, ConfigError):  # the last: of a camera that can't be
         raise _no_solution() from None
 
 

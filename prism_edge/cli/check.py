@@ -10,6 +10,7 @@ from prism_edge.cli.settings import with_network
 from prism_edge.config import SENSOR, Config, SourceConfig
 from prism_edge.depth import locate, networks_of
 from prism_edge.errors import ConfigError, ModelError, SourceError
+from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.named_path import named_path
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.live.oak import is_oak
@@ -62,18 +63,19 @@ def _source(source: SourceConfig) -> list[str]:
     missing: list[str] = []
     if is_live(source.uri) or is_simulated(source.uri):
         open_source(source, calibrated=False)  # nothing is connected yet: only the address is read
+    camera = None
     if source.camera != AUTO and named_path(source.camera).is_file():
-        read_camera(named_path(source.camera))
+        camera = read_camera(named_path(source.camera))
     mask = named_path(source.mask)
     if source.mask and mask.is_file():
         read_mask(mask)
     elif source.mask:
         missing.append(f"mask {source.mask} is not there")
     try:
-        open_source(source)
+        camera = open_source(source).camera
     except (ConfigError, SourceError) as error:
         missing.append(str(error))
-    return missing
+    return missing + [f"camera: {doubt}" for doubt in (doubts(camera) if camera else [])]
 
 
 def _model(config: Config) -> list[str]:

@@ -15,6 +15,8 @@ PINHOLE = "pinhole"
 FISHEYE = "fisheye"
 _COEFFICIENTS = {PINHOLE: (0, 4, 5, 8), FISHEYE: (0, 4)}
 MOST_BENT = 0.3  # of k1: two cameras that differ by more are two
+SHORTEST, LONGEST = 0.1, 20.0  # focal lengths, in image widths: what fisheyes and telescopes have
+MOST_STRETCHED = 2.0  # fx / fy, or the other way round: pixels of interlaced images
 _ITERATIONS = 20
 _SUBSTITUTIONS = 5
 
@@ -51,6 +53,23 @@ class Camera:
             raise ConfigError(f"focal lengths must be above zero (fx {self.fx:g}, fy {self.fy:g})")
         if self.width <= 0 or self.height <= 0:
             raise ConfigError(f"image size must be above zero ({self.width}x{self.height})")
+        self._check_possible()
+
+    def _check_possible(self) -> None:
+        """Raises ConfigError for numbers that no lens has: of another image, or in millimetres."""
+        for key, value in (("fx", self.fx), ("fy", self.fy)):
+            if not SHORTEST * self.width <= value <= LONGEST * self.width:
+                raise ConfigError(
+                    f"{key}: {value:g} pixels can't be the focal length of a {self.width}-wide image "
+                    f"({SHORTEST:g} to {LONGEST:g} times its width)"
+                )
+        if not 1.0 / MOST_STRETCHED <= self.fx / self.fy <= MOST_STRETCHED:
+            ratio = f"{1.0 / MOST_STRETCHED:g} to {MOST_STRETCHED:g}"
+            raise ConfigError(f"fx: {self.fx:g} doesn't go with fy {self.fy:g} (fx / fy is {ratio})")
+        for key, value, size in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
+            if not -1.0 <= value <= size:  # half a pixel to spare for those who count from a corner
+                side = "wide" if key == "cx" else "high"
+                raise ConfigError(f"{key}: {value:g} lies outside the image, which is {size} pixels {side}")
 
     @property
     def matrix(self) -> Array:

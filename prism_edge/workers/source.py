@@ -14,6 +14,7 @@ from prism_edge.bus.pack import pack
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.errors import ConfigError, SourceError
+from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.messages import EndOfStream, Frame
 from prism_edge.processes import processes_for
 from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
@@ -52,6 +53,7 @@ class SourceWorker:
         self._camera = source.camera.to_array()
         camera, mask = source.camera, config.source.mask  # the tracker's, but here is who knows the size
         self._own_parts = OwnPartsWatch(mask_for(Path(mask), camera.width, camera.height) if mask else None)
+        self._doubts = doubts(source.camera)
         self._last_index = -1
         self._reported: set[str] = set()
         self._released_at: deque[float] = deque(maxlen=60)
@@ -250,8 +252,8 @@ class SourceWorker:
         times = self._released_at
         flows = len(times) > 1 and time.monotonic() - times[-1] < _STILL_S
         rate = (len(times) - 1) / (times[-1] - times[0]) if flows else 0.0
-        own = {"warning": self._own_parts.warning} if self._own_parts.warning else {}
-        health = own | self._source.health() | self._pause.health
+        warning = self._own_parts.warning or "; ".join(f"camera: {doubt}" for doubt in self._doubts)
+        health = ({"warning": warning} if warning else {}) | self._source.health() | self._pause.health
         if "warning" not in health:
             self._bus.pulse.values.pop("warning", None)
         self._bus.pulse.values.update(health | {"fps": f"{rate:.1f}"})
@@ -294,4 +296,6 @@ def main(config: Config, bus: Bus) -> None:
                 return
             raise
         log.info("%s; camera: %s", source.name, source.camera_origin)
+        for doubt in doubts(source.camera):
+            log.warning("camera: %s", doubt)
         SourceWorker(config, bus, source).run()

@@ -40,9 +40,15 @@ def estimated_camera(config: Config, stopped: threading.Event) -> tuple[str, Cam
     for pixels in _first_images(config.source, stopped):
         rgb = pixels[:, :, ::-1] if pixels.ndim == 3 else np.repeat(pixels[:, :, None], 3, axis=2)
         found = network.intrinsics(np.ascontiguousarray(rgb))
-        if found is not None:
-            estimates.append(found)
-            size = (pixels.shape[1], pixels.shape[0])
+        if found is None:
+            continue
+        try:
+            Camera(pixels.shape[1], pixels.shape[0], *found)
+        except ConfigError as error:  # as little worth as none
+            log.info("camera auto: an image says nothing of its camera: %s", error)
+            continue
+        estimates.append(found)
+        size = (pixels.shape[1], pixels.shape[0])
     if not estimates:
         raise SourceError(
             f"camera auto: {network.name} found no intrinsics in the first images of "

@@ -104,6 +104,25 @@ def test_a_camera_file_that_is_wrong_is_an_error(file: Path, capsys: pytest.Capt
     assert "camera.yaml" in capsys.readouterr().err
 
 
+def test_a_camera_that_can_not_be_is_an_error(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(file, USB)
+    file.with_name("camera.yaml").write_text(CAMERA.replace("319.5", "1319.5"))
+    assert main(["config", "--check", str(file)]) == 3
+    assert "camera.yaml: cx: 1319.5 lies outside the image" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("source", ["'v4l2:/dev/video7'", "/nowhere/recording"])
+def test_a_camera_that_is_doubted_is_a_warning(
+    source: str, file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(file, USB.replace("'v4l2:/dev/video7'", source))
+    file.with_name("camera.yaml").write_text(CAMERA.replace("319.5", "639.5"))
+    assert main(["config", "--check", str(file)]) == 0
+    line = capsys.readouterr().err.splitlines()[-1]
+    doubt = "cx 639.5 of a 640-wide image: are these intrinsics of a larger image?"
+    assert line == f"{file}: warning: camera: {doubt}"
+
+
 @pytest.mark.parametrize(
     ("text", "why"),
     [

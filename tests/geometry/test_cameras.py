@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from prism_edge.errors import ConfigError
@@ -118,10 +118,12 @@ def test_the_principal_point_is_the_optical_axis() -> None:
 
 
 @settings(max_examples=40, deadline=None)
-@given(width=st.integers(1, 2000), height=st.integers(1, 2000))
-def test_resizing_maps_pixels_as_an_area_resize_does(width: int, height: int) -> None:
+@example(width=1, stretched=1.0)
+@given(width=st.integers(20, 2000), stretched=st.floats(0.6, 1.7))
+def test_resizing_maps_pixels_as_an_area_resize_does(width: int, stretched: float) -> None:
     # outer corners go to outer corners: x' + 1/2 = s (x + 1/2)
     camera = vga(distortion=FREIBURG1)
+    height = round(0.75 * width * stretched)
     resized = camera.resized(width, height)
     points = np.array([[0.1, -0.2, 1.0], [-0.3, 0.25, 1.5]])
     expected = (camera.project(points) + 0.5) * (width / 640, height / 480) - 0.5
@@ -162,12 +164,38 @@ def test_arrays_that_describe_no_camera_are_refused(values: list[float]) -> None
         ({"model": "omni"}, "omni"),
         ({"distortion": (0.1, 0.2)}, "coefficients"),
         ({"model": FISHEYE, "distortion": (0.1,) * 5}, "coefficients"),
+        ({"fx": 63.9, "fy": 63.9}, "fx: 63.9 pixels"),
+        ({"fx": 100.0, "fy": 63.9}, "fy: 63.9 pixels"),
+        ({"fx": 12801.0, "fy": 12801.0}, "fx: 12801 pixels"),
+        ({"fx": 0.00525, "fy": 0.00525}, "fx: 0.00525 pixels"),  # metres
+        ({"fy": 1001.0}, "fx: 500 doesn't go with fy 1001"),
+        ({"fy": 249.0}, "fx: 500 doesn't go with fy 249"),
+        ({"cx": 1319.5}, "cx: 1319.5 lies outside the image, which is 640 pixels wide"),
+        ({"cx": -1.5}, "cx: -1.5"),
+        ({"cy": 481.0}, "cy: 481 lies outside the image, which is 480 pixels high"),
+        ({"cy": -320.0}, "cy: -320"),
     ],
 )
 def test_impossible_cameras_are_refused(changes: dict[str, object], word: str) -> None:
     values = {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0} | changes
     with pytest.raises(ConfigError, match=word):
         Camera(**values)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"fx": 64.0, "fy": 64.0},
+        {"fx": 12800.0, "fy": 12800.0},
+        {"fy": 1000.0},
+        {"fy": 250.0},
+        {"cx": 0.0, "cy": 480.0},
+        {"cx": 640.0, "cy": -0.5},
+    ],
+)
+def test_rare_cameras_are_possible(changes: dict[str, float]) -> None:
+    values = {"width": 640, "height": 480, "fx": 500.0, "fy": 500.0, "cx": 320.0, "cy": 240.0} | changes
+    assert Camera(**values).width == 640  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("camera", CAMERAS[:5], ids=IDS[:5])

@@ -72,6 +72,12 @@ def test_without_intrinsics_it_is_said_what_to_do(tiny_sequence: Path, tmp_path:
         estimated_camera(config(tiny_sequence, str(silent)), threading.Event())
 
 
+def test_an_answer_that_is_no_camera_is_none(tiny_sequence: Path, tmp_path: Path):
+    far_off = network(tmp_path / "far.onnx", [60.0, 0.0, 900.0, 0.0, 80.0, 119.5, 0.0, 0.0, 1.0])
+    with pytest.raises(SourceError, match="found no intrinsics"):
+        estimated_camera(config(tiny_sequence, str(far_off)), threading.Event())
+
+
 def test_the_error_of_a_network_camera_holds_no_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     path = network(tmp_path / "net.onnx")
     monkeypatch.setattr(uncalibrated, "_first_images", lambda config, stopped: iter(()))
