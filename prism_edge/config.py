@@ -292,7 +292,14 @@ class FramesConfig:
     base_link: str = named("base_link", "the robot (x forward, y left, z up)")
     camera: str = named("camera_optical", "the camera (x right, y down, z forward)")
     base_from_camera_xyz: tuple[float, ...] = field(
-        default=(0.0, 0.0, 0.0), metadata={"length": 3, "help": "camera position on the robot (m)"}
+        default=(0.0, 0.0, 0.0),
+        metadata={
+            "length": 3,
+            "low": -20.0,
+            "high": 20.0,
+            "measure": "metres",
+            "help": "camera position on the robot (m)",
+        },
     )
     base_from_camera_xyzw: tuple[float, ...] = field(
         default=(-0.5, 0.5, -0.5, 0.5),

@@ -68,6 +68,7 @@ class Leaf:
     high: float | None = None
     choices: tuple[str, ...] = ()
     length: int | None = None  # of a list
+    measure: str = ""  # what its numbers are, in a word
     unit: bool = False  # a list whose Euclidean norm is 1, within a per cent
     name: bool = False  # not blank, no slash in front, and unlike its section's other names
     help: str = ""
@@ -84,7 +85,9 @@ class Leaf:
         item = "numbers" if typing.get_args(self.type)[0] is float else "words"
         some = f" (of: {', '.join(self.choices)})" if self.choices else ""
         norm = " of norm 1" if self.unit else ""
-        return f"a list of {'' if self.length is None else f'{self.length} '}{item}{some}{norm}"
+        measure = f" ({self.measure})" if self.measure else ""
+        count = "" if self.length is None else f"{self.length} "
+        return f"a list of {count}{item}{some}{norm}{self._range()}{measure}"
 
     def _range(self) -> str:
         if self.low is not None and self.high is not None:
@@ -103,7 +106,7 @@ def leaves(tree: type = Config, prefix: str = "", reload: tuple[str, ...] = ()) 
             yield from leaves(kind, key + ".", field.metadata.get("reload", reload))
             continue
         default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        known = ("low", "high", "choices", "length", "unit", "name", "help", "reload")
+        known = ("low", "high", "choices", "length", "measure", "unit", "name", "help", "reload")
         meta = {k: v for k, v in field.metadata.items() if k in known}
         yield Leaf(key, kind, default, **{"reload": reload, **meta})
 
@@ -244,7 +247,7 @@ def _checked(leaf: Leaf, value: Any, place: str, node: yaml.Node | None = None) 
         item = typing.get_args(leaf.type)[0]
         values = [_typed(item, one) for one in value]
         for one, given in zip(values, value, strict=True):
-            if one is None or (leaf.choices and one not in leaf.choices):
+            if one is None or (leaf.choices and one not in leaf.choices) or _beyond(leaf, one):
                 raise refuse(given)
         if leaf.unit and abs(math.hypot(*values) - 1.0) > 0.01:
             norm = f", of norm {math.hypot(*values):.3g}"
@@ -256,9 +259,13 @@ def _checked(leaf: Leaf, value: Any, place: str, node: yaml.Node | None = None) 
         raise refuse(value)
     if leaf.name and result.startswith("/"):
         raise ConfigError(f"{place}: tf2 takes no name with a slash in front; write {result.lstrip('/')!r}")
-    if (leaf.low is not None and result < leaf.low) or (leaf.high is not None and result > leaf.high):
+    if _beyond(leaf, result):
         raise refuse(value)
     return result
+
+
+def _beyond(leaf: Leaf, value: Any) -> bool:
+    return (leaf.low is not None and value < leaf.low) or (leaf.high is not None and value > leaf.high)
 
 
 def _typed(kind: type, value: Any) -> Any:

@@ -17,8 +17,8 @@ def test_default_obeys_its_own_bounds(leaf: Leaf) -> None:
     items = leaf.default if isinstance(leaf.default, tuple) else (leaf.default,)
     item_type = typing.get_args(leaf.type)[0] if isinstance(leaf.default, tuple) else leaf.type
     assert all(type(item) is item_type or (item_type is float and type(item) is int) for item in items)
-    assert leaf.low is None or leaf.default >= leaf.low
-    assert leaf.high is None or leaf.default <= leaf.high
+    assert leaf.low is None or all(item >= leaf.low for item in items)
+    assert leaf.high is None or all(item <= leaf.high for item in items)
     assert not leaf.choices or all(item in leaf.choices for item in items)
     assert leaf.length is None or len(leaf.default) == leaf.length
 

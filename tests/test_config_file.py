@@ -216,6 +216,8 @@ def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
         ("source.rate_hz", float("nan"), "a number"),
         ("source.rate_hz", 10**400, "a number"),
         ("frames.base_from_camera_xyz", (1.0, 2.0), "3 numbers"),
+        ("frames.base_from_camera_xyz", "[300, -100, 500]", "from -20 to 20 (metres), got 300"),
+        ("frames.base_from_camera_xyz", (0.0, 0.0, -20.5), "(metres), got -20.5"),
         ("frames.base_from_camera_xyzw", (0.0, 0.0, 0.0, 0.0), "4 numbers of norm 1"),
         ("frames.base_from_camera_xyzw", "[0, 0, 0, 0.98]", "of norm 0.98"),
         ("frames.base_from_camera_xyzw", "[1e200, 0, 0, 1e200]", "of norm 1"),
@@ -225,7 +227,7 @@ def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
         ("frames.map", "/map", "tf2 takes no name with a slash in front; write 'map'"),
         ("depth.providers", "CPU", "expected a list of words, got the text 'CPU'; write [CPU]"),
         ("depth.providers", "cuda, cpu", "write [cuda, cpu]"),
-        ("frames.base_from_camera_xyz", "1", "expected a list of 3 numbers, got 1"),
+        ("frames.base_from_camera_xyz", "1", "expected a list of 3 numbers from -20 to 20 (metres), got 1"),
         ("ablate", "[wls, wheels]", "got 'wheels'"),
     ],
 )
