@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
+import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -48,6 +50,7 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.evaluation.recorder import PoseRecorder
 
     config = config_from(args)
+    _heed_ctrl_c()
     with ExitStack() as stack:
         bus = stack.enter_context(Bus.open(config, "watch"))
         heard = Listener(bus, config)
@@ -62,6 +65,12 @@ def run(args: argparse.Namespace) -> int:
                 show.pose(heard.view)
             show.moment(heard.view)
     return 0
+
+
+def _heed_ctrl_c() -> None:
+    """A script's shell has what it starts in the background ignore SIGINT, which else nothing could end."""
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class Listener:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -117,6 +120,23 @@ def test_records_the_cameras_poses(endpoint: str, tmp_path: Path) -> None:
     assert rows[:, 1] == pytest.approx(rows[:, 0])
     # the default camera looks along the robot's x axis
     assert np.abs(rows[:, 4:] - [-0.5, 0.5, -0.5, 0.5]).max() < 1e-9
+
+
+def test_ctrl_c_ends_it_in_the_background_of_a_script_too() -> None:
+    """A shell without job control starts what is in the background with SIGINT ignored."""
+    arguments = [sys.executable, "-m", "prism_edge.cli", "watch", "--plain", "--endpoint", free_endpoint()]
+    ignoring = "import os, signal, sys; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+    start = f"{ignoring}; os.execv(sys.argv[1], sys.argv[1:])"
+    with subprocess.Popen(
+        [sys.executable, "-c", start, *arguments], stderr=subprocess.PIPE, text=True
+    ) as watch:
+        assert watch.stderr is not None
+        assert "Ctrl-C ends" in watch.stderr.readline()
+        watch.send_signal(signal.SIGINT)
+        try:
+            assert watch.wait(20.0) == 130
+        finally:
+            watch.kill()
 
 
 def test_place_that_can_not_be_written_is_one_line(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
