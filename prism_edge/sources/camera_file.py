@@ -1,4 +1,4 @@
-"""Camera files: our own few keys, or what ROS's and OpenCV's calibrators write, read as it is."""
+"""Camera files: our own few keys, what ROS's and OpenCV's calibrators write, or an echoed camera_info."""
 
 from __future__ import annotations
 
@@ -22,6 +22,10 @@ _SAMPLE_KEYS = {"calibration_time", "nframes", "nr_of_frames", "board_width", "b
 _SAMPLE_KEYS |= {"marker_size", "aspectRatio", "fix_aspect_ratio", "flags", "fisheye_model"}
 _SAMPLE_KEYS |= {"avg_reprojection_error", "per_view_reprojection_errors", "extrinsic_parameters"}
 _SAMPLE_KEYS |= {"image_points", "grid_points"}
+# A sensor_msgs/CameraInfo as `ros2 topic echo` prints it; in ROS 1's, d k r p are capitals.
+_INFO_REQUIRED = ("width", "height", "distortion_model", "d", "k")
+_INFO_KEYS = {*_INFO_REQUIRED, "header", "r", "p", "binning_x", "binning_y", "roi"}
+_ROI_KEYS = {"x_offset", "y_offset", "height", "width", "do_rectify"}
 _MATRIX_KEYS = {"rows", "cols", "data", "dt"}
 # ROS's name -> our model, and how many coefficients go with it
 _ROS_MODELS = {
@@ -73,6 +77,7 @@ def parse_camera(text: str) -> Camera:
     text = re.sub(r"\A\ufeff?%YAML:1\.0", "%YAML 1.1", text)
     if text.startswith("%YAML 1.1") and not re.search(r"^---", text, re.MULTILINE):
         text = text.replace("\n", "\n---\n", 1)
+    text = re.sub(r"^---\s*\Z", "", text, flags=re.MULTILINE)  # an echoed message ends so
     try:
         tree = yaml.load(text, _Loader)
     except yaml.YAMLError as error:
@@ -84,7 +89,9 @@ def parse_camera(text: str) -> Camera:
         raise ConfigError("is no valid YAML") from None
     if not isinstance(tree, dict):
         raise ConfigError("holds no keys; expected width, height, fx, fy, cx, cy")
-    return _ros(tree) if "camera_matrix" in tree or "image_width" in tree else _own(tree)
+    if "camera_matrix" in tree or "image_width" in tree:
+        return _ros(tree)
+    return _echoed(tree) if tree.keys() & {"k", "K", "d", "D"} else _own(tree)
 
 
 def _own(tree: dict[Any, Any]) -> Camera:
@@ -102,21 +109,73 @@ def _ros(tree: dict[Any, Any]) -> Camera:
     fisheye = tree.get("fisheye_model", 0)
     if fisheye not in (0, 1):
         raise ConfigError(f"fisheye_model: expected 0 or 1, found {fisheye!r}")
-    name = _word(tree, "distortion_model", "equidistant" if fisheye else "plumb_bob")
+    model, counts, name = _ros_model(tree, "equidistant" if fisheye else "plumb_bob")
+    fx, fy, cx, cy = _intrinsics("camera_matrix.data", _matrix(tree, "camera_matrix"))
+    distortion = _matrix(tree, "distortion_coefficients")
+    distortion = _counted("distortion_coefficients.data", distortion, counts, name)
+    return Camera(_size(tree, "image_width"), _size(tree, "image_height"), fx, fy, cx, cy, model, distortion)
+
+
+def _echoed(tree: dict[Any, Any]) -> Camera:
+    """A camera_info message: its k and d, which belong to the raw image; r and p belong to the rectified."""
+    tree = {key.lower() if key in ("D", "K", "R", "P") else key: value for key, value in tree.items()}
+    _check_keys(tree, _INFO_KEYS, _INFO_REQUIRED)
+    width, height = _size(tree, "width"), _size(tree, "height")
+    for key in ("binning_x", "binning_y"):
+        if _number(key, tree.get(key, 0)) not in (0, 1):  # 0 is 1 there
+            raise ConfigError(f"{key}: {tree[key]} pixels are taken together, and k is of the whole sensor")
+    _check_whole(tree.get("roi") or {}, width, height)
+    distortion = _numbers("d", tree["d"])
+    if tree["distortion_model"] == "" and not any(distortion):  # of a simulator, or rectified
+        tree["distortion_model"] = "plumb_bob"
+    model, counts, name = _ros_model(tree)
+    if any(distortion):
+        while len(distortion) > max(counts) and distortion[-1] == 0.0:  # of a longer model that isn't used
+            distortion = distortion[:-1]
+        distortion = _counted("d", distortion, counts, name)
+    else:
+        distortion = ()
+    k = _numbers("k", tree["k"])
+    if k and not any(k[:8]):
+        raise ConfigError("k: is all zeros, by which ROS says that the camera is not calibrated")
+    return Camera(width, height, *_intrinsics("k", k), model, distortion)
+
+
+def _check_whole(roi: Any, width: int, height: int) -> None:
+    """A region of interest must be the whole image; all zeros say that, too."""
+    if not isinstance(roi, dict):
+        raise ConfigError(f"roi: expected x_offset, y_offset, height and width, found {roi!r}")
+    _check_keys({f"roi.{key}": None for key in roi}, {f"roi.{key}" for key in _ROI_KEYS}, ())
+    names = ("x_offset", "y_offset", "width", "height")
+    part = tuple(_number(f"roi.{name}", roi.get(name, 0)) for name in names)
+    if part not in ((0, 0, 0, 0), (0, 0, width, height)):
+        raise ConfigError(
+            f"roi: {part[2]:g}x{part[3]:g} at ({part[0]:g}, {part[1]:g}) is not the whole {width}x{height} "
+            "image that k belongs to"
+        )
+
+
+def _ros_model(tree: dict[Any, Any], default: str = "") -> tuple[str, tuple[int, ...], str]:
+    """Our model, how many coefficients it takes, and ROS's name of it."""
+    name = _word(tree, "distortion_model", default)
     if name not in _ROS_MODELS:
         raise ConfigError(f"distortion_model: {name!r} is not known (use {', '.join(_ROS_MODELS)})")
-    model, counts = _ROS_MODELS[name]
-    k = _matrix(tree, "camera_matrix")
+    return *_ROS_MODELS[name], name
+
+
+def _intrinsics(key: str, k: tuple[float, ...]) -> tuple[float, float, float, float]:
+    """fx, fy, cx, cy of a camera matrix, row by row."""
     if len(k) != 9:
-        raise ConfigError(f"camera_matrix.data: expected 9 numbers, found {len(k)}")
+        raise ConfigError(f"{key}: expected 9 numbers, found {len(k)}")
     if any((k[1], k[3], k[6], k[7])) or k[8] != 1.0:
-        raise ConfigError("camera_matrix.data: expected [fx, 0, cx, 0, fy, cy, 0, 0, 1], without skew")
-    distortion = _matrix(tree, "distortion_coefficients")
-    if len(distortion) not in counts:
-        wanted = " or ".join(map(str, counts))
-        raise ConfigError(f"distortion_coefficients.data: {name} takes {wanted}, not {len(distortion)}")
-    size = _size(tree, "image_width"), _size(tree, "image_height")
-    return Camera(*size, k[0], k[4], k[2], k[5], model, distortion)
+        raise ConfigError(f"{key}: expected [fx, 0, cx, 0, fy, cy, 0, 0, 1], without skew")
+    return k[0], k[4], k[2], k[5]
+
+
+def _counted(key: str, values: tuple[float, ...], counts: tuple[int, ...], name: str) -> tuple[float, ...]:
+    if len(values) not in counts:
+        raise ConfigError(f"{key}: {name} takes {' or '.join(map(str, counts))}, not {len(values)}")
+    return values
 
 
 def _check_keys(
