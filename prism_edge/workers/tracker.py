@@ -17,6 +17,7 @@ from prism_edge.bus.pack import grey
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config, TrackingConfig
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.mount import described
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import (
     INITIALISING,
@@ -367,6 +368,7 @@ def _tracking(config: Config) -> TrackingConfig:
 def main(config: Config, bus: Bus) -> None:
     """Runs until ``bus.stopped``."""
     cv2.setNumThreads(1)
+    log.info("%s", described(config.frames))
     worker = TrackerWorker(config, bus)
     # Every frame makes thousands of short-lived keypoint objects: they are no reason to search for cycles.
     gc.freeze()

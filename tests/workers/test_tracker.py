@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from prism_edge.bus import ros
+from prism_edge.config import Config
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import (
     Frame,
     probe_of,
 )
+from prism_edge.workers import tracker
 from prism_edge.workers.tracker import _tracking
 from tests.tracking.footage import footage, other_room
 from tests.workers.list_bus import ListBus
@@ -378,3 +381,13 @@ def test_an_ablated_part_is_off_and_no_other(part):
     tracking = _tracking(replace(CONFIG, ablate=(part,)))
     assert (tracking.proven_after_s > 0.0) == (part != "consistency")
     assert tracking.two_views == (part != "init")
+
+
+def test_the_log_says_where_the_camera_looks(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(tracker, "TrackerWorker", lambda config, bus: SimpleNamespace(run=lambda: None))
+    monkeypatch.setattr(tracker, "gc", SimpleNamespace(freeze=lambda: None, set_threshold=lambda *_: None))
+    caplog.set_level("INFO")
+    tracker.main(Config(), ListBus())
+    assert "camera looks along base_link (1.00, 0.00, 0.00), level with it" in caplog.text
