@@ -89,6 +89,10 @@ class Video(Source):
         if not capture.isOpened():
             raise SourceError(f"{self._path} is no video that can be read (and no folder of images)")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # intrinsics belong to frames as stored
+        turn = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
+        if turn and not self._known:
+            words = "%s asks to be turned by %d degrees; its frames are taken as they are stored"
+            log.warning(f"{words}, and so must the camera file be", self._path, turn)
         self._capture = capture
         self._next, self._coming = 0, []
         self._last_stamp_ns = -self.period_ns

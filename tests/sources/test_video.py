@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import struct
 from fractions import Fraction
 from pathlib import Path
 
@@ -45,6 +46,30 @@ def test_skipping_and_what_comes_next(tmp_path: Path) -> None:
         assert slot is not None
         assert item is not None
         assert (slot.index, slot.stamp_ns) == (item.index, item.stamp_ns) == (2, 100_000_000)
+
+
+def turned(path: Path, rows: tuple[int, ...]) -> Path:
+    """A video whose track has another matrix (ISO 14496-12, tkhd): its upper two rows, as whole numbers."""
+    tiny.write_video(path, kind="mp4v")
+    data = bytearray(path.read_bytes())
+    at = data.index(b"tkhd") + 4 + 40  # version 0
+    a, b, c, d = (value << 16 for value in rows)
+    data[at : at + 36] = struct.pack(">9i", a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    path.write_bytes(data)
+    return path
+
+
+@pytest.mark.parametrize(("rows", "degrees"), [((0, 1, -1, 0), 90), ((-1, 0, 0, -1), 180), ((1, 0, 0, 1), 0)])
+def test_a_video_that_asks_to_be_turned_is_not_but_it_is_said(
+    rows: tuple[int, ...], degrees: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with opened(turned(tmp_path / "clip.mp4", rows)) as source:
+        item = source.read()
+        source.open()  # as a loop does
+    assert isinstance(item, Image)
+    assert np.abs(item.pixels.astype(int) - tiny.picture(0)).mean() < 10.0
+    assert caplog.text.count("asks to be turned by") == (degrees > 0)
+    assert degrees == 0 or f"by {degrees} degrees; its frames are taken as they are stored" in caplog.text
 
 
 def write_h264(path: Path, kind: str, count: int = 8, **options: str) -> Path:

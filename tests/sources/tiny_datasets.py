@@ -74,9 +74,9 @@ def write_images(folder: Path, count: int = 12) -> Path:
     return folder
 
 
-def write_video(path: Path, count: int = 10, rate_hz: float = 20.0) -> Path:
+def write_video(path: Path, count: int = 10, rate_hz: float = 20.0, kind: str = "MJPG") -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), rate_hz, (64, 48))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*kind), rate_hz, (64, 48))
     assert writer.isOpened()
     for i in range(count):
         writer.write(picture(i))
