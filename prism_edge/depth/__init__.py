@@ -103,6 +103,7 @@ def locate(spec: str) -> Path:
         places = ", ".join(str(folder) for folder in folders())
         how = f"`prism-edge models pull {spec}` gets it" if entry.can_be_pulled else "put it there"
         raise ModelError(
-            f"model {spec}: its file {entry.file} is in none of {places}; {how} or give its path"
+            f"model {spec}: its file {entry.file} is in none of {places}; {how} or give its path "
+            "(docs/MODELS.md)"
         )
     return found

@@ -63,7 +63,7 @@ def test_what_can_not_be_opened_is_one_line(spec: str, says: str):
 def test_a_registered_name_without_its_file_says_where_it_was_sought(tmp_path: Path, monkeypatch):
     monkeypatch.setenv("PRISM_EDGE_MODELS", str(tmp_path))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with pytest.raises(ModelError, match="put it there or give its path") as error:
+    with pytest.raises(ModelError, match=r"put it there or give its path \(docs/MODELS.md\)") as error:
         open_network("fastdepth_nyu", CONFIG)
     assert str(tmp_path) in str(error.value)
 
