@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from prism_edge.config import Config, DepthConfig
 from prism_edge.geometry.poses import inverse, transform
-from prism_edge.messages import Depth, Gate, Keyframe, MapSnapshot, Scale
+from prism_edge.messages import IDS_A_LIFE, Depth, Gate, Keyframe, MapSnapshot, Scale
 from prism_edge.workers.backend import BackendWorker
 from tests.backend.world import Teller
 from tests.synthetic import messages
@@ -69,3 +70,18 @@ def hear(
 
 def snapshot(bus: ListBus) -> MapSnapshot:
     return bus.answers["map_snapshot"]()
+
+
+def live(
+    folder: Path, told: list, teller: Teller, life: int = 0, config: Config = CONFIG, ask: tuple[str, ...] = ()
+) -> ListBus:
+    """One life of a backend with its run's folder, which hears some keyframes and a command for each name."""
+    bus = ListBus("keyframe")
+    bus.life, bus.first_id, bus.run_directory = life, life * IDS_A_LIFE, folder
+    made = BackendWorker(config, bus)
+    hear(made, bus, told, teller)
+    for name in ask:
+        bus.desk.ask("save_map", name)
+    made._desk.serve()
+    made._snapshot = made._take_snapshot()
+    return bus

@@ -1,8 +1,7 @@
-"""The backend's map beyond its process: recovered after a kill, saved by name."""
+"""The backend's map beyond its process: recovered after a kill."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,40 +14,26 @@ from prism_edge.backend.journal import Journal
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus import codec
-from prism_edge.config import BackendConfig, StateConfig, TrackingConfig
+from prism_edge.config import BackendConfig, StateConfig
 from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE, Epoch
 from prism_edge.workers import backend as worker
-from prism_edge.workers import map_keeper, state_directory
+from prism_edge.workers import map_keeper
 from prism_edge.workers.cut_off import OWN_JOURNAL
-from prism_edge.workers.state_directory import map_names, map_path
-from tests.workers.backend_bench import CONFIG, depth_of, gate_of, hear, keyframes, snapshot
+from tests.workers.backend_bench import CONFIG, depth_of, gate_of, hear, keyframes, live, snapshot
 from tests.workers.list_bus import ListBus
-
-
-def run(folder: Path, told: list, teller, life: int = 0, config=CONFIG, ask: tuple[str, ...] = ()) -> ListBus:
-    """One life of a backend with its run's folder, which hears some keyframes and a command for each name."""
-    bus = ListBus("keyframe")
-    bus.life, bus.first_id, bus.run_directory = life, life * IDS_A_LIFE, folder
-    made = worker.BackendWorker(config, bus)
-    hear(made, bus, told, teller)
-    for name in ask:
-        bus.desk.ask("save_map", name)
-    made._desk.serve()
-    made._snapshot = made._take_snapshot()
-    return bus
 
 
 def test_a_life_that_ended_by_force_is_gone_on_from(tmp_path: Path) -> None:
     teller, told = keyframes(6)
-    before = snapshot(run(tmp_path, told[:5], teller))
-    bus = run(tmp_path, [], teller, life=1)
+    before = snapshot(live(tmp_path, told[:5], teller))
+    bus = live(tmp_path, [], teller, life=1)
     recovered = snapshot(bus)
     assert recovered.keyframes.tolist() == before.keyframes.tolist()
     assert set(recovered.points.tolist()) == set(before.points.tolist())
     assert recovered.log_scale == pytest.approx(0.25)
     np.testing.assert_allclose(recovered.poses, before.poses, atol=0.03)  # corrections since are made again
-    after = run(tmp_path, told[5:], teller, life=2)
+    after = live(tmp_path, told[5:], teller, life=2)
     assert snapshot(after).keyframes.tolist() == [0, 1, 2, 3, 4, 5]
     (update,) = after.of("map_update")
     assert update.sequence > IDS_A_LIFE  # newer than what earlier lives said
@@ -57,16 +42,16 @@ def test_a_life_that_ended_by_force_is_gone_on_from(tmp_path: Path) -> None:
 
 def test_the_first_life_of_a_run_forgets_what_another_left(tmp_path: Path) -> None:
     teller, told = keyframes(4)
-    run(tmp_path, told, teller)
-    assert len(snapshot(run(tmp_path, [], teller)).keyframes) == 0
-    assert len(snapshot(run(tmp_path, [], teller, life=1)).keyframes) == 0
+    live(tmp_path, told, teller)
+    assert len(snapshot(live(tmp_path, [], teller)).keyframes) == 0
+    assert len(snapshot(live(tmp_path, [], teller, life=1)).keyframes) == 0
 
 
 def test_a_new_epoch_begins_the_journal_anew(tmp_path: Path) -> None:
     teller, told = keyframes(6)
     later = [replace(k, epoch=1) for k in told[3:]]
-    run(tmp_path, [*told[:3], *later], teller)
-    assert snapshot(run(tmp_path, [], teller, life=1)).keyframes.tolist() == [3, 4, 5]
+    live(tmp_path, [*told[:3], *later], teller)
+    assert snapshot(live(tmp_path, [], teller, life=1)).keyframes.tolist() == [3, 4, 5]
 
 
 def test_a_map_that_moved_as_a_whole_is_written_as_a_whole(tmp_path: Path) -> None:
@@ -82,7 +67,7 @@ def test_a_map_that_moved_as_a_whole_is_written_as_a_whole(tmp_path: Path) -> No
     made._mapper.world.keyframes[1].world_from_camera[0, 3] += 5.0
     made._keeper.overhauled()
     made._absorb(told[3])
-    again = snapshot(run(tmp_path, [], teller, life=1))
+    again = snapshot(live(tmp_path, [], teller, life=1))
     assert again.poses[1][0, 3] == pytest.approx(made._mapper.world.keyframes[1].world_from_camera[0, 3])
 
 
@@ -90,14 +75,14 @@ def test_a_map_that_moved_as_a_whole_is_written_as_a_whole(tmp_path: Path) -> No
 @pytest.mark.parametrize("damage", ["noise", "cut", "gone"])
 def test_a_damaged_journal_ends_in_a_smaller_map_or_none(tmp_path: Path, file: str, damage: str) -> None:
     teller, told = keyframes(5)
-    run(tmp_path, told, teller)
+    live(tmp_path, told, teller)
     path = tmp_path / "journal" / file
     data = path.read_bytes()
     if damage == "gone":
         path.unlink()
     else:
         path.write_bytes(data[: len(data) // 2] if damage == "cut" else b"noise" + data[5:])
-    bus = run(tmp_path, [], teller, life=1)
+    bus = live(tmp_path, [], teller, life=1)
     known = snapshot(bus).keyframes.tolist()
     assert known == list(range(len(known)))
     assert bool(known) == (file == "tail")
@@ -107,7 +92,7 @@ def test_a_damaged_journal_ends_in_a_smaller_map_or_none(tmp_path: Path, file: s
 def test_keyframes_of_another_build_cost_themselves_and_what_follows(tmp_path: Path, caplog) -> None:
     """Their messages may have other fields; the map that they were added to is sound."""
     teller, told = keyframes(5)
-    run(tmp_path, told[:3], teller)
+    live(tmp_path, told[:3], teller)
     journal = Journal(tmp_path / "journal")
     found = journal.recover()
     assert found is not None
@@ -117,7 +102,7 @@ def test_keyframes_of_another_build_cost_themselves_and_what_follows(tmp_path: P
     for record in (*records[:-1], foreign, records[-1]):
         journal.append(record)
     journal.close()
-    assert snapshot(run(tmp_path, [], teller, life=1)).keyframes.tolist() == [0, 1]
+    assert snapshot(live(tmp_path, [], teller, life=1)).keyframes.tolist() == [0, 1]
     assert "another build" in caplog.text
 
 
@@ -129,7 +114,7 @@ def test_a_full_disk_costs_the_journal_alone_and_health_says_so(
 
     monkeypatch.setattr(map_file, "write", full)
     teller, told = keyframes(4)
-    bus = run(tmp_path, told, teller, ask=("lab",))
+    bus = live(tmp_path, told, teller, ask=("lab",))
     assert snapshot(bus).keyframes.tolist() == [0, 1, 2, 3]
     assert bus.of("map_update")
     assert "No space left" in bus.pulse.values["journal"]
@@ -161,7 +146,7 @@ def test_a_disk_that_is_full_for_a_while_is_tried_again_ever_less_often(
         now[0] += 1.0
     assert tried[:6] == [0, 2, 6, 14, 30, 62], "as often as it fails, twice as long"
     assert "journal" not in bus.pulse.values
-    kept = run(tmp_path, [], teller, life=1)
+    kept = live(tmp_path, [], teller, life=1)
     assert snapshot(kept).keyframes.tolist() == [0, 1, 2, 3]
 
 
@@ -170,10 +155,10 @@ def test_no_journal_where_there_is_no_folder_for_it_or_none_is_wanted(
 ) -> None:
     monkeypatch.delenv("STATE_DIRECTORY", raising=False)
     teller, told = keyframes(2)
-    run(tmp_path, told, teller, config=replace(CONFIG, state=StateConfig(journal=False)))
+    live(tmp_path, told, teller, config=replace(CONFIG, state=StateConfig(journal=False)))
     assert list(tmp_path.iterdir()) == []
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
-    run(tmp_path / "run", told, teller)
+    live(tmp_path / "run", told, teller)
     assert (tmp_path / "state" / "journal" / "base").is_file()
 
 
@@ -183,191 +168,16 @@ def test_what_is_kept_with_the_state_is_left_alone_by_a_run_that_does_not_have_i
     """Two runs with one state directory; and a worker that was started by hand, which has no run."""
     monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
     teller, told = keyframes(3)
-    run(tmp_path / "first", told, teller)
+    live(tmp_path / "first", told, teller)
     kept = {path: path.read_bytes() for path in (tmp_path / "state" / "journal").iterdir()}
     second = tmp_path / "second"
     second.mkdir()
     (second / OWN_JOURNAL).touch()
-    run(second, told[:2], teller)
-    assert snapshot(run(second, [], teller, life=1)).keyframes.tolist() == [0, 1]
+    live(second, told[:2], teller)
+    assert snapshot(live(second, [], teller, life=1)).keyframes.tolist() == [0, 1]
     by_hand = ListBus("keyframe")
     hear(worker.BackendWorker(CONFIG, by_hand), by_hand, told[:1], teller)
     assert {path: path.read_bytes() for path in (tmp_path / "state" / "journal").iterdir()} == kept
-
-
-class TestSaving:
-    @pytest.fixture(autouse=True)
-    def _state(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path / "state"))
-
-    def test_a_saved_map_is_the_map(self, tmp_path: Path) -> None:
-        teller, told = keyframes(5)
-        bus = run(tmp_path, told, teller, ask=("lab", "lab"))
-        assert [r.ok for r in bus.desk.replies] == [True, True]
-        assert bus.desk.replies[0].said.startswith("saved lab: 5 keyframes, ")
-        assert map_names(CONFIG.state) == ["lab"]
-        info, arrays = map_file.unpack(map_file.read(map_path(CONFIG.state, "lab")))
-        mapper = Mapper(BackendConfig())
-        assert mapper.restore(info, arrays) == KnownScale(0.25, 0.1, 0.07)
-        np.testing.assert_allclose(list(mapper.world.poses().values()), snapshot(bus).poses, atol=1e-12)
-        assert info["robot"] == CONFIG.robot
-        assert info["model"] == CONFIG.depth.model
-
-    def test_a_saved_map_is_loaded_in_another_run(self, tmp_path: Path) -> None:
-        teller, told = keyframes(6)
-        saved = run(tmp_path / "a", told[:5], teller, ask=("lab",))
-        bus = ListBus("keyframe")
-        bus.run_directory = tmp_path / "b"
-        made = worker.BackendWorker(replace(CONFIG, tracking=TrackingConfig(levels=8, scale_factor=1.2)), bus)
-        bus.desk.ask("load_map", "lab")
-        made._desk.serve()
-        (reply,) = bus.desk.replies
-        assert reply.ok
-        assert reply.said.startswith("loaded lab: 5 keyframes, ")
-        (loaded,) = bus.of("map_loaded")
-        assert loaded.epoch > 0
-        assert loaded.log_scale == pytest.approx(0.25)
-        np.testing.assert_allclose(snapshot(bus).poses, snapshot(saved).poses, atol=1e-12)
-        whole = made._keeper.whole(made._scale)
-        assert whole is not None
-        assert (whole.epoch, whole.log_scale) == (loaded.epoch, loaded.log_scale)
-        assert (loaded.scale_sigma, loaded.bias_sigma) == (0.1, 0.07)
-        assert whole.scale_sigma == pytest.approx(math.hypot(0.1, 0.07)), "what is published with it"
-        # the tracker goes on in it, and what it still says of the map before is not heard
-        bus.give("keyframe", told[5])
-        bus.give("keyframe", replace(told[5], epoch=loaded.epoch))
-        for _ in range(3):
-            made._waiting = type(made._waiting)((0.0, k) for _, k in made._waiting)  # waited long enough
-            made._realtime()
-        assert snapshot(bus).keyframes.tolist() == [0, 1, 2, 3, 4, 5]
-
-    @pytest.mark.parametrize("content", [None, b"", b"PRISMMAP", b"noise" * 50])
-    def test_what_can_not_be_loaded_leaves_the_map_as_it_is(
-        self, tmp_path: Path, content: bytes | None
-    ) -> None:
-        folder = state_directory.maps_folder(CONFIG.state)
-        folder.mkdir(parents=True)
-        if content is not None:
-            (folder / "lab.prismmap").write_bytes(content)
-        teller, told = keyframes(3)
-        bus = run(tmp_path, told, teller, ask=("other",))
-        made = bus.desk.handlers["load_map"].__self__  # type: ignore[attr-defined]
-        bus.desk.replies.clear()
-        bus.desk.ask("load_map", "lab")
-        made._desk.serve()
-        (reply,) = bus.desk.replies
-        assert not reply.ok
-        assert ("there are: other" if content is None else "not a sound map") in reply.said
-        assert bus.of("map_loaded") == []
-        assert len(made._mapper.world.keyframes) == 3
-
-    def test_a_map_of_other_pyramids_is_refused(self, tmp_path: Path) -> None:
-        teller, told = keyframes(3)
-        run(tmp_path, [replace(k, scale_factor=1.5) for k in told], teller, ask=("lab",))
-        bus = run(tmp_path, [], teller)
-        made = bus.desk.handlers["load_map"].__self__  # type: ignore[attr-defined]
-        bus.desk.ask("load_map", "lab")
-        made._desk.serve()
-        assert "another tracking.scale_factor" in bus.desk.replies[-1].said
-
-    @pytest.mark.parametrize(
-        ("count", "seen", "said"),
-        [
-            (1, True, "too few keyframes, 1"),
-            (3, False, "no points"),
-            (3, True, "more tracking.levels than 6"),
-        ],
-    )
-    def test_a_map_that_the_tracker_could_not_go_on_in_is_refused(
-        self, tmp_path: Path, count: int, seen: bool, said: str
-    ) -> None:
-        """Loading it would leave backend and scale in an epoch that the tracker never comes to."""
-        teller, told = keyframes(3)
-        mapper = Mapper(BackendConfig())
-        for keyframe in told[:count]:
-            mapper.absorb(keyframe)
-        info, arrays = mapper.stored()
-        if not seen:
-            arrays["seen"] = np.full_like(arrays["seen"], -1)
-        path = map_path(CONFIG.state, "lab")
-        path.parent.mkdir(parents=True)
-        path.write_bytes(map_file.pack({**info, **KnownScale().info}, arrays))
-        config = replace(CONFIG, tracking=TrackingConfig(levels=6, scale_factor=told[0].scale_factor))
-        bus = run(tmp_path, told, teller, config=config)
-        made = bus.desk.handlers["load_map"].__self__  # type: ignore[attr-defined]
-        bus.desk.ask("load_map", "lab")
-        made._desk.serve()
-        assert said in bus.desk.replies[-1].said
-        assert not bus.desk.replies[-1].ok
-        assert made._mapper.epoch == 0
-        assert len(made._mapper.world.keyframes) == 3
-        assert bus.of("map_loaded") == []
-
-    @pytest.mark.parametrize("was_said", [True, False])
-    def test_places_that_another_network_described_are_left_out(self, tmp_path: Path, was_said: bool) -> None:
-        """They mean nothing to this one. Whose they are, older files say in `model` alone."""
-        teller, told = keyframes(5)
-        looks = np.eye(8, dtype=np.float32)
-        config = replace(CONFIG, tracking=TrackingConfig(levels=8, scale_factor=told[0].scale_factor))
-        info, arrays = described(told, looks, "other")
-        if not was_said:
-            del info["places_of"]
-        path = map_path(CONFIG.state, "lab")
-        path.parent.mkdir(parents=True)
-        path.write_bytes(map_file.pack({**info, **KnownScale().info, "model": "other"}, arrays))
-        bus = ListBus("keyframe")
-        made = worker.BackendWorker(config, bus)
-        for k in told[:2]:
-            bus.give("depth", depth_of(k, teller, descriptor=looks[k.id]))
-            bus.give("gate", gate_of(k))
-            bus.give("keyframe", k)
-            made._realtime()
-        assert len(made._mapper.loops.index) == 2
-        assert made._load_map("lab").said.count("without another depth network's words") == 1
-        assert len(made._mapper.loops.index) == 0
-        assert len(made._mapper.world.keyframes) == 5
-
-    def test_places_of_the_same_network_are_kept_whatever_the_file_was_called(self, tmp_path: Path) -> None:
-        _, told = keyframes(3)
-        info, arrays = described(told, np.eye(8, dtype=np.float32), "exact")
-        path = map_path(CONFIG.state, "lab")
-        path.parent.mkdir(parents=True)
-        path.write_bytes(map_file.pack({**info, **KnownScale().info, "model": "a/path/to.onnx"}, arrays))
-        config = replace(CONFIG, tracking=TrackingConfig(levels=8, scale_factor=told[0].scale_factor))
-        made = worker.BackendWorker(config, ListBus("keyframe"))
-        assert "without" not in made._load_map("lab").said
-        assert len(made._mapper.loops.index) == 3
-
-    def test_no_map_no_file(self, tmp_path: Path) -> None:
-        bus = run(tmp_path, [], keyframes(1)[0], ask=("lab",))
-        assert [(r.ok, r.said) for r in bus.desk.replies] == [(False, "there is no map to save yet")]
-
-    def test_what_would_not_be_loaded_is_not_saved(self, tmp_path: Path) -> None:
-        teller, told = keyframes(1)
-        [reply] = run(tmp_path, told, teller, ask=("lab",)).desk.replies
-        assert not reply.ok
-        assert "too few keyframes, 1" in reply.said
-        assert map_names(CONFIG.state) == []
-        assert map_names(CONFIG.state) == []
-
-    @pytest.mark.parametrize(
-        "name", ["", ".", "..", "../x", "/etc/x", "a/b", ".hidden", "a" * 65, "a b", "ä", "a\n"]
-    )
-    def test_a_name_leads_nowhere_else(self, tmp_path: Path, name: str) -> None:
-        teller, told = keyframes(2)
-        bus = run(tmp_path, told, teller, ask=(name,))
-        assert not bus.desk.replies[0].ok
-        assert "is no name for a map" in bus.desk.replies[0].said
-        assert not (tmp_path / "state" / "maps").exists()
-
-
-def described(told: list, looks: np.ndarray, network: str) -> tuple[map_file.Info, map_file.Arrays]:
-    """A map as stored, its places in a network's words."""
-    mapper = Mapper(BackendConfig())
-    for keyframe in told:
-        mapper.absorb(keyframe)
-        mapper.loops.add_place(keyframe.id, looks[keyframe.id], network)
-    return mapper.stored()
 
 
 def test_the_journal_knows_whose_words_its_places_are_in(tmp_path: Path) -> None:
