@@ -20,7 +20,7 @@ class Range:
     most: float
 
     def __str__(self) -> str:
-        return f"{self.least:.3g} to {self.most:.3g} m, median {self.median:.3g} m"
+        return f"{_figure(self.least)} to {_figure(self.most)} m, median {_figure(self.median)} m"
 
     @property
     def doubt(self) -> str:
@@ -28,8 +28,8 @@ class Range:
         if NEAREST_M <= self.median <= FARTHEST_M:
             return ""
         return (
-            f"a median depth of {self.median:.3g} m is not within {NEAREST_M:g} and {FARTHEST_M:g} m: is "
-            "the output in metres? depth_scale in its card makes metres of it (docs/MODELS.md)"
+            f"a median depth of {_figure(self.median)} m is not within {NEAREST_M:g} and {FARTHEST_M:g} m: "
+            "is the output in metres? depth_scale in its card makes metres of it (docs/MODELS.md)"
         )
 
 
@@ -39,3 +39,8 @@ def range_of(depth: F32) -> Range | None:
     if not there.size:
         return None
     return Range(float(there.min()), float(np.median(there)), float(there.max()))
+
+
+def _figure(metres: float) -> str:
+    """Three digits, and no exponent of what is large."""
+    return f"{metres:.3g}" if metres < 1000 else f"{metres:.0f}"
