@@ -63,8 +63,9 @@ def show(metrics: dict[str, Any], out: Path) -> None:
     if not metrics["monocular"]:
         console.print("depth came from the recording's own sensor: not a monocular run", soft_wrap=True)
     if metrics["truth"]:
-        named = metrics["truth_file"] or metrics["truth"]
-        console.print(f"scored against {named}", highlight=False, soft_wrap=True)
+        file = metrics["truth_file"]
+        named = "" if file in (None, metrics["truth"]) else f" ({file})"  # carried over, where it is BONN's
+        console.print(f"scored against {metrics['truth']}{named}", highlight=False, soft_wrap=True)
     if metrics["camera"]:
         console.print(f"camera: {metrics['camera']['origin']}", highlight=False, soft_wrap=True)
     for warning in metrics["warnings"]:

@@ -183,7 +183,7 @@ def test_a_guessed_camera_is_said(capsys: pytest.CaptureFixture[str], tmp_path: 
     show(guessed, tmp_path)
     shown = capsys.readouterr().out
     assert "camera: a Kinect's (a guess)" in shown
-    assert "scored against desk/groundtruth.txt" in shown
+    assert "scored against the sequence's own (desk/groundtruth.txt)" in shown
     assert report(played=Played(camera))["warnings"] == []
 
 
