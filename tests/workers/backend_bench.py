@@ -73,7 +73,12 @@ def snapshot(bus: ListBus) -> MapSnapshot:
 
 
 def live(
-    folder: Path, told: list, teller: Teller, life: int = 0, config: Config = CONFIG, ask: tuple[str, ...] = ()
+    folder: Path,
+    told: list[Keyframe],
+    teller: Teller,
+    life: int = 0,
+    config: Config = CONFIG,
+    ask: tuple[str, ...] = (),
 ) -> ListBus:
     """One life of a backend with its run's folder, which hears some keyframes and a command for each name."""
     bus = ListBus("keyframe")

@@ -10,13 +10,11 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import map_file
-from prism_edge.backend.journal import Journal
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
-from prism_edge.bus import codec
 from prism_edge.config import BackendConfig, StateConfig
 from prism_edge.errors import MapError
-from prism_edge.messages import IDS_A_LIFE, Epoch
+from prism_edge.messages import IDS_A_LIFE
 from prism_edge.workers import backend as worker
 from prism_edge.workers import map_keeper
 from prism_edge.workers.cut_off import OWN_JOURNAL
@@ -87,23 +85,6 @@ def test_a_damaged_journal_ends_in_a_smaller_map_or_none(tmp_path: Path, file: s
     assert known == list(range(len(known)))
     assert bool(known) == (file == "tail")
     assert bus.states == []  # and it is up: nothing was raised
-
-
-def test_keyframes_of_another_build_cost_themselves_and_what_follows(tmp_path: Path, caplog) -> None:
-    """Their messages may have other fields; the map that they were added to is sound."""
-    teller, told = keyframes(5)
-    live(tmp_path, told[:3], teller)
-    journal = Journal(tmp_path / "journal")
-    found = journal.recover()
-    assert found is not None
-    info, arrays, records = found
-    foreign = map_file.pack(KnownScale().info, {"keyframe": np.frombuffer(codec.pack(Epoch(0)), np.uint8)})
-    journal.begin(lambda generation: map_file.pack({**info, "generation": generation}, arrays))
-    for record in (*records[:-1], foreign, records[-1]):
-        journal.append(record)
-    journal.close()
-    assert snapshot(live(tmp_path, [], teller, life=1)).keyframes.tolist() == [0, 1]
-    assert "another build" in caplog.text
 
 
 def test_a_full_disk_costs_the_journal_alone_and_health_says_so(

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import map_file
+from prism_edge.backend.journal import Journal
 from prism_edge.backend.map_file import Info
-from prism_edge.backend.stored_map import from_arrays, to_arrays
+from prism_edge.backend.stored_map import KnownScale, from_arrays, to_arrays
+from prism_edge.bus import codec
 from prism_edge.config import Config, DepthConfig, StateConfig, TrackingConfig
-from prism_edge.messages import IDS_A_LIFE, INITIALISING, MapLoaded, WholeMap
+from prism_edge.messages import IDS_A_LIFE, INITIALISING, Epoch, MapLoaded, WholeMap
 from prism_edge.workers import backend as worker
 from prism_edge.workers.cut_off import TOLD
 from tests.workers.backend_bench import CONFIG, hear, keyframes, snapshot
@@ -157,6 +159,24 @@ def test_a_damaged_journal_ends_in_a_smaller_map_or_none(tmp_path: Path, file: s
     fresh = [replace(k, epoch=1) for k in told]
     runs.backend(fresh, teller, goes_on=True)
     assert snapshot(runs.backend([], teller, life=1, again=True)).keyframes.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_keyframes_of_another_build_cost_themselves_and_what_follows(tmp_path: Path, caplog) -> None:
+    """Their messages may have other fields; the map that they were added to is sound."""
+    runs = Runs(tmp_path)
+    teller, told = keyframes(3)
+    runs.backend(told, teller)
+    journal = Journal(tmp_path / "state" / "journal")
+    found = journal.recover()
+    assert found is not None
+    info, arrays, records = found
+    foreign = map_file.pack(KnownScale().info, {"keyframe": np.frombuffer(codec.pack(Epoch(0)), np.uint8)})
+    journal.begin(lambda generation: map_file.pack({**info, "generation": generation}, arrays))
+    for record in (*records[:-1], foreign, records[-1]):
+        journal.append(record)
+    journal.close()
+    assert snapshot(runs.backend([], teller, goes_on=True)).keyframes.tolist() == [0, 1]
+    assert "another build" in caplog.text
 
 
 class Next(Asked):
