@@ -160,12 +160,11 @@ class LoopCloser:
         joined = self._connected(loop)
         units = None
         if not joined or not self._slight(loop, query):
-            moved = pose_graph.spread(world, loop, self._pairs(), joined)
-            if moved is None:
+            found = pose_graph.spread(world, loop, self._pairs(), joined)
+            if found is None:
                 return False
-            if not joined:
-                unit = pose_graph.unit_of_newer(world, loop, self._pairs(), moved)
-                units = math.log(unit), loop.log_scale_sigma
+            moved, log_unit = found
+            units = None if log_unit is None else (log_unit, loop.log_scale_sigma)
             pose_graph.apply(world, moved)
         relative = inverse(candidate.world_from_camera) @ loop.world_from_query
         ends = loop.query, loop.candidate, query.index, candidate.index

@@ -7,13 +7,14 @@ their present relative poses, and the two of the loop by what was measured.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from prism_edge.backend.connectivity import Ties, reachable, ties
+from prism_edge.backend.connectivity import hanging_together, reachable, ties
 from prism_edge.backend.frame import take_references
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop, median_depth
@@ -43,13 +44,14 @@ Moved = dict[int, Similarity]  # keyframes
 
 def spread(
     world: GlobalMap, loop: Loop, earlier: list[tuple[int, int]], joined: bool = True
-) -> Moved | None:
+) -> tuple[Moved, float | None] | None:
     """Where each keyframe belongs once ``loop`` holds; None where the solver fails.
 
-    The first keyframe is held, and the map keeps its unit on the whole:
-    the scale that everybody uses stays right. ``earlier`` are pairs that past loops joined. Keyframes
-    that hang together with neither end stay out. With ``joined`` False the ends are of separate parts, and
-    the newer moves as one, into the unit of the older.
+    The first keyframe is held, and the map keeps its unit on the whole: the scale that everybody uses stays
+    right. ``earlier`` are pairs that past loops joined. Keyframes that hang together with neither end stay
+    out. With ``joined`` False no ties lead from one end to the other, and the newer side moves as one; where
+    they share no point either they are separate parts of the map, and the older one's unit is kept. Then the
+    second of what is returned is the log of the newer one's unit in it, else None.
     """
     if not (np.isfinite(loop.world_from_query).all() and np.isfinite(loop.scale) and loop.scale > 0):
         return None
@@ -73,7 +75,10 @@ def spread(
             _noise(depths[loop.candidate], LOOP_SHARE, loop.log_scale_sigma),
         )
     )
-    home = part if joined else _older(edges, loop)
+    home = part
+    if not joined:
+        home = min((reachable(edges, {end}) for end in (loop.candidate, loop.query)), key=min)
+    apart = not joined and loop.candidate not in hanging_together(world, loop.query)
     held = min(home)
     tight = gtsam.noiseModel.Isotropic.Sigma(7, 1e-6)
     graph.add(
@@ -91,25 +96,20 @@ def spread(
     except RuntimeError:
         return None
     found = {k: _pose_and_scale(result.atSimilarity3(X(k))) for k in sorted(part)}
-    unit = float(np.exp(np.median([np.log(found[k][1]) for k in home])))
+    unit = _unit(found, home if apart else part)
+    log_unit = math.log(_unit(found, part - home) / unit) if apart else None
     anchor = world.keyframes[held].world_from_camera[:3, 3]
     out: Moved = {}
     for k, (pose, scale) in found.items():
         centre = anchor + (pose[:3, 3] - anchor) / unit
         out[k] = Similarity(normalised(from_rt(pose[:3, :3], centre)), scale / unit)
     sound = all(np.isfinite(s.world_from_camera).all() and 0.1 < s.scale < 10.0 for s in out.values())
-    return out if sound else None
+    return (out, log_unit) if sound else None
 
 
-def unit_of_newer(world: GlobalMap, loop: Loop, earlier: list[tuple[int, int]], moved: Moved) -> float:
-    """What a unit of the newer of two parts is in the older's, where a loop has joined the two."""
-    newer = moved.keys() - _older(ties(world, earlier), loop)
-    return float(np.exp(np.median([np.log(moved[k].scale) for k in newer])))
-
-
-def _older(edges: Ties, loop: Loop) -> set[int]:
-    """Of the parts that the ends of a loop are of, the one that was there first."""
-    return min((reachable(edges, {end}) for end in (loop.candidate, loop.query)), key=min)
+def _unit(found: dict[int, tuple[Array, float]], keyframes: set[int]) -> float:
+    """How much longer their lengths have become, on the median."""
+    return float(np.exp(np.median([np.log(found[k][1]) for k in keyframes])))
 
 
 def apply(world: GlobalMap, moved: Moved) -> None:

@@ -124,7 +124,10 @@ class Camera:
         return self.undistort_pixels(other.distort_pixels(pixels))
 
     def resized(self, width: int, height: int) -> Camera:
-        """The same camera after its image was resized; scaling is about the image's outer corner."""
+        """The same camera after its image was resized; scaling is about the image's outer corner.
+
+        Raises ConfigError where that leaves pixels that no camera has.
+        """
         sx, sy = width / self.width, height / self.height
         return replace(
             self,

@@ -49,9 +49,14 @@ class ScaleEstimator:
         return not self._filter.is_open
 
     def hear(self, keyframe: Keyframe) -> None:
-        """A keyframe has come, whose depth may come later or never: where the map has it counts even so."""
-        if keyframe.epoch == self._epoch and self._parts.is_here(keyframe):
-            self._gate.note(keyframe)
+        """A keyframe has come, whose depth may come later or never: where the map has it counts even so.
+
+        So does which parts of the map have become one; to be called once for each keyframe.
+        """
+        if keyframe.epoch == self._epoch:
+            self._join(keyframe)
+            if self._parts.is_here(keyframe):
+                self._gate.note(keyframe)
 
     def process(self, keyframe: Keyframe, depth: Depth | None) -> tuple[Scale, Gate] | None:
         """The scale after a keyframe, and the weights of its keypoints; None where its epoch is over.
@@ -63,7 +68,6 @@ class ScaleEstimator:
             return None
         if self._epoch != keyframe.epoch:
             self.begin(keyframe.epoch)
-        self._join(keyframe)
         if self._parts.enter(keyframe, self._config):
             self._gate.forget()
         self._gate.note(keyframe)
@@ -141,8 +145,9 @@ class ScaleEstimator:
         """Parts whose way to one another was found since the keyframe before."""
         if len(keyframe.joined) == len(keyframe.joined_units):
             for (newer, older), units in zip(keyframe.joined.tolist(), keyframe.joined_units, strict=True):
-                if np.isfinite(units).all():
-                    self._parts.join(newer, older, *units.tolist())
+                log_unit, sigma = units.tolist()
+                if math.isfinite(log_unit) and math.isfinite(sigma):
+                    self._parts.join(newer, older, log_unit, sigma, self._config)
 
     def _meet(self, depth: Depth) -> None:
         """Another network has other metres: they are off by its bias and by that of the one before."""

@@ -164,6 +164,7 @@ class ScaleFilter:
             return self
         came = copy.deepcopy(other)
         came._state = came._state - np.array([log_unit, 0.0])
+        came._contradicting.clear()  # in the other unit
         came._travelled = self._travelled
         came.widen(sigma)
         if self.is_open:

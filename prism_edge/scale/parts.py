@@ -54,11 +54,15 @@ class PartScales:
         home.filter.take_over(log_scale, sigma)
         home.steady.log_scale = log_scale
 
-    def join(self, newer: int, older: int, log_unit: float, sigma: float) -> None:
+    def join(self, newer: int, older: int, log_unit: float, sigma: float, config: ScaleConfig) -> None:
         """A part is in an older one's unit from now on: the log of its own in that one's, and its sigma."""
-        if newer in self._parts and older in self._parts:
-            known = self._parts[older]
-            known.filter = known.filter.joined(self._parts[newer].filter, log_unit, sigma)
+        if newer not in self._parts:
+            return
+        came = self._parts[newer]
+        if older not in self._parts:  # it had no depth, or was forgotten
+            self._parts[older] = PartScale(config, self._kalman, came.steady.log_scale - log_unit)
+        known = self._parts[older]
+        known.filter = known.filter.joined(came.filter, log_unit, sigma)
 
     def enter(self, keyframe: Keyframe, config: ScaleConfig) -> bool:
         """A keyframe is next; whether it belongs to another part than the one before."""

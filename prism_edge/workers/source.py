@@ -7,7 +7,6 @@ import logging
 import time
 from collections import deque
 from dataclasses import replace
-from pathlib import Path
 
 from prism_edge.bus.lockstep import Gatekeeper
 from prism_edge.bus.pack import pack
@@ -16,6 +15,7 @@ from prism_edge.config import Config
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.messages import EndOfStream, Frame
+from prism_edge.named_path import named_path
 from prism_edge.processes import processes_for
 from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
 from prism_edge.sources.checks import FrameChecks
@@ -52,7 +52,8 @@ class SourceWorker:
         self._checks = FrameChecks(source.camera)
         self._camera = source.camera.to_array()
         camera, mask = source.camera, config.source.mask  # the tracker's, but here is who knows the size
-        self._own_parts = OwnPartsWatch(mask_for(Path(mask), camera.width, camera.height) if mask else None)
+        seen = mask_for(named_path(mask), camera.width, camera.height) if mask else None
+        self._own_parts = OwnPartsWatch(seen)
         self._doubts = doubts(source.camera)
         self._last_index = -1
         self._reported: set[str] = set()

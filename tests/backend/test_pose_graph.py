@@ -9,15 +9,7 @@ from gtsam.symbol_shorthand import X
 
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop
-from prism_edge.backend.pose_graph import (
-    LOOP_SHARE,
-    Similarity,
-    _carry,
-    _similarity,
-    apply,
-    spread,
-    unit_of_newer,
-)
+from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, _carry, _similarity, apply, spread
 from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
 from tests.backend.world import SHARED, chain
 from tests.tracking.cloud import pose_at
@@ -33,7 +25,7 @@ def test_a_turn_is_spread_evenly():
     poses = [from_rt(so3_exp(np.array([0.0, 0.1 * i, 0.0])), np.zeros(3)) for i in range(n + 1)]
     world = chain(poses)
     there = from_rt(poses[-1][:3, :3] @ so3_exp(gap), np.zeros(3))
-    moved = spread(world, loop(world, n, 0, there), [])
+    moved, _ = spread(world, loop(world, n, 0, there), [])
     for k in range(n + 1):
         turn = so3_log(poses[k][:3, :3].T @ moved[k].world_from_camera[:3, :3])
         assert turn == pytest.approx(gap * k / (n + LOOP_SHARE**2), abs=1e-4)
@@ -50,7 +42,7 @@ def test_drift_of_scale_is_taken_out():
         true.append(true[-1] @ step)
         told.append(told[-1] @ from_rt(turn, np.array([0.5 * 0.99**k, 0.0, 0.0])))
     world = chain(told)
-    moved = spread(world, loop(world, n, 0, true[n], 0.99**-n), [])
+    moved, _ = spread(world, loop(world, n, 0, true[n], 0.99**-n), [])
     lengths = [
         np.linalg.norm(moved[k + 1].world_from_camera[:3, 3] - moved[k].world_from_camera[:3, 3])
         for k in range(n)
@@ -79,7 +71,7 @@ def test_points_and_depths_go_with_their_keyframe():
 def test_what_hangs_on_neither_end_stays():
     world = chain([pose_at(0.3 * i) for i in range(6)])
     chain([pose_at(50.0 + 0.3 * i) for i in range(3)], first=100, world=world)
-    moved = spread(world, loop(world, 5, 0, pose_at(1.6, 0.1)), [])
+    moved, _ = spread(world, loop(world, 5, 0, pose_at(1.6, 0.1)), [])
     assert set(moved) == set(range(6))
 
 
@@ -90,7 +82,7 @@ def test_a_part_of_its_own_is_moved_as_one():
     poses = [far @ pose_at(0.2 * i) for i in range(4)]
     chain(poses, first=100, world=world)
     there = pose_at(0.7, 0.2, 0.0, 0.0, 0.1, 0.0)
-    moved = spread(world, loop(world, 102, 3, there, 2.0), [], joined=False)
+    moved, _ = spread(world, loop(world, 102, 3, there, 2.0), [], joined=False)
     for k in range(6):
         assert moved[k].world_from_camera == pytest.approx(world.keyframes[k].world_from_camera, abs=1e-4)
         assert moved[k].scale == pytest.approx(1.0, abs=1e-4)
@@ -103,7 +95,7 @@ def test_a_part_of_its_own_is_moved_as_one():
 
 def test_two_keyframes_with_identical_poses():
     world = chain([pose_at(0.0), pose_at(0.0), pose_at(0.3)])
-    moved = spread(world, loop(world, 2, 0, pose_at(0.31)), [])
+    moved, _ = spread(world, loop(world, 2, 0, pose_at(0.31)), [])
     assert all(np.isfinite(s.world_from_camera).all() for s in moved.values())
 
 
@@ -117,23 +109,36 @@ def test_the_unit_of_the_older_part_is_kept_however_small_it_is():
     world = chain([pose_at(1.0 + 0.3 * i) for i in range(3)])
     poses = [pose_at(50.0 + 0.2 * i) for i in range(6)]
     chain(poses, first=100, world=world)
-    back = loop(world, 102, 1, pose_at(1.3), 2.0)
-    moved = spread(world, back, [], joined=False)
+    moved, log_unit = spread(world, loop(world, 102, 1, pose_at(1.3), 2.0), [], joined=False)
     for k in range(3):
         assert moved[k].world_from_camera == pytest.approx(world.keyframes[k].world_from_camera, abs=1e-3)
         assert moved[k].scale == pytest.approx(1.0, abs=1e-3)
     for i in range(6):
         assert moved[100 + i].scale == pytest.approx(2.0, abs=1e-3)
-    assert unit_of_newer(world, back, [], moved) == pytest.approx(2.0, abs=1e-3)
+    assert log_unit == pytest.approx(np.log(2.0), abs=1e-3)
 
 
 def test_the_newer_part_may_be_the_candidate_s():
     world = chain([pose_at(0.3 * i) for i in range(4)])
     chain([pose_at(50.0 + 0.2 * i) for i in range(3)], first=100, world=world)
     back = loop(world, 2, 101, pose_at(50.3), 0.5)  # what is 1 in the query's is half in the candidate's
-    moved = spread(world, back, [], joined=False)
+    moved, log_unit = spread(world, back, [], joined=False)
     assert moved[3].scale == pytest.approx(1.0, abs=1e-3)
-    assert moved[100].scale == unit_of_newer(world, back, [], moved) == pytest.approx(2.0, abs=1e-3)
+    assert moved[100].scale == pytest.approx(2.0, abs=1e-3)
+    assert log_unit == pytest.approx(np.log(2.0), abs=1e-3)
+
+
+def test_one_part_whose_ties_are_broken_keeps_its_unit_on_the_whole():
+    """A few points are shared still: the tracker never left that part, and nobody told it of two units."""
+    world = chain([pose_at(1.0 + 0.3 * i) for i in range(3)])
+    chain([pose_at(50.0 + 0.2 * i) for i in range(6)], first=100, world=world)
+    own, keypoint = next(iter(world.keyframes[100].observed.items()))
+    world.drop_observation(100, own)
+    world.observe(100, next(iter(world.keyframes[2].observed)), keypoint)
+    moved, log_unit = spread(world, loop(world, 102, 1, pose_at(1.3), 2.0), [], joined=False)
+    assert log_unit is None
+    assert moved[0].scale == pytest.approx(0.5, abs=1e-3)
+    assert moved[100].scale == pytest.approx(1.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("moving", ["query", "candidate"])
@@ -161,7 +166,7 @@ def test_a_map_in_another_unit_is_spread_alike():
             first = world.keyframes[min(point.keyframes)].world_from_camera
             point.position = transform(first, np.array([[0.0, 0.0, 3.0 * unit]]))[0]
         there = poses[8] @ from_rt(so3_exp(np.array([0.05, 0.1, 0.0])), unit * np.array([0.2, 0.1, -0.1]))
-        found.append(spread(world, loop(world, 8, 0, there, 1.1), []))
+        found.append(spread(world, loop(world, 8, 0, there, 1.1), [])[0])
     for k, moved in found[0].items():
         expected = moved.world_from_camera.copy()
         expected[:3, 3] *= 5.0

@@ -58,18 +58,39 @@ def test_back_at_home_nothing_of_the_part_is_left_in_its_scale():
 
 
 @pytest.mark.parametrize("known", [True, False])
-def test_joined_parts_know_what_either_did(known):
+@pytest.mark.parametrize("depth", ["at once", "late", "never"])
+def test_joined_parts_know_what_either_did(known, depth):
     """Lost after two seconds, mapped for longer, and home again: what was learned meanwhile counts."""
     estimator = ScaleEstimator(CONFIG)
     home = play(estimator, range(6), unit=1.3)
     there = play(estimator, range(30, 120), part=30, unit=1.5)
     joined, units = np.array([[30, HOME]]), np.array([[np.log(1.5 / 1.3), 0.002 if known else np.inf]])
     keyframe = replace(keyframe_of_wall(120, 48.0, 1.3), joined=joined, joined_units=units)
+    estimator.hear(keyframe)
+    if depth == "late":
+        estimator.process(keyframe, None)  # how unsure it is meanwhile
+    elif depth == "never":
+        keyframe = keyframe_of_wall(121, 48.4, 1.3)
+        estimator.hear(keyframe)
     back, _ = estimator.process(keyframe, depth_of(keyframe, **FITTED))
     assert back.part == HOME
+    assert estimator._filter.accepted == (5 + 89 if known else 5) + 1
     assert (abs(back.log_scale - np.log(1.3)) < 0.03) == known
     assert (back.filter_sigma < 1.05 * there[-1].filter_sigma) == known
     assert back.filter_sigma < 1.05 * home[-1].filter_sigma
+
+
+def test_a_part_that_joins_one_of_which_nothing_is_known_brings_what_is_known_into_its_unit():
+    estimator = ScaleEstimator(CONFIG)
+    (open_yet,) = play(estimator, [0], unit=2.0, valid=False)
+    assert not open_yet.metric
+    there = play(estimator, range(30, 90), part=30, unit=1.5)
+    joined, units = np.array([[30, HOME]]), np.array([[-np.log(2.0), 0.01]])
+    keyframe = replace(keyframe_of_wall(90, 36.0, 3.0), joined=joined, joined_units=units)
+    estimator.hear(keyframe)
+    back, _ = estimator.process(keyframe, None)
+    assert back.metric
+    assert back.log_scale == pytest.approx(there[-1].log_scale + np.log(2.0), abs=0.01)
 
 
 @pytest.mark.parametrize("depth", [None, "unusable"])

@@ -242,12 +242,15 @@ def test_what_cannot_be_played_is_an_error_before_ready(tmp_path: Path) -> None:
     assert bus.published.empty()
 
 
-def test_a_mask_of_another_size_is_an_error_before_ready(tmp_path: Path) -> None:
+def test_a_mask_of_another_size_is_an_error_before_ready(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
     folder = tiny.write_tum(tmp_path)
     cv2.imwrite(str(tmp_path / "mask.png"), np.full((20, 30), 255, np.uint8))
     bus = Recorder()
     with pytest.raises(ConfigError, match="is 30x20, but the camera's images are"):
-        main(settings(folder, mask=str(tmp_path / "mask.png")), bus)  # type: ignore[arg-type]
+        main(settings(folder, mask="~/mask.png"), bus)  # type: ignore[arg-type]
     assert "ready" not in bus.states
 
 

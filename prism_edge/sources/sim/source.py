@@ -6,7 +6,7 @@ import logging
 
 import numpy as np
 
-from prism_edge.errors import SourceError
+from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import F32, I64
@@ -38,9 +38,11 @@ class SimSource(Source):
         self.options: Options = parse(uri)
         o = self.options
         self.name = f"simulated {o.kind}, seed {o.seed}, {o.path}, {o.width}x{o.height}"
-        self.camera = Camera(
-            o.width, o.height, o.focal_length, o.focal_length, (o.width - 1) / 2, (o.height - 1) / 2
-        )
+        centre = (o.width - 1) / 2, (o.height - 1) / 2
+        try:
+            self.camera = Camera(o.width, o.height, o.focal_length, o.focal_length, *centre)
+        except ConfigError as error:
+            raise SourceError(f"{uri}: {error}") from None
         self.camera_origin = "the simulator's own"
         self.period_ns = at_rate(1, o.rate)
         self.plan: Plan = make_plan(o.several_rooms, o.seed)
