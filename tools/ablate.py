@@ -4,12 +4,12 @@
     python tools/ablate.py [--shared FOLDER] [--out DIR] [--seeds 0 1 2] [--most N] [--table static|dynamic]
     python tools/ablate.py RECORDING... --model MODEL [--out DIR] [--seeds 0 1 2] [--most N]
 
-The second is the static table for recordings of one's own, against their own truth; RECORDING and MODEL are
-as for `prism-edge eval`. FOLDER (default: `shared` beside the checkout) holds data/ and models/. Files go to
-DIR/<sequence>/<part>-<seed> (default: build/ablation), and a run that is there, of the same settings,
-versions and files, is not repeated: stop it when you like, and go on later; --most ends it after so many
-runs. All parts are run with the first seed, on real recordings and then on dynamic ones, before any with the
-second. A run that fails is named and passed over. The dynamic recordings are made by
+The second is the static table for recordings of one's own, against their own truth; RECORDING is a folder
+or a video, MODEL as for `prism-edge eval`. FOLDER (default: `shared` beside the checkout) holds data/ and
+models/. Files go to DIR/<sequence>/<part>-<seed> (default: build/ablation), and a run that is there, of the
+same settings, versions and files, is not repeated: stop it when you like, and go on later; --most ends it
+after so many runs. All parts are run with the first seed, on real recordings and then on dynamic ones,
+before any with the second. A run that fails is named and passed over. The dynamic recordings are made by
 tools/make_distractors.py, once. Printed is, in Markdown, what there is so far: live ATE after SE(3) and
 Sim(3) alignment, median over the seeds that are there, and the mean over the sequences, with its difference
 to the full system's over the same seeds; then, as errors over unlike stretches can't be compared, the SE(3)
@@ -43,7 +43,7 @@ from prism_edge.evaluation.scores import score  # noqa: E402
 from prism_edge.evaluation.trajectory import Trajectory, read_tum  # noqa: E402
 from prism_edge.sources.truth import read_truth  # noqa: E402
 from tools import make_distractors  # noqa: E402
-from tools.benchmark import path_name  # noqa: E402
+from tools.benchmark import as_named, path_name  # noqa: E402
 from tools.finished_runs import differences, metrics_there  # noqa: E402
 
 NETWORK = "models/fastdepth_nyu_224.onnx"
@@ -315,7 +315,7 @@ def note(names: list[str], shared: Path, out: Path, seeds: list[int]) -> str:
 
 def own_sequences(recordings: list[Path], model: str) -> tuple[Sequence, ...]:
     """Recordings of one's own, by the ends of their paths. Raises ValueError where two end alike."""
-    folders = list(dict.fromkeys(recording.expanduser().resolve() for recording in recordings))
+    folders = list(dict.fromkeys(map(as_named, recordings)))
     named = [Sequence(path_name(folder), str(folder), model=model) for folder in folders]
     if len({sequence.name for sequence in named}) < len(named):
         raise ValueError("two recordings have names that end alike: run them with different --out")

@@ -17,6 +17,7 @@ from __future__ import annotations
 import argparse
 import io
 import json
+import os
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -34,6 +35,7 @@ from prism_edge.errors import PrismError  # noqa: E402
 from prism_edge.evaluation.metrics import versions  # noqa: E402
 from prism_edge.evaluation.scores import of_own_length  # noqa: E402
 from prism_edge.evaluation.table import OWN_LENGTH  # noqa: E402
+from prism_edge.named_path import named_path  # noqa: E402
 from prism_edge.sources.open import find_listing  # noqa: E402
 from tools.accuracy import at  # noqa: E402
 from tools.finished_runs import Metrics, finished  # noqa: E402
@@ -87,6 +89,11 @@ def row_of(folder: Path) -> Row:
         return Row(folder, dataset_of(find_listing(folder).layout, folder))
     except (PrismError, OSError):
         return Row(folder, OTHER)  # `eval` says why when it is played
+
+
+def as_named(folder: Path) -> Path:
+    """Absolute, and by the name that was given, as a dataset is known by it: a link keeps its own."""
+    return Path(os.path.abspath(named_path(str(folder))))
 
 
 def path_name(folder: Path) -> str:
@@ -254,7 +261,7 @@ def _settings(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "build" / "benchmark")
     args = parser.parse_args(arguments)
     args.out = args.out.resolve()
-    args.folders = list(dict.fromkeys(folder.expanduser().resolve() for folder in args.folders))
+    args.folders = list(dict.fromkeys(map(as_named, args.folders)))
     places = [place(args.out, folder, args.mode, 1) for folder in args.folders]
     if len(set(places)) < len(places):
         parser.error("two folders have names that end alike: run them with different --out")

@@ -36,6 +36,7 @@ _SAMPLE_S = 1.0
 _LOOK_S = 0.1
 _LAST_FRAME_S = 10.0  # for the last frames to be tracked once the source has ended
 _SILENCE_S = 120.0  # without any frame: the run is given up
+PATHS = ("live.tum", "final.tum")
 FILES = ("live.tum", "final.tum", "truth.tum", "metrics.json", "effective.yaml", "daemon.log")
 
 
@@ -73,6 +74,8 @@ def evaluate(
     made_of = played(config.source, source, truth)
     if truth is not None and not truth.is_file():
         raise EvaluationError(f"{truth}: no such file: nothing to score against")
+    if truth is not None and truth.resolve() in {(out / name).resolve() for name in PATHS}:
+        raise EvaluationError(f"{truth} would be overwritten by this run's own: name another folder for it")
     true_path = _truth(config, truth)
     # Where the truth that was given lies among the results, it stays as it is.
     kept = {truth.resolve()} if truth is not None else set()

@@ -18,6 +18,9 @@ _PUBLISHED = np.array(
         [-0.3009, 0.6147, -0.8085, 0.0111],
     ]
 )
+# That matrix carries a scale of 1.059, which no pose has: its nearest rotation is taken.
+_U, _, _VT = np.linalg.svd(_PUBLISHED[:, :3])
+_MARKERS_FROM_CAMERA = from_rt(_U @ _VT, _PUBLISHED[:, 3])
 
 
 def holds_markers(folder: Path) -> bool:
@@ -28,10 +31,4 @@ def holds_markers(folder: Path) -> bool:
 
 def camera_from_markers(world_from_markers: Array) -> Array:
     """Poses (..., 4, 4), metres, of the optical camera, of what groundtruth.txt says; the world is turned."""
-    return _ROS @ world_from_markers @ _ROS @ _markers_from_camera()
-
-
-def _markers_from_camera() -> Array:
-    """The published matrix carries a scale of 1.059, which no pose has: its nearest rotation is taken."""
-    u, _, vt = np.linalg.svd(_PUBLISHED[:, :3])
-    return from_rt(u @ vt, _PUBLISHED[:, 3])
+    return _ROS @ world_from_markers @ _ROS @ _MARKERS_FROM_CAMERA

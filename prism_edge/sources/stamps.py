@@ -44,10 +44,10 @@ def write_seconds(stamp_ns: int) -> str:
 def from_names(names: Sequence[str]) -> tuple[int, ...] | None:
     """The stamps (ns) that images are named by, as EuRoC's are; None where their names are no such.
 
-    Whole numbers of 16 to 19 digits, all alike, ascending, usually by a millisecond and more: microseconds,
-    and counters with zeros in front, are none.
+    Whole numbers of 17 to 19 digits, all alike, ascending, usually by a millisecond and more: today's
+    microseconds have 16, and counters with zeros in front go up by less.
     """
-    if len(names) < 2 or len({len(name) for name in names}) > 1 or not 16 <= len(names[0]) <= 19:
+    if len(names) < 2 or len({len(name) for name in names}) > 1 or not 17 <= len(names[0]) <= 19:
         return None
     if not all(name.isascii() and name.isdecimal() for name in names):
         return None

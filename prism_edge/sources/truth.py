@@ -15,6 +15,7 @@ from prism_edge.messages import F64, I64
 from prism_edge.named_path import named_path
 from prism_edge.sources.bonn import camera_from_markers, holds_markers
 from prism_edge.sources.kitti import camera0_from_played, read_times
+from prism_edge.sources.known_cameras import BY_NAME, by_name
 from prism_edge.sources.listing import lines_of
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.sim import SimSource, is_simulated
@@ -24,6 +25,7 @@ log = logging.getLogger("prism_edge.sources")
 
 # A rotation written with few digits is off by less than this.
 _ROTATION_TOLERANCE = 0.01
+_AS_IT_IS = "its groundtruth.txt is taken for the camera's poses, not the markers'"
 
 
 def read_truth(uri: str) -> tuple[I64, F64] | None:
@@ -46,6 +48,8 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
         rows = _tum(folder / "groundtruth.txt")
         if holds_markers(folder):
             rows = [(stamp, camera_from_markers(pose)) for stamp, pose in rows]
+        elif rows and by_name(folder) == BY_NAME["rgbd_bonn"]:
+            log.warning("%s has BONN's camera, but is not called rgbd_bonn_*: %s", folder, _AS_IT_IS)
     elif listing.layout == "7-Scenes":
         poses = (path.with_name(path.name.split(".")[0] + ".pose.txt") for path in listing.files)
         rows = _seven_scenes(zip(listing.stamps_ns, poses, strict=True))

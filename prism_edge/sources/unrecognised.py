@@ -9,6 +9,9 @@ from prism_edge.sources import kitti
 from prism_edge.sources.listing import natural_order
 
 _NAMED = 4  # sequences; more than a few are no line any more
+AN_ARCHIVE = "is an archive: unpack it first, and name the folder"
+BAGS = {".bag", ".db3", ".mcap", ".klg"}
+A_BAG = "is a bag: write its images to files first (docs/SOURCES.md, Another dataset)"
 
 
 def guess(folder: Path) -> str:
@@ -16,6 +19,8 @@ def guess(folder: Path) -> str:
     with suppress(OSError):
         if images := kitti.image_folders(folder):
             return f"has KITTI's {images[0]} but no calib.txt: {kitti.TABLES}"
+        if any(path.suffix.lower() in BAGS for path in folder.iterdir()):
+            return A_BAG
         below = sorted((path for path in folder.iterdir() if _is_sequence(path)), key=natural_order)
         names = ", ".join([path.name for path in below[:_NAMED]] + ["..."] * (len(below) > _NAMED))
         if below:

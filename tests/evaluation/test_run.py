@@ -157,6 +157,16 @@ def test_the_truth_lies_beside_what_it_scores(tiny_sequence: Path, tmp_path: Pat
     assert given.read_text() == "# mine\n" + before, "what was given stays as it is"
 
 
+@pytest.mark.parametrize("name", ["live.tum", "final.tum"])
+def test_a_truth_that_the_run_would_overwrite_is_refused(
+    name: str, tiny_sequence: Path, tmp_path: Path
+) -> None:
+    (tmp_path / name).write_text("1 0 0 0 0 0 0 1\n")
+    with pytest.raises(EvaluationError, match="would be overwritten"):
+        run("normal", tiny_sequence, tmp_path, truth=tmp_path / name)
+    assert (tmp_path / name).read_text() == "1 0 0 0 0 0 0 1\n"
+
+
 def test_without_truth_none_of_an_earlier_run_is_left(tiny_sequence: Path, tmp_path: Path) -> None:
     sequence = shutil.copytree(tiny_sequence, tmp_path / "sequence")
     (sequence / "groundtruth.txt").unlink()

@@ -75,6 +75,16 @@ def test_other_folders_hold_the_cameras_poses(tmp_path: Path, name: str) -> None
     np.testing.assert_allclose(truth[1], path.poses, atol=1e-8)
 
 
+@pytest.mark.parametrize(("name", "warned"), [("bonn_balloon", 1), ("rgbd_bonn_balloon", 0), ("desk", 0)])
+def test_its_camera_without_its_name_is_warned_of(
+    tmp_path: Path, name: str, warned: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tiny.write_tum(tmp_path / name)
+    (folder / "groundtruth.txt").write_text("1.0 0 0 0 0 0 0 1\n")
+    assert read_truth(str(folder)) is not None
+    assert sum("not called rgbd_bonn_*" in record.message for record in caplog.records) == warned
+
+
 def test_the_folder_goes_by_its_name_from_within_and_through_a_link(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

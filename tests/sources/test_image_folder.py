@@ -60,6 +60,7 @@ def test_names_that_are_nanoseconds_are_stamps(tmp_path: Path, caplog: pytest.Lo
     "names",
     [
         ["1403636579763555", "1403636579813555", "1403636579863555"],  # microseconds
+        ["1403636579000000", "1403636580000000", "1403636581000000"],  # ... of an image a second
         ["0000000000000000", "0000000000000001", "0000000000000002"],
         ["1403636579763555584"],  # nothing to compare it with
         ["1403636579763555584", "1403636579813555584", "cover"],

@@ -30,6 +30,12 @@ def test_kitti_without_its_tables_names_their_download(tmp_path: Path, camera: s
     assert "data_odometry_calib.zip" in message
 
 
+def test_a_bag_of_ros_2_is_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    (tmp_path / "drive_0.db3").write_bytes(b"SQLite format 3\0")
+    assert "write its images to files first (docs/SOURCES.md" in refusal(tmp_path)
+
+
 def bare_kitti(folder: Path) -> Path:
     """As the images' own download unpacks."""
     tiny.write_image(folder / "image_2" / "000000.png", tiny.picture(0))

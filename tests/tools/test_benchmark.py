@@ -215,3 +215,13 @@ def test_folders_that_would_share_a_place_are_refused(tmp_path: Path, ran, capsy
 def test_a_figure_of_the_paper_goes_with_its_sequence_alone(dataset, folder, expected):
     found = published(dataset, Path("/data") / folder)
     assert (found.sim3_cm if found else None) == expected
+
+
+def test_a_link_keeps_its_name_by_which_the_dataset_is_known(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "d" / "balloon").mkdir(parents=True)
+    link = tmp_path / "rgbd_bonn_balloon"
+    link.symlink_to(tmp_path / "d" / "balloon")
+    monkeypatch.chdir(tmp_path)
+    assert benchmark.as_named(Path("d/../rgbd_bonn_balloon")) == link
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert benchmark.as_named(Path("~/rgbd_bonn_balloon")) == link
