@@ -205,7 +205,7 @@ def test_a_map_takes_no_more_memory_than_what_is_in_it_can_be_worth(
 ) -> None:
     arrays = {"cameras": np.zeros(keyframes, np.int64), "seen": np.zeros(keyframes * keypoints, np.uint8)}
     with nullcontext() if fits else pytest.raises(MapError, match="too much memory"):
-        stored_map._check_room([Camera(*side, 500.0, 500.0, 320.0, 240.0)], arrays)
+        stored_map._check_room([Camera(*side, side[0], side[0], side[0] / 2, side[1] / 2)], arrays)
 
 
 def test_a_small_file_of_huge_images_is_refused() -> None:
@@ -215,7 +215,7 @@ def test_a_small_file_of_huge_images_is_refused() -> None:
     none = {name: array[:0] for name, array in arrays.items() if name not in (*size, "starts")}
     numbers = np.arange(count)
     held = {**none, **many, "keyframes": numbers, "indices": numbers, "starts": np.zeros(count + 1, np.int64)}
-    cameras = [["pinhole", [20_000, 20_000, 500.0, 500.0, 320.0, 240.0]]]
+    cameras = [["pinhole", [20_000, 20_000, 20_000.0, 20_000.0, 10_000.0, 10_000.0]]]
     with pytest.raises(MapError, match="too much memory"):
         from_arrays({**info, "cameras": cameras}, {**held, "cameras": 0 * numbers}, max_carried=100)
 

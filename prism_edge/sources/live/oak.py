@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import ipaddress
+import logging
 import time
 from dataclasses import dataclass, replace
 from datetime import timedelta
@@ -15,6 +16,8 @@ from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
 from prism_edge.sources.address import parse_options
 from prism_edge.sources.live.driver import CameraLostError, Grab
+
+log = logging.getLogger("prism_edge.sources")
 
 SCHEME = "oak:"
 
@@ -190,8 +193,8 @@ class OakConnection:
 def intrinsics_of(dai: Any, transformation: Any) -> Camera | None:
     """The factory's intrinsics, carried over to the image as it was cropped and scaled on the device.
 
-    None where the device was never calibrated. Raises SourceError for a distortion that no camera model
-    here has.
+    None where the device was never calibrated, or as no camera can be. Raises SourceError for a distortion
+    that no camera model here has.
     """
     (fx, skew, cx), (_, fy, cy), _ = transformation.getIntrinsicMatrix()
     if fx <= 1.0 or fy <= 1.0:  # the unit matrix stands for none
@@ -208,7 +211,11 @@ def intrinsics_of(dai: Any, transformation: Any) -> Camera | None:
         kept = (kept + [0.0] * _RADIAL)[:_RADIAL] if any(kept) else []
     if any(rest):
         raise SourceError("the OAK's lens needs more than 8 coefficients: set undistort=yes")
-    return Camera(width, height, fx, fy, cx, cy, name, tuple(kept))
+    try:
+        return Camera(width, height, fx, fy, cx, cy, name, tuple(kept))
+    except ConfigError as error:  # whoever gives a camera file has no need of them
+        log.warning("the OAK's own intrinsics are passed over: %s", error)
+        return None
 
 
 def _pixels(frame: Any) -> Any:

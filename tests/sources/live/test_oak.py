@@ -100,8 +100,13 @@ def test_intrinsics_that_no_model_here_has_are_refused(unit: Unit) -> None:
     assert unit.boots == unit.closes
 
 
-def test_a_device_without_calibration_needs_a_file(unit: Unit) -> None:
-    unit.matrix = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+NONE = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+OUTSIDE = [[430.5, 0.0, 900.0], [0.0, 431.5, 241.75], [0.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize("matrix", [NONE, OUTSIDE])
+def test_a_device_without_calibration_needs_a_file(matrix: list[list[float]], unit: Unit) -> None:
+    unit.matrix = matrix
     with pytest.raises(ConfigError, match="--camera FILE"):
         source().open()
     own = Camera(320, 240, 200.0, 200.0, 160.0, 120.0)
