@@ -287,13 +287,13 @@ def test_health_says_that_the_camera_sees_its_own_robot(tmp_path: Path) -> None:
 def test_log_and_health_say_that_the_intrinsics_look_like_another_images(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    folder = bonnet(tmp_path / "robot")
+    folder = tiny.write_tum(tmp_path / "robot")
     with playing(settings(folder)) as bus:
         bus.until_end()
         assert "intrinsics" not in bus.pulse.values.get("warning", "")
     assert "intrinsics of" not in caplog.text
-    (folder / "camera.yaml").write_text("width: 320\nheight: 240\nfx: 520\nfy: 520\ncx: 319.5\ncy: 120\n")
-    doubt = "camera: cx 319.5 of a 320-wide image: are these intrinsics of a larger image?"
+    (folder / "camera.yaml").write_text(tiny.CAMERA.replace("cx: 31.5", "cx: 62.5"))
+    doubt = "camera: cx 62.5 of a 64-wide image: are these intrinsics of a larger image?"
     with playing(settings(folder)) as bus:
         wait_for(lambda: "warning" in bus.pulse.values)
         assert bus.pulse.values["warning"] == doubt
