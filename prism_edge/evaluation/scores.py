@@ -19,6 +19,7 @@ KITTI_LENGTHS_M = (100.0, 200.0, 300.0, 400.0, 500.0, 600.0, 700.0, 800.0)
 _KITTI_STEP = 10  # poses between segment starts, as in the benchmark's own tool
 _FRACTIONS = (0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 _SHORTEST_PATH_M = 1.0
+Segments = tuple[float, Array]  # length (m), errors (n, 4, 4)
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ def score(
         split_ns = (int(truth.stamps[0]) + int(truth.stamps[-1])) // 2
     early = np.asarray(estimate.stamps < split_ns)
     trans, rot = rpe(estimate, truth)
-    percent, lengths = t_rel(estimate, truth)
+    parts = segments(estimate, truth)
+    percent, lengths = t_rel(parts)
     return Scores(
         pairs=len(truth),
         ate_se3_m=ate(estimate.positions, truth.positions, with_scale=False),
@@ -71,7 +73,7 @@ def score(
         rpe_trans_m=trans,
         rpe_rot_deg=rot,
         t_rel_percent=percent,
-        r_rel_deg_per_100m=r_rel(estimate, truth),
+        r_rel_deg_per_100m=r_rel(parts),
         t_rel_lengths_m=lengths,
     )
 
@@ -116,26 +118,22 @@ def rpe(
     return _rms(np.linalg.norm(errors[:, :3, 3], axis=1)), float(np.degrees(_rms(_angles(errors[:, :3, :3]))))
 
 
-def t_rel(estimate: Trajectory, truth: Trajectory) -> tuple[float | None, list[float]]:
+def t_rel(parts: list[Segments]) -> tuple[float | None, list[float]]:
     """KITTI's mean translation error per length travelled (percent), and the lengths (m) it rests on.
 
-    Geiger et al. (CVPR 2012): over segments of 100 to 800 m of true path that start at every tenth
-    pose. Paths that hold no 100 m use 10 to 80 percent of their own length, starting at every pose;
-    (None, []) for paths under 1 m.
+    Over the `segments` of a path (Geiger et al., CVPR 2012); (None, []) where there are none.
     """
-    segments = _segments(estimate, truth)
-    if not segments:
+    if not parts:
         return None, []
-    errors = [np.linalg.norm(relative[:, :3, 3], axis=1) / length for length, relative in segments]
-    return 100.0 * float(np.concatenate(errors).mean()), [length for length, _ in segments]
+    errors = [np.linalg.norm(relative[:, :3, 3], axis=1) / length for length, relative in parts]
+    return 100.0 * float(np.concatenate(errors).mean()), [length for length, _ in parts]
 
 
-def r_rel(estimate: Trajectory, truth: Trajectory) -> float | None:
+def r_rel(parts: list[Segments]) -> float | None:
     """KITTI's mean rotation error per length travelled (deg / 100 m), over the segments of `t_rel`."""
-    segments = _segments(estimate, truth)
-    if not segments:
+    if not parts:
         return None
-    errors = [_angles(relative[:, :3, :3]) / length for length, relative in segments]
+    errors = [_angles(relative[:, :3, :3]) / length for length, relative in parts]
     return 100.0 * float(np.degrees(np.concatenate(errors).mean()))
 
 
@@ -144,8 +142,12 @@ def of_own_length(lengths_m: list[float]) -> bool:
     return bool(lengths_m) and lengths_m[0] < KITTI_LENGTHS_M[0]
 
 
-def _segments(estimate: Trajectory, truth: Trajectory) -> list[tuple[float, Array]]:
-    """Lengths (m), each with the errors (n, 4, 4) of the motion over all segments of that length."""
+def segments(estimate: Trajectory, truth: Trajectory) -> list[Segments]:
+    """Lengths (m), each with the errors (n, 4, 4) of the motion over all segments of that length.
+
+    KITTI's: 100 to 800 m of true path, starting at every tenth pose. Paths that hold no 100 m use 10 to 80
+    percent of their own length, starting at every pose; [] for paths under 1 m.
+    """
     if len(truth) < 2:
         return []
     steps = np.linalg.norm(np.diff(truth.positions, axis=0), axis=1)

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from prism_edge.evaluation.scores import ate, of_own_length, r_rel, rpe, score, t_rel
+from prism_edge.evaluation import scores
+from prism_edge.evaluation.scores import ate, of_own_length, r_rel, rpe, score, segments, t_rel
 from prism_edge.evaluation.trajectory import NS, Trajectory, associate, read_tum
 from prism_edge.geometry.poses import se3_exp
 
@@ -166,7 +167,7 @@ def kitti_loop(estimate: Trajectory, truth: Trajectory, lengths: list[float], st
 def test_t_rel_is_kittis_on_long_paths() -> None:
     truth = walk(11, n=300, rate_hz=10.0, step_m=1.0)
     estimate = disturbed(truth, 12)
-    percent, lengths = t_rel(estimate, truth)
+    percent, lengths = t_rel(segments(estimate, truth))
     assert lengths[:2] == [100.0, 200.0]
     assert percent == pytest.approx(kitti_loop(estimate, truth, [100.0 * k for k in range(1, 9)], 10))
 
@@ -190,7 +191,7 @@ def test_r_rel_is_kittis_on_long_paths() -> None:
     truth = walk(11, n=300, rate_hz=10.0, step_m=1.0)
     estimate = disturbed(truth, 12, radians=0.05)
     expected = devkit_degrees(estimate, truth, [100.0 * k for k in range(1, 9)], 10)
-    assert r_rel(estimate, truth) == pytest.approx(expected)
+    assert r_rel(segments(estimate, truth)) == pytest.approx(expected)
     assert score(estimate, truth).r_rel_deg_per_100m == pytest.approx(expected)
 
 
@@ -199,7 +200,7 @@ def test_r_rel_of_short_paths_uses_fractions() -> None:
     estimate = disturbed(truth, 14)
     path = float(np.linalg.norm(np.diff(truth.positions, axis=0), axis=1).sum())
     lengths = [path * k / 10 for k in range(1, 9)]
-    assert r_rel(estimate, truth) == pytest.approx(devkit_degrees(estimate, truth, lengths, 1))
+    assert r_rel(segments(estimate, truth)) == pytest.approx(devkit_degrees(estimate, truth, lengths, 1))
     assert of_own_length(score(estimate, truth).t_rel_lengths_m)
 
 
@@ -211,14 +212,14 @@ def test_a_steady_turn_is_its_r_rel() -> None:
     turned = poses.copy()  # on the spot, by 0.02 degrees a metre
     turned[:, :3, :3] = Rotation.from_euler("y", 0.02 * np.arange(n)[:, None], degrees=True).as_matrix()
     truth = Trajectory(stamps, poses)
-    assert r_rel(Trajectory(stamps, turned), truth) == pytest.approx(2.0, rel=0.01)
-    assert not of_own_length(t_rel(truth, truth)[1])
+    assert r_rel(segments(Trajectory(stamps, turned), truth)) == pytest.approx(2.0, rel=0.01)
+    assert not of_own_length(t_rel(segments(truth, truth))[1])
 
 
 def test_t_rel_of_short_paths_uses_fractions() -> None:
     truth = walk(13)
     estimate = disturbed(truth, 14)
-    percent, lengths = t_rel(estimate, truth)
+    percent, lengths = t_rel(segments(estimate, truth))
     path = float(np.linalg.norm(np.diff(truth.positions, axis=0), axis=1).sum())
     assert 1.0 < path < 100.0
     assert lengths == pytest.approx([path * k / 10 for k in range(1, 9)])
@@ -232,7 +233,7 @@ def test_a_scale_error_is_its_t_rel() -> None:
     truth = Trajectory(np.arange(n) * NS // 10, poses)
     longer = poses.copy()
     longer[:, 2, 3] *= 1.03
-    percent, _ = t_rel(Trajectory(truth.stamps, longer), truth)
+    percent, _ = t_rel(segments(Trajectory(truth.stamps, longer), truth))
     assert percent == pytest.approx(3.0, abs=0.5)  # segments end at the first pose beyond their length
 
 
@@ -256,5 +257,13 @@ def test_an_estimate_that_stands_still_has_no_scale() -> None:
 
 def test_a_path_too_short_has_no_t_rel() -> None:
     truth = walk(1, step_m=0.0001)
-    assert t_rel(truth, truth) == (None, [])
-    assert r_rel(truth, truth) is None
+    assert t_rel(segments(truth, truth)) == (None, [])
+    assert r_rel(segments(truth, truth)) is None
+
+
+def test_the_segments_of_a_trajectory_are_formed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    formed = []
+    whole = scores._relative_errors
+    monkeypatch.setattr(scores, "_relative_errors", lambda *given: formed.append(given) or whole(*given))
+    found = score(walk(13), walk(13))
+    assert len(formed) == 1 + len(found.t_rel_lengths_m), "for rpe, and each length"
