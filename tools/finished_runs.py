@@ -22,10 +22,11 @@ from prism_edge.depth import locate, networks_of
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError, PrismError
 from prism_edge.evaluation.metrics import versions
-from prism_edge.evaluation.played import layout_of, played, truth_file
+from prism_edge.evaluation.played import played
 from prism_edge.named_path import named_path
 from prism_edge.sources import open_source
 from prism_edge.sources.open import CAMERA_FILES, find_listing
+from prism_edge.sources.truth import truth_file
 
 Metrics = dict[str, Any]
 OWN_TRUTH = (None, "the sequence's own")
@@ -103,10 +104,10 @@ def tables_of(source: SourceConfig) -> list[Path]:
     if not folder.is_dir():
         return [folder, *(folder.with_name(name) for name in CAMERA_FILES)]
     try:
-        images = find_listing(folder).files[0].parent
-        truth = truth_file(source, layout_of(source))
+        listing = find_listing(folder)
     except PrismError:
         return []
+    images, truth = listing.files[0].parent, truth_file(folder, listing)
     between = [path for path in (images, *images.parents) if folder in path.parents]
     tables = {path for each in (folder, *between) for path in each.iterdir() if path.suffix in _TABLES}
     return sorted(tables.union([truth] if truth else []))

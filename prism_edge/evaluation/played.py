@@ -14,8 +14,10 @@ from prism_edge.named_path import named_path
 from prism_edge.sources import Source
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.known_cameras import ROS_DEFAULT
+from prism_edge.sources.listing import Listing
 from prism_edge.sources.open import AUTO, find_listing
 from prism_edge.sources.sim import is_simulated
+from prism_edge.sources.truth import truth_file
 
 _NUMBERS = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion")
 
@@ -41,32 +43,23 @@ class Played:
 
 def played(config: SourceConfig, source: Source, truth: Path | None) -> Played:
     """Of the ``source`` that a configuration names; ``truth`` is the file that was given, if one was."""
-    layout = layout_of(config)
+    listing = listing_of(config)
+    layout = listing.layout if listing else "simulator" if is_simulated(config.uri) else "video file"
+    own = truth_file(named_path(config.uri), listing) if listing else None
+    file = truth or (Path(os.path.abspath(own)) if own else None)
+    guessed = source.camera_origin == ROS_DEFAULT[0]
+    return Played(camera_of(source), layout, str(file) if file else None, guessed)
+
+
+def camera_of(source: Source) -> dict[str, Any]:
+    """Whose camera a source has, and its numbers; None for each that nobody knows yet."""
     known = source.camera is not UNCALIBRATED
     numbers = asdict(source.camera) if known else {}
     camera = {"origin": source.camera_origin if known else AUTO}
-    file = truth or truth_file(config, layout)
-    return Played(
-        camera | {name: numbers.get(name) for name in _NUMBERS},
-        layout,
-        str(file) if file else None,
-        source.camera_origin == ROS_DEFAULT[0],
-    )
+    return camera | {name: numbers.get(name) for name in _NUMBERS}
 
 
-def layout_of(config: SourceConfig) -> str:
-    """What kind of recording a configuration names; raises SourceError where a folder is of none."""
+def listing_of(config: SourceConfig) -> Listing | None:
+    """What the folder that a configuration names holds; None: it names none. Raises SourceError."""
     path = named_path(config.uri)
-    if is_simulated(config.uri):
-        return "simulator"
-    return find_listing(path, config.rate_hz).layout if path.is_dir() else "video file"
-
-
-def truth_file(config: SourceConfig, layout: str) -> Path | None:
-    """Where `sources/truth.py` finds a recording's own; of 7-Scenes, the folder of its .pose.txt."""
-    folder = Path(os.path.abspath(named_path(config.uri)))
-    if layout == "7-Scenes":
-        return find_listing(folder).files[0].parent
-    benchmarks = folder.parent.parent / "poses" / f"{folder.name}.txt"
-    found = {"TUM RGB-D": [folder / "groundtruth.txt"], "KITTI odometry": [folder / "poses.txt", benchmarks]}
-    return next((file for file in found.get(layout, []) if file.is_file()), None)
+    return find_listing(path, config.rate_hz) if path.is_dir() and not is_simulated(config.uri) else None

@@ -16,7 +16,7 @@ from prism_edge.named_path import named_path
 from prism_edge.sources.bonn import camera_from_markers, holds_markers
 from prism_edge.sources.kitti import camera0_from_played, read_times
 from prism_edge.sources.known_cameras import BY_NAME, by_name
-from prism_edge.sources.listing import lines_of
+from prism_edge.sources.listing import Listing, lines_of
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.sim import SimSource, is_simulated
 from prism_edge.sources.stamps import parse_seconds
@@ -43,30 +43,48 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
     if not folder.is_dir():
         return None
     listing = find_listing(folder)
+    file = truth_file(folder, listing)
+    if file is None:
+        return None
     rows: list[tuple[int, Array]] = []
     if listing.layout == "TUM RGB-D":
-        rows = _tum(folder / "groundtruth.txt")
+        rows = _tum(file)
         if holds_markers(folder):
             rows = [(stamp, camera_from_markers(pose)) for stamp, pose in rows]
         elif rows and by_name(folder) == BY_NAME["rgbd_bonn"]:
             log.warning("%s has BONN's camera, but is not called rgbd_bonn_*: %s", folder, _AS_IT_IS)
     elif listing.layout == "7-Scenes":
-        poses = (path.with_name(path.name.split(".")[0] + ".pose.txt") for path in listing.files)
-        rows = _seven_scenes(zip(listing.stamps_ns, poses, strict=True))
+        rows = _seven_scenes(zip(listing.stamps_ns, map(_pose_file, listing.files), strict=True))
     elif listing.layout == "KITTI odometry":
-        # Without `..`, which is no sequence's name; a link keeps its own, as it may be the only one.
-        absolute = Path(os.path.abspath(folder))
-        benchmarks = absolute.parent.parent / "poses" / f"{absolute.name}.txt"  # of / the parent is / itself
-        rows = _kitti(folder, (folder / "poses.txt", benchmarks))
+        rows = _kitti(folder, file)
     if not rows:
         return None
     rows.sort(key=lambda row: row[0])
     return np.array([stamp for stamp, _ in rows], dtype=np.int64), np.array([pose for _, pose in rows])
 
 
+def truth_file(folder: Path, listing: Listing) -> Path | None:
+    """The file that holds a recording's own truth, or the folder of 7-Scenes' many; None: there is none."""
+    if listing.layout == "7-Scenes":
+        return next((image.parent for image in listing.files if _pose_file(image).is_file()), None)
+    candidates: list[Path] = []
+    if listing.layout == "TUM RGB-D":
+        candidates = [folder / "groundtruth.txt"]
+    elif listing.layout == "KITTI odometry":
+        # Without `..`, which is no sequence's name; a link keeps its own, as it may be the only one.
+        absolute = Path(os.path.abspath(folder))
+        benchmarks = absolute.parent.parent / "poses" / f"{absolute.name}.txt"  # of / the parent is / itself
+        candidates = [folder / "poses.txt", benchmarks]
+    return next((file for file in candidates if file.is_file()), None)
+
+
+def _pose_file(image: Path) -> Path:
+    return image.with_name(image.name.split(".")[0] + ".pose.txt")
+
+
 def _tum(path: Path) -> list[tuple[int, Array]]:
     rows, left_out = [], ""
-    lines = lines_of(path) if path.is_file() else []
+    lines = lines_of(path)
     for number, words in lines:
         where = f"{path} line {number}"
         *position, x, y, z, w = numbers = _numbers(words[1:], 7, where, finite=False)
@@ -99,10 +117,7 @@ def _seven_scenes(pairs: Iterable[tuple[int, Path]]) -> list[tuple[int, Array]]:
     return rows
 
 
-def _kitti(folder: Path, candidates: tuple[Path, ...]) -> list[tuple[int, Array]]:
-    path = next((path for path in candidates if path.is_file()), None)
-    if path is None:
-        return []
+def _kitti(folder: Path, path: Path) -> list[tuple[int, Array]]:
     poses = [
         _pose(_numbers(words, 12, f"{path} line {n}"), f"{path} line {n}") for n, words in lines_of(path)
     ]

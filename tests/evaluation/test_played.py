@@ -45,6 +45,16 @@ def test_the_truth_of_kittis_own_tree_is_found(tmp_path: Path) -> None:
     assert of(folder).truth_file == str(poses)
 
 
+def test_seven_scenes_without_a_pose_file_has_no_truth(tmp_path: Path) -> None:
+    folder = tiny.write_seven_scenes(tmp_path)
+    first, *others = sorted(folder.glob("*.pose.txt"))
+    first.unlink()
+    assert of(folder).truth_file == str(folder)
+    for pose in others:
+        pose.unlink()
+    assert of(folder).truth_file is None
+
+
 def test_another_truth_is_named_in_its_place(tmp_path: Path) -> None:
     assert of(tiny.write_tum(tmp_path), tmp_path / "mine.tum").truth_file == str(tmp_path / "mine.tum")
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import os
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -11,8 +13,9 @@ import pytest
 from sources import tiny_datasets as tiny
 
 from prism_edge.errors import ConfigError, SourceError
+from prism_edge.sources.open import find_listing
 from prism_edge.sources.sensor_depth import SensorDepth
-from prism_edge.sources.truth import read_truth
+from prism_edge.sources.truth import read_truth, truth_file
 
 PACKAGE = Path(__file__).resolve().parents[2] / "prism_edge"
 
@@ -24,6 +27,32 @@ def test_tum(tmp_path: Path) -> None:
     assert stamps[1] == 1305031102275304000
     np.testing.assert_allclose(poses[:, 0, 3], [0.0, 0.1, 0.2, 0.3, 0.4])
     np.testing.assert_allclose(poses[:, :3, :3], np.broadcast_to(np.eye(3), (5, 3, 3)))
+
+
+@pytest.mark.parametrize(
+    ("write", "name"),
+    [
+        (tiny.write_tum, "groundtruth.txt"),
+        (tiny.write_seven_scenes, "."),
+        (tiny.write_kitti, "poses.txt"),
+        (tiny.write_kitti, "../../poses/03.txt"),
+        (tiny.write_images, None),
+    ],
+)
+def test_the_file_of_truth_is_what_is_read(
+    tmp_path: Path, write: Callable[[Path], Path], name: str | None
+) -> None:
+    folder = write(tmp_path / "sequences" / "03")
+    if name and name.startswith(".."):
+        (tmp_path / "poses").mkdir()
+        (folder / "poses.txt").rename(folder / name)
+    file = truth_file(folder, find_listing(folder))
+    assert file == (Path(os.path.normpath(folder / name)) if name else None)
+    assert (read_truth(str(folder)) is None) == (file is None)
+    for gone in [] if file is None else folder.glob("*.pose.txt") if file == folder else [file]:
+        gone.unlink()
+    assert truth_file(folder, find_listing(folder)) is None
+    assert read_truth(str(folder)) is None
 
 
 def test_quaternions_are_x_y_z_w(tmp_path: Path) -> None:
