@@ -8,9 +8,12 @@ code was, nor what the images hold.
 from __future__ import annotations
 
 import json
+import logging
+import os
 import sys
-from collections.abc import Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -22,17 +25,28 @@ from prism_edge.depth import locate, networks_of
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError, PrismError
 from prism_edge.evaluation.metrics import versions
-from prism_edge.evaluation.played import played
+from prism_edge.evaluation.played import camera_of, listing_of
 from prism_edge.named_path import named_path
 from prism_edge.sources import open_source
-from prism_edge.sources.open import CAMERA_FILES, find_listing
-from prism_edge.sources.truth import truth_file
+from prism_edge.sources.listing import Listing
+from prism_edge.sources.open import CAMERA_FILES
+from prism_edge.sources.sim import is_simulated
+from prism_edge.sources.truth import read_truth, truth_file
 
 Metrics = dict[str, Any]
 OWN_TRUTH = (None, "the sequence's own")
 # What an evaluation sets by itself.
 _NO_SETTINGS = {"bus.endpoint", "source.wait_s", "source.loop"}
 _TABLES = {".txt", ".csv", ".yaml", ".yml"}  # of a recording: stamps, calibration, truth
+State = tuple[tuple[str, int, int, int], ...]
+
+
+@dataclass(frozen=True)
+class _Recording:
+    """What `eval` would play; None where it can't."""
+
+    listing: Listing | None  # nor of a video or a simulated world
+    camera: Metrics | None  # as JSON gives it back, but for whose it is
 
 
 def finished(where: Path, words: Sequence[str]) -> Metrics | None:
@@ -69,9 +83,9 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     found = [key for key in apart if key not in _NO_SETTINGS]
     then, present = _flat(metrics.get("versions")), versions()
     found += [f"the version of {key}" for key in sorted(present) if then.get(key) != present[key]]
-    if not _same_truth(metrics, args.truth):
+    if not _same_truth(metrics, args.truth, config.source):
         found.append("the truth")
-    camera = _camera(config.source)
+    camera = _recording(config.source).camera
     before = metrics.get("camera")  # runs of earlier builds don't say it
     if camera and isinstance(before, dict) and camera != {key: before.get(key) for key in camera}:
         found.append("the camera")
@@ -80,12 +94,35 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     return found + [str(file) for file in named if file.is_file() and file.stat().st_mtime_ns > made_ns]
 
 
-def _same_truth(metrics: Metrics, given: Path | None) -> bool:
-    """Whether a run was scored against the truth ``given``, or the recording's own, which is still there."""
-    truth, file = metrics.get("truth"), metrics.get("truth_file")
+def _same_truth(metrics: Metrics, given: Path | None, source: SourceConfig) -> bool:
+    """Whether a run was scored against what it would be now: the file ``given``, or the recording's own."""
+    truth, file = metrics.get("truth"), metrics.get("truth_file")  # runs of earlier builds don't say the file
     if given:
         return bool(truth == str(given))
-    return truth in OWN_TRUTH and (file is None or Path(file).exists())
+    if truth not in OWN_TRUTH:
+        return False
+    if is_simulated(source.uri):
+        return truth is not None
+    if _recording(source).camera is None:
+        return file is None or Path(file).exists()  # `eval` says why it can't be played
+    now = _own_truth(source)
+    if truth is None:
+        return now is None or not _has_poses(source)
+    return now is not None and file in (None, os.path.abspath(now))
+
+
+def _own_truth(source: SourceConfig) -> Path | None:
+    listing = _recording(source).listing
+    return truth_file(named_path(source.uri), listing) if listing else None
+
+
+def _has_poses(source: SourceConfig) -> bool:
+    """Whether a recording's own truth is more than a file without poses."""
+    try:
+        with _silent_sources():
+            return read_truth(source.uri) is not None
+    except PrismError:
+        return True  # damaged: `eval` says where
 
 
 def files_of(config: Config) -> list[Path]:
@@ -103,23 +140,58 @@ def tables_of(source: SourceConfig) -> list[Path]:
     folder = named_path(source.uri)
     if not folder.is_dir():
         return [folder, *(folder.with_name(name) for name in CAMERA_FILES)]
-    try:
-        listing = find_listing(folder)
-    except PrismError:
+    listing, truth = _recording(source).listing, _own_truth(source)
+    if listing is None:
         return []
-    images, truth = listing.files[0].parent, truth_file(folder, listing)
+    images = listing.files[0].parent
     between = [path for path in (images, *images.parents) if folder in path.parents]
     tables = {path for each in (folder, *between) for path in each.iterdir() if path.suffix in _TABLES}
     return sorted(tables.union([truth] if truth else []))
 
 
-def _camera(source: SourceConfig) -> dict[str, Any] | None:
-    """The intrinsics that a run would have now, as JSON gives them back; None where there are none to see."""
+def _recording(source: SourceConfig) -> _Recording:
+    return _opened(source, _state(source))
+
+
+@lru_cache(maxsize=64)
+def _opened(source: SourceConfig, state: State) -> _Recording:
+    """Asked once, and without a word, while a recording's files are in one state; `eval` has the warnings."""
+    listing = None
+    with _silent_sources():
+        try:
+            listing = listing_of(source)
+            camera = camera_of(open_source(source))
+        except (PrismError, OSError):
+            return _Recording(listing, None)
+    return _Recording(listing, _as_written({key: camera[key] for key in camera if key != "origin"}))
+
+
+def _state(source: SourceConfig) -> State:
+    """Of a recording's folders, tables and camera file, or a video; dates can be set, changes not."""
+    top = named_path(source.uri)
+    watched = [top, *(top.with_name(name) for name in CAMERA_FILES)]
+    watched += [named_path(source.camera)] if source.camera else []
+    for folder, below, names in os.walk(top):
+        watched += [Path(folder, name) for name in below]
+        watched += [Path(folder, name) for name in names if Path(name).suffix in _TABLES]
+    found = []
+    for path in watched:
+        try:
+            stat = path.stat()
+        except OSError:
+            continue
+        found.append((str(path), stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size))
+    return tuple(found)
+
+
+@contextmanager
+def _silent_sources() -> Iterator[None]:
+    log = logging.getLogger("prism_edge.sources")
+    before, log.disabled = log.disabled, True
     try:
-        camera = played(source, open_source(source), None).camera or {}
-    except (PrismError, OSError):
-        return None  # `eval` says why
-    return dict(_as_written({key: value for key, value in camera.items() if key != "origin"}))
+        yield
+    finally:
+        log.disabled = before
 
 
 def _network_files(name: str) -> list[Path]:

@@ -17,6 +17,7 @@ from prism_edge.evaluation import run
 from prism_edge.evaluation.metrics import versions
 from prism_edge.evaluation.played import Played, played
 from prism_edge.sources import open_source
+from prism_edge.sources.truth import read_truth
 
 
 def metrics_of(words: Sequence[str]) -> dict[str, Any]:
@@ -24,15 +25,16 @@ def metrics_of(words: Sequence[str]) -> dict[str, Any]:
     args = build_parser("eval").parse_args(list(words))
     with TemporaryDirectory() as out:
         config = run._prepared(run.on_free_endpoint(effective(args)), Path(out))
-    made_of = Played()
+    made_of, own = Played(), None
     with contextlib.suppress(PrismError):
         made_of = played(config.source, open_source(config.source), args.truth)
+        own = "the sequence's own" if read_truth(config.source.uri) else None
     return {
         "camera": json.loads(json.dumps(made_of.camera)),
-        "truth_file": made_of.truth_file,
+        "truth_file": made_of.truth_file if args.truth or own else None,
         "config": json.loads(json.dumps(asdict(config))),
         "versions": versions(),
-        "truth": str(args.truth) if args.truth else "the sequence's own",
+        "truth": str(args.truth) if args.truth else own,
         "violations": [],
         "live": {},
     }

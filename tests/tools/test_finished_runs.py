@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
 import onnx
 import pytest
 
+from prism_edge.sources import open_source
 from tests.sources import tiny_datasets as tiny
 from tests.synthetic.network import write_tiny_network
 from tests.tools.runs import metrics_of
+from tools import finished_runs
 from tools.finished_runs import finished
 
 LATER_S = 4e9
@@ -145,6 +149,106 @@ def test_a_truth_that_has_gone_makes_another_run(tmp_path: Path) -> None:
     assert finished(run, words) is not None
     (folder / "groundtruth.txt").unlink()
     assert finished(run, words) is None
+
+
+@pytest.mark.parametrize(
+    ("write", "pattern"),
+    [
+        (tiny.write_tum, "groundtruth.txt"),
+        (tiny.write_kitti, "poses.txt"),
+        (tiny.write_seven_scenes, "*.pose.txt"),
+    ],
+)
+def test_a_truth_that_came_with_an_old_date_makes_another_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], write: Callable[[Path], Path], pattern: str
+) -> None:
+    folder, run = aged(write(tmp_path / "desk")), tmp_path / "run"
+    poses = {path: path.read_bytes() for path in folder.glob(pattern)}
+    for path in poses:
+        path.unlink()
+    words = ["eval", str(folder), "--out", str(run)]
+    run.mkdir()
+    (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
+    assert finished(run, words) is not None
+    for path, data in poses.items():
+        path.write_bytes(data)
+    aged(folder)
+    assert finished(run, words) is None
+    assert "the truth differ" in capsys.readouterr().err
+
+
+def test_a_truth_in_another_place_makes_another_run(tmp_path: Path) -> None:
+    """What lies with KITTI's images goes before the benchmark's own place."""
+    folder, run = tiny.write_kitti(tmp_path / "sequences" / "03"), tmp_path / "run"
+    (tmp_path / "poses").mkdir()
+    poses = (folder / "poses.txt").rename(tmp_path / "poses" / "03.txt")
+    aged(tmp_path)
+    words = ["eval", str(folder), "--out", str(run)]
+    run.mkdir()
+    made = metrics_of(words)
+    (run / "metrics.json").write_text(json.dumps(made))
+    assert finished(run, words) == made
+    shutil.copy2(poses, folder / "poses.txt")
+    assert finished(run, words) is None
+    del made["truth_file"]
+    (run / "metrics.json").write_text(json.dumps(made))
+    assert finished(run, words) == made, "earlier builds don't say which it was"
+
+
+def test_all_poses_of_seven_scenes_gone_make_another_run(tmp_path: Path) -> None:
+    folder, run = aged(tiny.write_seven_scenes(tmp_path / "desk")), tmp_path / "run"
+    words = ["eval", str(folder), "--out", str(run)]
+    run.mkdir()
+    (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
+    first, *others = folder.glob("*.pose.txt")
+    first.unlink()
+    assert finished(run, words) is not None
+    for path in others:
+        path.unlink()
+    assert finished(run, words) is None
+
+
+def test_a_truth_without_a_pose_is_none(tmp_path: Path) -> None:
+    folder, run = tiny.write_tum(tmp_path / "desk"), tmp_path / "run"
+    (folder / "groundtruth.txt").write_text("# nothing yet\n")
+    aged(folder)
+    words = ["eval", str(folder), "--out", str(run)]
+    run.mkdir()
+    made = metrics_of(words)
+    (run / "metrics.json").write_text(json.dumps(made))
+    assert made["truth"] is None
+    assert finished(run, words) == made
+
+
+def test_a_simulated_world_has_its_truth(tmp_path: Path) -> None:
+    words = ["eval", "sim:room?frames=9", "--out", str(tmp_path)]
+    made = metrics_of(words)
+    (tmp_path / "metrics.json").write_text(json.dumps(made))
+    assert finished(tmp_path, words) == made
+
+
+def test_a_recording_is_opened_once_and_without_a_word(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, run = aged(tiny.write_tum(tmp_path / "desk")), tmp_path / "run"
+    (folder / "camera.yaml").unlink()
+    words = ["eval", str(folder), "--out", str(run)]
+    run.mkdir()
+    (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
+    opened, said = [], []
+    listener = logging.Handler()
+    monkeypatch.setattr(listener, "emit", said.append)
+    monkeypatch.setattr(logging.getLogger("prism_edge.sources"), "handlers", [listener])
+    monkeypatch.setattr(
+        finished_runs, "open_source", lambda source: opened.append(source) or open_source(source)
+    )
+    assert [finished(run, words) is not None for _ in range(3)] == [True] * 3
+    assert (len(opened), said) == (1, [])
+    (folder / "new.txt").touch()
+    finished(run, words)
+    assert len(opened) == 2
+    open_source(opened[0])
+    assert said, "and elsewhere it speaks as before"
 
 
 def test_a_video_and_the_camera_file_beside_it_count(tmp_path: Path) -> None:
