@@ -151,14 +151,25 @@ def command(shared: Path, out: Path, sequence: Sequence, part: str, seed: int) -
 
 
 def play(shared: Path, out: Path, sequence: Sequence, part: str, seed: int) -> None:
-    """One evaluation in lockstep. Raises RuntimeError where it fails."""
+    """One evaluation in lockstep, be there anything to score. Raises RuntimeError where it fails."""
     recording(shared, out, sequence)
+    where = place(out, sequence, part, seed)
+    before = _written_ns(where)
     with redirect_stdout(sys.stderr):
         code = prism_edge(command(shared, out, sequence, part, seed))
     if code == 130:  # Ctrl-C
         raise SystemExit(code)
-    if code:
+    ended = code == 8 and _written_ns(where) != before  # and not for what kept it from beginning
+    if code and not (ended and (metrics_there(where) or {}).get("unscored")):
         raise RuntimeError(f"{sequence.name}, {label(part)}, seed {seed}: eval ended with code {code}")
+
+
+def _written_ns(where: Path) -> int | None:
+    """When a run's metrics were written; None: there are none."""
+    try:
+        return (where / "metrics.json").stat().st_mtime_ns
+    except OSError:
+        return None
 
 
 Figures = dict[int, float]  # by seed
@@ -172,7 +183,7 @@ def figures(out: Path, sequence: Sequence, part: str, seeds: list[int], key: str
         try:
             value = metrics[key] if key == "coverage" else metrics["live"][key]
         except (KeyError, TypeError):
-            continue  # not run yet, cut off or void
+            continue  # not run yet, cut off, void or unscored
         if value is not None:
             found[seed] = 100.0 * float(value)
     return found

@@ -118,10 +118,13 @@ def command(folder: Path, args: argparse.Namespace, run: int) -> list[str]:
 def play(row: Row, args: argparse.Namespace, run: int) -> int:
     """One run into its row, or why there is none; returns `eval`'s exit code."""
     where, words = place(args.out, row.folder, args.mode, run), command(row.folder, args, run)
-    metrics = finished(where, words)
+    metrics = finished(where, words, unscored=True)
     if metrics is not None:
-        row.reused += 1
         print(f"reused: {where}", file=sys.stderr)
+        if metrics.get("unscored"):
+            row.failure = f"the run that was there already can't be scored: {metrics['unscored']}"
+            return 8
+        row.reused += 1
     else:
         heard = _Overheard()
         with redirect_stderr(heard), redirect_stdout(heard):

@@ -49,10 +49,13 @@ class _Recording:
     camera: Metrics | None  # as JSON gives it back, but for whose it is
 
 
-def finished(where: Path, words: Sequence[str]) -> Metrics | None:
-    """The metrics in a folder if `prism-edge WORDS` would make them again; else None, and why on stderr."""
+def finished(where: Path, words: Sequence[str], unscored: bool = False) -> Metrics | None:
+    """The metrics in a folder if `prism-edge WORDS` would make them again; else None, and why on stderr.
+
+    A run that had nothing to score is taken where ``unscored`` ones count.
+    """
     metrics = metrics_there(where)
-    if metrics is None:
+    if metrics is None or (metrics.get("unscored") and not unscored):
         return None
     found = differences(where, words, metrics)
     if found:
@@ -61,11 +64,10 @@ def finished(where: Path, words: Sequence[str]) -> Metrics | None:
 
 
 def metrics_there(where: Path) -> Metrics | None:
-    """The metrics of a run that ended there as it should; None: there is none."""
+    """The metrics of a run that ended there and isn't void, scored or not; None: there is none."""
     try:
         metrics = json.loads((where / "metrics.json").read_text())
-        void = metrics.get("violations") or metrics.get("unscored")
-        return metrics if "live" in metrics and not void else None
+        return metrics if "live" in metrics and not metrics.get("violations") else None
     except (OSError, ValueError, AttributeError, TypeError):
         return None
 

@@ -350,3 +350,39 @@ def test_a_run_that_lost_its_way_says_how_much_it_has(tmp_path: Path):
     live = {"ate_se3_m": 0.05, "ate_sim3_m": 0.02}
     (folder / "metrics.json").write_text(json.dumps({"live": live, "coverage": 0.762}))
     assert "| full system | 5.0 / 2.0 (76 %) |" in ablate.table("dynamic", tmp_path, [0])
+
+
+@pytest.mark.parametrize("void", [False, True])
+def test_a_run_with_nothing_to_score_is_a_result_and_a_void_one_is_none(
+    tmp_path: Path, own, monkeypatch, capsys, void: bool
+):
+    played = ablate.prism_edge
+
+    def evaluate(words: list[str]) -> int:
+        played(words)
+        file = Path(words[words.index("--out") + 1]) / "metrics.json"
+        made = json.loads(file.read_text())
+        nothing = {"live": {"ate_se3_m": None}, "coverage": 0.0, "unscored": "no pose came out of 9 frames"}
+        file.write_text(json.dumps({**made, **nothing, "violations": ["a pose twice"] * void}))
+        return 8
+
+    monkeypatch.setattr(ablate, "prism_edge", evaluate)
+    folder = write_seven_scenes(tmp_path / "hall")
+    words = [str(folder), "--model", "mine.onnx", "--out", str(tmp_path / "out"), "--seeds", "0"]
+    assert ablate.main([*words, "--most", "1"]) == (8 if void else 1)
+    said = capsys.readouterr()
+    assert ("eval ended with code 8" in said.err) == void
+    assert f"| full system | - / -{'' if void else ' (0 %)'} | - |" in said.out
+    assert len(ablate.missing([ablate.OWN], tmp_path, tmp_path / "out", [0])) == len(
+        ablate.STATIC_PARTS
+    ) - (not void)
+
+
+def test_a_run_that_never_began_is_not_taken_for_the_one_before_it(tmp_path: Path, monkeypatch):
+    sequence = ablate.TABLES["static"][1][0]
+    write(tmp_path, sequence, "", 0, None)
+    file = ablate.place(tmp_path, sequence, "", 0) / "metrics.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "unscored": "no pose"}))
+    monkeypatch.setattr(ablate, "prism_edge", lambda words: 8)
+    with pytest.raises(RuntimeError, match="code 8"):
+        ablate.play(tmp_path.parent / "shared", tmp_path, sequence, "", 0)

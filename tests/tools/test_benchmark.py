@@ -59,10 +59,14 @@ def ran(monkeypatch) -> list[list[str]]:
             "unreadable_frames": 30 if "damaged" in words[1] else 0,
             "live": {**errors, "pairs": 99},
             "final": {**errors, "ate_se3_m": None, "pairs": 29 if "torn" in words[1] else 99},
+            "unscored": "no pose | came" if "silent" in words[1] else None,
             "warnings": ["3 of 100 poses have a true one"] if "elsewhen" in words[1] else [],
         }
         Path(option["--out"]).mkdir(parents=True, exist_ok=True)
         (Path(option["--out"]) / "metrics.json").write_text(json.dumps(report))
+        if report["unscored"]:
+            print(f"prism-edge: error: the run can't be scored: {report['unscored']}", file=sys.stderr)
+            return 8
         return 0
 
     monkeypatch.setattr(benchmark, "prism_edge", evaluate)
@@ -128,6 +132,15 @@ def test_a_folder_that_fails_has_the_reason_in_its_line_and_the_others_go_on(tmp
     assert row(out, "desk")[3] == "0.500"
     assert len(row(out, "desk")) == len(row(out, "broken"))
     assert all("--lockstep" in words for words in ran)
+
+
+def test_a_run_with_nothing_to_score_fails_new_or_kept_and_is_not_repeated(tmp_path: Path, ran, capsys):
+    words = [str(layout(tmp_path / "silent", "tum")), "--model", "net.onnx", "--out", str(tmp_path / "out")]
+    for there in ("", " that was there already"):
+        assert benchmark.main(words) == 1
+        cells = row(capsys.readouterr().out, "silent")
+        assert cells[1] == f"failed: the run{there} can't be scored: no pose / came"
+    assert len(ran) == 1
 
 
 def test_what_a_run_warns_of_is_said_below_its_table(tmp_path: Path, ran, capsys):

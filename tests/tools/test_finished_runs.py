@@ -288,6 +288,15 @@ def test_weights_of_any_name_count(tmp_path: Path) -> None:
     assert finished(run, words) is None
 
 
+def test_a_run_with_nothing_to_score_is_there_for_whom_it_counts(run: Path, tmp_path: Path) -> None:
+    words, file = words_for(tmp_path), run / "metrics.json"
+    made = {**json.loads(file.read_text()), "unscored": "no pose"}
+    file.write_text(json.dumps(made))
+    assert finished_runs.metrics_there(run) == made
+    assert finished(run, words, unscored=True) == made
+    assert finished(run, words) is None
+
+
 def test_another_version_or_a_void_run_is_none(run: Path, tmp_path: Path) -> None:
     words, file = words_for(tmp_path), run / "metrics.json"
     made = json.loads(file.read_text())
