@@ -8,45 +8,28 @@ code was, nor what the images hold.
 from __future__ import annotations
 
 import json
-import logging
-import os
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from prism_edge.cli.eval import effective
 from prism_edge.cli.main import build_parser
-from prism_edge.config import Config, SourceConfig
+from prism_edge.config import Config
 from prism_edge.depth import locate, networks_of
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError, PrismError
 from prism_edge.evaluation.metrics import versions
-from prism_edge.evaluation.played import camera_of, listing_of
 from prism_edge.named_path import named_path
-from prism_edge.sources import open_source
-from prism_edge.sources.listing import Listing
-from prism_edge.sources.open import CAMERA_FILES
 from prism_edge.sources.sim import is_simulated
-from prism_edge.sources.truth import read_truth, truth_file
+from tools.recordings_now import Recording, recording_now
 
 Metrics = dict[str, Any]
 OWN_TRUTH = (None, "the sequence's own")
 # What an evaluation sets by itself.
 _NO_SETTINGS = {"bus.endpoint", "source.wait_s", "source.loop"}
-_TABLES = {".txt", ".csv", ".yaml", ".yml"}  # of a recording: stamps, calibration, truth
-State = tuple[tuple[str, int, int, int], ...]
-
-
-@dataclass(frozen=True)
-class _Recording:
-    """What `eval` would play; None where it can't."""
-
-    listing: Listing | None  # nor of a video or a simulated world
-    camera: Metrics | None  # as JSON gives it back, but for whose it is
 
 
 def finished(where: Path, words: Sequence[str], unscored: bool = False) -> Metrics | None:
@@ -85,46 +68,33 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     found = [key for key in apart if key not in _NO_SETTINGS]
     then, present = _flat(metrics.get("versions")), versions()
     found += [f"the version of {key}" for key in sorted(present) if then.get(key) != present[key]]
-    if not _same_truth(metrics, args.truth, config.source):
+    recording = recording_now(config.source)
+    if not _same_truth(metrics, args.truth, recording):
         found.append("the truth")
-    camera = _recording(config.source).camera
+    camera = recording.camera
     before = metrics.get("camera")  # runs of earlier builds don't say it
     if camera and isinstance(before, dict) and camera != {key: before.get(key) for key in camera}:
         found.append("the camera")
-    named = files_of(config) + tables_of(config.source) + ([args.truth] if args.truth else [])
+    named = files_of(config) + recording.tables() + ([args.truth] if args.truth else [])
     made_ns = (where / "metrics.json").stat().st_mtime_ns
     return found + [str(file) for file in named if file.is_file() and file.stat().st_mtime_ns > made_ns]
 
 
-def _same_truth(metrics: Metrics, given: Path | None, source: SourceConfig) -> bool:
+def _same_truth(metrics: Metrics, given: Path | None, recording: Recording) -> bool:
     """Whether a run was scored against what it would be now: the file ``given``, or the recording's own."""
     truth, file = metrics.get("truth"), metrics.get("truth_file")  # runs of earlier builds don't say the file
     if given:
         return bool(truth == str(given))
     if truth not in OWN_TRUTH:
         return False
-    if is_simulated(source.uri):
+    if is_simulated(recording.source.uri):
         return truth is not None
-    if _recording(source).camera is None:
+    if recording.camera is None:
         return file is None or Path(file).exists()  # `eval` says why it can't be played
-    now = _own_truth(source)
+    now = recording.truth()
     if truth is None:
-        return now is None or not _has_poses(source)
-    return now is not None and file in (None, os.path.abspath(now))
-
-
-def _own_truth(source: SourceConfig) -> Path | None:
-    listing = _recording(source).listing
-    return truth_file(named_path(source.uri), listing) if listing else None
-
-
-def _has_poses(source: SourceConfig) -> bool:
-    """Whether a recording's own truth is more than a file without poses."""
-    try:
-        with _silent_sources():
-            return read_truth(source.uri) is not None
-    except PrismError:
-        return True  # damaged: `eval` says where
+        return now is None or not recording.has_true_poses()
+    return now is not None and file in (None, str(now))
 
 
 def files_of(config: Config) -> list[Path]:
@@ -135,65 +105,6 @@ def files_of(config: Config) -> list[Path]:
     except ModelError:
         return files
     return files + [file for name in networks for file in _network_files(name)]
-
-
-def tables_of(source: SourceConfig) -> list[Path]:
-    """A recording's tables: in its folder and on the way to its images; or a video and its camera file."""
-    folder = named_path(source.uri)
-    if not folder.is_dir():
-        return [folder, *(folder.with_name(name) for name in CAMERA_FILES)]
-    listing, truth = _recording(source).listing, _own_truth(source)
-    if listing is None:
-        return []
-    images = listing.files[0].parent
-    between = [path for path in (images, *images.parents) if folder in path.parents]
-    tables = {path for each in (folder, *between) for path in each.iterdir() if path.suffix in _TABLES}
-    return sorted(tables.union([truth] if truth else []))
-
-
-def _recording(source: SourceConfig) -> _Recording:
-    return _opened(source, _state(source))
-
-
-@lru_cache(maxsize=64)
-def _opened(source: SourceConfig, state: State) -> _Recording:
-    """Asked once, and without a word, while a recording's files are in one state; `eval` has the warnings."""
-    listing = None
-    with _silent_sources():
-        try:
-            listing = listing_of(source)
-            camera = camera_of(open_source(source))
-        except (PrismError, OSError):
-            return _Recording(listing, None)
-    return _Recording(listing, _as_written({key: camera[key] for key in camera if key != "origin"}))
-
-
-def _state(source: SourceConfig) -> State:
-    """Of a recording's folders, tables and camera file, or a video; dates can be set, changes not."""
-    top = named_path(source.uri)
-    watched = [top, *(top.with_name(name) for name in CAMERA_FILES)]
-    watched += [named_path(source.camera)] if source.camera else []
-    for folder, below, names in os.walk(top):
-        watched += [Path(folder, name) for name in below]
-        watched += [Path(folder, name) for name in names if Path(name).suffix in _TABLES]
-    found = []
-    for path in watched:
-        try:
-            stat = path.stat()
-        except OSError:
-            continue
-        found.append((str(path), stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size))
-    return tuple(found)
-
-
-@contextmanager
-def _silent_sources() -> Iterator[None]:
-    log = logging.getLogger("prism_edge.sources")
-    before, log.disabled = log.disabled, True
-    try:
-        yield
-    finally:
-        log.disabled = before
 
 
 def _network_files(name: str) -> list[Path]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import logging
 import os
 import shutil
 from collections.abc import Callable
@@ -12,7 +11,6 @@ from pathlib import Path
 import onnx
 import pytest
 
-from prism_edge.sources import open_source
 from tests.sources import tiny_datasets as tiny
 from tests.synthetic.network import write_tiny_network
 from tests.tools.runs import metrics_of
@@ -225,30 +223,6 @@ def test_a_simulated_world_has_its_truth(tmp_path: Path) -> None:
     made = metrics_of(words)
     (tmp_path / "metrics.json").write_text(json.dumps(made))
     assert finished(tmp_path, words) == made
-
-
-def test_a_recording_is_opened_once_and_without_a_word(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, run = aged(tiny.write_tum(tmp_path / "desk")), tmp_path / "run"
-    (folder / "camera.yaml").unlink()
-    words = ["eval", str(folder), "--out", str(run)]
-    run.mkdir()
-    (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
-    opened, said = [], []
-    listener = logging.Handler()
-    monkeypatch.setattr(listener, "emit", said.append)
-    monkeypatch.setattr(logging.getLogger("prism_edge.sources"), "handlers", [listener])
-    monkeypatch.setattr(
-        finished_runs, "open_source", lambda source: opened.append(source) or open_source(source)
-    )
-    assert [finished(run, words) is not None for _ in range(3)] == [True] * 3
-    assert (len(opened), said) == (1, [])
-    (folder / "new.txt").touch()
-    finished(run, words)
-    assert len(opened) == 2
-    open_source(opened[0])
-    assert said, "and elsewhere it speaks as before"
 
 
 def test_a_video_and_the_camera_file_beside_it_count(tmp_path: Path) -> None:
