@@ -44,7 +44,7 @@ demo: $(STAMP) ## see metric poses arrive: a simulated walk through the whole da
 	$(BIN)/prism-edge demo --out build/demo $(DEMO_ARGS)
 
 test: lint ## everything that must hold: ruff, mypy, tests (without the slow ones)
-	$(BIN)/python -m pytest -m "not slow" $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not slow" --numprocesses 2 $(PYTEST_ARGS)
 
 lint: $(STAMP) ## ruff and mypy
 	$(BIN)/python -m ruff check .

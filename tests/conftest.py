@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -18,6 +19,20 @@ settings.register_profile("explore", max_examples=1000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 CHECKOUT = Path(__file__).resolve().parents[1]
+DAEMONS = {"bus", "cli", "deploy", "end_to_end", "live", "supervisor", "workers"}  # folders that start many
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Two workers take a file at a time; daemons would wait for each other, so one worker has theirs."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFile(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return file if DAEMONS.isdisjoint(Path(file).parts) else "daemons"
+
+    return ByFile(config, log)
 
 
 @pytest.fixture(scope="session")
