@@ -9,6 +9,7 @@ import pytest
 
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import Config, StateConfig, TrackingConfig
+from prism_edge.geometry.alignment import align
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import IDS_A_LIFE, EndOfStream, MapLoaded, MapSnapshot
@@ -240,19 +241,19 @@ def test_a_command_after_the_end_does_not_hide_it():
         assert bus.states[-1] == "ended"
 
 
+SMALL_WINDOWS = replace(CONFIG, backend=replace(CONFIG.backend, window=3, fixed=2, observations=20))
+
+
 def test_at_the_end_everything_is_adjusted_together():
     """What small windows have left, in a map without a loop; said to the tracker too."""
-    config = replace(CONFIG, backend=replace(CONFIG.backend, window=3, fixed=2, observations=20))
-    # One draw of the noise: of eight, it leaves from 0.3 to 0.9 of the error, 0.7 in the middle.
-    bus, (teller, told) = ListBus("keyframe", patience=40), keyframes(20, seed=4)
-    made = worker.BackendWorker(config, bus)
+    bus, (teller, told) = ListBus("keyframe", patience=40), keyframes(10)
+    made = worker.BackendWorker(SMALL_WINDOWS, bus)
     hear(made, bus, told, teller, log_scale=0.0)
-    before, updates = off_by(snapshot(bus), teller), len(bus.of("map_update"))
+    updates = len(bus.of("map_update"))
     bus.give("end", EndOfStream(100, 100, 0, 0, 99))
     made.run()
     (last,) = bus.of("map_update")[updates:]
     assert last.keyframes.tolist() == [k.id for k in told]
-    assert off_by(snapshot(bus), teller) < 0.7 * before
     told_last = bus.of("solved")[-1]
     assert (told_last.everything, told_last.keyframes) == (True, len(told))
     assert told_last.began_ns < told_last.ended_ns
@@ -261,10 +262,29 @@ def test_at_the_end_everything_is_adjusted_together():
     assert bus.states.count("ended") == 1
 
 
+def test_the_adjustment_at_the_end_takes_out_what_small_windows_left():
+    """Twenty seeds keep 0.07 to 0.43 of their error, five in a row 0.13 to 0.21 together; without it all."""
+    before = after = 0.0
+    for seed in range(5):
+        bus, (teller, told) = ListBus("keyframe", patience=40), keyframes(10, seed=seed)
+        made = worker.BackendWorker(SMALL_WINDOWS, bus)
+        hear(made, bus, told, teller, log_scale=0.0)
+        before += off_by(snapshot(bus), teller)
+        bus.give("end", EndOfStream(100, 100, 0, 0, 99))
+        made.run()
+        after += off_by(snapshot(bus), teller)
+    assert after < 0.4 * before
+
+
 def off_by(whole: MapSnapshot, teller: Teller) -> float:
-    """Root mean square error (m) of the keyframes' places."""
+    """Root mean square error (m) of the keyframes' places after SE(3) alignment.
+
+    An adjustment keeps the map's frame (backend/frame.py): how that was off is the same before and after.
+    """
     true = np.array([teller.poses[k][:3, 3] for k in whole.keyframes.tolist()])
-    return float(np.sqrt(((whole.poses[:, :3, 3] - true) ** 2).sum(axis=1).mean()))
+    found = whole.poses[:, :3, 3]
+    apart = align(found, true, with_scale=False).apply(found) - true
+    return float(np.sqrt((apart**2).sum(axis=1).mean()))
 
 
 def test_a_new_map_begins_with_a_new_epoch():
