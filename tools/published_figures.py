@@ -26,7 +26,9 @@ class Published:
 
 
 # Dataset, what a folder's path looks like, figures: tables "TUM RGB-D (fr1)", "(fr3)", "BONN Dynamic",
-# "7-Scenes" and "KITTI Odometry" of the paper.
+# "7-Scenes" and "KITTI Odometry" of the paper. TUM's frames are rgb.txt's lines: fr1/xyz's list itself is in
+# the history of ORB-SLAM2's repository (Examples/RGB-D/TestSet), others' are as public reports of whole runs
+# count them. 7-Scenes' page says 500 to 1000 a sequence; public loaders take 500 on the stairs, else 1000.
 _TUM, _BONN, _SCENES, _KITTI = "TUM RGB-D", "BONN Dynamic", "7-Scenes", "KITTI odometry"
 _PAPER = (
     (_TUM, r"(freiburg|fr)1_xyz", Published("fr1/xyz", 2.86, 3.04, frames=798)),
