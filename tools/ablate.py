@@ -2,19 +2,22 @@
 """The paper's two ablation tables on recorded sequences: every part switched off in turn, in lockstep.
 
     python tools/ablate.py [--shared FOLDER] [--out DIR] [--seeds 0 1 2] [--most N] [--table static|dynamic]
-    python tools/ablate.py RECORDING... --model MODEL [--out DIR] [--seeds 0 1 2] [--most N]
+    python tools/ablate.py RECORDING... --model MODEL [--camera FILE] [--truth FILE.tum]... [--out DIR]
+        [--seeds 0 1 2] [--most N]
 
-The second is the static table for recordings of one's own, against their own truth; RECORDING is a folder
-or a video, MODEL as for `prism-edge eval`. FOLDER (default: `shared` beside the checkout) holds data/ and
-models/. Files go to DIR/<sequence>/<part>-<seed> (default: build/ablation), and a run that is there, of the
-same settings, versions and files, is not repeated: stop it when you like, and go on later; --most ends it
-after so many runs. All parts are run with the first seed, on real recordings and then on dynamic ones,
-before any with the second. A run that fails is named and passed over. The dynamic recordings are made by
-tools/make_distractors.py, once. Printed is, in Markdown, what there is so far: live ATE after SE(3) and
-Sim(3) alignment, median over the seeds that are there, and the mean over the sequences, with its difference
-to the full system's over the same seeds; then, as errors over unlike stretches can't be compared, the SE(3)
-errors of each part and of the full system over the frames that both have placed. Runs that would be made
-otherwise now are in the tables until they are repeated, and counted below. docs/ABLATION.md keeps a copy.
+The second is the static table for recordings of one's own, against their own truth or what --truth names: it
+is given once for each RECORDING, in their order, or not at all. The --camera is all the recordings'.
+RECORDING is a folder or a video, MODEL as for `prism-edge eval`. FOLDER (default: `shared` beside the
+checkout) holds data/ and models/. Files go to DIR/<sequence>/<part>-<seed> (default: build/ablation), and a
+run that is there, of the same settings, versions and files, is not repeated: stop it when you like, and go
+on later; --most ends it after so many runs. All parts are run with the first seed, on real recordings and
+then on dynamic ones, before any with the second. A run that fails is named and passed over. The dynamic
+recordings are made by tools/make_distractors.py, once. Printed is, in Markdown, what there is so far: live
+ATE after SE(3) and Sim(3) alignment, median over the seeds that are there, and the mean over the sequences,
+with its difference to the full system's over the same seeds; then, as errors over unlike stretches can't be
+compared, the SE(3) errors of each part and of the full system over the frames that both have placed. Runs
+that would be made otherwise now are in the tables until they are repeated, and counted below.
+docs/ABLATION.md keeps a copy.
 Exit code 1: runs are missing, or would be made otherwise; 8: some failed.
 """
 
@@ -41,6 +44,7 @@ from prism_edge.config import ABLATIONS  # noqa: E402
 from prism_edge.errors import PrismError  # noqa: E402
 from prism_edge.evaluation.scores import score  # noqa: E402
 from prism_edge.evaluation.trajectory import Trajectory, read_tum  # noqa: E402
+from prism_edge.named_path import named_path  # noqa: E402
 from prism_edge.sources.truth import read_truth  # noqa: E402
 from tools import make_distractors  # noqa: E402
 from tools.benchmark import as_named, path_name  # noqa: E402
@@ -63,6 +67,7 @@ class Sequence:
     truth: str = ""
     distractors: int | None = None
     model: str = ""  # as for `prism-edge eval`; empty: NETWORK
+    camera: str = ""  # likewise; empty: the recording's own
 
 
 KITCHEN = ("data/7scenes_redkitchen/seq-01", "data/7scenes_redkitchen/sfm_reference.tum")
@@ -79,14 +84,8 @@ TABLES: dict[str, tuple[tuple[str, ...], tuple[Sequence, ...]]] = {
     "dynamic": (
         DYNAMIC_PARTS,
         (
-            Sequence("redkitchen_moving_0", *KITCHEN, 0),
-            Sequence("redkitchen_moving_1", *KITCHEN, 1),
-            Sequence("redkitchen_moving_2", *KITCHEN, 2),
-            Sequence("redkitchen_moving_3", *KITCHEN, 3),
-            Sequence("tartanair_moving_0", HOSPITAL, "", 0),
-            Sequence("tartanair_moving_1", HOSPITAL, "", 1),
-            Sequence("tartanair_moving_2", HOSPITAL, "", 2),
-            Sequence("tartanair_moving_3", HOSPITAL, "", 3),
+            *(Sequence(f"redkitchen_moving_{n}", *KITCHEN, n) for n in range(4)),
+            *(Sequence(f"tartanair_moving_{n}", HOSPITAL, "", n) for n in range(4)),
         ),
     ),
 }
@@ -144,6 +143,7 @@ def command(shared: Path, out: Path, sequence: Sequence, part: str, seed: int) -
     model = sequence.model or str(shared / NETWORK)
     words = ["eval", str(folder_of(shared, out, sequence)), "--model", model, "--lockstep"]
     words += ["--seed", str(seed), "--out", str(place(out, sequence, part, seed))]
+    words += ["--camera", sequence.camera] if sequence.camera else []
     words += ["--truth", str(shared / sequence.truth)] if sequence.truth else []
     for name in part.split("+") if part else ():
         words += ["--ablate", name]
@@ -324,10 +324,18 @@ def note(names: list[str], shared: Path, out: Path, seeds: list[int]) -> str:
     return f"{others} of these {there} runs would be made otherwise now, by: {most}." if others else ""
 
 
-def own_sequences(recordings: list[Path], model: str) -> tuple[Sequence, ...]:
-    """Recordings of one's own, by the ends of their paths. Raises ValueError where two end alike."""
-    folders = list(dict.fromkeys(map(as_named, recordings)))
-    named = [Sequence(path_name(folder), str(folder), model=model) for folder in folders]
+def own_sequences(args: argparse.Namespace) -> tuple[Sequence, ...]:
+    """Recordings of one's own, by the ends of their paths.
+
+    Raises ValueError where two end alike or one has two truths, and for truths that are not one for each.
+    """
+    if len(args.truth) not in (0, len(args.recordings)):
+        raise ValueError("--truth is given once for each RECORDING, in their order, or not at all")
+    for file in args.truth:
+        read_tum(named_path(str(file)))  # before it fails in every run
+    truths = [str(as_named(file)) for file in args.truth] or [""] * len(args.recordings)
+    pairs = dict.fromkeys(zip(map(as_named, args.recordings), truths, strict=True))
+    named = [Sequence(path_name(f), str(f), truth, None, args.model, args.camera) for f, truth in pairs]
     if len({sequence.name for sequence in named}) < len(named):
         raise ValueError("two recordings have names that end alike: run them with different --out")
     return tuple(named)
@@ -340,6 +348,10 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("recordings", metavar="RECORDING", nargs="*", type=Path)
     parser.add_argument("--model", metavar="MODEL", help="with recordings of one's own: as for `eval`")
+    parser.add_argument("--camera", metavar="FILE", default="", help="camera file of all of them, or auto")
+    parser.add_argument(
+        "--truth", metavar="FILE.tum", type=Path, action="append", default=[], help="one for each, in order"
+    )
     parser.add_argument("--shared", metavar="FOLDER", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "build" / "ablation")
     parser.add_argument("--seeds", metavar="N", type=int, nargs="+", default=[0, 1, 2])
@@ -349,10 +361,12 @@ def main(arguments: list[str] | None = None) -> int:
     shared, out = args.shared.resolve(), args.out.resolve()
     if bool(args.recordings) != bool(args.model) or (args.recordings and args.table):
         parser.error("RECORDING and --model go together, and without --table")
+    if (args.camera or args.truth) and not args.recordings:
+        parser.error("--camera and --truth go with RECORDING: the tables' recordings have their own")
     if args.recordings:
         try:
-            TABLES[OWN] = STATIC_PARTS, own_sequences(args.recordings, args.model)
-        except ValueError as error:
+            TABLES[OWN] = STATIC_PARTS, own_sequences(args)
+        except (ValueError, PrismError) as error:
             parser.error(str(error))
         for sequence in TABLES[OWN][1]:
             if truth_of(shared, sequence) is None:

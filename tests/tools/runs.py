@@ -1,4 +1,4 @@
-"""What `prism-edge eval` would note of a run, without one."""
+"""What `prism-edge eval` would note of a run, without one; and a path that it might have published."""
 
 from __future__ import annotations
 
@@ -10,12 +10,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from prism_edge.cli.eval import effective
 from prism_edge.cli.main import build_parser
 from prism_edge.errors import PrismError
 from prism_edge.evaluation import run
 from prism_edge.evaluation.metrics import versions
 from prism_edge.evaluation.played import Played, played
+from prism_edge.evaluation.trajectory import Trajectory
 from prism_edge.sources import open_source
 from prism_edge.sources.truth import read_truth
 
@@ -38,3 +41,11 @@ def metrics_of(words: Sequence[str]) -> dict[str, Any]:
         "violations": [],
         "live": {},
     }
+
+
+def on_a_spiral(count: int) -> Trajectory:
+    """Poses in metres, ten a second."""
+    poses = np.tile(np.eye(4), (count, 1, 1))
+    turn = np.linspace(0, 6, count)
+    poses[:, :3, 3] = np.stack([np.cos(turn), np.sin(turn), 0.3 * turn], axis=1)
+    return Trajectory(np.arange(count, dtype=np.int64) * 100_000_000, poses)

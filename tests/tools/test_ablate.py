@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,7 @@ import pytest
 
 from prism_edge.config import ABLATIONS
 from prism_edge.evaluation.trajectory import Trajectory, write_tum
-from tests.sources.tiny_datasets import write_seven_scenes
-from tests.tools.runs import metrics_of
+from tests.tools.runs import metrics_of, on_a_spiral
 from tools import ablate
 
 
@@ -161,78 +159,6 @@ def test_runs_that_would_be_made_otherwise_are_printed_counted_and_repeated(
     assert full == [str(shared / sequence.folder) for sequence in ablate.TABLES["static"][1][1:]]
 
 
-@pytest.fixture
-def own(monkeypatch) -> list[list[str]]:
-    """What `eval` is given for recordings of one's own; without a part the error is 3 cm instead of 2."""
-    monkeypatch.setattr(ablate, "TABLES", dict(ablate.TABLES))
-    given: list[list[str]] = []
-
-    def evaluate(words: list[str]) -> int:
-        given.append(words)
-        metres = 0.03 if "--ablate" in words else 0.02
-        out = Path(words[words.index("--out") + 1])
-        out.mkdir(parents=True)
-        live = {"ate_se3_m": metres, "ate_sim3_m": metres / 2}
-        made = {**metrics_of(words), "live": live, "coverage": 1.0}
-        (out / "metrics.json").write_text(json.dumps(made))
-        write_tum(out / "live.tum", on_a_spiral(20))
-        return 0
-
-    monkeypatch.setattr(ablate, "prism_edge", evaluate)
-    return given
-
-
-def test_recordings_of_ones_own_have_a_table(tmp_path: Path, own, capsys):
-    folders = [tmp_path / "lab" / name for name in ("hall", "yard")]
-    for folder in folders:
-        write_seven_scenes(folder)
-    words = [*map(str, folders), "--model", "mine.onnx", "--out", str(tmp_path / "out"), "--seeds", "0"]
-    assert ablate.main([*words, "--most", "3"]) == 1
-    assert len(own) == 3
-    assert ablate.main(words) == 0
-    assert len(own) == 2 * len(ablate.STATIC_PARTS)
-    assert {words[1] for words in own} == set(map(str, folders))
-    assert all(words[words.index("--model") + 1] == "mine.onnx" and "--lockstep" in words for words in own)
-    parts = {words[words.index("--ablate") + 1] for words in own if "--ablate" in words}
-    assert parts == set(ABLATIONS)
-    said = capsys.readouterr().out
-    heads = r"\S*lab_hall \| \S*lab_yard \| mean SE"
-    assert re.search(rf"\| own recordings: live SE\(3\) / Sim\(3\), cm \| {heads}", said)
-    assert "| full system | 2.0 / 1.0 | 2.0 / 1.0 | 2.0 |" in said
-    assert "| without loop | 3.0 / 1.5 | 3.0 / 1.5 | 3.0 (+1.0) |" in said
-    assert "redkitchen" not in said
-    assert ablate.main(words) == 0
-    assert len(own) == 2 * len(ablate.STATIC_PARTS), "what is there is not repeated"
-
-
-def test_a_recording_that_is_not_there_fails_run_by_run(tmp_path: Path, own, monkeypatch, capsys):
-    monkeypatch.setattr(ablate, "prism_edge", lambda words: 4)
-    words = [str(tmp_path / "nowhere"), "--model", "mine.onnx", "--out", str(tmp_path / "out")]
-    assert ablate.main([*words, "--seeds", "0", "--most", "2"]) == 8
-    said = capsys.readouterr()
-    assert said.err.count("eval ended with code 4") == 2
-    assert "| full system | - / - | - |" in said.out
-    assert f"ablate: warning: {tmp_path / 'nowhere'} has no truth" in said.err
-
-
-@pytest.mark.parametrize(
-    "words", [["hall"], ["--model", "m.onnx"], ["hall", "--model", "m.onnx", "--table", "static"]]
-)
-def test_recordings_and_their_network_go_together(words: list[str], own, capsys):
-    with pytest.raises(SystemExit) as ended:
-        ablate.main(words)
-    assert ended.value.code == 2
-    assert "go together" in capsys.readouterr().err
-
-
-def test_recordings_whose_names_end_alike_are_refused(tmp_path: Path, own, capsys):
-    folders = [str(tmp_path / n / "a" / "b" / "c") for n in "xy"]
-    with pytest.raises(SystemExit):
-        ablate.main([*folders, "--model", "m.onnx"])
-    assert "end alike" in capsys.readouterr().err
-    assert not own
-
-
 def test_a_dynamic_recording_that_was_cut_off_is_made_anew(tmp_path: Path, monkeypatch):
     sequence = next(s for s in ablate.TABLES["dynamic"][1] if s.distractors is not None)
     made: list[Path] = []
@@ -272,13 +198,6 @@ def write_run(out: Path, sequence: ablate.Sequence, part: str, run: Trajectory, 
     made = json.loads((folder / "metrics.json").read_text())
     (folder / "metrics.json").write_text(json.dumps({**made, "violations": list(violations)}))
     write_tum(folder / "live.tum", run)
-
-
-def on_a_spiral(count: int) -> Trajectory:
-    poses = np.tile(np.eye(4), (count, 1, 1))
-    turn = np.linspace(0, 6, count)
-    poses[:, :3, 3] = np.stack([np.cos(turn), np.sin(turn), 0.3 * turn], axis=1)
-    return Trajectory(np.arange(count, dtype=np.int64) * 100_000_000, poses)
 
 
 def test_errors_are_compared_where_both_runs_have_poses(tmp_path: Path):
@@ -350,32 +269,6 @@ def test_a_run_that_lost_its_way_says_how_much_it_has(tmp_path: Path):
     live = {"ate_se3_m": 0.05, "ate_sim3_m": 0.02}
     (folder / "metrics.json").write_text(json.dumps({"live": live, "coverage": 0.762}))
     assert "| full system | 5.0 / 2.0 (76 %) |" in ablate.table("dynamic", tmp_path, [0])
-
-
-@pytest.mark.parametrize("void", [False, True])
-def test_a_run_with_nothing_to_score_is_a_result_and_a_void_one_is_none(
-    tmp_path: Path, own, monkeypatch, capsys, void: bool
-):
-    played = ablate.prism_edge
-
-    def evaluate(words: list[str]) -> int:
-        played(words)
-        file = Path(words[words.index("--out") + 1]) / "metrics.json"
-        made = json.loads(file.read_text())
-        nothing = {"live": {"ate_se3_m": None}, "coverage": 0.0, "unscored": "no pose came out of 9 frames"}
-        file.write_text(json.dumps({**made, **nothing, "violations": ["a pose twice"] * void}))
-        return 8
-
-    monkeypatch.setattr(ablate, "prism_edge", evaluate)
-    folder = write_seven_scenes(tmp_path / "hall")
-    words = [str(folder), "--model", "mine.onnx", "--out", str(tmp_path / "out"), "--seeds", "0"]
-    assert ablate.main([*words, "--most", "1"]) == (8 if void else 1)
-    said = capsys.readouterr()
-    assert ("eval ended with code 8" in said.err) == void
-    assert f"| full system | - / -{'' if void else ' (0 %)'} | - |" in said.out
-    assert len(ablate.missing([ablate.OWN], tmp_path, tmp_path / "out", [0])) == len(
-        ablate.STATIC_PARTS
-    ) - (not void)
 
 
 def test_a_run_that_never_began_is_not_taken_for_the_one_before_it(tmp_path: Path, monkeypatch):
