@@ -1,8 +1,8 @@
 """Whether a run that is there is what `prism-edge eval` would make now, or is to be repeated.
 
-Compared are what metrics.json holds, the effective configuration, the versions and the camera, and when files
-were written that it only names: a recording's tables and truth too. Nothing in it says of which commit the
-code was, nor what the images hold.
+Compared are what metrics.json holds, the effective configuration, the versions, the camera and the images'
+names and sizes, and when files were written that it only names: a recording's tables and truth too. Nothing
+in it says of which commit the code was, nor what the images hold.
 """
 
 from __future__ import annotations
@@ -75,6 +75,9 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     before = metrics.get("camera")  # runs of earlier builds don't say it
     if camera and isinstance(before, dict) and camera != {key: before.get(key) for key in camera}:
         found.append("the camera")
+    images, before = recording.images(), metrics.get("images")  # likewise
+    if images and before and images != before:
+        found.append("the images")
     named = files_of(config) + recording.tables() + ([args.truth] if args.truth else [])
     made_ns = (where / "metrics.json").stat().st_mtime_ns
     return found + [str(file) for file in named if file.is_file() and file.stat().st_mtime_ns > made_ns]

@@ -17,7 +17,7 @@ from typing import Any
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import PrismError
-from prism_edge.evaluation.played import camera_of, listing_of
+from prism_edge.evaluation.played import camera_of, images_of, listing_of
 from prism_edge.named_path import named_path
 from prism_edge.sources import open_source
 from prism_edge.sources.listing import Listing
@@ -40,6 +40,10 @@ class Recording:
         """Where its own truth lies, as metrics.json has it; None: there is none."""
         found = truth_file(named_path(self.source.uri), self.listing) if self.listing else None
         return Path(os.path.abspath(found)) if found else None
+
+    def images(self) -> str | None:
+        """What metrics.json says of its images; None where they lie in no folder."""
+        return images_of(self.source, self.listing) if self.listing else None
 
     def has_true_poses(self) -> bool:
         """Whether its own truth is more than a file without poses."""

@@ -70,6 +70,7 @@ def metrics(
         "path_m": None if truth is None else path_length(_stamps(recording), truth),
         "layout": played.layout,
         "camera": played.camera,
+        "images": played.images,
         "cpu_ms_per_frame": _cpu(usage, processed),
         "peak_pss_mb": _with_total(usage.peak_pss_mb, usage.peak_total_pss_mb),
         "foreign_cpu": usage.foreign_cpu,

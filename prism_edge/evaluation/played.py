@@ -1,8 +1,9 @@
-"""What a run was made of besides its configuration: whose camera, what kind of recording, which truth."""
+"""What a run was made of besides its configuration: whose camera, what kind, which images and truth."""
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import os
 import re
 from dataclasses import asdict, dataclass, replace
@@ -30,6 +31,7 @@ class Played:
     layout: str | None = None
     truth_file: str | None = None  # or the folder of many
     guessed: bool = False  # the camera
+    images: str | None = None  # of a folder: images_of()
 
     def after(self, log: Path) -> Played:
         """The same with what a daemon's ``log`` says of a camera that nobody calibrated."""
@@ -48,7 +50,8 @@ def played(config: SourceConfig, source: Source, truth: Path | None) -> Played:
     own = truth_file(named_path(config.uri), listing) if listing else None
     file = truth or (Path(os.path.abspath(own)) if own else None)
     guessed = source.camera_origin == ROS_DEFAULT[0]
-    return Played(camera_of(source), layout, str(file) if file else None, guessed)
+    images = images_of(config, listing) if listing else None
+    return Played(camera_of(source), layout, str(file) if file else None, guessed, images)
 
 
 def camera_of(source: Source) -> dict[str, Any]:
@@ -57,6 +60,21 @@ def camera_of(source: Source) -> dict[str, Any]:
     numbers = asdict(source.camera) if known else {}
     camera = {"origin": source.camera_origin if known else AUTO}
     return camera | {name: numbers.get(name) for name in _NUMBERS}
+
+
+def images_of(config: SourceConfig, listing: Listing) -> str:
+    """A digest of the played images' names and sizes, by which others in their place are noticed.
+
+    Neither where the folder lies nor dates are in it, so a copy is the same; nor is what images hold.
+    """
+    folder, digest = named_path(config.uri), hashlib.sha256()
+    for file in listing.files[: config.frames or None]:
+        try:
+            size = str(file.stat().st_size)
+        except OSError:
+            size = "missing"
+        digest.update(os.fsencode(f"{os.path.relpath(file, folder)} {size}\n"))
+    return digest.hexdigest()[:16]
 
 
 def listing_of(config: SourceConfig) -> Listing | None:

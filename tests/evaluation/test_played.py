@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -55,6 +56,17 @@ def test_seven_scenes_without_a_pose_file_has_no_truth(tmp_path: Path) -> None:
     assert of(folder).truth_file is None
 
 
+def test_images_are_known_by_name_and_size_wherever_they_lie(tmp_path: Path) -> None:
+    folder = tiny.write_seven_scenes(tmp_path / "desk")
+    copy = Path(shutil.copytree(folder, tmp_path / "elsewhere" / "copy"))
+    images = of(folder).images
+    assert images is not None
+    assert of(copy).images == images
+    image = copy / "frame-000001.color.png"
+    image.write_bytes(image.read_bytes() + b"longer")
+    assert of(copy).images != images
+
+
 def test_another_truth_is_named_in_its_place(tmp_path: Path) -> None:
     assert of(tiny.write_tum(tmp_path), tmp_path / "mine.tum").truth_file == str(tmp_path / "mine.tum")
 
@@ -86,6 +98,6 @@ def test_an_estimated_camera_is_what_the_daemon_says(tmp_path: Path) -> None:
 
 def test_videos_and_simulated_worlds_have_no_file_of_truth(tmp_path: Path) -> None:
     video = of(tiny.write_video(tmp_path / "film.avi"))
-    assert (video.layout, video.truth_file) == ("video file", None)
+    assert (video.layout, video.truth_file, video.images) == ("video file", None, None)
     simulated = of("sim:room?frames=9")
     assert (simulated.layout, simulated.truth_file) == ("simulator", None)

@@ -34,6 +34,7 @@ def metrics_of(words: Sequence[str]) -> dict[str, Any]:
         own = "the sequence's own" if read_truth(config.source.uri) else None
     return {
         "camera": json.loads(json.dumps(made_of.camera)),
+        "images": made_of.images,
         "truth_file": made_of.truth_file if args.truth or own else None,
         "config": json.loads(json.dumps(asdict(config))),
         "versions": versions(),

@@ -11,6 +11,7 @@ from pathlib import Path
 import onnx
 import pytest
 
+from prism_edge.sources.open import find_listing
 from tests.sources import tiny_datasets as tiny
 from tests.synthetic.network import write_tiny_network
 from tests.tools.runs import metrics_of
@@ -137,6 +138,34 @@ def test_another_camera_with_an_old_date_or_none_makes_another_run(
     assert "the camera differ" in capsys.readouterr().err
     (folder / "camera.yaml").unlink()  # that of freiburg1 then
     assert finished(run, words) is None
+
+
+@pytest.mark.parametrize(
+    "write", [tiny.write_tum, tiny.write_kitti, tiny.write_seven_scenes, tiny.write_images]
+)
+def test_other_images_with_old_dates_make_another_run(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], write: Callable[[Path], Path]
+) -> None:
+    folder, run = aged(write(tmp_path / "desk")), tmp_path / "run"
+    words = ["eval", str(folder), "--out", str(run), "--frames", "2"]
+    run.mkdir()
+    made = metrics_of(words)
+    (run / "metrics.json").write_text(json.dumps(made))
+    first, *_, last = find_listing(folder).files
+    data = first.read_bytes()
+    last.write_bytes(data + b"longer")
+    assert finished(run, words) == made, "that one isn't played"
+    first.write_bytes(data + b"longer")
+    aged(folder)
+    assert finished(run, words) is None
+    assert "the images differ" in capsys.readouterr().err
+    first.write_bytes(data)
+    os.utime(first, (LATER_S, LATER_S))
+    assert finished(run, words) == made, "a date says nothing of an image"
+    first.write_bytes(data + b"longer")
+    del made["images"]
+    (run / "metrics.json").write_text(json.dumps(made))
+    assert finished(run, words) == made, "earlier builds don't say which they were"
 
 
 def test_a_truth_that_has_gone_makes_another_run(tmp_path: Path) -> None:
