@@ -42,8 +42,6 @@ class Solution:
     parallax_deg: dict[int, float]
     outliers: list[tuple[int, int]]  # keyframe, point
     iterations: int
-    error_before: float
-    error_after: float
 
 
 def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Window:
@@ -217,15 +215,14 @@ def solve(
     members = [*window.free, *window.held]
     parameters = solver(points_first(window.points, sorted(members)), len(members))
     parameters.setRelativeErrorTol(1e-4)
-    observations, result, iterations, before, error = problem.observations, problem.values, 0, None, 0.0
+    result, iterations = problem.values, 0
     first = max(config.iterations - REFINING, 1) if problem.rays else config.iterations
     try:
         for most in (first, config.iterations):
             started, converged = result, False
             graph = with_rays(world, problem, result)
             optimiser = gtsam.LevenbergMarquardtOptimizer(graph, result, parameters)
-            error = previous = optimiser.error()
-            before = error if before is None else before
+            previous = optimiser.error()
             # Step by step, so that the interpreter breathes between iterations.
             while iterations < most:
                 optimiser.iterate()
@@ -245,9 +242,9 @@ def solve(
     points = {p: np.asarray(result.atPoint3(L(p))) for p in window.points}
     if not all(np.all(np.isfinite(v)) for v in (*poses.values(), *points.values())):
         return None
-    wrong = outliers(world, poses, points, observations, config)
+    wrong = outliers(world, poses, points, problem.observations, config)
     parallax = widest_parallax(world, points)
-    return Solution(poses, points, parallax, wrong, iterations, before or 0.0, error)
+    return Solution(poses, points, parallax, wrong, iterations)
 
 
 def widest_parallax(

@@ -32,7 +32,7 @@ class Gatekeeper:
 
     def __init__(self, bus: Bus, processes: Iterable[str], patience_s: float = 60.0) -> None:
         """Subscribes to acknowledgements; ``patience_s`` is how long a frame may take at most."""
-        self._stopped, self._patience_s = bus.stopped, patience_s
+        self._patience_s = patience_s
         self._ledger = Ledger(processes)
         self._inbox = bus.queue("acknowledged", 1024)
 

@@ -123,22 +123,6 @@ class Camera:
         """Ideal pixels (n, 2) as this camera has them, of ``other``'s of the same image."""
         return self.undistort_pixels(other.distort_pixels(pixels))
 
-    def resized(self, width: int, height: int) -> Camera:
-        """The same camera after its image was resized; scaling is about the image's outer corner.
-
-        Raises ConfigError where that leaves pixels that no camera has.
-        """
-        sx, sy = width / self.width, height / self.height
-        return replace(
-            self,
-            width=width,
-            height=height,
-            fx=self.fx * sx,
-            fy=self.fy * sy,
-            cx=(self.cx + 0.5) * sx - 0.5,
-            cy=(self.cy + 0.5) * sy - 0.5,
-        )
-
     def project(self, points: Array) -> Array:
         """Pixels (n, 2) of points (n, 3) in the camera frame; z must be above zero."""
         x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]

@@ -27,7 +27,6 @@ class Agreement:
     """How a network's depths of one keyframe go with those of its triangulated points."""
 
     units_per_metre: float  # median ratio
-    spread: float  # of the log ratio, one sigma (robust)
     informative: bool  # whether the network tells near from far
 
 
@@ -40,9 +39,8 @@ def agreement(map_depths: Array, network_depths: Array) -> Agreement:
     """
     log_depths = np.log(map_depths)
     ratios = log_depths - np.log(network_depths)
-    spread = robust_sigma(ratios)
-    informative = spread < max(ALWAYS_CREDIBLE_SPREAD, LEAST_EXPLAINED * robust_sigma(log_depths))
-    return Agreement(float(np.exp(np.median(ratios))), spread, informative)
+    bound = max(ALWAYS_CREDIBLE_SPREAD, LEAST_EXPLAINED * robust_sigma(log_depths))
+    return Agreement(float(np.exp(np.median(ratios))), robust_sigma(ratios) < bound)
 
 
 def robust_sigma(values: Array) -> float:

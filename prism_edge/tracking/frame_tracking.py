@@ -47,14 +47,13 @@ class TrackedFrame:
     points: Ids  # map point of each keypoint, -1 for none; inliers only
     covariance: Array  # (6, 6), translation first, camera frame, map units
     matched: int
-    residual_px: float
     unobserved: float = 0.0  # standard deviation of the position beside the covariance, map units
 
     @classmethod
     def of_keyframe(cls, keyframe: LocalKeyframe, matched: int) -> TrackedFrame:
         """A keyframe as the frame that tracking goes on from."""
         pose, points = keyframe.world_from_camera.copy(), keyframe.points.copy()
-        return cls(keyframe.camera, keyframe.features, pose, points, np.zeros((6, 6)), matched, 0.0)
+        return cls(keyframe.camera, keyframe.features, pose, points, np.zeros((6, 6)), matched)
 
 
 def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
@@ -155,7 +154,6 @@ class FrameTracker:
             points,
             estimate.covariance,
             matched,
-            estimate.residual_px,
             unobserved_translation(world, estimate.world_from_camera, rows[estimate.inliers]),
         )
 
@@ -169,7 +167,7 @@ class FrameTracker:
         unobserved = unobserved_translation(world, pose, rows)
         return replace(
             frame, world_from_camera=pose, points=points, matched=len(keypoints),
-            covariance=estimate.covariance, residual_px=estimate.residual_px, unobserved=unobserved,
+            covariance=estimate.covariance, unobserved=unobserved,
         )
 
     def _follow(

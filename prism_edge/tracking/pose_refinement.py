@@ -26,7 +26,6 @@ class PoseEstimate:
     world_from_camera: Array  # (4, 4)
     inliers: NDArray[np.bool_]  # (n,)
     information: Array  # (6, 6): translation first, camera frame
-    residual_px: float  # rms of the inliers, in sigmas of their pyramid level
 
     @property
     def covariance(self) -> Array:
@@ -61,15 +60,12 @@ def refine_pose(
     information, at = np.eye(6) * 1e-9, problem.linearise(pose)
     for _ in range(rounds):
         pose, information, at = _descend(problem, pose, at, np.where(inliers, share, 0.0), iterations)
-        chi2 = at[2]
-        chosen = chi2 < CHI2_2D_95
+        chosen = at[2] < CHI2_2D_95
         settled = np.array_equal(chosen, inliers)
         inliers = chosen
         if settled or inliers.sum() < 6:
             break
-    kept = max(int(inliers.sum()), 1)
-    spread = float(np.sqrt(chi2[inliers].sum() / (2 * kept))) if inliers.any() else np.inf
-    return PoseEstimate(pose, inliers, information, spread)
+    return PoseEstimate(pose, inliers, information)
 
 
 def _inverse_information(information: Array) -> Array:

@@ -47,7 +47,7 @@ class BackendWorker:
     """Joins the mapper to the bus."""
 
     def __init__(self, config: Config, bus: Bus) -> None:
-        self._config, self._bus = config, bus
+        self._bus = bus
         self._peers = {process.name for process in processes_for(config)} - {"backend"}
         self._use_depth = "depth_factor" not in config.ablate and "depth" in self._peers
         self._close_loops = config.backend.loops and "loop" not in config.ablate

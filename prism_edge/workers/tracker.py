@@ -62,7 +62,7 @@ class TrackerWorker:
     """Joins the tracker to the bus."""
 
     def __init__(self, config: Config, bus: Bus) -> None:
-        self._config, self._bus = config, bus
+        self._bus = bus
         self._lockstep = config.is_lockstep
         self._peers = {process.name for process in processes_for(config)} - {"tracker"}
         self._frames = bus.queue("frame", 64) if self._lockstep else bus.latest("frame")

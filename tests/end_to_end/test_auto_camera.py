@@ -16,7 +16,7 @@ from tests.synthetic.sequence import synthetic_camera
 
 def test_metric_poses_come_without_any_camera_file(room: Path, tmp_path: Path) -> None:
     what = TinyNetwork(width=WIDTH, height=HEIGHT)
-    camera = synthetic_camera().resized(WIDTH, HEIGHT)
+    camera = synthetic_camera(WIDTH, HEIGHT)
     matrix = [camera.fx, 0.0, camera.cx, 0.0, camera.fy, camera.cy, 0.0, 0.0, 1.0]
     graph = tiny_graph(what)
     value = helper.make_tensor("matrix", TensorProto.FLOAT, [1, 3, 3], matrix)

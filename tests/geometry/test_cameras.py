@@ -7,7 +7,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.errors import ConfigError
@@ -115,19 +115,6 @@ def test_the_principal_point_is_the_optical_axis() -> None:
         np.testing.assert_allclose(
             camera.project(np.array([[0.0, 0.0, 2.0]])), [[camera.cx, camera.cy]], atol=1e-12
         )
-
-
-@settings(max_examples=40, deadline=None)
-@example(width=1, stretched=1.0)
-@given(width=st.integers(20, 2000), stretched=st.floats(0.6, 1.7))
-def test_resizing_maps_pixels_as_an_area_resize_does(width: int, stretched: float) -> None:
-    # outer corners go to outer corners: x' + 1/2 = s (x + 1/2)
-    camera = vga(distortion=FREIBURG1)
-    height = round(0.75 * width * stretched)
-    resized = camera.resized(width, height)
-    points = np.array([[0.1, -0.2, 1.0], [-0.3, 0.25, 1.5]])
-    expected = (camera.project(points) + 0.5) * (width / 640, height / 480) - 0.5
-    np.testing.assert_allclose(resized.project(points), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("camera", CAMERAS, ids=IDS)

@@ -39,7 +39,7 @@ class TinyNetwork:
         """Of a focal_normalised one: that of the generated sequence's camera at the network's input."""
         if self.depth_kind != FOCAL_NORMALISED:
             return None
-        camera = synthetic_camera().resized(self.width, self.height)
+        camera = synthetic_camera(self.width, self.height)
         return float(np.sqrt(camera.fx * camera.fy))
 
     def card(self) -> ModelCard:

@@ -20,7 +20,6 @@ def test_a_network_that_errs_by_a_factor_and_some_noise_is_informative(factor, n
     agreed = agreement(truth, factor * truth * np.exp(rng.normal(0, noise, 200)))
     assert agreed.informative
     assert agreed.units_per_metre == pytest.approx(1.0 / factor, rel=0.06)
-    assert agreed.spread == pytest.approx(noise, rel=0.35, abs=1e-9)
 
 
 @pytest.mark.parametrize("network", ["constant", "inverted", "random"])

@@ -149,7 +149,7 @@ def after_a_turn(believed: np.ndarray, found: int = 60) -> SecondView:
     features, _ = cloud.view(turned, noise_px=0.5)
     points = np.full(len(features), NO_POINT, np.int64)
     points[:found] = first.points[first.observed()[:found]]
-    frame = TrackedFrame(CAMERA, features, believed, points, np.zeros((6, 6)), found, 1.0)
+    frame = TrackedFrame(CAMERA, features, believed, points, np.zeros((6, 6)), found)
     return begin_structure(world, first, frame, seed=0)
 
 
@@ -175,7 +175,7 @@ def test_points_that_two_views_moved_are_told():
     world.changes.new_points.clear()
     features, _ = cloud.view(second, noise_px=0.3)
     points = np.full(len(features), NO_POINT, np.int64)
-    frame = TrackedFrame(CAMERA, features, pose_at(0.2), points, np.zeros((6, 6)), 60, 1.0)
+    frame = TrackedFrame(CAMERA, features, pose_at(0.2), points, np.zeros((6, 6)), 60)
     before = dict(zip(table.ids.tolist(), table.position.copy(), strict=True))
     assert begin_structure(world, first, frame, seed=0) is SecondView.CONTRADICTS
     now = dict(zip(table.ids.tolist(), table.position, strict=True))

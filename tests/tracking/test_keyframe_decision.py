@@ -28,7 +28,7 @@ def frame_at(pose, matched=200, covered=True) -> TrackedFrame:
     words = np.zeros((600, 4), np.uint64)
     features = Features.build(pixels, np.zeros(600, np.intp), words, 640, 480)
     points = np.where((pixels[:, 0] < 640 if covered else pixels[:, 0] < 300), 7, -1)
-    return TrackedFrame(CAMERA, features, pose, points, np.zeros((6, 6)), matched, 1.0)
+    return TrackedFrame(CAMERA, features, pose, points, np.zeros((6, 6)), matched)
 
 
 def judge(frame, reference, seconds=0.5, reference_matches=200, depth=3.0, config=CONFIG):
@@ -130,7 +130,7 @@ def placed(cloud: Cloud, world: LocalMap, pose: np.ndarray, share: float = 1.0) 
     ids = {of_cloud[tuple(w)]: i for i, w in zip(table.ids.tolist(), table.descriptor.tolist(), strict=True)}
     points = np.array([ids.get(i, -1) for i in shown.tolist()])
     points[int(share * len(points)) :] = -1
-    return TrackedFrame(CAMERA, features, pose, points, np.zeros((6, 6)), int((points >= 0).sum()), 1.0)
+    return TrackedFrame(CAMERA, features, pose, points, np.zeros((6, 6)), int((points >= 0).sum()))
 
 
 @pytest.mark.parametrize("place", range(4))

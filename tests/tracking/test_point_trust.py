@@ -36,7 +36,7 @@ def placed(cloud, world, proven_after_s: float) -> float:
     tracker.refresh_local_map(world, world.newest().points)
     k = world.newest()
     before = TrackedFrame(
-        CAMERA, k.features, k.world_from_camera, k.points.copy(), np.zeros((6, 6)), len(k.points), 0.0
+        CAMERA, k.features, k.world_from_camera, k.points.copy(), np.zeros((6, 6)), len(k.points)
     )
     frame = tracker.track(world, CAMERA, features, pose_at(0.24, 0.05), before, 25)
     return float(np.linalg.norm(se3_log(inverse(TRUE) @ frame.world_from_camera)[:3]))

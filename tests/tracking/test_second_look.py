@@ -33,7 +33,7 @@ def weak_frame(run: Run, error: np.ndarray, matched: int = 30) -> TrackedFrame:
     features = OrbExtractor(CONFIG).extract(film.images[index], film.camera)
     points = np.full(len(features), NO_POINT, np.int64)
     pose = film.poses[index] @ se3_exp(error)
-    return TrackedFrame(film.camera, features, pose, points, np.eye(6), matched, 1.0)
+    return TrackedFrame(film.camera, features, pose, points, np.eye(6), matched)
 
 
 def look(run: Run, frame: TrackedFrame) -> TrackedFrame:
