@@ -285,17 +285,15 @@ class Solved:
 
 @dataclass(frozen=True)
 class MapSnapshot:
-    """The backend's whole map (answer to a query)."""
+    """The backend's map as reports need it (answer to a query)."""
 
     epoch: int
     sequence: int
     settled: bool  # the stream has ended and the last optimisation is in
     log_scale: float
     keyframes: I64 = array("int64", -1)
-    indices: I64 = array("int64", -1)
     poses: F64 = array("float64", -1, 4, 4)
     points: I64 = array("int64", -1)
-    positions: F64 = array("float64", -1, 3)
     # Every loop that was accepted: the later keyframe's frame, the earlier one's, and what was measured then.
     loop_queries: I64 = optional("int64", -1)  # frame indices
     loop_candidates: I64 = optional("int64", -1)

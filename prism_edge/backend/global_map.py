@@ -247,23 +247,19 @@ class GlobalMap:
 
     def poses(self) -> dict[int, Array]:
         """world_from_camera of every keyframe, the remembered culled ones carried by their anchors."""
-        ids, _, poses = self.table()
+        ids, poses = self.table()
         return dict(zip(ids.tolist(), poses, strict=True))
 
-    def table(self) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-        """Numbers (n,), frames (n,) and world_from_camera (n, 4, 4) of the same."""
-        ids, here = _ids(self.keyframes), self.keyframes.values()
-        frames = _ids(k.index for k in here)
-        poses = np.array([k.world_from_camera for k in here]).reshape(-1, 4, 4)
+    def table(self) -> tuple[NDArray[np.int64], Array]:
+        """Numbers (n,) and world_from_camera (n, 4, 4) of the same."""
+        ids = _ids(self.keyframes)
+        poses = np.array([k.world_from_camera for k in self.keyframes.values()]).reshape(-1, 4, 4)
         if not len(self.carried):
-            return ids, frames, poses
+            return ids, poses
         order = np.argsort(ids)
         anchors = poses[order[np.searchsorted(ids, self.carried.numbers[:, 1], sorter=order)]]
-        return (
-            np.concatenate([ids, self.carried.ids]),
-            np.concatenate([frames, self.carried.numbers[:, 2]]),
-            np.concatenate([poses, anchors @ self.carried.links]),
-        )
+        links = anchors @ self.carried.links
+        return np.concatenate([ids, self.carried.ids]), np.concatenate([poses, links])
 
     def observe(self, keyframe: int, point: int, keypoint: int) -> None:
         """Note that a keyframe sees a point; nothing where either is not here."""

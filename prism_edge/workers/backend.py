@@ -359,17 +359,15 @@ class BackendWorker:
 
     def _take_snapshot(self) -> MapSnapshot:
         world, loops = self._mapper.world, self._mapper.loops.accepted
-        numbers, frames, poses = world.table()
+        numbers, poses = world.table()
         return MapSnapshot(
             epoch=self._mapper.epoch,
             sequence=self._mapper.sequence,
             settled=self._settled,
             log_scale=self._home_scale.log_scale,
             keyframes=numbers,
-            indices=frames,
             poses=poses,
             points=np.array(list(world.points), np.int64),
-            positions=np.array([p.position for p in world.points.values()]).reshape(-1, 3),
             loop_queries=np.array([loop.query_index for loop in loops], np.int64),
             loop_candidates=np.array([loop.candidate_index for loop in loops], np.int64),
             loop_poses=np.array([loop.candidate_from_query for loop in loops]).reshape(-1, 4, 4),

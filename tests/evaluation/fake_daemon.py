@@ -48,8 +48,8 @@ def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threadin
         # The map's world is the first camera's; half its unit is a metre.
         world = np.array([inverse(begun_with) @ camera_at(0), inverse(begun_with) @ camera_at(4)])
         world[:, :3, 3] *= 2.0
-        table = ids, ids, world, no_ids, np.zeros((0, 3))
-        return MapSnapshot(0, 1, settled, float(np.log(0.5)), *table, base_from_camera=begun_with)
+        known = settled, float(np.log(0.5)), ids, world, no_ids
+        return MapSnapshot(0, 1, *known, base_from_camera=begun_with)
 
     bus.answer("map_snapshot", snapshot)
     begin = time.monotonic_ns()

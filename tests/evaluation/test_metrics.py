@@ -52,7 +52,7 @@ def report(**changes: Any) -> dict[str, Any]:
     inputs: dict[str, Any] = {
         "config": Config(seed=3),
         "recording": recording,
-        "snapshot": MapSnapshot(0, 4, True, 0.05, ids, ids, np.eye(4)[None], np.arange(7), np.zeros((7, 3))),
+        "snapshot": MapSnapshot(0, 4, True, 0.05, ids, np.eye(4)[None], np.arange(7)),
         "usage": Usage({"tracker": 0.6, "source": 0.3}, {"tracker": 90.0, "source": 60.0}, 140.0, 0.02),
         "ready_s": 0.9,
         "first_stamp_ns": 0,
@@ -121,7 +121,7 @@ def test_what_is_not_known_is_null(capsys: pytest.CaptureFixture[str], tmp_path:
 
 def test_a_map_of_no_numbers_is_null_not_a_crash(tmp_path: Any) -> None:
     ids = np.zeros(1, np.int64)
-    broken = MapSnapshot(0, 4, True, np.nan, ids, ids, np.eye(4)[None], ids, np.zeros((1, 3)))
+    broken = MapSnapshot(0, 4, True, np.nan, ids, np.eye(4)[None], ids)
     found = report(snapshot=broken)
     assert found["log_scale"] is None
     json.dumps(found, allow_nan=False)

@@ -29,9 +29,7 @@ def pose(index: int, late_ms: float = 8.0) -> Published:
 def snapshot(poses: dict[int, np.ndarray], log_scale: float) -> MapSnapshot:
     ids = np.array(list(poses), dtype=np.int64)
     stacked = np.array(list(poses.values())).reshape(-1, 4, 4)
-    return MapSnapshot(
-        0, 1, True, log_scale, ids, ids, stacked, np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-    )
+    return MapSnapshot(0, 1, True, log_scale, ids, stacked, np.zeros(0, dtype=np.int64))
 
 
 def test_counts_of_a_run() -> None:
