@@ -22,7 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from prism_edge.evaluation.resources import cpu_s, machine_cpu
+from prism_edge.evaluation.resources import cpu_s, machine_cpu, taken_by_others
 from prism_edge.geometry.poses import Array, inverse, rotation_angle
 from tools.faults_service import Service, Watcher, draw_room, long_recording, one_run, service_config
 
@@ -74,7 +74,7 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
                 raise SystemExit(f"soak: error: no poses in two minutes; see {out / 'daemon.log'}")
             time.sleep(0.1)
         begun, first = time.monotonic(), len(watcher.poses)
-        busy = machine_cpu(), _cpu(service)
+        machine, own_s = machine_cpu(), _cpu(service)
         samples: list[dict[str, Any]] = []
         while (at := time.monotonic() - begun) < seconds:
             samples.append(
@@ -89,7 +89,7 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
             )
             time.sleep(max(0.0, min(SAMPLE_S, begun + seconds - time.monotonic())))
         poses = len(watcher.poses) - first
-        foreign = _foreign(busy, (machine_cpu(), _cpu(service)))
+        foreign = taken_by_others(machine, machine_cpu(), _cpu(service) - own_s)
         restarts = {name: row["restarts"] for name, row in watcher.health.items() if "restarts" in row}
         latencies = [(when - begun, ms) for when, ms in list(watcher.latencies) if when >= begun]
         gap, gap_at = watcher.longest_gap_and_when(begun, time.monotonic() - 0.05)
@@ -229,17 +229,6 @@ def _held(watcher: Watcher) -> int:
 def _cpu(service: Service) -> float:
     used = [cpu_s(process.pid) for process in service.processes().values()]
     return sum(seconds[0] for seconds in used if seconds is not None)
-
-
-def _foreign(
-    before: tuple[tuple[float, float] | None, float], after: tuple[tuple[float, float] | None, float]
-) -> float | None:
-    """Share of the machine that was not the service's (the listener's own is among it)."""
-    (machine_0, own_0), (machine_1, own_1) = before, after
-    if machine_0 is None or machine_1 is None:
-        return None
-    busy, capacity = machine_1[0] - machine_0[0], machine_1[1] - machine_0[1]
-    return max(0.0, busy - (own_1 - own_0)) / capacity if capacity > 0 else None
 
 
 if __name__ == "__main__":

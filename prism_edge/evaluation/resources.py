@@ -74,11 +74,8 @@ class Meter:
         used: dict[str, float] = {}
         for key, seconds in self._cpu.items():
             used[key[0]] = used.get(key[0], 0.0) + seconds - self._cpu_before.get(key, 0.0)
-        foreign, now = None, machine_cpu()
-        if self._machine_before is not None and now is not None and now[1] > self._machine_before[1]:
-            ours = sum(used.values()) + _own_cpu() - self._ours_before
-            busy, capacity = now[0] - self._machine_before[0], now[1] - self._machine_before[1]
-            foreign = max(0.0, busy - ours) / capacity
+        now, ours = machine_cpu(), sum(used.values()) + _own_cpu() - self._ours_before
+        foreign = taken_by_others(self._machine_before, now, ours)
         self._usage = Usage(used, dict(self._pss), self._total_pss, foreign)
 
     @property
@@ -148,6 +145,15 @@ def machine_cpu() -> tuple[float, float] | None:
         return None
     busy = user + nice + system + irq + softirq + steal
     return busy * _TICK_S, (busy + idle + wait) * _TICK_S
+
+
+def taken_by_others(
+    before: tuple[float, float] | None, after: tuple[float, float] | None, ours_s: float
+) -> float | None:
+    """Share of the machine between two answers of :func:`machine_cpu` that was not our CPU seconds."""
+    if before is None or after is None or after[1] <= before[1]:
+        return None
+    return max(0.0, after[0] - before[0] - ours_s) / (after[1] - before[1])
 
 
 def _own_cpu() -> float:

@@ -12,7 +12,7 @@ import psutil
 import pytest
 
 from prism_edge.evaluation import resources
-from prism_edge.evaluation.resources import Meter, cpu_s, machine_cpu, pss_mb
+from prism_edge.evaluation.resources import Meter, cpu_s, machine_cpu, pss_mb, taken_by_others
 
 pytestmark = pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="needs Linux's /proc")
 
@@ -156,3 +156,11 @@ def test_readings_of_nobody_are_none(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     meter.end()
     assert meter.usage.foreign_cpu is None
     assert meter.usage.peak_total_pss_mb is None
+
+
+def test_what_others_took_is_of_the_machine_s_time_and_never_below_nothing() -> None:
+    assert taken_by_others((10.0, 100.0), (16.0, 120.0), 2.0) == pytest.approx(0.2)
+    assert taken_by_others((10.0, 100.0), (11.0, 120.0), 2.0) == 0.0
+    assert taken_by_others((10.0, 100.0), (10.0, 100.0), 0.0) is None, "no time has passed"
+    assert taken_by_others(None, (16.0, 120.0), 2.0) is None
+    assert taken_by_others((10.0, 100.0), None, 2.0) is None
