@@ -6,12 +6,11 @@ import numpy as np
 
 from prism_edge.backend.global_map import LONG_AGO, GlobalKeyframe, GlobalMap
 from prism_edge.geometry.poses import Array
-from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
+from prism_edge.tracking.local_map import LEAST_SHARED, NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
 from prism_edge.tracking.point_table import Ids
 
 NEIGHBOURS = 20
-LEAST_SHARED = 15
 SEEDED_SIGMA = 0.2  # relative depth error of a point that was never triangulated
 
 

@@ -13,6 +13,7 @@ from prism_edge.tracking.features import Features
 from prism_edge.tracking.point_table import Ids, Index, PointTable
 
 NO_POINT = -1
+LEAST_SHARED = 15  # points, for keyframes to be covisible
 
 
 @dataclass
@@ -180,12 +181,12 @@ class LocalMap:
                 counts[keyframe.id] = count
         return counts
 
-    def covisible(self, keyframe: LocalKeyframe, most: int, least_shared: int = 15) -> list[LocalKeyframe]:
+    def covisible(self, keyframe: LocalKeyframe, most: int) -> list[LocalKeyframe]:
         """Keyframes that share the most points with one, best first."""
         votes = self.votes(keyframe.points[keyframe.observed()])
         votes.pop(keyframe.id, None)
         ranked = sorted(votes.items(), key=lambda item: (-item[1], -item[0]))
-        return [self.keyframes[k] for k, shared in ranked[:most] if shared >= least_shared]
+        return [self.keyframes[k] for k, shared in ranked[:most] if shared >= LEAST_SHARED]
 
     def rows_seen_by(self, keyframes: list[LocalKeyframe], most: int) -> Index:
         """Rows of the live points that some keyframes see; earlier keyframes in the list count first."""

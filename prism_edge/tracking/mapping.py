@@ -186,12 +186,10 @@ def share_points(world: LocalMap, rows: Index, target: LocalKeyframe, factors: A
         table.descriptor.take(rows, axis=0),
         FUSE_DISTANCE,
         FUSE_RATIO,
-        exclusive=True,
     )
     ids = table.ids[rows[query]]
-    # Pairs come nearest first: of several points at a free keypoint the first takes it.
-    _, firsts = np.unique(keypoint, return_index=True)
-    for i in firsts[target.points[keypoint[firsts]] == NO_POINT].tolist():
+    order = np.argsort(keypoint)
+    for i in order[target.points[keypoint[order]] == NO_POINT].tolist():
         world.add_observation(int(ids[i]), int(rows[query[i]]), target, int(keypoint[i]))
     present = target.points[keypoint]
     doubles = present != ids

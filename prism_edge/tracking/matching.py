@@ -69,9 +69,8 @@ def best_pairs(
     distance: NDArray[np.int64],
     max_distance: int,
     ratio: float,
-    exclusive: bool = True,
 ) -> tuple[Index, Index]:
-    """One keypoint for each query, and if ``exclusive`` one query for each keypoint; nearest pairs first.
+    """One keypoint for each query and one query for each keypoint; nearest pairs first.
 
     The pairs given are grouped by query. A pair needs a distance of at most ``max_distance`` and below
     ``ratio`` times the query's second best.
@@ -95,7 +94,7 @@ def best_pairs(
     order = np.argsort(distance[position], kind="stable")
     position = position.take(order)
     query, keypoint = query.take(position), keypoint.take(position)
-    if not exclusive or len(position) == 0:
+    if len(position) == 0:
         return query, keypoint
     # Backwards, so that of several the first is written last.
     places = np.arange(len(position))
@@ -114,22 +113,20 @@ def match_projected(
     max_distance: int,
     ratio: float,
     free: NDArray[np.bool_] | None = None,
-    octave_slack: int = 1,
-    exclusive: bool = True,
 ) -> tuple[Index, Index]:
-    """Match points expected at ``centres`` (m, 2) at pyramid level ``octaves`` to keypoints.
+    """Match points expected at ``centres`` (m, 2) at pyramid level ``octaves`` to keypoints of one like it.
 
     ``free`` (n,) masks keypoints that may be matched. Returns (query, keypoint) index arrays.
     """
     query, keypoint = candidate_pairs(features, centres, radii)
-    keep = np.abs(features.octaves.take(keypoint) - octaves.take(query)) <= octave_slack
+    keep = np.abs(features.octaves.take(keypoint) - octaves.take(query)) <= 1
     if free is not None:
         keep &= free.take(keypoint)
     kept = np.flatnonzero(keep)
     query, keypoint = query.take(kept), keypoint.take(kept)
     # Whole rows: take() is several times as fast as an index in brackets.
     distance = hamming(descriptors.take(query, axis=0), features.descriptors.take(keypoint, axis=0))
-    return best_pairs(query, keypoint, distance, max_distance, ratio, exclusive)
+    return best_pairs(query, keypoint, distance, max_distance, ratio)
 
 
 def match_corners(a: Features, b: Features) -> tuple[Index, Index]:

@@ -12,6 +12,7 @@ from prism_edge.tracking.matching import best_pairs, hamming
 
 Index = NDArray[np.intp]
 MARGIN_PX = 10.0  # beyond the ends of an epipolar segment
+MATCH_DISTANCE, MATCH_RATIO = 50, 0.85  # of 256 bits; of the next best's
 
 
 def rays(camera: Camera, pixels: Array) -> Array:
@@ -36,8 +37,6 @@ def match_epipolar(
     free_b: Index,
     scale_factors: Array,
     depth_range: tuple[float, float],
-    max_distance: int = 50,
-    ratio: float = 0.85,
 ) -> tuple[Index, Index]:
     """Matches between unclaimed keypoints of two keyframes that satisfy their epipolar geometry.
 
@@ -76,7 +75,7 @@ def match_epipolar(
     if len(query) == 0:
         return free_a[:0], free_b[:0]
     bits = hamming(features_a.descriptors[free_a[query]], features_b.descriptors[free_b[other]])
-    query, other = best_pairs(query, other, bits, max_distance, ratio)
+    query, other = best_pairs(query, other, bits, MATCH_DISTANCE, MATCH_RATIO)
     return free_a[query], free_b[other]
 
 

@@ -127,7 +127,6 @@ def test_covisible_ranks_by_shared_points(world):
     }
     assert [k.id for k in world.covisible(newest, 10)] == sorted(shared, key=lambda k: -shared[k])
     assert len(world.covisible(newest, 2)) == 2
-    assert world.covisible(newest, 10, least_shared=401) == []
 
 
 def test_centres_are_where_the_cameras_stand_in_the_order_of_their_numbers(world):

@@ -20,9 +20,9 @@ _FONTS = (
 )
 
 
-def _word(rng: np.random.Generator, low: int = 2, high: int = 9) -> str:
-    letters = rng.integers(0, len(_LETTERS), high).tolist()
-    return "".join(_LETTERS[i] for i in letters[: low + letters[-1] % (high - low)])
+def _word(rng: np.random.Generator) -> str:
+    letters = rng.integers(0, len(_LETTERS), 9).tolist()
+    return "".join(_LETTERS[i] for i in letters[: 2 + letters[-1] % 7])
 
 
 def _random_colour(rng: np.random.Generator, value: tuple[float, float] = (0.3, 0.95)) -> Colour:
