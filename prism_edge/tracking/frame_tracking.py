@@ -62,19 +62,12 @@ def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
 
 
 def reference_origins(world: LocalMap, rows: Index, views: Centres | None = None) -> Array:
-    """Where the camera was that created each point; a culled keyframe's points use their last viewer.
+    """Where the camera was that created each point, or of the keyframe that a culled one handed it on to.
 
     ``views`` are the map's :meth:`~prism_edge.tracking.local_map.LocalMap.centres`, where they are at hand.
     """
-    table = world.points
     numbers, centres = world.centres() if views is None else views
-    references = table.reference.take(rows)
-    at = np.minimum(np.searchsorted(numbers, references), len(numbers) - 1)
-    origins: Array = centres.take(at, axis=0)
-    lost = np.flatnonzero(numbers.take(at) != references)
-    if len(lost):
-        gone = rows[lost]
-        origins[lost] = table.position[gone] + table.direction[gone] * table.distance[gone, None]
+    origins: Array = centres.take(np.searchsorted(numbers, world.points.reference.take(rows)), axis=0)
     return origins
 
 

@@ -146,14 +146,6 @@ def test_depth_errors_lie_along_the_first_rays():
     assert error == pytest.approx(0.2 * (world.points.position - [0.5, 0.1, 0.0]))
 
 
-def test_points_whose_first_keyframe_is_gone_use_their_last_viewer():
-    cloud = Cloud(100, seed=4)
-    world, _ = cloud.mapped([pose_at(0.5, 0.1)])
-    world.points.reference[:] = 77
-    origins = reference_origins(world, np.arange(len(world.points)))
-    assert origins == pytest.approx(np.tile([0.5, 0.1, 0.0], (len(world.points), 1)))
-
-
 def test_the_local_map_is_what_the_best_keyframes_see_and_no_more_than_asked(scene):
     _, world, _, features, _, _ = scene
     tracker = FrameTracker(FACTORS, 60)
@@ -193,13 +185,3 @@ def test_beside_firm_points_a_seed_s_depth_counts_five_times_less():
     assert np.array_equal(error[~seeds], own[~seeds])
     few = np.r_[rows[seeds], rows[~seeds][: ENOUGH_TRIANGULATED - 1]]
     assert np.array_equal(tracker._depth_error(world, world.centres(), few), own[few])
-
-
-def test_a_reference_that_is_gone_is_not_taken_for_the_next_keyframe():
-    """Culling hands references on (keyframe_culling.py); should one be left, it is its last viewer's ray."""
-    world, _ = Cloud(100, seed=4).mapped([pose_at(), pose_at(0.5, 0.1)])
-    last = world.newest()
-    rows = world.points.rows(last.points[last.observed()])
-    world.points.reference[rows] = -7  # older than all
-    origins = reference_origins(world, rows)
-    assert origins == pytest.approx(np.tile([0.5, 0.1, 0.0], (len(rows), 1)))
