@@ -186,6 +186,7 @@ def join(world: LocalMap, update: MapUpdate) -> dict[int, int]:
         became[old] = became.get(kept, kept)
     survivors = np.array([became[old] for old in update.fused_from.tolist()], np.int64)
     merge(world, survivors, update.fused_from)
+    taken: list[tuple[int, int]] = []
     for number, point, keypoint in zip(
         update.added_keyframes.tolist(),
         update.added_points.tolist(),
@@ -195,12 +196,31 @@ def join(world: LocalMap, update: MapUpdate) -> dict[int, int]:
         keyframe = world.keyframes.get(number)
         if keyframe is None or not 0 <= keypoint < len(keyframe.points):
             continue
-        if keyframe.points[keypoint] == NO_POINT and point not in keyframe.points:
+        mine = int(keyframe.points[keypoint])
+        if mine != NO_POINT:
+            taken.append((point, mine))
+        elif point not in keyframe.points:
             known = np.array([point], np.int64)
             if world.points.known(known)[0]:
                 keyframe.points[keypoint] = point
                 world.points.observations[world.points.rows(known)] += 1
-    return became
+    now = _make_way(world, np.array(taken, np.int64).reshape(-1, 2))
+    return {old: now.get(kept, kept) for old, kept in became.items()} | now
+
+
+def _make_way(world: LocalMap, taken: NDArray[np.int64]) -> dict[int, int]:
+    """Points of the other end that were to come to keypoints where another stands by now, a seed mostly.
+
+    ``taken`` (n, 2) are both. They are one, as the backend would have found had it known of the other, but
+    where a keyframe tells them apart. Returns which point each became.
+    """
+    pairs = taken[world.points.known(taken.ravel()).reshape(-1, 2).all(axis=1)]
+    apart = np.zeros(len(pairs), bool)
+    for keyframe in world.keyframes.values() if len(pairs) else ():
+        apart |= np.isin(pairs, keyframe.points).all(axis=1)
+    known = len(world.changes.fused)
+    merge(world, pairs[~apart, 0], pairs[~apart, 1])
+    return dict(world.changes.fused[known:])
 
 
 def fit(

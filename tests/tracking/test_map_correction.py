@@ -245,6 +245,43 @@ def test_a_loop_lets_keyframes_see_points_where_they_can():
     check(world)
 
 
+def test_a_seed_that_came_first_becomes_what_the_loop_shows_there():
+    """Depth is taken in between a loop's closing and its update."""
+    world, _ = Cloud(400).mapped([pose_at(), pose_at(0.1), pose_at(0.2)])
+    keyframe, table = world.keyframes[2], world.points
+    taken, shared = keyframe.observed()[:2].tolist()
+    looped, apart = int(keyframe.points[taken]), int(keyframe.points[shared])
+    world.drop_observations(np.array([2]), np.array([looped]))
+    (seed,) = world.add_points(keyframe, np.array([taken]), np.zeros((1, 3)), np.array([0.2]), 0.0).tolist()
+    before = table.observations[table.rows(np.array([looped]))].tolist()
+    added = {"added_keyframes": [2, 2], "added_points": [looped, seed], "added_keypoints": [taken, shared]}
+    assert join(world, loop_update(**added)) == {seed: looped}
+    assert keyframe.points[taken] == looped
+    assert keyframe.points[shared] == apart, "two points of one keyframe are two"
+    assert table.observations[table.rows(np.array([looped]))].tolist() == [before[0] + 1]
+    assert not table.known(np.array([seed])).any()
+    assert world.changes.fused == [(seed, looped)], "the backend hears of it"
+    check(world)
+
+
+def test_what_a_loop_makes_one_goes_on_to_the_point_that_takes_its_keypoint():
+    world, _ = Cloud(400).mapped([pose_at(), pose_at(0.1)])
+    keyframe = world.keyframes[1]
+    looped, mine, other = keyframe.points[keyframe.observed()[:3]].tolist()
+    keypoint = int(np.flatnonzero(keyframe.points == mine)[0])
+    for point, k in ((looped, 1), (other, 0), (other, 1), (mine, 0)):
+        here = world.keyframes[k]
+        here.points[here.points == point] = -1
+        world.points.observations[world.points.rows(np.array([point]))] -= 1
+    update = loop_update(
+        fused_from=[other], fused_into=[mine],
+        added_keyframes=[1], added_points=[looped], added_keypoints=[keypoint],
+    )
+    assert join(world, update) == {other: looped, mine: looped}
+    assert keyframe.points[keypoint] == looped
+    check(world)
+
+
 def test_a_newer_keyframe_is_not_fitted_to_points_of_its_own():
     """They are where it was before: many, they would hold it there."""
     world, _ = Cloud(600, seed=4).mapped(POSES[:4])
