@@ -104,13 +104,7 @@ class GlobalMap:
             self.fuse(old, kept)
         for point in message.culled_points.tolist():
             self._forget_point(point)
-        for point, keyframe, keypoint in zip(
-            message.late_points.tolist(),
-            message.late_keyframes.tolist(),
-            message.late_keypoints.tolist(),
-            strict=True,
-        ):
-            self.observe(keyframe, point, keypoint)
+        self._observe_late(message)
         keypoints = np.flatnonzero(message.points >= 0)
         camera = Camera.from_array(message.camera_model, message.camera)
         added = GlobalKeyframe(
@@ -266,6 +260,29 @@ class GlobalMap:
         if keyframe in self.keyframes and point in self.points:
             self.keyframes[keyframe].observed[point] = keypoint
             self.points[point].keyframes.add(keyframe)
+
+    def _observe_late(self, message: Keyframe) -> None:
+        """What earlier keyframes turn out to see; a keypoint shows one point, as the tracker says which.
+
+        Another may have come to it here: by a loop that the tracker had not heard of, or from a life of its
+        before this one.
+        """
+        shown: dict[int, dict[int, int]] = {}  # of each keyframe that this is about: the point at a keypoint
+        late = message.late_points, message.late_keyframes, message.late_keypoints
+        for point, number, keypoint in zip(*(column.tolist() for column in late), strict=True):
+            keyframe = self.keyframes.get(number)
+            if keyframe is None or point not in self.points:
+                continue
+            if number not in shown:
+                shown[number] = {i: p for p, i in keyframe.observed.items()}
+            other = shown[number].get(keypoint, point)
+            if other != point and keyframe.observed.get(other) == keypoint:
+                del keyframe.observed[other]
+                self.points[other].keyframes.discard(number)
+                if not self.points[other].keyframes:
+                    self._forget_point(other)
+            shown[number][keypoint] = point
+            self.observe(number, point, keypoint)
 
     def _forget_point(self, point: int) -> None:
         gone = self.points.pop(point, None)

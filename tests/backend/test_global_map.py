@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.global_map import GlobalMap, GlobalPoint
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from tests.backend.world import Teller, check, quiet
 from tests.tracking.cloud import pose_at
@@ -45,6 +45,43 @@ def test_late_observations_reach_earlier_keyframes(told):
     assert world.keyframes[1].observed[point] == 7
     assert 1 in world.points[point].keyframes
     assert 10**6 not in world.points
+    check(world)
+
+
+def test_a_keypoint_shows_one_point_that_which_the_tracker_says(told):
+    """A loop has put a point where the tracker, which has not heard of it, puts another."""
+    world, _, messages = told
+    _, said, looped = messages[1].points[:3].tolist()
+    others = world.points[looped].keyframes - {1}
+    for point in (said, looped):
+        world.drop_observation(1, point)
+    world.observe(1, looped, 1)
+    late = {"late_points": [said], "late_keyframes": [1], "late_keypoints": [1]}
+    world.absorb(quiet(messages[-1], **late))
+    assert world.keyframes[1].observed[said] == 1
+    assert looped not in world.keyframes[1].observed
+    assert world.points[looped].keyframes == others
+    check(world)
+
+
+def test_a_point_that_gives_way_at_its_only_keypoint_is_gone(told):
+    world, _, messages = told
+    said, lonely = int(messages[4].points[0]), 10**6
+    world.drop_observation(4, said)
+    world.points[lonely] = GlobalPoint(np.zeros(3))
+    world.observe(4, lonely, 0)
+    late = {"late_points": [said], "late_keyframes": [4], "late_keypoints": [0]}
+    world.absorb(quiet(messages[-1], **late))
+    assert lonely not in world.points
+    check(world)
+
+
+def test_a_point_that_moved_to_another_keypoint_does_not_give_way_at_the_first(told):
+    world, _, messages = told
+    (moved, other), later = messages[1].points[:2].tolist(), len(messages[1].points) - 1
+    late = {"late_points": [moved, other], "late_keyframes": [1, 1], "late_keypoints": [later, 0]}
+    world.absorb(quiet(messages[-1], **late))
+    assert (world.keyframes[1].observed[moved], world.keyframes[1].observed[other]) == (later, 0)
     check(world)
 
 
