@@ -19,6 +19,7 @@ from prism_edge.sources.live.stream import is_stream
 from prism_edge.sources.mask import read_mask
 from prism_edge.sources.open import AUTO, open_source
 from prism_edge.sources.sim import is_simulated
+from prism_edge.supervisor.metrics import check_port
 
 
 def check_config(config: Config) -> list[str]:
@@ -28,6 +29,7 @@ def check_config(config: Config) -> list[str]:
     """
     check_robot_name(config.robot)
     check_settings(config.network, config.bus.endpoint)
+    check_port(config)
     missing = _endpoint(config) + unreadable(config.network)  # the service's key is there only while it runs
     return missing + _extras(config) + _source(config.source) + _model(with_network(config))
 

@@ -9,10 +9,20 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any
 
+from prism_edge.bus.keys import collide
+from prism_edge.config import Config
 from prism_edge.errors import ConfigError
 from prism_edge.supervisor.health import OK, WARN, Row
 
 ADDRESS = "127.0.0.1"
+
+
+def check_port(config: Config) -> None:
+    """Raises ConfigError for a port on which the run itself listens for something else."""
+    port = config.metrics.port
+    for setting, endpoint in (("bus", config.bus.endpoint), ("network", config.network.endpoint)):
+        if port and endpoint and collide(f"tcp/{ADDRESS}:{port}", endpoint.replace("localhost", ADDRESS)):
+            raise ConfigError(f"metrics.port: {setting}.endpoint has this port ({endpoint}): take another")
 
 
 class MetricsServer:

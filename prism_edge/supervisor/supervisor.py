@@ -21,7 +21,7 @@ from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.health import Row, no_network, status_line, summary
 from prism_edge.supervisor.kept_journal import KeptJournal
 from prism_edge.supervisor.liveness import OVERDUE, QUIET_S
-from prism_edge.supervisor.metrics import MetricsServer
+from prism_edge.supervisor.metrics import MetricsServer, check_port
 from prism_edge.supervisor.reload import difference
 from prism_edge.supervisor.remote import RemoteWatch
 from prism_edge.supervisor.run_directory import RunDirectory
@@ -126,6 +126,7 @@ class Supervisor:
         check_robot_name(self._config.robot)
         check_loopback(self._config.bus.endpoint)
         check_network(self._config.network, self._config.bus.endpoint)
+        check_port(self._config)
         if not self._config.depth.network:
             log.warning("depth %s", no_network().message)
         try:

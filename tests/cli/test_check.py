@@ -63,6 +63,7 @@ def test_what_runs_is_passed_without_a_word(
         ("source: {uri: 'oak:'}\ndepth: {model: sensor}\n", 3, "is for recordings with depth"),
         ("network: {operators: [anna]}\n", 3, "network.operators"),
         ("depth: {model: 'nested:one'}\n", 5, "nested takes two networks"),
+        ("metrics: {port: 7447}\n", 3, "bus.endpoint has this port"),
     ],
 )
 def test_what_is_wrong_in_the_file_is_an_error(

@@ -6,15 +6,17 @@ import builtins
 import socket
 import threading
 import urllib.request
+from dataclasses import replace
 from typing import Any
 
 import psutil
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
+from prism_edge.config import BusConfig, Config, MetricsConfig, NetworkConfig
 from prism_edge.errors import ConfigError
 from prism_edge.supervisor.health import ERROR, OK, Row, summary
-from prism_edge.supervisor.metrics import MetricsServer
+from prism_edge.supervisor.metrics import MetricsServer, check_port
 
 
 def free_port() -> int:
@@ -107,3 +109,25 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(ConfigError, match=r"pip install 'prism-edge\[metrics\]'"):
         MetricsServer(free_port(), list)
+
+
+@pytest.mark.parametrize(
+    ("bus", "network", "whose"),
+    [
+        ("tcp/127.0.0.1:9400", "", "bus.endpoint"),
+        ("tcp/localhost:9400", "", "bus.endpoint"),
+        ("tcp/127.0.0.1:7447", "tls/0.0.0.0:9400", "network.endpoint"),
+        ("tcp/127.0.0.1:7447", "tls/192.168.1.7:9400", None),
+        ("unixsock-stream//run/9400", "", None),
+    ],
+)
+def test_a_port_that_the_run_listens_on_itself_is_refused(bus: str, network: str, whose: str | None) -> None:
+    config = Config(
+        bus=BusConfig(bus), network=NetworkConfig(endpoint=network), metrics=MetricsConfig(port=9400)
+    )
+    check_port(replace(config, metrics=MetricsConfig()))
+    if whose is None:
+        check_port(config)
+        return
+    with pytest.raises(ConfigError, match=rf"metrics\.port: {whose} has this port"):
+        check_port(config)
