@@ -80,6 +80,15 @@ def short_name(name: str) -> str:
     return next((short for short, full in SHORT.items() if full == name), name)
 
 
+def check_names(config: DepthConfig) -> None:
+    """Raises ModelError for what is wrong on any machine: names, and options of no such form."""
+    asked = {full_name(name) for name in config.providers}
+    required = {full_name(name, "depth.required") for name in config.required}
+    given_options(config)
+    if required - asked:
+        raise ModelError(f"depth.required: {_words(required - asked)} is not among depth.providers")
+
+
 def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
     """Loads a vetted network on the first of ``depth.providers`` that starts, the CPU after all.
 
@@ -87,12 +96,13 @@ def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
     Those behind the one that starts get the nodes that it does not take. Raises ModelError where a provider
     that ``depth.required`` names is not there or does not start, or where no provider takes the file.
     """
+    check_names(config)  # a wrong setting is no fault of the file
     names = tuple(dict.fromkeys(full_name(name) for name in (*config.providers, "cpu")))
     required = {full_name(name, "depth.required") for name in config.required}
-    given_options(config)  # a wrong setting is no fault of the file
     asked = {full_name(name) for name in config.providers}
-    if required - asked:
-        raise ModelError(f"depth.required: {_words(required - asked)} is not among depth.providers")
+    idle = given_options(config).keys() - set(names)
+    if idle:
+        log.warning("depth.provider_options: %s is not among depth.providers", _words(idle))
     offered = onnxruntime.get_available_providers()
     wanted = []
     for name in names:

@@ -13,6 +13,7 @@ import pytest
 from prism_edge.config import DepthConfig
 from prism_edge.depth import providers
 from prism_edge.depth.session import OnnxNetwork
+from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
 from tests.synthetic.network import write_tiny_network
 
@@ -176,6 +177,14 @@ def test_options_reach_their_provider_alone(network, monkeypatch):
     assert border.options[CUDA] == {"device_id": "1", "gpu_mem_limit": "5"}
     assert border.options[QNN] == {"backend_path": "/opt/qnn/lib.so"}
     assert border.options[CPU] == {}
+
+
+def test_options_of_a_provider_that_is_not_asked_for_are_a_warning(network, caplog):
+    options = ("cuda.device_id=1", "cpu.x=1")
+    with caplog.at_level(logging.WARNING, "prism_edge.depth"):
+        providers.start(vet(network), DepthConfig(provider_options=options))
+    (said,) = [record.getMessage() for record in caplog.records]
+    assert said == "depth.provider_options: cuda is not among depth.providers"
 
 
 def test_session_options_are_the_configured_ones():
