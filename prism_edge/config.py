@@ -6,9 +6,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 
-def limits(default: Any, low: float | None = None, high: float | None = None, help: str = "") -> Any:
-    """A dataclass field with bounds (inclusive) that the loader enforces, and a line of help."""
-    return field(default=default, metadata={"low": low, "high": high, "help": help})
+def limits(
+    default: Any,
+    low: float | None = None,
+    high: float | None = None,
+    help: str = "",
+    least: float | None = None,
+) -> Any:
+    """A dataclass field with bounds (inclusive) that the loader enforces, and a line of help.
+
+    ``least``: where 0 has a meaning of its own, the smallest number beside it.
+    """
+    return field(default=default, metadata={"low": low, "high": high, "help": help, "least": least})
 
 
 def one_of(default: str, *choices: str, help: str = "") -> Any:
@@ -62,7 +71,9 @@ class SourceConfig:
     uri: str = text("", "folder of a dataset or of images, a video file, or a camera's address")
     camera: str = text("", "camera file (YAML); auto: as the network sees it; empty: what the recording says")
     mask: str = text("", "image, black where the camera sees its own robot or writing; empty: none")
-    rate_hz: float = limits(0.0, 0.0, 1000.0, "play at this rate; 0: the recording's own stamps, else 30 Hz")
+    rate_hz: float = limits(
+        0.0, 0.0, 1000.0, "play at this rate; 0: the recording's own stamps, else 30 Hz", least=0.01
+    )
     frames: int = limits(0, 0, 10**9, "play no more than the first so many frames of a recording; 0: all")
     wait_s: float = limits(0.0, 0.0, 3600.0, "release the first frame no sooner than this after ready")
     absent_s: float = limits(10.0, 0.0, 45.0, "longest wait, at the start, for a camera that isn't there")
@@ -75,7 +86,7 @@ class BusConfig:
     """The Zenoh session that joins the processes, and that subscribers join."""
 
     endpoint: str = text("tcp/127.0.0.1:7447", "the supervisor's listener, on loopback or a socket file")
-    retry_ms: int = limits(200, 10, 60_000, "pause between attempts to reach the listener")
+    retry_ms: int = limits(200, 10, 1000, "pause between attempts to reach the listener")
 
 
 @dataclass(frozen=True)
@@ -114,7 +125,9 @@ class TrackingConfig:
         1.5, 0.0, 60.0, "a moving camera makes a keyframe at least this often; not in a known place"
     )
     max_local_points: int = limits(5000, 100, 50_000, "map points projected into a frame at most")
-    proven_after_s: float = limits(1.5, 0.0, 60.0, "age at which a point weighs fully; 0: all weigh alike")
+    proven_after_s: float = limits(
+        1.5, 0.0, 60.0, "age at which a point weighs fully; 0: all weigh alike", least=0.001
+    )
     two_views: bool = field(
         default=True, metadata={"help": "a map's second keyframe waits for parallax, and checks the depth"}
     )
@@ -238,7 +251,7 @@ class BackendConfig:
 class LockstepConfig:
     """Fixed lags, in frames, with which lockstep applies asynchronous results."""
 
-    depth_lag: int = limits(3, 0, 1000, "frames from a keyframe to its depth and scale")
+    depth_lag: int = limits(3, 0, 100, "frames from a keyframe to its depth and scale")
     map_lag: int = limits(6, 0, 1000, "frames from a keyframe to the backend's map update")
 
 
@@ -248,7 +261,7 @@ class SupervisorConfig:
 
     stop_s: float = limits(2.0, 0.1, 60.0, "time processes get to end before they are killed")
     start_s: float = limits(
-        60.0, 1.0, 600.0, "time processes get to become ready, if they declare no longer work"
+        60.0, 5.0, 600.0, "time processes get to become ready, if they declare no longer work"
     )
     max_restarts: int = limits(5, 0, 1000, "restarts of one process within the window before giving up")
     window_s: float = limits(60.0, 1.0, 86_400.0, "that window")

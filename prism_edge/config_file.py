@@ -36,7 +36,8 @@ def load(path: str | os.PathLike[str] | None = None, overrides: Mapping[str, Any
     for key, value in (overrides or {}).items():
         given[key] = _override(key, value)
     config: Config = _build(Config, given)
-    _check_names(config, "" if path is None else f"{os.fspath(path)}: ")
+    place = "" if path is None else f"{os.fspath(path)}: "
+    _check_names(config, place)
     return config
 
 
@@ -66,6 +67,7 @@ class Leaf:
     default: Any
     low: float | None = None
     high: float | None = None
+    least: float | None = None  # of what is not 0
     choices: tuple[str, ...] = ()
     length: int | None = None  # of a list
     measure: str = ""  # what its numbers are, in a word
@@ -81,7 +83,8 @@ class Leaf:
         if self.name:
             return "a name"
         if self.type in one:
-            return " or ".join(self.choices) if self.choices else one[self.type] + self._range()
+            beside = "" if self.least is None else "0, or "
+            return " or ".join(self.choices) if self.choices else beside + one[self.type] + self._range()
         item = "numbers" if typing.get_args(self.type)[0] is float else "words"
         some = f" (of: {', '.join(self.choices)})" if self.choices else ""
         norm = " of norm 1" if self.unit else ""
@@ -90,8 +93,9 @@ class Leaf:
         return f"a list of {count}{item}{some}{norm}{self._range()}{measure}"
 
     def _range(self) -> str:
-        if self.low is not None and self.high is not None:
-            return f" from {self.low:.12g} to {self.high:.12g}"
+        low = self.low if self.least is None else self.least
+        if low is not None and self.high is not None:
+            return f" from {low:.12g} to {self.high:.12g}"
         return "" if self.low is None else f" of at least {self.low:.12g}"
 
 
@@ -106,7 +110,7 @@ def leaves(tree: type = Config, prefix: str = "", reload: tuple[str, ...] = ()) 
             yield from leaves(kind, key + ".", field.metadata.get("reload", reload))
             continue
         default = field.default if field.default_factory is dataclasses.MISSING else field.default_factory()
-        known = ("low", "high", "choices", "length", "measure", "unit", "name", "help", "reload")
+        known = ("low", "high", "least", "choices", "length", "measure", "unit", "name", "help", "reload")
         meta = {k: v for k, v in field.metadata.items() if k in known}
         yield Leaf(key, kind, default, **{"reload": reload, **meta})
 
@@ -265,6 +269,8 @@ def _checked(leaf: Leaf, value: Any, place: str, node: yaml.Node | None = None) 
 
 
 def _beyond(leaf: Leaf, value: Any) -> bool:
+    if leaf.least is not None and 0 < value < leaf.least:
+        return True
     return (leaf.low is not None and value < leaf.low) or (leaf.high is not None and value > leaf.high)
 
 

@@ -34,6 +34,15 @@ def test_numbers_are_bounded(leaf: Leaf) -> None:
     assert leaf.type not in (int, float) or (leaf.low is not None and leaf.high is not None)
 
 
+@pytest.mark.parametrize("leaf", LEAVES, ids=lambda leaf: leaf.key)
+def test_the_least_beside_0_is_in_bounds(leaf: Leaf) -> None:
+    if leaf.least is not None:
+        assert leaf.low == 0
+        assert leaf.high is not None
+        assert 0 < leaf.least <= leaf.high
+        assert leaf.default == 0 or leaf.default >= leaf.least
+
+
 def test_mode_decides_lockstep() -> None:
     assert not Config().is_lockstep
     assert Config(mode="lockstep").is_lockstep

@@ -31,6 +31,8 @@ def value_of(kind: Any, leaf: Leaf) -> st.SearchStrategy[Any]:
         return st.sampled_from(leaf.choices) if leaf.choices else TEXT
     if kind is int:
         return st.integers(leaf.low, leaf.high)
+    if kind is float and leaf.least is not None:
+        return st.just(0.0) | st.floats(leaf.least, leaf.high)
     if kind is float:
         return st.floats(leaf.low, leaf.high, allow_nan=False, allow_infinity=False)
     return st.booleans()
@@ -145,7 +147,8 @@ def test_duplicate_key_names_both_lines(file: Path) -> None:
     [
         ("source:\n  rate_hz: fast\n", 2, ["source.rate_hz", "a number", "'fast'"]),
         ("source:\n  rate_hz: '5'\n", 2, ["source.rate_hz", "a number", "text '5'"]),
-        ("source:\n  rate_hz: -1\n", 2, ["source.rate_hz", "from 0 to 1000", "-1"]),
+        ("source:\n  rate_hz: -1\n", 2, ["source.rate_hz", "0, or a number from 0.01 to 1000", "-1"]),
+        ("source:\n  rate_hz: 1e-300\n", 2, ["source.rate_hz", "0, or a number from 0.01", "1e-300"]),
         ("source:\n  rate_hz: .nan\n", 2, ["source.rate_hz", ".nan"]),
         ("source:\n  rate_hz: .inf\n", 2, ["source.rate_hz", ".inf"]),
         ("source:\n  rate_hz: 1e999\n", 2, ["source.rate_hz", "1e999"]),
@@ -205,6 +208,10 @@ def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
         ("tracking.foo", "7", "unknown key; see docs/CONFIGURATION.md"),
         ("trackin", "7", "unknown key; see docs/CONFIGURATION.md"),
         ("source", "x", "section"),
+        ("bus.retry_ms", 1001, "from 10 to 1000"),  # a listener is waited for no longer than seconds
+        ("supervisor.start_s", 4.9, "from 5 to 600"),  # the libraries alone take one or two
+        ("lockstep.depth_lag", 101, "from 0 to 100"),  # a map's first keyframe waits ten seconds
+        ("tracking.proven_after_s", 1e-320, "0, or a number from 0.001 to 60"),
         ("seed", 5.0, "a whole number"),
         ("seed", True, "a whole number"),
         ("seed", "", "nothing"),
@@ -250,6 +257,12 @@ def test_a_mount_is_a_rotation_and_frames_differ(file: Path) -> None:
     assert load(file).frames.odom == "r1/odom"
     file.write_text("frames: {base_from_camera_xyzw: [-0.502, 0.5, -0.5, 0.5]}\n")  # rounded by hand
     assert load(file).frames.base_from_camera_xyzw[0] == -0.502
+
+
+def test_where_0_says_something_of_its_own_the_least_beside_it_is_a_bound() -> None:
+    assert [load(None, {"source.rate_hz": rate}).source.rate_hz for rate in (0, 0.01)] == [0.0, 0.01]
+    with pytest.raises(ConfigError, match=r"expected 0, or a number from 0\.01 to 1000, got 0\.0099"):
+        load(None, {"source.rate_hz": 0.0099})
 
 
 def test_a_list_of_one_is_shown_and_a_section_of_a_file_is_suggested(file: Path) -> None:
