@@ -15,6 +15,7 @@ from typing import Any
 import yaml
 
 from prism_edge.config import Config
+from prism_edge.contradictions import contradictions
 from prism_edge.errors import ConfigError
 
 LARGEST_FILE = 1 << 20  # bytes; a configuration is a page or two
@@ -38,6 +39,8 @@ def load(path: str | os.PathLike[str] | None = None, overrides: Mapping[str, Any
     config: Config = _build(Config, given)
     place = "" if path is None else f"{os.fspath(path)}: "
     _check_names(config, place)
+    for contradiction in contradictions(config):
+        raise ConfigError(place + contradiction)
     return config
 
 

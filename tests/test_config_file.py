@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from prism_edge.config import Config
 from prism_edge.config_file import Leaf, dump, leaves, load
+from prism_edge.contradictions import NOT_ABOVE
 from prism_edge.errors import ConfigError
 
 LEAVES = {leaf.key: leaf for leaf in leaves()}
@@ -38,8 +39,14 @@ def value_of(kind: Any, leaf: Leaf) -> st.SearchStrategy[Any]:
     return st.booleans()
 
 
+def agree(given: dict[str, Any]) -> bool:
+    """Whether no two keys make each other void (contradictions.py)."""
+    either = {key: given.get(key, leaf.default) for key, leaf in LEAVES.items()}
+    return all(either[low] <= either[high] for low, high, _ in NOT_ABOVE)
+
+
 OPTIONS = {key: value_of(leaf.type, leaf) for key, leaf in LEAVES.items()}
-ANY_SETTINGS = st.fixed_dictionaries({}, optional=OPTIONS)
+ANY_SETTINGS = st.fixed_dictionaries({}, optional=OPTIONS).filter(agree)
 YAML_LIKE = st.text(alphabet="abc:[]{}-,&*!|>'\"%@#?<\n\t 01.", max_size=60)
 
 
@@ -263,6 +270,13 @@ def test_where_0_says_something_of_its_own_the_least_beside_it_is_a_bound() -> N
     assert [load(None, {"source.rate_hz": rate}).source.rate_hz for rate in (0, 0.01)] == [0.0, 0.01]
     with pytest.raises(ConfigError, match=r"expected 0, or a number from 0\.01 to 1000, got 0\.0099"):
         load(None, {"source.rate_hz": 0.0099})
+
+
+def test_keys_that_make_each_other_void_are_named_with_the_file(file: Path) -> None:
+    refused = refusal(file, "tracking: {min_matches: 700}\n")
+    assert refused.startswith(": tracking.min_matches: 700 is more than tracking.features (600): ")
+    file.write_text("tracking: {min_matches: 700}\n")
+    assert load(file, {"tracking.features": 700}).tracking.min_matches == 700
 
 
 def test_a_list_of_one_is_shown_and_a_section_of_a_file_is_suggested(file: Path) -> None:

@@ -1,0 +1,27 @@
+"""Keys that are each in their bounds, and together make one of them void."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import reduce
+from typing import Any
+
+from prism_edge.config import Config
+
+# The first may be no more than the second, and why.
+NOT_ABOVE = (
+    ("tracking.min_matches", "tracking.features", "no map could begin, which does with no more points"),
+    ("tracking.keyframe_min_s", "tracking.keyframe_max_s", "least and most time between keyframes"),
+)
+
+
+def contradictions(config: Config) -> Iterator[str]:
+    """A line for each pair of keys that can't go together."""
+    for low, high, why in NOT_ABOVE:
+        value, most = _value(config, low), _value(config, high)
+        if value > most:
+            yield f"{low}: {value:g} is more than {high} ({most:g}): {why}"
+
+
+def _value(config: Config, key: str) -> Any:
+    return reduce(getattr, key.split("."), config)

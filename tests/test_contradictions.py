@@ -1,0 +1,42 @@
+"""Pairs of keys that are each in their bounds and can't go together."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from prism_edge.config import Config
+from prism_edge.config_file import leaves
+from prism_edge.contradictions import NOT_ABOVE, contradictions
+
+KEYS = {leaf.key: leaf for leaf in leaves()}
+
+
+def test_the_defaults_have_none() -> None:
+    assert list(contradictions(Config())) == []
+
+
+@pytest.mark.parametrize(("low", "high"), [pair[:2] for pair in NOT_ABOVE])
+def test_each_pair_is_of_one_section_and_of_one_kind(low: str, high: str) -> None:
+    assert KEYS[low].type is KEYS[high].type
+    assert low.partition(".")[0] == high.partition(".")[0]
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"min_matches": 601}, "tracking.min_matches: 601 is more than tracking.features (600): "),
+        ({"features": 100, "min_matches": 100}, None),
+        (
+            {"keyframe_min_s": 2.0},
+            "tracking.keyframe_min_s: 2 is more than tracking.keyframe_max_s (1.5): ",
+        ),
+        ({"keyframe_min_s": 0.0, "keyframe_max_s": 0.0}, None),
+    ],
+)
+def test_what_is_more_than_it_can_be_is_said(settings: dict[str, float], said: str | None) -> None:
+    config = replace(Config(), tracking=replace(Config().tracking, **settings))  # type: ignore[arg-type]
+    found = list(contradictions(config))
+    assert len(found) == (said is not None)
+    assert said is None or found[0].startswith(said)
