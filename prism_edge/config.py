@@ -131,7 +131,9 @@ class TrackingConfig:
     two_views: bool = field(
         default=True, metadata={"help": "a map's second keyframe waits for parallax, and checks the depth"}
     )
-    max_keyframes: int = limits(600, 10, 100_000, "keyframes the local map keeps at most")
+    max_keyframes: int = limits(
+        600, 10, 100_000, "keyframes the local map keeps at most; fewer than 12 close no loop"
+    )
     redundant_keyframes: int = limits(
         200, 10, 100_000, "beyond so many, a keyframe goes where others see 90 % of its points as well"
     )
@@ -265,7 +267,9 @@ class SupervisorConfig:
     )
     max_restarts: int = limits(5, 0, 1000, "restarts of one process within the window before giving up")
     window_s: float = limits(60.0, 1.0, 86_400.0, "that window")
-    backoff_s: float = limits(0.2, 0.0, 60.0, "pause before the first restart; doubles with each")
+    backoff_s: float = limits(
+        0.2, 0.0, 10.0, "pause before the first restart; doubles with each, to 10 s at most"
+    )
 
 
 @dataclass(frozen=True)

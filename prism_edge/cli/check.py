@@ -7,7 +7,7 @@ from importlib.util import find_spec
 from prism_edge.bus.access import check_settings, unreadable
 from prism_edge.bus.keys import check_loopback, check_robot_name
 from prism_edge.cli.settings import with_network
-from prism_edge.config import SENSOR, Config, SourceConfig
+from prism_edge.config import SENSOR, Config, SourceConfig, SupervisorConfig
 from prism_edge.depth import locate, networks_of
 from prism_edge.depth.providers import check_names
 from prism_edge.errors import ConfigError, ModelError, SourceError
@@ -21,6 +21,7 @@ from prism_edge.sources.mask import read_mask
 from prism_edge.sources.open import AUTO, open_source
 from prism_edge.sources.sim import is_simulated
 from prism_edge.supervisor.metrics import check_port
+from prism_edge.supervisor.restart import least_s
 
 
 def check_config(config: Config) -> list[str]:
@@ -32,7 +33,8 @@ def check_config(config: Config) -> list[str]:
     check_settings(config.network, config.bus.endpoint)
     check_port(config)
     missing = _endpoint(config) + unreadable(config.network)  # the service's key is there only while it runs
-    return missing + _extras(config) + _source(config.source) + _model(with_network(config))
+    missing += _extras(config) + _restarts(config.supervisor)
+    return missing + _source(config.source) + _model(with_network(config))
 
 
 def _extras(config: Config) -> list[str]:
@@ -47,6 +49,15 @@ def _extras(config: Config) -> list[str]:
         for extra, (module, needed) in wanted.items()
         if needed and find_spec(module) is None
     ]
+
+
+def _restarts(config: SupervisorConfig) -> list[str]:
+    """A line where so many restarts don't fit into their window."""
+    seconds = least_s(config)
+    if seconds <= config.window_s:
+        return []
+    pauses = f"{config.max_restarts} restarts pause for {seconds:.0f} s, longer than supervisor.window_s"
+    return [f"supervisor.max_restarts: {pauses} ({config.window_s:g}): what keeps dying is never given up"]
 
 
 def _endpoint(config: Config) -> list[str]:

@@ -9,6 +9,19 @@ from prism_edge.config import SupervisorConfig
 LONGEST_PAUSE_S = 10.0  # doubling stops here: a robot waits for this process
 
 
+def least_s(config: SupervisorConfig) -> float:
+    """Seconds that the pauses before ``max_restarts`` restarts take.
+
+    Where they take longer than the window, a process that keeps dying is never given up.
+    """
+    return sum(_pause_s(config, deaths) for deaths in range(1, config.max_restarts + 1))
+
+
+def _pause_s(config: SupervisorConfig, deaths: int) -> float:
+    # The exponent is bounded as well: 2.0 ** 1024 overflows.
+    return min(config.backoff_s * 2.0 ** min(deaths - 1, 30), LONGEST_PAUSE_S)
+
+
 class RestartPolicy:
     """Back-off for one process: the pause doubles with each death that is still within the window."""
 
@@ -31,5 +44,4 @@ class RestartPolicy:
         self._deaths.append(now_s)
         if len(self._deaths) > self._config.max_restarts:
             return None
-        # The exponent is bounded as well: 2.0 ** 1024 overflows.
-        return min(self._config.backoff_s * 2.0 ** min(len(self._deaths) - 1, 30), LONGEST_PAUSE_S)
+        return _pause_s(self._config, len(self._deaths))

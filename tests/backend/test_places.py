@@ -16,6 +16,7 @@ from prism_edge.backend.places import (
     candidates,
     half_known,
 )
+from prism_edge.config_file import leaves
 from prism_edge.tracking.place_index import PlaceIndex
 from tests.backend.ring import Ring
 
@@ -123,3 +124,8 @@ def test_neither_the_latest_nor_what_shares_many_points_is_half_known(walked):
     for keyframe in world.keyframes.values():
         keyframe.stamp_ns = world.keyframes[41].stamp_ns - int(1e9 * RECENT_S) + 1
     assert half_known(world, 41, 100) == []
+
+
+def test_the_settings_say_of_how_few_keyframes_none_closes_a_loop():
+    (bound,) = (leaf for leaf in leaves() if leaf.key == "tracking.max_keyframes")
+    assert f"fewer than {RECENT + 2} close no loop" in bound.help  # the query, the latest, and one before

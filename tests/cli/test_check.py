@@ -139,6 +139,7 @@ def test_a_camera_that_is_doubted_is_a_warning(
         (USB.replace("camera: CAMERA", "camera: CAMERA, mask: /nowhere/m.png"), "mask /nowhere/m.png is not"),
         ("source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\n", "depth.model: no network is named"),
         ("bus: {endpoint: tls/rover1.local:7448}\n", "`run` refuses it"),
+        ("supervisor: {max_restarts: 12}\n", "what keeps dying is never given up"),
         ("network: {ca: CAMERA, certificate: CAMERA, key: /run/no/a.key}\n", "network.key: can't read"),
     ],
 )

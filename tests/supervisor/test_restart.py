@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.config import SupervisorConfig
-from prism_edge.supervisor.restart import LONGEST_PAUSE_S, RestartPolicy
+from prism_edge.config_file import leaves
+from prism_edge.supervisor.restart import LONGEST_PAUSE_S, RestartPolicy, least_s
 
 
 def test_pause_doubles_with_each_death_in_the_window() -> None:
@@ -41,3 +42,17 @@ def test_gives_up_exactly_when_the_window_holds_more_than_allowed(
         pause = policy.died(now)
         assert (pause is None) == (sum(now - t <= 50.0 for t in deaths) > allowed)
         assert pause is None or 0 <= pause <= LONGEST_PAUSE_S
+
+
+def test_restarts_that_do_not_fit_into_the_window_go_on_for_ever() -> None:
+    for config, most in ((SupervisorConfig(), 5), (SupervisorConfig(max_restarts=12), None)):
+        policy, now_s, restarts = RestartPolicy(config), 0.0, 0
+        while restarts < 100 and (pause := policy.died(now_s)) is not None:
+            now_s, restarts = now_s + pause, restarts + 1
+        assert restarts == (100 if most is None else most)
+        assert (least_s(config) > config.window_s) is (most is None)
+
+
+def test_a_first_pause_may_be_no_longer_than_the_longest() -> None:
+    (backoff,) = (leaf for leaf in leaves() if leaf.key == "supervisor.backoff_s")
+    assert backoff.high == LONGEST_PAUSE_S
