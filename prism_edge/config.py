@@ -113,7 +113,9 @@ class TrackingConfig:
     max_features: int = limits(1400, 200, 10000, "and when few of them match: a fast motion, a low rate")
     levels: int = limits(6, 1, 12, "pyramid levels")
     scale_factor: float = limits(1.3, 1.05, 2.0, "ratio between pyramid levels")
-    fast_threshold: int = limits(10, 1, 100, "lowest FAST threshold; it rises with the texture")
+    fast_threshold: int = limits(
+        10, 1, 25, "lowest FAST threshold; it rises with the texture, to 25 at most"
+    )
     min_matches: int = limits(25, 6, 1000, "fewer inliers than this and tracking is lost")
     lost_after_s: float = limits(0.3, 0.0, 10.0, "failing for longer than this is `lost`")
     submap_after_s: float = limits(

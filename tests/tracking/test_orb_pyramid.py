@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from prism_edge.config_file import leaves
 from prism_edge.tracking.orb_pyramid import BORDER, HIGHEST_THRESHOLD, MASK_MARGIN, OrbPyramid
 from tests.synthetic.scene import block_texture
 
@@ -175,3 +176,8 @@ def test_where_there_are_enough_nothing_is_smoothed():
     dark, plain = OrbPyramid(FACTORS, 10, 1200, few=450), OrbPyramid(FACTORS, 10, 1200)
     for found, expected in zip(dark.detect(image), plain.detect(image), strict=True):
         assert np.array_equal(found, expected)
+
+
+def test_the_lowest_threshold_can_be_no_higher_than_it_rises_to():
+    (lowest,) = (leaf for leaf in leaves() if leaf.key == "tracking.fast_threshold")
+    assert lowest.high == HIGHEST_THRESHOLD
