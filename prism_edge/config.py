@@ -86,7 +86,7 @@ class BusConfig:
     """The Zenoh session that joins the processes, and that subscribers join."""
 
     endpoint: str = text("tcp/127.0.0.1:7447", "the supervisor's listener, on loopback or a socket file")
-    retry_ms: int = limits(200, 10, 1000, "pause between attempts to reach the listener")
+    retry_ms: int = limits(200, 10, 5000, "pause between attempts to reach the listener")
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ class TrackingConfig:
         3.0, 0.0, 3600.0, "a camera lost for so long maps on its own; a younger map gives way; 0: never"
     )
     keyframe_ratio: float = limits(0.8, 0.1, 1.0, "new keyframe when matches fall below this share")
-    keyframe_min_s: float = limits(0.15, 0.0, 10.0, "least time between keyframes")
+    keyframe_min_s: float = limits(0.15, 0.0, 10.0, "least time between keyframes, whatever the most is")
     keyframe_max_s: float = limits(
         1.5, 0.0, 60.0, "a moving camera makes a keyframe at least this often; not in a known place"
     )

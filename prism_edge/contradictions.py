@@ -11,7 +11,6 @@ from prism_edge.config import Config
 # The first may be no more than the second, and why.
 NOT_ABOVE = (
     ("tracking.min_matches", "tracking.features", "no map could begin, which does with no more points"),
-    ("tracking.keyframe_min_s", "tracking.keyframe_max_s", "least and most time between keyframes"),
 )
 
 

@@ -28,11 +28,7 @@ def test_each_pair_is_of_one_section_and_of_one_kind(low: str, high: str) -> Non
     [
         ({"min_matches": 601}, "tracking.min_matches: 601 is more than tracking.features (600): "),
         ({"features": 100, "min_matches": 100}, None),
-        (
-            {"keyframe_min_s": 2.0},
-            "tracking.keyframe_min_s: 2 is more than tracking.keyframe_max_s (1.5): ",
-        ),
-        ({"keyframe_min_s": 0.0, "keyframe_max_s": 0.0}, None),
+        ({"keyframe_min_s": 2.0}, None),  # it wins: keyframes on a slow machine
     ],
 )
 def test_what_is_more_than_it_can_be_is_said(settings: dict[str, float], said: str | None) -> None:

@@ -9,7 +9,7 @@ from prism_edge.bus.keys import check_loopback, check_robot_name
 from prism_edge.cli.settings import with_network
 from prism_edge.config import SENSOR, Config, SourceConfig, SupervisorConfig
 from prism_edge.depth import locate, networks_of
-from prism_edge.depth.providers import check_names
+from prism_edge.depth.providers import check_names, idle_options
 from prism_edge.errors import ConfigError, ModelError, SourceError
 from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.named_path import named_path
@@ -96,12 +96,13 @@ def _model(config: Config) -> list[str]:
     model = config.depth.network
     if "depth" in config.network.remote:
         return []
-    check_names(config.depth)
-    missing = []
     if model == SENSOR:
         if is_live(config.source.uri) or is_simulated(config.source.uri):
             raise ConfigError(f"depth.model: {SENSOR} is for recordings with depth images")
         return []
+    if model:
+        check_names(config.depth)
+    missing = idle_options(config.depth) if model else []
     if config.source.uri and not model:
         missing.append("depth.model: no network is named, and without one there are no poses")
     for network in networks_of(model):

@@ -89,6 +89,12 @@ def check_names(config: DepthConfig) -> None:
         raise ModelError(f"depth.required: {_words(required - asked)} is not among depth.providers")
 
 
+def idle_options(config: DepthConfig) -> list[str]:
+    """A line where options are given to providers that nobody asks for. ModelError as check_names()."""
+    idle = given_options(config).keys() - {full_name(name) for name in (*config.providers, "cpu")}
+    return [f"depth.provider_options: {_words(idle)} is not among depth.providers"] if idle else []
+
+
 def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
     """Loads a vetted network on the first of ``depth.providers`` that starts, the CPU after all.
 
@@ -100,9 +106,6 @@ def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
     names = tuple(dict.fromkeys(full_name(name) for name in (*config.providers, "cpu")))
     required = {full_name(name, "depth.required") for name in config.required}
     asked = {full_name(name) for name in config.providers}
-    idle = given_options(config).keys() - set(names)
-    if idle:
-        log.warning("depth.provider_options: %s is not among depth.providers", _words(idle))
     offered = onnxruntime.get_available_providers()
     wanted = []
     for name in names:

@@ -78,7 +78,7 @@ def take_over(
         world.look_anew()  # a part, or one end of the map, was turned and scaled: it is seen from elsewhere
     if last is not None:
         if became:
-            last.points = np.array([became.get(p, p) for p in last.points.tolist()], np.int64)
+            last.points = _renamed(last.points, became)
         start = motion @ last.world_from_camera
         last.world_from_camera = fit(world, last.camera, last.features, last.points, start, scale_factors)
     return bool(became)
@@ -208,18 +208,37 @@ def join(world: LocalMap, update: MapUpdate) -> dict[int, int]:
     return {old: now.get(kept, kept) for old, kept in became.items()} | now
 
 
+def _renamed(points: Ids, became: dict[int, int]) -> Ids:
+    """A frame's points under the names they have now; of two that are one it keeps the first."""
+    now = np.array([became.get(point, point) for point in points.tolist()], np.int64)
+    again = np.ones(len(now), bool)
+    again[np.unique(now, return_index=True)[1]] = False
+    now[again] = NO_POINT
+    return now
+
+
 def _make_way(world: LocalMap, taken: NDArray[np.int64]) -> dict[int, int]:
     """Points of the other end that were to come to keypoints where another stands by now, a seed mostly.
 
     ``taken`` (n, 2) are both. They are one, as the backend would have found had it known of the other, but
     where a keyframe tells them apart. Returns which point each became.
     """
-    pairs = taken[world.points.known(taken.ravel()).reshape(-1, 2).all(axis=1)]
-    apart = np.zeros(len(pairs), bool)
+    table = world.points
+    pairs = taken[table.known(taken.ravel()).reshape(-1, 2).all(axis=1)]
+    concerned = np.zeros(len(table), bool)
+    concerned[table.rows(pairs.ravel())] = True
+    seen_by = {point: set[int]() for point in pairs.ravel().tolist()}
     for keyframe in world.keyframes.values() if len(pairs) else ():
-        apart |= np.isin(pairs, keyframe.points).all(axis=1)
+        seen = keyframe.points[keyframe.observed()]
+        for point in seen[concerned.take(table.rows(seen))].tolist():
+            seen_by[point].add(keyframe.id)
+    one: list[tuple[int, int]] = []
+    for point, mine in pairs.tolist():
+        if seen_by[point].isdisjoint(seen_by[mine]):
+            seen_by[point] |= seen_by[mine]
+            one.append((point, mine))
     known = len(world.changes.fused)
-    merge(world, pairs[~apart, 0], pairs[~apart, 1])
+    merge(world, *np.array(one, np.int64).reshape(-1, 2).T)
     return dict(world.changes.fused[known:])
 
 

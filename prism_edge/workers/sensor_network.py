@@ -11,6 +11,7 @@ import numpy as np
 from prism_edge.config import SENSOR, Config, SourceConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor
+from prism_edge.depth.providers import idle_options
 from prism_edge.errors import ModelError, SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.named_path import named_path
@@ -66,4 +67,6 @@ def open_depth(config: Config) -> DepthNetwork | SensorNetwork:
     """What ``depth.model`` names. Raises ModelError."""
     if config.depth.model == SENSOR:
         return SensorNetwork(config.source)
+    for line in idle_options(config.depth):
+        log.warning("%s", line)
     return open_network(config.depth.model, config.depth)

@@ -63,9 +63,9 @@ def test_what_runs_is_passed_without_a_word(
         ("source: {uri: 'oak:'}\ndepth: {model: sensor}\n", 3, "is for recordings with depth"),
         ("network: {operators: [anna]}\n", 3, "network.operators"),
         ("depth: {model: 'nested:one'}\n", 5, "nested takes two networks"),
-        ("depth: {providers: [gpu]}\n" + USB.partition("\n")[0] + "\n", 5, "no execution provider 'gpu'"),
-        ("depth: {required: [cuda]}\n", 5, "depth.required: cuda is not among depth.providers"),
-        ("depth: {provider_options: [device_id=1]}\n", 5, "not of the form PROVIDER.KEY=VALUE"),
+        ("depth: {model: a, providers: [gpu]}\n", 5, "no execution provider 'gpu'"),
+        ("depth: {model: a, required: [cuda]}\n", 5, "depth.required: cuda is not among depth.providers"),
+        ("depth: {model: a, provider_options: [device_id=1]}\n", 5, "not of the form PROVIDER.KEY=VALUE"),
         ("metrics: {port: 7447}\n", 3, "bus.endpoint has this port"),
     ],
 )

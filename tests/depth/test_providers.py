@@ -13,7 +13,6 @@ import pytest
 from prism_edge.config import DepthConfig
 from prism_edge.depth import providers
 from prism_edge.depth.session import OnnxNetwork
-from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
 from tests.synthetic.network import write_tiny_network
 
@@ -179,12 +178,11 @@ def test_options_reach_their_provider_alone(network, monkeypatch):
     assert border.options[CPU] == {}
 
 
-def test_options_of_a_provider_that_is_not_asked_for_are_a_warning(network, caplog):
+def test_options_of_a_provider_that_is_not_asked_for_are_told():
     options = ("cuda.device_id=1", "cpu.x=1")
-    with caplog.at_level(logging.WARNING, "prism_edge.depth"):
-        providers.start(vet(network), DepthConfig(provider_options=options))
-    (said,) = [record.getMessage() for record in caplog.records]
+    (said,) = providers.idle_options(DepthConfig(provider_options=options))
     assert said == "depth.provider_options: cuda is not among depth.providers"
+    assert not providers.idle_options(DepthConfig(provider_options=options, providers=("cuda",)))
 
 
 def test_session_options_are_the_configured_ones():

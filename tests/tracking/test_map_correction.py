@@ -7,7 +7,7 @@ import pytest
 
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.messages import MapUpdate
-from prism_edge.tracking.map_correction import apply_correction, fit, join
+from prism_edge.tracking.map_correction import _renamed, apply_correction, fit, join
 from tests.synthetic.messages import map_update
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, check, pose_at
 
@@ -262,6 +262,40 @@ def test_a_seed_that_came_first_becomes_what_the_loop_shows_there():
     assert not table.known(np.array([seed])).any()
     assert world.changes.fused == [(seed, looped)], "the backend hears of it"
     check(world)
+
+
+def test_two_seeds_that_a_keyframe_tells_apart_do_not_both_become_the_loop_s_point():
+    world, _ = Cloud(400).mapped([pose_at(i / 10) for i in range(5)])
+    looped, first, second = world.keyframes[3].points[world.keyframes[3].observed()[:3]].tolist()
+    keypoints = {}
+    for k, keyframe in world.keyframes.items():
+        keypoints[k] = {p: int(np.flatnonzero(keyframe.points == p)[0]) for p in (looped, first, second)}
+    unseen = {looped: (1, 2, 3), first: (0, 2, 4), second: (0, 1, 4)}
+    for point, where in unseen.items():
+        world.drop_observations(np.array(where), np.array([point] * 3))
+    update = loop_update(
+        added_keyframes=[1, 2], added_points=[looped, looped],
+        added_keypoints=[keypoints[1][first], keypoints[2][second]],
+    )
+    assert join(world, update) == {first: looped}
+    assert world.keyframes[3].points[keypoints[3][first]] == looped
+    assert world.keyframes[3].points[keypoints[3][second]] == second
+    check(world)
+
+
+def test_a_loop_s_point_that_the_tracker_does_not_know_changes_nothing():
+    world, _ = Cloud(400).mapped([pose_at(), pose_at(0.1)])
+    keyframe = world.keyframes[1]
+    before = keyframe.points.copy()
+    keypoint = int(keyframe.observed()[0])
+    update = loop_update(added_keyframes=[1], added_points=[10**9], added_keypoints=[keypoint])
+    assert join(world, update) == {}
+    assert (keyframe.points == before).all()
+    check(world)
+
+
+def test_the_last_frame_sees_a_point_once_though_it_matched_both_that_are_one():
+    assert _renamed(np.array([3, -1, 5, -1, 7]), {5: 3}).tolist() == [3, -1, -1, -1, 7]
 
 
 def test_what_a_loop_makes_one_goes_on_to_the_point_that_takes_its_keypoint():
