@@ -155,7 +155,7 @@ def tracked(life: Asked, frames: range = AFTER) -> list[Keyframe]:
 
 
 def test_poses_in_a_loaded_map_are_those_of_our_base(
-    taken_up: tuple[backend.BackendWorker, WholeMap], tmp_path: Path
+    taken_up: tuple[backend.BackendWorker, WholeMap], folder: Path
 ) -> None:
     made, whole = taken_up
     life = Asked(whole, life=0)
@@ -173,7 +173,7 @@ def test_poses_in_a_loaded_map_are_those_of_our_base(
     made._snapshot = made._take_snapshot()
     np.testing.assert_array_equal(made._snapshot.base_from_camera, MADE_WITH)
     assert made._save_map("again").ok
-    info, _ = map_file.unpack(map_path(made._config.state, "again").read_bytes())
+    info, _ = map_file.unpack(map_path(config_of(folder, OURS).state, "again").read_bytes())
     assert info[FIELD] == MADE_WITH.tolist()
 
 
