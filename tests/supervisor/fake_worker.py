@@ -4,7 +4,7 @@ Behaviours, joined by ``+``: steady, ends, dies, raises, refuses, fails_once=FIL
 hangs (declared work that never ends), picky (refuses depth.threads = 13), fragile (dies of it),
 stubborn (does not stop),
 breeds=FILE (starts a process of its own and writes its id), tracks=WORD (a tracker's odometry),
-shows=NAME:VALUE (in its heartbeats), waits=FILE (makes it when it is ready; a later life is ready once it
+shows=NAME:VALUE (in its heartbeats), waits=FILE (makes it and is ready; a later life is ready once it
 has gone).
 """
 
@@ -43,9 +43,9 @@ def main(config: Config, bus: Bus) -> None:
             bus.pulse.values["odometry"] = value
         if word == "shows":
             bus.pulse.values.update([value.split(":", 1)])
-        bus.pulse.ready()
         if word == "waits":
-            Path(value).touch()
+            Path(value).touch()  # before it says so: whoever hears that it is ready finds the file
+        bus.pulse.ready()
         if word == "dies":
             os._exit(9)
         if word == "fails_once" and not Path(value).exists():

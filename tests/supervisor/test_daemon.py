@@ -64,7 +64,7 @@ def test_a_death_is_noticed_though_whoever_started_us_ignores_such(daemon: Any, 
     process, pids = daemon(f"source:waits={note}", before=[sys.executable, "-c", IGNORING])
     note.unlink()
     os.kill(pids["source"], signal.SIGKILL)
-    until(lambda: note.exists() or process.poll() is not None)  # its next life is ready
+    until(lambda: note.exists() or process.poll() is not None)  # its next life has begun
     process.terminate()
     assert process.wait(DEADLINE_S) == 0
 
