@@ -7,6 +7,7 @@ import math
 SILENT_NS = 5_000_000_000  # a keyframe without depth for this long; a slow network takes 2 s
 REFUSED = 3  # more observations of the scale refused than accepted lately; one is an outlier like any other
 MOST_REFUSED = 10  # that count
+MUTE = 10  # keyframes in a row whose depth says nothing of the scale; a map's first few may not
 MOST_WAITING = 64  # keyframes remembered: the oldest tells how long it has been, also for days
 
 
@@ -17,6 +18,7 @@ class DepthWatch:
         self._waiting: dict[int, int] = {}  # stamp of each keyframe without an answer
         self._unusable = ""
         self._refused, self._contradicted = 0, False
+        self._mute = 0
 
     def keyframe(self, number: int, stamp_ns: int) -> None:
         """A keyframe's picture has gone to the network."""
@@ -30,6 +32,7 @@ class DepthWatch:
 
     def scale(self, observation: float, accepted: bool) -> None:
         """The scale after a keyframe; an observation that is not finite is none."""
+        self._mute = 0 if math.isfinite(observation) else self._mute + 1
         if math.isfinite(observation):
             self._refused = max(self._refused - 1, 0) if accepted else min(self._refused + 1, MOST_REFUSED)
             # Also where the filter has given in by now: as long again, since either may have been wrong.
@@ -41,4 +44,6 @@ class DepthWatch:
             return f"no depth for {(now_ns - min(self._waiting.values())) * 1e-9:.0f} s"
         if self._unusable:
             return self._unusable
+        if self._mute >= MUTE:
+            return f"too few points have depth that tells the scale, in {self._mute} keyframes"
         return "depth contradicts the scale" if self._contradicted else ""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from prism_edge.tracking.depth_watch import REFUSED, SILENT_NS, DepthWatch
+from prism_edge.tracking.depth_watch import MUTE, REFUSED, SILENT_NS, DepthWatch
 
 NAN = float("nan")
 
@@ -65,3 +65,14 @@ def test_one_outlier_is_none_several_are_trouble_for_as_long_again() -> None:
         assert watch.trouble(0) == "depth contradicts the scale"
         watch.scale(2.3, True)
     assert watch.trouble(0) == ""
+
+
+def test_depth_that_never_tells_the_scale_is_trouble_until_it_does() -> None:
+    watch = DepthWatch()
+    for number in range(MUTE):
+        assert watch.trouble(number) == ""
+        watch.depth(number, True, "")
+        watch.scale(NAN, False)
+    assert watch.trouble(MUTE) == "too few points have depth that tells the scale, in 10 keyframes"
+    watch.scale(0.1, True)
+    assert watch.trouble(MUTE) == ""
