@@ -110,8 +110,8 @@ class Tracked:
 class Keyframe:
     """A keyframe as the tracker made it, with what it observed; images travel apart.
 
-    Observations are the keypoints that have a map point. New points are those this keyframe created;
-    points fused go from ``fused_from`` into ``fused_into``.
+    Observations are the keypoints that have a map point. New points are those since the keyframe
+    before; points fused go from ``fused_from`` into ``fused_into``.
     """
 
     id: int
@@ -129,6 +129,7 @@ class Keyframe:
     parallax_deg: F32 = array("float32", -1)  # largest angle it was triangulated at; 0: seeded from depth
     new_points: I64 = array("int64", -1)
     new_positions: F64 = array("float64", -1, 3)
+    new_by: I64 = array("int64", -1)  # keyframe that each was made from, and goes with
     late_points: I64 = array("int64", -1)  # observations added to earlier keyframes: point,
     late_keyframes: I64 = array("int64", -1)  # ... keyframe,
     late_keypoints: I64 = array("int64", -1)  # ... keypoint of it

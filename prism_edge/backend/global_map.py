@@ -20,6 +20,7 @@ from prism_edge.tracking.pose_refinement import refine_pose
 
 MIN_COMMON = 15
 LONG_AGO = -(1 << 62)  # a stamp before all others, of what comes from a file
+UNKNOWN = -1
 MAX_RENAMED = 20_000  # points that became others, remembered for a while
 
 
@@ -68,6 +69,7 @@ class GlobalPoint:
     position: Array
     keyframes: set[int] = field(default_factory=set)
     parallax_deg: float = 0.0  # widest angle between its rays when last solved
+    made_by: int = UNKNOWN  # keyframe that it was made from; a map's file doesn't say
 
 
 class GlobalMap:
@@ -87,19 +89,19 @@ class GlobalMap:
     def absorb(self, message: Keyframe) -> GlobalKeyframe:
         """Take in a keyframe message.
 
-        While corrections are on their way to the tracker, its world and this one differ: what it placed
-        (the keyframe, new points) is put where the keyframe fits the points that both know. Points that a
-        loop made one here are taken for what they became. Its pixels are brought to the lens found here.
+        While corrections are on their way to the tracker, its world and this one differ: the keyframe is put
+        where it fits the points that both know, points made from it with it, and those made from earlier
+        ones where they are beside its anchor. Points that a loop made one here are taken for what they
+        became. Its pixels are brought to the lens found here.
         """
         message = self._in_own_lens(self._renamed(message))
-        world_correction = self._correction(message)
-        for point, position in zip(message.new_points.tolist(), message.new_positions, strict=True):
-            moved = world_correction[:3, :3] @ position + world_correction[:3, 3]
-            known = self.points.get(point)
-            if known is None:
-                self.points[point] = GlobalPoint(moved)
-            else:
-                known.position = moved
+        of_earlier, world_correction = self._corrections(message)
+        told = message.new_points.tolist(), message.new_positions, message.new_by.tolist()
+        for point, position, made_by in zip(*told, strict=True):
+            correction = world_correction if made_by == message.id else of_earlier
+            moved = correction[:3, :3] @ position + correction[:3, 3]
+            known = self.points.setdefault(point, GlobalPoint(moved))
+            known.position, known.made_by = moved, made_by
         for old, kept in zip(message.fused_from.tolist(), message.fused_into.tolist(), strict=True):
             self.fuse(old, kept)
         for point in message.culled_points.tolist():
@@ -159,10 +161,10 @@ class GlobalMap:
         pixels = known.pixels_of(given, message.pixels.astype(np.float64)).astype(np.float32)
         return replace(message, camera=known.to_array(), pixels=pixels)
 
-    def _correction(self, message: Keyframe) -> Array:
-        """This map's world from the tracker's (4, 4), near a new keyframe."""
-        moved = np.eye(4)
-        if message.anchor in self.keyframes:
+    def _corrections(self, message: Keyframe) -> tuple[Array, Array]:
+        """This map's world from the tracker's (4, 4), near the keyframe before and at a new one."""
+        moved, anchored = np.eye(4), message.anchor in self.keyframes
+        if anchored:
             moved = self.keyframes[message.anchor].world_from_camera @ inverse(message.world_from_anchor)
         new = set(message.new_points.tolist())
         pairs = [(i, p) for i, p in enumerate(message.points.tolist()) if p in self.points and p not in new]
@@ -176,8 +178,9 @@ class GlobalMap:
                 message.scale_factor ** message.octaves[keypoints].astype(np.float64),
             )
             if estimate.inliers.sum() >= MIN_COMMON:
-                return estimate.world_from_camera @ inverse(message.world_from_camera)
-        return moved
+                fitted = estimate.world_from_camera @ inverse(message.world_from_camera)
+                return (moved if anchored else fitted), fitted
+        return moved, moved
 
     def _renamed(self, message: Keyframe) -> Keyframe:
         """The message in the identities that points have here."""
@@ -200,11 +203,17 @@ class GlobalMap:
             points=points,
             new_points=message.new_points[fresh],
             new_positions=message.new_positions[fresh],
+            new_by=message.new_by[fresh],
             culled_points=_ids(p for p in message.culled_points.tolist() if p not in self._now),
             late_points=_ids(map(self.present, message.late_points.tolist())),
             fused_from=_ids(map(self.present, message.fused_from.tolist())),
             fused_into=_ids(map(self.present, message.fused_into.tolist())),
         )
+
+    def carrier(self, point: int) -> int:
+        """The keyframe that a point goes with while nothing else is said of its place; as in the tracker."""
+        made_by = self.points[point].made_by
+        return made_by if made_by in self.keyframes else min(self.points[point].keyframes)
 
     def present(self, point: int) -> int:
         """The identity that a point has now."""
@@ -313,7 +322,8 @@ class GlobalMap:
         if old not in self.points or old == kept:
             return
         # A point that came and went between two messages may be a link to one that stayed.
-        self.points.setdefault(kept, GlobalPoint(self.points[old].position))
+        gone = self.points[old]
+        self.points.setdefault(kept, GlobalPoint(gone.position, made_by=gone.made_by))
         for keyframe in sorted(self.points[old].keyframes):
             keypoint = self.keyframes[keyframe].observed.pop(old)
             if kept not in self.keyframes[keyframe].observed:

@@ -162,13 +162,13 @@ class Mapper:
         return self._take_over(newest, solution, started)
 
     def _take_along(self, solution: Solution) -> None:
-        """Points that the window left out (it takes a keyframe's best only) go with their first keyframe."""
+        """Points that the window left out (it takes a keyframe's best only) go with who made them."""
         points = self.world.points
         for k, pose in solution.poses.items():
             keyframe = self.world.keyframes[k]
             motion = pose @ inverse(keyframe.world_from_camera)
             for p in keyframe.observed.keys() - solution.points.keys():
-                if min(points[p].keyframes) == k:
+                if self.world.carrier(p) == k:
                     points[p].position = motion[:3, :3] @ points[p].position + motion[:3, 3]
 
     def _take_over(self, newest: int, solution: Solution, started: float) -> MapUpdate:

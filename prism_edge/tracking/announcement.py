@@ -63,6 +63,7 @@ def keyframe_message(
         trust=trusted,
         new_points=new,
         new_positions=table.position[table.rows(new)],
+        new_by=table.reference[table.rows(new)],
         late_points=late[:, 0],
         late_keyframes=late[:, 1],
         late_keypoints=late[:, 2],

@@ -106,6 +106,7 @@ class Ring:
             parallax_deg=np.full(len(shown), 3.0, np.float32),
             new_points=np.array(new, np.int64),
             new_positions=np.array([self.positions[i] for i in new]).reshape(-1, 3),
+            new_by=np.full(len(new), number),
             anchor=max(number - 1, 0),
             world_from_anchor=before,
             travelled=number * 2.0 * np.pi * RADIUS / self.lap,

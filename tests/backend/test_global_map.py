@@ -196,6 +196,38 @@ def test_what_a_tracker_placed_before_it_was_corrected_is_put_right(told):
         assert world.points[p].position == pytest.approx(teller.cloud.positions[p], abs=5e-3)
 
 
+def test_new_points_of_an_earlier_keyframe_come_beside_it_and_not_beside_the_new_one(told):
+    """The new one is where it fits best, which noise moves; the keyframe before is known where it is."""
+    world, teller, _ = told
+    lag, slip = pose_at(0.15, -0.1, 0.05, 0.02, -0.03, 0.01), pose_at(0.02, 0.0, 0.01)
+    message = teller.keyframe(pose_at(0.9), correction=lag)
+    mine = [i for i, p in enumerate(message.points.tolist()) if p in world.points]
+    at = world.keyframes[4].world_from_camera @ (0.1, -0.2, 2.0, 1.0)
+    told_at = (lag @ at)[None, :3]
+    world.absorb(
+        replace(
+            message,
+            world_from_camera=message.world_from_camera @ slip,
+            points=np.where(np.isin(np.arange(len(message.points)), mine), message.points, -1),
+            new_points=np.array([9000, 9001]),
+            new_positions=np.concatenate([told_at, told_at]),
+            new_by=np.array([4, 5]),
+        )
+    )
+    assert world.points[9000].position == pytest.approx(at[:3], abs=1e-6)
+    assert np.linalg.norm(world.points[9001].position - at[:3]) > 0.015
+
+
+def test_a_point_goes_with_who_made_it_then_with_the_oldest_that_sees_it(told):
+    world, _, messages = told
+    point = min(set.intersection(*(set(messages[k].points.tolist()) for k in (1, 2, 3))))
+    viewers = sorted(world.points[point].keyframes)
+    world.absorb(quiet(messages[-1], new_points=[point], new_positions=np.zeros((1, 3)), new_by=[2]))
+    assert world.carrier(point) == 2 != viewers[0]
+    world.absorb(quiet(messages[-1], id=6, culled_keyframes=[2]))
+    assert world.carrier(point) == viewers[0]
+
+
 def test_without_common_points_the_keyframe_before_says_where(told):
     world, _, messages = told
     lag = pose_at(0.5, 0.0, 0.0, 0.0, 0.2)
@@ -212,7 +244,7 @@ def test_points_that_matured_are_told_again_and_move(told):
     world, teller, messages = told
     point = int(messages[0].points[0])
     place = teller.cloud.positions[point] + (0.0, 0.0, 0.3)
-    world.absorb(quiet(messages[-1], new_points=[point], new_positions=place[None]))
+    world.absorb(quiet(messages[-1], new_points=[point], new_positions=place[None], new_by=[2]))
     assert world.points[point].position == pytest.approx(place)
     assert len(world.points[point].keyframes) >= 2
     check(world)
@@ -249,6 +281,7 @@ def test_a_pose_that_fits_few_of_the_common_points_is_not_believed(told):
         parallax_deg=message.parallax_deg[common],
         new_points=message.new_points[:0],
         new_positions=message.new_positions[:0],
+        new_by=message.new_by[:0],
     )
     assert world.absorb(few).world_from_camera == pytest.approx(true, abs=1e-5)
 

@@ -224,7 +224,7 @@ def test_a_first_keyframe_without_points_is_a_map_and_nothing_at_all_is_none() -
     world, told = GlobalMap(), Teller().keyframe(pose_at(0.0))
     none, nowhere = np.zeros(0, np.int64), np.zeros((0, 3))
     unseen = np.full(len(told.points), -1)
-    world.absorb(replace(told, points=unseen, new_points=none, new_positions=nowhere))
+    world.absorb(replace(told, points=unseen, new_points=none, new_positions=nowhere, new_by=none))
     again, _ = from_arrays(*map_file.unpack(map_file.pack(*to_arrays(world, PlaceIndex()))), max_carried=1)
     assert list(again.keyframes) == [0]
     assert again.points == {}

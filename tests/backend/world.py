@@ -55,6 +55,7 @@ class Teller:
             parallax_deg=np.full(len(shown), 3.0, np.float32),
             new_points=new,
             new_positions=transform(moved, self.cloud.positions[new]),
+            new_by=np.full(len(new), number),
             anchor=max(number - 1, self.first),
             world_from_anchor=moved @ before,
             travelled=0.1 * number,
@@ -72,6 +73,7 @@ def quiet(message: Keyframe, **changes: object) -> Keyframe:
         "parallax_deg": np.zeros(0, np.float32),
         "new_points": NO_IDS,
         "new_positions": np.zeros((0, 3)),
+        "new_by": NO_IDS,
     }
     follows = {
         "id": message.id + 1,

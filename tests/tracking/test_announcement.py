@@ -57,6 +57,7 @@ def test_a_message_carries_the_keyframe_and_survives_the_codec():
     assert (message.anchor, message.world_from_anchor.tolist()) == (0, np.eye(4).tolist())
     rows = world.points.rows(message.new_points)
     assert np.array_equal(message.new_positions, world.points.position[rows])
+    assert np.array_equal(message.new_by, world.points.reference[rows])
     assert len(message.new_points) == int(world.points.alive.sum())
 
 
