@@ -49,6 +49,14 @@ def log_as_configured(process: str, config: Config) -> None:
         logging.basicConfig(level=level, handlers=[handler], force=True)
 
 
+def close_stdout() -> None:
+    """What is to be read goes to stderr; gtsam prints each point that slips behind a camera in a solve."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    if nowhere != 1:  # else it was closed before, and stays taken
+        os.dup2(nowhere, 1)
+        os.close(nowhere)
+
+
 def run_worker(process: Process, config_file: str, parent: int | None = None, life: int = 0) -> int:
     """Run ``process`` until it is told to stop; returns the exit code.
 
@@ -61,6 +69,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
     if parent is not None:
         die_with(parent)
         setproctitle(f"{TITLE} {process.name}")
+        close_stdout()
     bound_heap()
     # In a terminal's background, where `stty tostop` would stop whoever writes a line.
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)

@@ -71,6 +71,7 @@ def test_each_process_runs_alone_and_ends_when_told(name: str, config: Config, t
             status = Path(f"/proc/{process.pid}/status").read_text()
             ignored = int(status.split("SigIgn:")[1].split()[0], 16)
             assert ignored >> (signal.SIGTTOU - 1) & 1
+            assert os.readlink(f"/proc/{process.pid}/fd/1") == os.devnull
             process.send_signal(signal.SIGTERM)
             assert process.wait(DEADLINE_S) == 0
         finally:
@@ -114,12 +115,13 @@ def test_a_life_numbers_things_beyond_those_before_it(by_hand: bool, life: int, 
     file.write_text(dump(Config()))
     say = "import sys; from prism_edge.processes import PROCESSES\n"
     say += "from prism_edge.workers import launch, scale\n"
-    say += "scale.main = lambda config, bus: print(bus.life, bus.first_id)\n"
+    say += "scale.main = lambda config, bus: open(sys.argv[2], 'w').write(f'{bus.life} {bus.first_id}')\n"
     say += f"launch.run_worker(PROCESSES['scale'], sys.argv[1], {None if by_hand else os.getpid()}, {life})"
     before = time.time_ns() // 1000
-    line = [sys.executable, "-c", say, str(file)]
-    told = subprocess.run(line, cwd=CHECKOUT, capture_output=True, text=True, timeout=DEADLINE_S)
-    counted, first = map(int, told.stdout.split())
+    told = tmp_path / "told"
+    line = [sys.executable, "-c", say, str(file), str(told)]
+    subprocess.run(line, cwd=CHECKOUT, capture_output=True, timeout=DEADLINE_S)
+    counted, first = map(int, told.read_text().split())
     assert counted == life
     if by_hand:
         assert before < first < LARGEST_ID
