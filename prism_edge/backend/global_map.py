@@ -16,6 +16,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import Keyframe
 from prism_edge.tracking.features import Features
+from prism_edge.tracking.local_map import LEAST_SHARED
 from prism_edge.tracking.pose_refinement import refine_pose
 
 MIN_COMMON = 15
@@ -247,6 +248,10 @@ class GlobalMap:
         votes = Counter(chain.from_iterable(seen))  # counted in C: in a small room a hundred see each point
         votes.pop(keyframe, None)
         return sorted(votes.items(), key=lambda item: (-item[1], -item[0]))
+
+    def neighbours(self, keyframe: int) -> list[int]:
+        """Those covisible with one, most shared points first."""
+        return [k for k, shared in self.covisible(keyframe) if shared >= LEAST_SHARED]
 
     def poses(self) -> dict[int, Array]:
         """world_from_camera of every keyframe, the remembered culled ones carried by their anchors."""

@@ -117,7 +117,7 @@ class LoopCloser:
         for loop in self.accepted[-SAME_RETURN:]:
             if query - loop.query <= SAME_RETURN and loop.candidate in self._world.keyframes:
                 near.add(loop.candidate)
-                near.update(k for k, shared in self._world.covisible(loop.candidate) if shared >= 15)
+                near.update(self._world.neighbours(loop.candidate))
         return near
 
     def _confirmed(self, loop: Loop) -> bool:
@@ -206,7 +206,7 @@ class LoopCloser:
         world, made = self._world, 0
         surroundings = Surroundings(world, loop.candidate, without=loop.query)
         inside = set(surroundings.keyframes)
-        near = [k for k, shared in world.covisible(loop.query) if shared >= 15 and k not in inside]
+        near = [k for k in world.neighbours(loop.query) if k not in inside]
         for k in near[:FUSED_NEIGHBOURS]:
             view = world.keyframes[k]
             found = surroundings.look(view, view.world_from_camera, (FUSE_RADIUS,))

@@ -133,7 +133,7 @@ class Surroundings:
     """The points of a keyframe and of those that see the same, as its end of a loop knows them."""
 
     def __init__(self, world: GlobalMap, keyframe: int, without: int = -1) -> None:
-        near = [k for k, shared in world.covisible(keyframe) if shared >= 15 and k != without]
+        near = [k for k in world.neighbours(keyframe) if k != without]
         self.keyframes = [keyframe, *near[:SURROUNDINGS]]
         seen: dict[int, tuple[int, int]] = {}
         for k in self.keyframes:
@@ -271,7 +271,7 @@ def _agreeing_neighbours(
     """How many keyframes beside the query see the same place from where the loop then puts them."""
     agreeing = 0
     inside = set(surroundings.keyframes)
-    near = [k for k, shared in world.covisible(here.id) if shared >= 15 and k not in inside]
+    near = [k for k in world.neighbours(here.id) if k not in inside]
     for k in near[:NEIGHBOURS]:
         view = world.keyframes[k]
         expected = pose @ scaled(inverse(here.world_from_camera) @ view.world_from_camera, scale)

@@ -49,7 +49,7 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
 
     Exactly one pose is held while the window is the whole map: scale then rests on metric depth alone.
     """
-    sharing = [k for k, shared in world.covisible(newest) if shared >= 15]
+    sharing = world.neighbours(newest)
     free = [newest, *sharing[: config.window - 1]]
     counts: dict[int, int] = {}
     for k in free:
