@@ -27,6 +27,7 @@ from prism_edge.messages import (
     MapUpdate,
     Solved,
     Tracked,
+    WholeMap,
 )
 from prism_edge.processes import processes_for
 from prism_edge.workers.handover import Handover
@@ -89,7 +90,7 @@ class BackendWorker:
         ending = False
         while not self._bus.stopped.is_set():
             self._desk.serve()
-            self._whole.serve(lambda: self._keeper.whole(self._home_scale))
+            self._whole.serve(self._whole_map)
             if self._untold and not self._bus.await_ready(self._peers & {"scale"}, _LOOK_S):
                 self._untold = False
                 self._tell_loaded()
@@ -356,6 +357,17 @@ class BackendWorker:
         return loaded if loaded.metric else None
 
     # -- the map for others -------------------------------------------------------------------------
+
+    def _whole_map(self) -> WholeMap | None:
+        """All of the map, with the last that was said of it: its tracker may have died during a long solve.
+
+        What came after that would tell of points as the next one, who goes on from here, never had them.
+        """
+        if self._ticks is None:
+            self._receive(0.0)
+            while self._waiting:
+                self._absorb(self._waiting.popleft()[1])
+        return self._keeper.whole(self._home_scale)
 
     def _take_snapshot(self) -> MapSnapshot:
         world, loops = self._mapper.world, self._mapper.loops.accepted

@@ -1,0 +1,47 @@
+"""The map that a tracker goes on from: all that was said of it before counts."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+from prism_edge.messages import WholeMap
+from prism_edge.workers import backend as worker
+from tests.workers.backend_bench import CONFIG, depth_of, hear, keyframes
+from tests.workers.list_bus import ListBus
+
+pytestmark = pytest.mark.usefixtures("impatient")
+
+
+def asked_while_busy(bus: ListBus, made: worker.BackendWorker) -> WholeMap | None:
+    """What a tracker gets that asked before the backend came back from its work."""
+    with ThreadPoolExecutor(1) as tracker:
+        answer = tracker.submit(bus.answers["whole_map"])
+        while not made._whole._wanted.is_set():
+            pass
+        made.run()
+        return answer.result()
+
+
+@pytest.mark.parametrize("waits", ["for its turn", "for its depth"])
+def test_what_a_tracker_said_last_is_in_the_map_that_the_next_one_gets(waits: str, monkeypatch) -> None:
+    """Its points' culling, told later, would be undone by the next one, who has never heard of it."""
+    if waits == "for its depth":
+        monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 1e6)
+    bus, (teller, told) = ListBus("keyframe"), keyframes(5)
+    made = worker.BackendWorker(CONFIG, bus)
+    hear(made, bus, told[:3], teller)
+    bus.give("keyframe", *told[3:])
+    if waits == "for its depth":
+        made._realtime()
+        assert list(made._mapper.world.keyframes) == [0, 1, 2]
+    else:
+        bus.give("depth", *(depth_of(k, teller) for k in told[3:]))
+    given: list[list[int]] = []
+    whole = made._keeper.whole
+    monkeypatch.setattr(
+        made._keeper, "whole", lambda scale: given.append(list(made._mapper.world.keyframes)) or whole(scale)
+    )
+    assert asked_while_busy(bus, made) is not None
+    assert given == [[0, 1, 2, 3, 4]]
