@@ -103,8 +103,9 @@ class TrackerWorker:
             self._bus.await_ready(self._peers, PATIENCE_S)
         self._show(INITIALISING, 0, time.time_ns())
         while not self._bus.stopped.is_set():
-            self._desk.serve()
+            # Loaded first: a command that comes with it was given once that had been done, and holds for it.
             self._maps.take_loaded(self._tracker, self._adopt, self._reset)
+            self._desk.serve()
             frame = self._frames.take(_LOOK_S)
             if frame is not None:
                 self._bus.pulse.working(f"frame {frame.index}", _FRAME_S)

@@ -122,6 +122,15 @@ def test_a_loaded_map_stays_as_it_is_where_that_was_asked_for(whole: WholeMap, a
     assert len(positions(bus)) > len(AFTER), "poses come in both maps"
 
 
+def test_a_reset_after_a_load_is_not_undone_by_it(whole: WholeMap) -> None:
+    """Both wait while a frame is tracked."""
+    bus = Asked(whole, life=0).bus
+    bus.give("map_loaded", MapLoaded(EPOCH, LOG_SCALE, 0.05))
+    bus.desk.ask("reset")
+    run(bus, [frame(i) for i in AFTER])
+    assert {k.epoch for k in bus.of("keyframe")} == {EPOCH + 1}
+
+
 def test_the_drift_of_the_map_before_is_forgotten(
     whole: WholeMap, monkeypatch: pytest.MonkeyPatch
 ) -> None:
