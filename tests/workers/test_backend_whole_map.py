@@ -45,3 +45,17 @@ def test_what_a_tracker_said_last_is_in_the_map_that_the_next_one_gets(waits: st
     )
     assert asked_while_busy(bus, made) is not None
     assert given == [[0, 1, 2, 3, 4]]
+
+
+def test_a_map_that_was_begun_meanwhile_is_the_one_to_go_on_in() -> None:
+    """In the one before, all that the tracker says would be of a map that has gone: passed over for good."""
+    bus, (teller, told) = ListBus("keyframe"), keyframes(3)
+    made = worker.BackendWorker(CONFIG, bus)
+    hear(made, bus, told, teller)
+    again, new = keyframes(1, epoch=1, first=3)
+    bus.give("depth", depth_of(new[0], again))
+    bus.give("keyframe", *new)  # a reset, and its tracker's last word
+    whole = asked_while_busy(bus, made)
+    assert made._mapper.epoch == 1
+    assert whole is not None
+    assert whole.epoch == 1
