@@ -31,7 +31,7 @@ def config() -> Config:
 def eventually() -> Callable[..., None]:
     """Waits for a condition, with a deadline."""
 
-    def wait(condition: Callable[[], object], timeout_s: float = 10.0) -> None:
+    def wait(condition: Callable[[], object], timeout_s: float = 30.0) -> None:
         deadline = time.monotonic() + timeout_s
         while not condition():
             assert time.monotonic() < deadline, "it didn't happen in time"

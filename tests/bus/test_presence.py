@@ -69,12 +69,13 @@ def presence(session: Session, stopped: threading.Event) -> Iterator[Presence]:
 def test_a_wait_ends_when_all_are_there(session: Session, presence: Presence) -> None:
     assert presence.missing(set(), 0.0) == set()
     session.says("source", True)
+    assert presence.missing({"source"}, 30.0) == set()
     assert presence.missing({"source", "depth"}, 0.05) == {"depth"}
     found: list[set[str]] = []
     waiting = threading.Thread(target=lambda: found.append(presence.missing({"source", "depth"}, 60.0)))
     waiting.start()
     session.says("depth", True)
-    waiting.join(10.0)
+    waiting.join(30.0)
     assert found == [set()]
 
 
@@ -82,10 +83,10 @@ def test_who_goes_is_missing_until_a_successor_comes(session: Session, presence:
     for ready in (True, False):
         session.says("source", ready)
     session.says("depth", True)  # once it is seen, so was all before it
-    assert presence.missing({"depth"}, 10.0) == set()
+    assert presence.missing({"depth"}, 30.0) == set()
     assert presence.missing({"source"}, 0.0) == {"source"}
     session.says("source", True)
-    assert presence.missing({"source"}, 10.0) == set()
+    assert presence.missing({"source"}, 30.0) == set()
     assert session.subscriptions == 1
 
 
