@@ -11,7 +11,7 @@ from prism_edge.messages import Acknowledged, Keyframe
 from prism_edge.workers import backend as worker
 from tests.backend.world import Teller
 from tests.synthetic.messages import tick
-from tests.workers.backend_bench import LOCKSTEP, NO_DEPTH, depth_of, keyframes, scale_of
+from tests.workers.backend_bench import LOCKSTEP, NO_DEPTH, depth_of, gate_of, keyframes, scale_of
 from tests.workers.list_bus import ListBus
 
 pytestmark = pytest.mark.usefixtures("impatient")
@@ -24,13 +24,15 @@ def lockstep(bus: ListBus, told: list[Keyframe], teller: Teller, with_scale: boo
         bus.give("depth", depth_of(keyframe, teller))
         if with_scale:
             bus.give("log_scale", scale_of(keyframe))
+            bus.give("gate", gate_of(keyframe))
     bus.give("tracked", *(tick(i, i // 4 if i % 4 == 0 else -1) for i in range(4 * len(told))))
 
 
-def test_lockstep_acknowledges_every_frame_once_its_update_is_out():
+def test_lockstep_acknowledges_every_frame_once_its_update_is_out(caplog):
     bus, (teller, told) = ListBus("tracked"), keyframes(4)
     lockstep(bus, told, teller)
     worker.main(LOCKSTEP, bus)
+    assert "incomplete" not in caplog.text
     assert bus.of("acknowledged") == [Acknowledged("backend", i) for i in range(16)]
     sent = [(t, m) for t, m in bus.sent if t != "solved"]  # reports, which nobody waits for
     order = [(t, m.based_on if t == "map_update" else m.index) for t, m in sent]
@@ -50,8 +52,9 @@ def test_lockstep_answers_each_keyframe_even_with_nothing():
     assert all(len(u.keyframes) for u in updates[1:])
 
 
-def test_lockstep_waits_for_keyframe_depth_and_scale():
+def test_lockstep_waits_for_keyframe_depth_scale_and_gate(monkeypatch, caplog):
     """They come late, one at a time; the acknowledgement comes after the last of them."""
+    monkeypatch.setattr(worker, "_PATIENCE_S", 60.0)  # it is looks that are counted, and no patience ends
     teller, told = keyframes(2)
     bus = ListBus("tracked", patience=200)
     bus.give("tracked", tick(0, 0), tick(1, 1))
@@ -59,6 +62,7 @@ def test_lockstep_waits_for_keyframe_depth_and_scale():
         2: ("keyframe", told[0]),
         4: ("depth", depth_of(told[0], teller)),
         6: ("log_scale", scale_of(told[0])),
+        8: ("gate", gate_of(told[0])),
     }
     made = worker.BackendWorker(LOCKSTEP, bus)
     looks = 0
@@ -70,15 +74,17 @@ def test_lockstep_waits_for_keyframe_depth_and_scale():
         if looks in late:
             assert not bus.of("acknowledged")
             bus.give(*late[looks])
-        if looks == 7:
+        if looks == 9:
             bus.give("keyframe", told[1])
             bus.give("depth", depth_of(told[1], teller))
             bus.give("log_scale", scale_of(told[1]))
+            bus.give("gate", gate_of(told[1]))
         receive(timeout_s)
 
     made._receive = count
     made.run()
-    assert looks >= 6
+    assert looks >= 9
+    assert "incomplete" not in caplog.text
     assert [a.index for a in bus.of("acknowledged")] == [0, 1]
     assert made._mapper.world.keyframes[0].depths is not None
 
