@@ -5,10 +5,13 @@ from __future__ import annotations
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
+import pytest
 from sources import tiny_datasets as tiny
 
 from prism_edge.sources import open_source
+from prism_edge.workers import pause as module
 from prism_edge.workers.pause import Pause
 from prism_edge.workers.source import SourceWorker
 from tests.workers.list_bus import ListBus
@@ -40,13 +43,26 @@ def test_health_says_so() -> None:
     assert pause.health == {"warning": "paused by command"}
 
 
-def test_hold_lasts_until_images_may_go_on_or_the_process_stops() -> None:
-    bus = ListBus()
+def test_hold_lasts_until_images_may_go_on_or_the_process_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+    bus, clock = ListBus(), [0]
+    own = SimpleNamespace(monotonic_ns=lambda: clock[0], monotonic=time.monotonic)
+    monkeypatch.setattr(module, "time", own)
     pause = Pause(bus)  # type: ignore[arg-type]
-    assert pause.hold() < 1_000_000_000
+    assert pause.hold() == 0
     bus.desk.ask("pause", "on")
-    threading.Timer(0.2, lambda: bus.desk.ask("pause", "off")).start()
-    assert pause.hold() > 100_000_000
+    looks: list[float] = []
+
+    def wait(seconds: float) -> None:
+        """A second goes by, by the test's clock."""
+        looks.append(seconds)
+        clock[0] += 1_000_000_000
+        if len(looks) == 3:
+            bus.desk.ask("pause", "off")
+        pause.serve()
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pause, "wait", wait)
+        assert pause.hold() == 3_000_000_000
     bus.desk.ask("pause", "on")
     threading.Timer(0.2, bus.stopped.set).start()
     pause.hold()
@@ -62,7 +78,7 @@ def test_a_recording_goes_on_where_it_was_and_skips_nothing(tmp_path: Path) -> N
             SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
 
     with running(work) as bus:
-        end = time.monotonic() + 10
+        end = time.monotonic() + 30
         while "paused by command" not in bus.pulse.values.get("warning", ""):
             assert time.monotonic() < end
             time.sleep(0.01)
