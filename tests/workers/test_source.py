@@ -62,7 +62,10 @@ def test_a_first_stamp_that_is_refused_sets_no_pace(tmp_path: Path, bad: str) ->
     (folder / "rgb.txt").write_text("\n".join(lines) + "\n")
     with playing(settings(folder)) as bus:
         frames, end = bus.until_end()
-    assert [f.index for f in frames] == [1, 2, 3]
+        skipped = int(bus.pulse.values["skipped"])
+    assert frames[0].index == 1, "by a pace of the bad stamp's it would be a century late, or early"
+    assert len({f.captured_monotonic_ns - f.stamp_ns for f in frames}) == 1
+    assert len(frames) + skipped == 3  # a busy machine is late for some
     assert end.unreadable == 1
 
 
@@ -185,8 +188,13 @@ def test_the_first_frame_waits_for_the_others(tmp_path: Path) -> None:
 
 
 def test_the_wait_for_the_others_has_an_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    with playing(settings(tiny.write_tum(tmp_path), rate_hz=50.0, peers_s=0.1)) as bus:
+    config = settings(tiny.write_tum(tmp_path), rate_hz=50.0, peers_s=0.1)
+
+    def work(bus: Recorder) -> None:
         bus.say("ready", "tracker")
+        main(config, bus)  # type: ignore[arg-type]
+
+    with running(work) as bus:
         bus.until_end()
     assert "backend" in caplog.text
     assert "tracker" not in caplog.text
@@ -334,7 +342,7 @@ def test_over_the_real_bus(tmp_path: Path, unused_endpoint: str) -> None:
                 for peer in (tracker, backend):
                     peer.publish("acknowledged", Acknowledged(peer.process, frame.index))
             end = ends.take(DEADLINE_S)
-            late_comer = tracker.ask("end")
+            late_comer = tracker.ask("end", DEADLINE_S)
     assert seen == list(range(8))
     assert end == late_comer
     assert end is not None
