@@ -13,7 +13,7 @@ from prism_edge.bus import codec, ros
 from prism_edge.topics import TOPICS
 from tests.workers.fake_desk import FakeDesk
 
-DEADLINE_S = 10.0
+DEADLINE_S = 30.0
 
 
 class ListInbox:

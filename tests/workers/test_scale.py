@@ -102,8 +102,8 @@ def test_a_map_of_whose_unit_nothing_is_known_is_not_said_to_be_metric(bus, star
     bus.wait_for("scale", 1)
     assert not bus.of("scale")[0].metric
     keyframe = keyframe_of_wall(7, 2.0, epoch=3)
-    bus.give("keyframe", keyframe)
     bus.give("depth", replace(depth_of(keyframe), valid=False, reason="constant"))
+    bus.give("keyframe", keyframe)  # after it: a keyframe whose depth is long in coming is answered without
     bus.wait_for("scale", 2)
     assert not bus.of("scale")[1].metric
     (said,) = bus.of("log_scale")
