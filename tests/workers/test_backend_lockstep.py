@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import count
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +16,15 @@ from tests.synthetic.messages import tick
 from tests.workers.backend_bench import LOCKSTEP, NO_DEPTH, depth_of, gate_of, keyframes, scale_of
 from tests.workers.list_bus import ListBus
 
-pytestmark = pytest.mark.usefixtures("impatient")
+
+@pytest.fixture(autouse=True)
+def looks(monkeypatch):
+    """Time goes by with looks at it, a hundredth of a second each: patience ends after ten thousand."""
+    clock = count(0.0, 0.01)
+    own = {"monotonic": lambda: next(clock), "monotonic_ns": lambda: round(next(clock) * 1e9)}
+    monkeypatch.setattr(worker, "time", SimpleNamespace(**own, process_time=lambda: 0.0))
+    monkeypatch.setattr(worker, "_PATIENCE_S", 100.0)
+
 
 
 def lockstep(bus: ListBus, told: list[Keyframe], teller: Teller, with_scale: bool = True) -> None:
@@ -52,9 +62,8 @@ def test_lockstep_answers_each_keyframe_even_with_nothing():
     assert all(len(u.keyframes) for u in updates[1:])
 
 
-def test_lockstep_waits_for_keyframe_depth_scale_and_gate(monkeypatch, caplog):
+def test_lockstep_waits_for_keyframe_depth_scale_and_gate(caplog):
     """They come late, one at a time; the acknowledgement comes after the last of them."""
-    monkeypatch.setattr(worker, "_PATIENCE_S", 60.0)  # it is looks that are counted, and no patience ends
     teller, told = keyframes(2)
     bus = ListBus("tracked", patience=200)
     bus.give("tracked", tick(0, 0), tick(1, 1))
@@ -68,7 +77,7 @@ def test_lockstep_waits_for_keyframe_depth_scale_and_gate(monkeypatch, caplog):
     looks = 0
     receive = made._receive
 
-    def count(timeout_s):
+    def late_ones(timeout_s):
         nonlocal looks
         looks += 1
         if looks in late:
@@ -81,7 +90,7 @@ def test_lockstep_waits_for_keyframe_depth_scale_and_gate(monkeypatch, caplog):
             bus.give("gate", gate_of(told[1]))
         receive(timeout_s)
 
-    made._receive = count
+    made._receive = late_ones
     made.run()
     assert looks >= 9
     assert "incomplete" not in caplog.text
@@ -89,7 +98,8 @@ def test_lockstep_waits_for_keyframe_depth_scale_and_gate(monkeypatch, caplog):
     assert made._mapper.world.keyframes[0].depths is not None
 
 
-def test_lockstep_goes_on_without_what_never_comes(caplog):
+def test_lockstep_goes_on_without_what_never_comes(monkeypatch, caplog):
+    monkeypatch.setattr(worker, "_PATIENCE_S", 0.2)
     teller, told = keyframes(3)
     bus = ListBus("tracked", patience=100)
     lockstep(bus, told, teller, with_scale=False)
