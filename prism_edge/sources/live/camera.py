@@ -160,7 +160,9 @@ class LiveCamera(Source):
     def _check_first_image(self, connection: Connection) -> None:
         reason = "no image came"
         deadline = time.monotonic() + max(self._driver.dead_s, 3e-9 * self.period_ns)
-        while time.monotonic() < deadline:
+        tried = False  # at least once, however long we were kept from it
+        while not tried or time.monotonic() < deadline:
+            tried = True
             try:
                 grab = connection.grab()
             except CameraLostError as error:

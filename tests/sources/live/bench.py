@@ -11,7 +11,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.live.camera import Timing
 from prism_edge.sources.live.driver import Grab
 
-DEADLINE_S = 20.0
+DEADLINE_S = 30.0
 CAMERA = Camera(64, 48, 60.0, 60.0, 31.5, 23.5)
 QUICK = Timing(absent_s=0.3, first_pause_s=0.01, longest_pause_s=0.02, read_s=0.05)
 
@@ -23,7 +23,7 @@ def picture(seed: int = 0, width: int = 64, height: int = 48) -> np.ndarray:
 class Bench:
     """Driver and connection in one; ``script`` says what each grab gives."""
 
-    name, period_ns, dead_s = "the bench", 1_000_000, 0.2
+    name, period_ns, dead_s = "the bench", 1_000_000, 0.2  # only who gives nothing is held to the last
     intrinsics: Camera | None = None
 
     def __init__(self, script: Callable[[int], Grab | None]) -> None:
