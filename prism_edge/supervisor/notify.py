@@ -6,10 +6,12 @@ import logging
 import os
 import socket
 import time
+from collections import deque
 from collections.abc import MutableMapping
 
 log = logging.getLogger("prism_edge.supervisor")
 
+_MOST_WAITING = 64  # messages; the oldest go
 LONGEST_STATUS = 300  # characters: `systemctl status` shows one line
 
 
@@ -17,7 +19,8 @@ class Notifier:
     """Tells the service manager how the daemon is; does nothing where nobody asked to be told.
 
     The protocol is a datagram of ``KEY=value`` lines to the socket named by ``NOTIFY_SOCKET`` (a path, or
-    ``@name`` in Linux's abstract namespace). Losing one is no reason to stop: errors are logged once.
+    ``@name`` in Linux's abstract namespace). Losing one is no reason to stop: errors are logged once. What a
+    manager that is slow has no room for (Linux: ten messages) is sent again with the next call, in order.
     """
 
     def __init__(self, environment: MutableMapping[str, str] | None = None) -> None:
@@ -33,6 +36,7 @@ class Notifier:
         self.watchdog_s = int(period_us) / 1e6 if self._address and meant and is_number else 0.0
         self._fed_s = float("-inf")
         self._status = ""
+        self._unsent: deque[str] = deque(maxlen=_MOST_WAITING)
         self._failed = False
 
     def ready(self) -> None:
@@ -48,7 +52,8 @@ class Notifier:
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """One line for ``systemctl status``; sent only when it has changed."""
+        """One line for ``systemctl status``; sent only when it has changed. Call it often."""
+        self.send_what_waits()
         line = " ".join(text.split())[:LONGEST_STATUS]
         if line != self._status:
             self._status = line
@@ -58,16 +63,28 @@ class Notifier:
         """Feed the watchdog, twice within its period; call it often, and only while all is well."""
         if self.watchdog_s and now_s - self._fed_s >= self.watchdog_s / 2:
             self._fed_s = now_s
-            self._send("WATCHDOG=1")
+            if not self._unsent:  # which says that we live as well
+                self._send("WATCHDOG=1")
 
     def _send(self, *lines: str) -> None:
-        if not self._address:
+        if self._address:
+            self._unsent.append("\n".join(lines))
+            self.send_what_waits()
+
+    def send_what_waits(self) -> None:
+        """Send again what the manager had no room for."""
+        if not self._unsent:
             return
         try:
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC) as sender:
                 sender.setblocking(False)  # a manager that hangs is not waited for
-                sender.sendto("\n".join(lines).encode(), self._address)
+                while self._unsent:
+                    sender.sendto(self._unsent[0].encode(), self._address)
+                    self._unsent.popleft()
+        except BlockingIOError:
+            pass
         except OSError as error:
+            self._unsent.clear()
             if not self._failed:
                 self._failed = True
                 log.warning("the service manager can't be told: %s", error.strerror or error)

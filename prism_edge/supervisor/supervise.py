@@ -69,6 +69,8 @@ def supervise(
     except StartRefusedError as error:
         log.error("%s; stopped", error)
         return error.exit_code
+    finally:
+        notifier.send_what_waits()
     return 0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -40,6 +41,24 @@ def test_watchdog_is_fed_twice_a_period(manager: Manager) -> None:
     for now in (0.0, 1.0, 4.9, 5.0, 5.1, 9.9, 10.0):
         notifier.feed(now)
     assert manager.hear().count("WATCHDOG=1") == 3
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a socket has room for more")
+def test_a_manager_that_is_slow_hears_all_but_food_in_order(manager: Manager) -> None:
+    notifier = Notifier({"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "2000000"})
+    for now in range(1000):
+        notifier.feed(now)  # more than it has room for
+    for word in ("starting", "ready", "stopping"):
+        notifier.status(word)
+    notifier.ready()
+    for _ in range(10):
+        manager.hear()
+        notifier.status("stopping")  # has not changed
+    said = [line for line in manager.hear() if line != "WATCHDOG=1"]
+    assert said == ["STATUS=starting", "STATUS=ready", "STATUS=stopping", "READY=1"]
+    before = manager.heard.count("WATCHDOG=1")
+    notifier.feed(2000.0)
+    assert manager.hear().count("WATCHDOG=1") == before + 1
 
 
 @pytest.mark.parametrize(
