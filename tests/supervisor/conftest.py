@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from prism_edge.config import BusConfig, Config, DepthConfig, SupervisorConfig
+from prism_edge.supervisor import liveness
 from prism_edge.supervisor.run_directory import PREFIX
-from tests.supervisor.whole_runs import assert_port_free
+from tests.supervisor.whole_runs import DEADLINE_S, assert_port_free
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -24,6 +25,13 @@ def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
         endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     supervisor = SupervisorConfig(stop_s=1.5, max_restarts=2, backoff_s=0.05)
     return Config(robot="fake", bus=BusConfig(endpoint), supervisor=supervisor, depth=DepthConfig("net.onnx"))
+
+
+@pytest.fixture
+def slow_is_not_silent(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whoever gets no processor for seconds is none that hangs, where the supervisor is the test's own."""
+    monkeypatch.setattr(liveness, "QUIET_S", DEADLINE_S)
+    monkeypatch.setattr(liveness, "SILENT_S", DEADLINE_S)
 
 
 @pytest.fixture

@@ -51,14 +51,28 @@ def values(health: Any, name: str) -> dict[str, str]:
     return {pair.key: pair.value for pair in status.values}
 
 
-@pytest.mark.usefixtures("left_behind")
+class Health:
+    """What `health` has said so far; linked, so that nothing that comes is missed."""
+
+    def __init__(self, run: Supervisor, bus: Bus) -> None:
+        self._inbox = bus.queue("health")
+        self._heard: list[Any] = []
+        run.run(in_time(self.heard))
+
+    def heard(self) -> list[Any]:
+        self._heard += self._inbox.drain()
+        return self._heard
+
+
+@pytest.mark.usefixtures("left_behind", "slow_is_not_silent")
 class TestSupervisor:
     def test_ready_when_all_are_and_health_says_so(self, config: Config) -> None:
         with supervisor(config, "source:steady", "tracker:steady") as run, Bus.open(config, "test") as bus:
+            Health(run, bus)
             run.run(in_time(lambda: run.ready_s is not None))
             pids = run.processes
             assert pids.keys() == {"source", "tracker"}
-            health = bus.ask("health", 5.0)
+            health = bus.ask("health", DEADLINE_S)
             assert levels(health) == {"supervisor": OK, "source": OK, "tracker": OK}
             assert values(health, "supervisor")["state"] == "ready"
             assert values(health, "supervisor")["pid"] == str(os.getpid())
@@ -68,27 +82,27 @@ class TestSupervisor:
 
     def test_death_is_reported_and_mended(self, config: Config) -> None:
         with supervisor(config, "source:steady", "tracker:steady") as run, Bus.open(config, "test") as bus:
-            inbox = bus.queue("health")
+            health = Health(run, bus)
             run.run(in_time(lambda: run.ready))
             before = run.processes
             os.kill(before["tracker"], signal.SIGKILL)
             run.run(in_time(lambda: run.processes.get("tracker", 0) not in (0, before["tracker"])))
             run.run(in_time(lambda: run.ready))
             assert run.processes["source"] == before["source"]
-            heard: list[Any] = []
-            until(lambda: heard.extend(inbox.drain()) or any(mended(h) for h in heard))
-            lost = [h for h in heard if levels(h)["tracker"] == ERROR]
-            assert lost
-            assert values(lost[0], "tracker")["last_exit"] == "killed by SIGKILL"
-            assert levels(lost[0])["supervisor"] == ERROR
-            assert levels(lost[0])["source"] == OK
+            until(lambda: any(mended(h) for h in health.heard()))
+            down = [h for h in health.heard() if levels(h)["tracker"] == ERROR]
+            assert down
+            assert values(down[0], "tracker")["last_exit"] == "killed by SIGKILL"
+            assert levels(down[0])["supervisor"] == ERROR
+            assert levels(down[0])["source"] == OK
 
     def test_what_it_says_of_itself_holds_no_password(self, config: Config) -> None:
         camera = SourceConfig(uri="rtsp://me:secret@cam/live?key=secret#timeout=3")
         config = replace(config, source=camera)
         with supervisor(config, "source:steady", "tracker:steady") as run, Bus.open(config, "test") as bus:
+            Health(run, bus)
             run.run(in_time(lambda: run.ready_s is not None))
-            reply, health = told(run, config), bus.ask("health", 5.0)
+            reply, health = told(run, config), bus.ask("health", DEADLINE_S)
         assert reply.ok
         assert reply.values["input"] == "rtsp://cam/live?..."
         assert "secret" not in f"{reply} {health}"
@@ -101,8 +115,9 @@ class TestSupervisor:
         workers = ("source:steady", "tracker:tracks=initialising")
         with supervisor(config, *workers) as run, Bus.open(config, "test") as bus:
             assert "no pose comes" in caplog.text
+            Health(run, bus)
             run.run(in_time(lambda: run.ready_s is not None))
-            reply, health = told(run, config), bus.ask("health", 5.0)
+            reply, health = told(run, config), bus.ask("health", DEADLINE_S)
             assert run.healthy  # no reason for a watchdog to bite
         assert not reply.ok
         assert "no pose comes" in reply.said
@@ -132,16 +147,19 @@ class TestSupervisor:
             run.run(in_time(lambda: False))
         assert run.processes == {}
 
-    def test_hang_is_told_from_work_and_ended(self, config: Config) -> None:
-        with supervisor(config, "depth:hangs") as run, Bus.open(config, "test") as bus:
-            inbox = bus.queue("health")
+    def test_hang_is_told_from_work_and_ended(self, config: Config, tmp_path: Path) -> None:
+        note = tmp_path / "note"
+        note.touch()  # it begins once somebody hears of it
+        with supervisor(config, f"depth:waits={note}+hangs") as run, Bus.open(config, "test") as bus:
+            health = Health(run, bus)
             first = run.processes["depth"]
+            note.unlink()
             run.run(in_time(lambda: run.processes.get("depth", first) != first))
             assert not running(first)
-            heard: list[Any] = []
-            until(lambda: heard.extend(inbox.drain()) or any(levels(h)["depth"] == ERROR for h in heard))
-            lost = next(h for h in heard if levels(h)["depth"] == ERROR)
-            assert "inference has taken" in values(lost, "depth")["last_exit"]
+            # A supervisor that was held up itself tells a hang at once, and how it ended two seconds later.
+            until(lambda: any(values(h, "depth")["last_exit"] for h in health.heard()))
+            assert any(levels(h)["depth"] == ERROR for h in health.heard())
+            assert "inference has taken" in values(health.heard()[-1], "depth")["last_exit"]
 
     def test_stubborn_worker_is_killed(self, config: Config) -> None:
         with supervisor(config, "source:stubborn", "tracker:steady") as run:
