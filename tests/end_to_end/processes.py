@@ -53,7 +53,7 @@ def prism_edge(*arguments: str | Path, timeout_s: float = 60.0) -> subprocess.Co
         timeout=timeout_s,
     )
     left = [process for process in psutil.process_iter() if marked(process, mark)]
-    assert not psutil.wait_procs(left, timeout=1.0)[1], "processes were left running"
+    assert not psutil.wait_procs(left, timeout=DEADLINE_S)[1], "processes were left running"
     return done
 
 
