@@ -32,12 +32,15 @@ def full_size_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def long_room(room: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A minute there and back through the same room: the same images again with other stamps."""
+    """Five minutes there and back through the same room: the same images again with other stamps.
+
+    Longer than all tests of a module take on a machine that is busy with others.
+    """
     folder = tmp_path_factory.mktemp("long_room")
     (folder / "rgb").symlink_to(room / "rgb")
     images = [line.split()[1] for line in (room / "rgb.txt").read_text().splitlines()[1:]]
     there_and_back = images + images[-2:0:-1]
-    lines = [f"{i / 30:.6f} {there_and_back[i % len(there_and_back)]}\n" for i in range(1800)]
+    lines = [f"{i / 30:.6f} {there_and_back[i % len(there_and_back)]}\n" for i in range(9000)]
     (folder / "rgb.txt").write_text("".join(lines))
     return folder
 

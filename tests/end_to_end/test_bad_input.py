@@ -14,7 +14,7 @@ import pytest
 
 from prism_edge.evaluation.trajectory import read_tum
 from tests.end_to_end.conftest import FRAMES, HEIGHT, WIDTH
-from tests.end_to_end.processes import Daemon, prism_edge, rows, wait_until
+from tests.end_to_end.processes import DEADLINE_S, Daemon, prism_edge, rows, wait_until
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
 
 CONFIG, SOURCE, MODEL, BUS = 3, 4, 5, 6  # exit codes, as `prism-edge --help` lists them
@@ -164,13 +164,13 @@ def test_a_network_gone_wrong_is_reported_and_counted_and_the_daemon_runs_on(
 
         def counted() -> bool:
             seen.extend(rows(message) for message in health.drain())
-            return bool(seen) and int(seen[-1]["depth"].get("invalid", "0")) > 0
+            depth = seen[-1]["depth"] if seen else {}
+            said = depth.get("level") == "1" and "no usable depth" in depth["message"]
+            return said and int(depth.get("invalid", "0")) > 0
 
-        wait_until(counted, "unusable depth is counted")
-        depth = seen[-1]["depth"]
-        assert depth["level"] == "1"
-        assert "no usable depth" in depth["message"]
-        assert depth["restarts"] == "0"
-        assert bus.ask("scale") is None or not bus.ask("scale").metric
-    assert "has no depth" in running.log
+        wait_until(counted, "unusable depth is counted and said")
+        assert seen[-1]["depth"]["restarts"] == "0"
+        scale = bus.ask("scale", DEADLINE_S)
+        assert scale is None or not scale.metric
+    wait_until(lambda: "has no depth" in running.log, "unusable depth is logged")
     assert not [process for process in running.family if not process.is_running()]

@@ -59,7 +59,7 @@ def test_a_killed_process_is_started_again_and_poses_go_on(name: str, running: t
     assert "SIGKILL" in told[0]["message"]
     wait_until(lambda: health.now()[name]["level"] == "0", f"{name} is well again")
     assert int(health.now()[name]["pid"]) != pid
-    assert health.now()["supervisor"]["level"] == "0"
+    wait_until(lambda: health.now()["supervisor"]["level"] == "0", "all are well again")
 
     poses.drain()
     first = ros.stamp_ns(wait_until(lambda: poses.take(0.1), "poses go on"))
@@ -72,8 +72,8 @@ def test_a_killed_process_is_started_again_and_poses_go_on(name: str, running: t
 
     wait_until(went_on, "poses a second and a half later")
     assert np.isfinite([ros.pose_matrix(message.pose.pose) for message in later]).all()
-    ticks = tracked.drain()
-    assert ticks[-1].odometry == "ok"
+    # Where the machine stood still the camera has jumped, and is looked for.
+    wait_until(lambda: (ticks := tracked.drain()) and ticks[-1].odometry == "ok", "it tracks")
     assert "Traceback" not in daemon.log
 
 

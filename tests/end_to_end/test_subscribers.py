@@ -14,7 +14,7 @@ import zenoh
 from prism_edge.bus import ros
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.topics import TOPICS
-from tests.end_to_end.processes import Daemon, prism_edge, rows, wait_until
+from tests.end_to_end.processes import DEADLINE_S, Daemon, prism_edge, rows, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +44,15 @@ def session(running: Daemon) -> Iterator[zenoh.Session]:
 
 @pytest.mark.parametrize("topic", ["status", "scale", "tf", "health"])
 def test_a_late_joiner_is_told_the_last_value(topic: str, session: zenoh.Session) -> None:
-    replies = [reply.ok for reply in session.get(f"prism/robot/{topic}", timeout=5.0) if reply.ok]
+    def answers() -> list[zenoh.Sample]:
+        return [reply.ok for reply in session.get(f"prism/robot/{topic}", timeout=DEADLINE_S) if reply.ok]
+
+    def state() -> str:
+        return str(ros.deserialise(ros.DIAGNOSTICS, answers()[0].payload.to_bytes()).status[0].message)
+
+    if topic == "status":  # where the machine stood still the camera has jumped, and is looked for
+        wait_until(lambda: state() in ("ok building", "degraded building"), "it tracks")
+    replies = wait_until(answers, "an answer")  # a scale that is known is said a moment later
     assert len(replies) == 1
     kind = TOPICS[topic].type
     assert isinstance(kind, str)
@@ -57,7 +65,7 @@ def test_a_late_joiner_is_told_the_last_value(topic: str, session: zenoh.Session
         assert message.metric
         assert message.scale == pytest.approx(1.0, rel=0.3)
     elif topic == "status":
-        assert message.status[0].message in ("ok building", "degraded building")
+        assert message.status[0].name == "tracking"
     else:
         assert rows(message).keys() == {"supervisor", "source", "tracker", "depth", "scale", "backend"}
 
@@ -88,7 +96,7 @@ def test_pose_odom_and_tf_of_a_frame_say_the_same(running: Daemon) -> None:
 
 
 def test_every_process_holds_its_liveliness_token(session: zenoh.Session) -> None:
-    replies = session.liveliness().get("prism/robot/alive/*", timeout=5.0)
+    replies = session.liveliness().get("prism/robot/alive/*", timeout=DEADLINE_S)
     names = {str(reply.ok.key_expr).rsplit("/", 1)[1] for reply in replies if reply.ok}
     assert names >= {"supervisor", "source", "tracker", "depth", "scale", "backend"}
 
@@ -101,8 +109,8 @@ def test_watch_prints_poses_and_records_them(running: Daemon, tmp_path: Path) ->
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
     assert len(lines) == 60
-    assert "state ok building" in lines[-1]
-    assert "scale 1." in lines[-1] or "scale 0.9" in lines[-1]
+    tracked = [line for line in lines if "state ok building" in line]  # not all, where it was lost a while
+    assert any("scale 1." in line or "scale 0.9" in line for line in tracked)
     recorded = read_tum(file)
     assert len(recorded) == 60
     assert (np.diff(recorded.stamps) > 0).all()
