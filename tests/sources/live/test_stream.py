@@ -25,6 +25,7 @@ from prism_edge.sources.live.stream import Options, StreamDriver, is_stream
 pytest.importorskip("av", reason="network cameras need PyAV: pip install 'prism-edge[streams]'")
 
 DEADLINE_S = 30.0
+PATIENT = "timeout=20"  # where no silence is looked for: a busy machine's server is slow, not dead
 QUICK = Timing(absent_s=0.0, first_pause_s=0.02, longest_pause_s=0.1)
 
 
@@ -61,7 +62,7 @@ def rtsp() -> Iterator[RtspServer]:
 
 @pytest.mark.parametrize(
     ("name", "options"),
-    [("h264", "timeout=1"), ("mjpeg", "timeout=1"), ("reordered", "timeout=2"), ("h264", "transport=udp")],
+    [("h264", PATIENT), ("mjpeg", PATIENT), ("reordered", PATIENT), ("h264", "transport=udp")],
 )
 def test_rtsp_plays(rtsp: RtspServer, name: str, options: str) -> None:
     with watching(rtsp.address(name, options), DEADLINE_S) as camera:
@@ -126,14 +127,13 @@ def test_rtsp_over_a_link_that_flips_bytes(rtsp: RtspServer) -> None:
 
 def test_rtsp_without_that_name(rtsp: RtspServer) -> None:
     with pytest.raises(SourceError, match="404"):
-        watching(rtsp.address("nothing")).open()
+        watching(rtsp.address("nothing", PATIENT)).open()
 
 
 def test_mjpeg_plays_and_the_newest_wins() -> None:
-    with mjpeg_server() as server, watching(server.address(), DEADLINE_S) as camera:
-        images(camera)
-        before = server.sent
-        until(lambda: server.sent > before + 20)
+    with mjpeg_server() as server, watching(server.address(PATIENT), DEADLINE_S) as camera:
+        before = images(camera)[0].index
+        until(lambda: camera._taken > before + 20)
         first, later = images(camera, 2)
         assert first.pixels.shape == (120, 160, 3)
         assert first.index >= before + 10
@@ -170,7 +170,7 @@ def test_mjpeg_cut_short_is_unreadable() -> None:
 def test_http_errors_are_one_line_without_the_password(status: int, words: str) -> None:
     with mjpeg_server() as server:
         server.status = status
-        address = server.address().replace("http://", "http://me:secret@")
+        address = server.address(PATIENT).replace("http://", "http://me:secret@")
         with pytest.raises(SourceError) as error:
             watching(address).open()
     assert words in str(error.value)
@@ -182,7 +182,7 @@ def test_parts_of_another_type_are_refused_with_the_one_that_is_read() -> None:
     with mjpeg_server() as server:
         server.type = "image/jpg"  # FFmpeg insists on the right one
         with pytest.raises(SourceError, match="parts of the type image/jpeg"):
-            watching(server.address()).open()
+            watching(server.address(PATIENT)).open()
 
 
 def test_nobody_there() -> None:
@@ -206,12 +206,12 @@ def test_a_constant_delay_is_taken_off_the_stamps() -> None:
     with mjpeg_server() as server:
         connection = StreamDriver(server.address("delay_ms=2000")).connect()
         try:
-            before = time.monotonic_ns()
             grabs = [connection.grab() for _ in range(3)]
+            after = time.monotonic_ns()
         finally:
             connection.close()
     assert grabs[-1] is not None
-    assert grabs[-1].captured_ns < before  # sent later than that, by the clock that all share
+    assert grabs[-1].captured_ns <= after - 2 * 10**9  # by the clock that all share
 
 
 @pytest.mark.parametrize(
