@@ -33,6 +33,7 @@ _TRUTH_FRAME = "simulated_world"
 _GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
 # Lockstep: whoever takes longer over a frame died with it, and all wait for us.
 _PATIENCE_S = 60.0
+_LAST_S = 10.0  # for the tracker to say what it tracked last: on a busy machine it takes seconds
 _STILL_S = 2.0  # without a frame for this long, there is no rate
 # Started again, it is known that there is a camera: it gets most of the time that a start may take.
 _ABSENT_S = 45.0
@@ -89,14 +90,14 @@ class SourceWorker:
 
     def _resume(self) -> None:
         """Started again, a recording goes on after the last frame that was tracked."""
-        last = self._bus.ask("tracked")
+        last = self._bus.ask("tracked", _LAST_S)
         while last is not None and (slot := self._source.peek()) is not None and slot.index <= last.index:
             if self._source.skip():
                 self._checks.earlier()
 
     def _play_live(self) -> None:
         """A camera: what it takes goes out at once; while it is away we say so, and wait for it."""
-        last = self._bus.ask("tracked") if self._bus.life else None
+        last = self._bus.ask("tracked", _LAST_S) if self._bus.life else None
         first_index, shift_ns = (0, 0) if last is None else (last.index + 1, -1)
         seen = 0
         while not self._bus.stopped.is_set():
