@@ -121,7 +121,7 @@ def playing(config: Config) -> Any:
 
 
 def undisturbed(work: Callable[[Recorder], None]) -> tuple[list[Frame], EndOfStream, Recorder]:
-    """What is played where no frame was late; a busy machine has five tries."""
+    """What is played, of five tries the first in which no frame was late, or the last."""
     for _ in range(5):
         with running(work) as bus:
             frames, end = bus.until_end()
