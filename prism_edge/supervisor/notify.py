@@ -62,8 +62,9 @@ class Notifier:
     def feed(self, now_s: float) -> None:
         """Feed the watchdog, twice within its period; call it often, and only while all is well."""
         if self.watchdog_s and now_s - self._fed_s >= self.watchdog_s / 2:
-            self._fed_s = now_s
-            if not self._unsent:  # which says that we live as well
+            self.send_what_waits()
+            if not self._unsent:  # else with one of the next calls: nothing else feeds it
+                self._fed_s = now_s
                 self._send("WATCHDOG=1")
 
     def _send(self, *lines: str) -> None:

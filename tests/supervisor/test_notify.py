@@ -61,6 +61,19 @@ def test_a_manager_that_is_slow_hears_all_but_food_in_order(manager: Manager) ->
     assert manager.hear().count("WATCHDOG=1") == before + 1
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a socket has room for more")
+def test_food_that_found_no_room_is_not_half_a_period_late(manager: Manager) -> None:
+    notifier = Notifier({"NOTIFY_SOCKET": manager.address, "WATCHDOG_USEC": "2000000"})
+    for number in range(100):
+        notifier.status(f"line {number}")
+    notifier.feed(10.0)
+    while "STATUS=line 99" not in manager.hear():
+        notifier.status("line 99")
+    assert "WATCHDOG=1" not in manager.heard
+    notifier.feed(10.1)
+    assert manager.hear()[-1] == "WATCHDOG=1"
+
+
 @pytest.mark.parametrize(
     "variables", [{}, {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}, {"WATCHDOG_USEC": "soon"}]
 )
