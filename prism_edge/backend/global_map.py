@@ -214,7 +214,7 @@ class GlobalMap:
     def carrier(self, point: int) -> int:
         """The keyframe that a point goes with while nothing else is said of its place; as in the tracker."""
         made_by = self.points[point].made_by
-        return made_by if made_by in self.keyframes else min(self.points[point].keyframes)
+        return made_by if made_by in self.keyframes else min(self.points[point].keyframes, default=UNKNOWN)
 
     def present(self, point: int) -> int:
         """The identity that a point has now."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.backend.frame import keep_frame
+from prism_edge.backend.frame import keep_frame, take_references
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.loop_closing import Accepted, LoopCloser, MapChanges
 from prism_edge.backend.map_file import Arrays, Info
@@ -20,7 +21,7 @@ from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
 from prism_edge.geometry.cameras import PINHOLE, Camera
-from prism_edge.geometry.poses import Array, inverse, transform
+from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import LARGEST_ID, Gate, Keyframe, MapUpdate
 from prism_edge.tracking.depth_alignment import agreement
 from prism_edge.tracking.place_index import PlaceIndex
@@ -163,15 +164,15 @@ class Mapper:
 
     def _take_along(self, solution: Solution) -> None:
         """Points that the window left out (it takes a keyframe's best only) go with who made them."""
-        points = self.world.points
-        for k, pose in solution.poses.items():
-            keyframe = self.world.keyframes[k]
-            motion = pose @ inverse(keyframe.world_from_camera)
-            for p in keyframe.observed.keys() - solution.points.keys():
-                if self.world.carrier(p) == k:
-                    points[p].position = motion[:3, :3] @ points[p].position + motion[:3, 3]
+        keyframes = self.world.keyframes
+        motions = {k: pose @ inverse(keyframes[k].world_from_camera) for k, pose in solution.poses.items()}
+        for p in self.world.points.keys() - solution.points.keys():
+            motion = motions.get(self.world.carrier(p))
+            if motion is not None:
+                point = self.world.points[p]
+                point.position = motion[:3, :3] @ point.position + motion[:3, 3]
 
-    def _take_over(self, newest: int, solution: Solution, started: float) -> MapUpdate:
+    def _move(self, solution: Solution) -> None:
         self._take_along(solution)
         for k, pose in solution.poses.items():
             self.world.keyframes[k].world_from_camera = pose
@@ -180,6 +181,17 @@ class Mapper:
             self.world.points[p].parallax_deg = solution.parallax_deg[p]
         for k, p in solution.outliers:
             self.world.drop_observation(k, p)
+
+    def replay(self, told: Solution) -> None:
+        """Take over what a life before this one had solved and told; what is not here is passed over."""
+        world = self.world
+        poses = {k: normalised(pose) for k, pose in told.poses.items() if k in world.keyframes}
+        points = {p: place for p, place in told.points.items() if p in world.points}
+        self._move(replace(told, poses=poses, points=points))
+        take_references(world)
+
+    def _take_over(self, newest: int, solution: Solution, started: float) -> MapUpdate:
+        self._move(solution)
         self.window = len(solution.poses)
         # Where all of the map is moved to keep its frame, all keyframes are told, and take points along.
         everything = keep_frame(self.world)

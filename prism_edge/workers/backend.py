@@ -238,6 +238,7 @@ class BackendWorker:
             self._keeper.overhauled()
         if update is not None:
             self._bus.publish("map_update", update)
+            self._keeper.note_solved(update, self._home_scale)
             self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
         self._snapshot = self._take_snapshot()
         self._bus.pulse.values["keyframes"] = str(len(self._mapper.world.keyframes))

@@ -17,13 +17,14 @@ from prism_edge.backend.journal import Journal
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.map_mount import difference, mount_of
 from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.solved_record import solution_of, solved_arrays
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus import codec
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.errors import BusError, MapError
 from prism_edge.geometry.mount import base_from_camera
-from prism_edge.messages import Keyframe, WholeMap, same_network
+from prism_edge.messages import Keyframe, MapUpdate, WholeMap, same_network
 from prism_edge.workers.cut_off import OWN_JOURNAL, goes_on
 from prism_edge.workers.map_flaw import map_flaw, pyramid_flaw, size_flaw
 from prism_edge.workers.state_directory import kept_journal, map_names, map_path
@@ -121,10 +122,21 @@ class MapKeeper:
 
         Where no record can be added now, the next base will have them.
         """
-        if self._journal is None or self._overhauled or not self._journal.is_open:
-            return
+        if self._journal is not None and self._is_going_on:
+            self._append(self._journal, self._record(number, scale))
+
+    def note_solved(self, update: MapUpdate, scale: KnownScale) -> None:
+        """A window's result is in the map, and told; the next base would have it."""
+        if self._journal is not None and self._is_going_on:
+            self._append(self._journal, map_file.pack({**scale.info}, solved_arrays(update)))
+
+    @property
+    def _is_going_on(self) -> bool:
+        return self._journal is not None and self._journal.is_open and not self._overhauled
+
+    def _append(self, journal: Journal, record: bytes) -> None:
         try:
-            self._journal.append(self._record(number, scale))
+            journal.append(record)
         except MapError as error:
             self._say(error)
 
@@ -249,6 +261,9 @@ class MapKeeper:
 
     def _absorb(self, record: bytes) -> KnownScale:
         info, arrays = map_file.unpack(record)
+        if "solved" in arrays:
+            self._mapper.replay(solution_of(arrays))
+            return KnownScale.of(info)
         number = info.get("number")
         if arrays["keyframe"].size:
             message = codec.unpack(arrays["keyframe"].tobytes(), Keyframe)

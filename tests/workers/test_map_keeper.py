@@ -30,7 +30,7 @@ def test_a_life_that_ended_by_force_is_gone_on_from(tmp_path: Path) -> None:
     assert recovered.keyframes.tolist() == before.keyframes.tolist()
     assert set(recovered.points.tolist()) == set(before.points.tolist())
     assert recovered.log_scale == pytest.approx(0.25)
-    np.testing.assert_allclose(recovered.poses, before.poses, atol=0.03)  # corrections since are made again
+    np.testing.assert_allclose(recovered.poses, before.poses, atol=1e-9)  # as the last window left them
     after = live(tmp_path, told[5:], teller, life=2)
     assert snapshot(after).keyframes.tolist() == [0, 1, 2, 3, 4, 5]
     (update,) = after.of("map_update")
