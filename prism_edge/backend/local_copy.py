@@ -25,7 +25,7 @@ def local_copy(world: GlobalMap) -> LocalMap:
     ids = np.array(sorted(p for p, point in world.points.items() if point.keyframes), np.int64)
     if len(ids):
         positions, parallax = _columns(world, ids)
-        first = [min(world.points[p].keyframes) for p in ids.tolist()]
+        first = [_reference(world, p) for p in ids.tolist()]
         focal = np.array([world.keyframes[k].camera.fx for k in first])
         angle = np.radians(parallax)
         with np.errstate(divide="ignore"):
@@ -47,6 +47,12 @@ def local_copy(world: GlobalMap) -> LocalMap:
     for k in order:
         copy.add_keyframe(_keyframe(world.keyframes[k], near[k]))
     return copy
+
+
+def _reference(world: GlobalMap, point: int) -> int:
+    """The keyframe that a point goes with, or the oldest where that one does not see it."""
+    viewers, carrier = world.points[point].keyframes, world.carrier(point)
+    return carrier if carrier in viewers else min(viewers)
 
 
 def _columns(world: GlobalMap, ids: Ids) -> tuple[Array, Array]:

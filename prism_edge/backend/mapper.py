@@ -61,9 +61,9 @@ class Mapper:
         if index is not None:
             self.loops.index = index
 
-    def stored(self) -> tuple[Info, Arrays]:
+    def stored(self, made_by: bool = False) -> tuple[Info, Arrays]:
         """The map for a file (stored_map.py), with its epoch."""
-        info, arrays = to_arrays(self.world, self.loops.index)
+        info, arrays = to_arrays(self.world, self.loops.index, made_by)
         return {**info, **mount_info(self.mount), "epoch": self.epoch}, arrays
 
     def restore(
@@ -166,7 +166,8 @@ class Mapper:
         """Points that the window left out (it takes a keyframe's best only) go with who made them."""
         keyframes = self.world.keyframes
         motions = {k: pose @ inverse(keyframes[k].world_from_camera) for k, pose in solution.poses.items()}
-        for p in self.world.points.keys() - solution.points.keys():
+        made = {p for p, point in self.world.points.items() if point.made_by in motions}
+        for p in made.union(*(keyframes[k].observed for k in motions)) - solution.points.keys():
             motion = motions.get(self.world.carrier(p))
             if motion is not None:
                 point = self.world.points[p]

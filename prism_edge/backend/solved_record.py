@@ -6,7 +6,7 @@ For K keyframes and M points (map units, in the map's frame) and D observations 
 solved       i8 (K)      keyframes
 poses        f8 (K,4,4)  world_from_camera
 points       i8 (M)      numbers
-positions    f4 (M,3)    half a message's size, and exact to a micron
+positions    f4 (M,3)    half a message's size; to 0.01 mm within 100 units
 parallax_deg f4 (M)      widest angle between a point's rays
 dropped      i8 (D,2)    keyframe, point
 ============ =========== ==============================================

@@ -25,6 +25,8 @@ places           i8 (P)      keyframes that have a place descriptor
 place_descriptors f4 (P,D)   of norm 1
 depth_sigmas     f8 (K)      relative noise of depths, 0 where the source did not know it; may be
                              left out where it is 0 for all
+made_by          i8 (M)      keyframe that a point was made from, -1 where that is not known; not in saved
+                             maps, which builds before it read as well
 ================ =========== ================================================================
 """
 
@@ -37,7 +39,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
+from prism_edge.backend.global_map import UNKNOWN, GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.errors import ConfigError, MapError
 from prism_edge.geometry.cameras import Camera
@@ -77,8 +79,9 @@ _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "places": ("<i8", ("P",)),
     "place_descriptors": ("<f4", ("P", "D")),
     "depth_sigmas": ("<f8", ("K",)),
+    "made_by": ("<i8", ("M",)),
 }
-_OPTIONAL = {"depth_sigmas"}  # maps of earlier builds lack it, and they can read those that do without
+_OPTIONAL = {"depth_sigmas", "made_by"}  # earlier builds lack them, and can read maps that do
 
 
 @dataclass(frozen=True)
@@ -118,8 +121,8 @@ class KnownScale:
         return {**known, "scale_by": self.network}
 
 
-def to_arrays(world: GlobalMap, index: PlaceIndex) -> tuple[Info, Arrays]:
-    """Everything of a map that is worth keeping."""
+def to_arrays(world: GlobalMap, index: PlaceIndex, made_by: bool = False) -> tuple[Info, Arrays]:
+    """Everything of a map that is worth keeping; ``made_by`` is, as long as those go on who have it too."""
     keyframes = list(world.keyframes.values())
     sizes = [len(k.features) for k in keyframes]
     cameras: dict[tuple[str, bytes], int] = {}
@@ -164,20 +167,24 @@ def to_arrays(world: GlobalMap, index: PlaceIndex) -> tuple[Info, Arrays]:
     }
     if any(k.depth_sigma for k in keyframes):
         arrays["depth_sigmas"] = np.array([k.depth_sigma for k in keyframes], np.float64)
+    if made_by:
+        arrays["made_by"] = np.array([world.points[p].made_by for p in kept], np.int64)
     return {"cameras": listed, "places_of": index.network}, arrays
 
 
 def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap, PlaceIndex]:
     """The map that :func:`to_arrays` was given. Raises MapError for one that can't be."""
     _check_columns(arrays)
-    arrays = {"depth_sigmas": np.zeros(len(arrays["keyframes"])), **arrays}
+    unsaid = np.full(len(arrays["points"]), UNKNOWN)
+    arrays = {"depth_sigmas": np.zeros(len(arrays["keyframes"])), "made_by": unsaid, **arrays}
     _check_values(arrays)
     cameras = _cameras(info, arrays["cameras"])
     _check_room(cameras, arrays)
     world = GlobalMap(max_carried)
     ids = arrays["points"].tolist()
-    for p, position, parallax in zip(ids, arrays["positions"], arrays["parallax_deg"].tolist(), strict=True):
-        world.points[p] = GlobalPoint(position.copy(), set(), parallax)
+    columns = arrays["positions"], arrays["parallax_deg"].tolist(), arrays["made_by"].tolist()
+    for p, position, parallax, made_by in zip(ids, *columns, strict=True):
+        world.points[p] = GlobalPoint(position.copy(), set(), parallax, made_by)
     if not np.isin(arrays["seen"][arrays["seen"] >= 0], arrays["points"]).all():
         raise MapError("the map's keyframes see points that it does not have")
     starts = arrays["starts"].tolist()
@@ -272,6 +279,7 @@ def _check_values(arrays: Arrays) -> None:
         "points": _numbers(arrays["points"]),
         "positions": _between(arrays["positions"], -FARTHEST, FARTHEST),
         "parallax_deg": _between(arrays["parallax_deg"], 0.0, 180.0),
+        "made_by": _between(arrays["made_by"], UNKNOWN, LARGEST_ID),
         "carried": _between(arrays["carried"], 0, LARGEST_ID) and _numbers(arrays["carried"][:, 0]),
         "links": _rigid(arrays["links"]),
         "places": _numbers(arrays["places"]),

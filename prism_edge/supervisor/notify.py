@@ -69,6 +69,9 @@ class Notifier:
 
     def _send(self, *lines: str) -> None:
         if self._address:
+            if lines[0].startswith("STATUS="):  # of what waits only the newest is worth a look
+                said = (message for message in self._unsent if not message.startswith("STATUS="))
+                self._unsent = deque(said, _MOST_WAITING)
             self._unsent.append("\n".join(lines))
             self.send_what_waits()
 

@@ -65,6 +65,7 @@ class BackendWorker:
         self._desk = bus.commands({"save_map": self._save_map, "load_map": self._load_map})
         self._whole = Handover()
         self._waiting: deque[tuple[float, Keyframe]] = deque()
+        self._unsolved: Keyframe | None = None  # absorbed for who asked for the map
         self._early: dict[int, Depth] = {}
         self._late: int | None = None  # the newest keyframe whose descriptor came after it was looked at
         self._scale = self._home_scale = KnownScale()  # where the camera is; of the map's first part
@@ -133,7 +134,7 @@ class BackendWorker:
         Whether there was one.
         """
         self._receive(0.0 if self._mapper.loops.adjusting else _LOOK_S)
-        newest: Keyframe | None = None
+        newest, self._unsolved = self._unsolved, None
         while self._waiting:
             arrived, keyframe = self._waiting[0]
             missing = self._use_depth and not {keyframe.id} <= self._early.keys() & self._gated.keys()
@@ -339,6 +340,7 @@ class BackendWorker:
         finally:
             self._rest()
         self._waiting.clear()  # keyframes of the map that has gone
+        self._unsolved = None
         self._late = None
         self._snapshot = self._take_snapshot()
         self._tell_loaded()
@@ -367,7 +369,8 @@ class BackendWorker:
         if self._ticks is None:
             self._receive(0.0)
             while self._waiting:
-                self._absorb(self._waiting.popleft()[1])
+                self._unsolved = self._waiting.popleft()[1]
+                self._absorb(self._unsolved)
         return self._keeper.whole(self._home_scale)
 
     def _take_snapshot(self) -> MapSnapshot:

@@ -211,13 +211,13 @@ class MapKeeper:
         mapper = self._mapper
         if not mapper.world.points:
             return None
-        data = np.frombuffer(self._packed(scale), np.uint8)
+        data = np.frombuffer(self._packed(scale, True), np.uint8)
         sigma = math.hypot(scale.sigma, scale.bias_sigma)
         return WholeMap(mapper.epoch, mapper.sequence, scale.log_scale, sigma, data)
 
     def _begin_journal(self, journal: Journal, scale: KnownScale) -> None:
         self._bus.pulse.working("writing the journal", 30.0)
-        journal.begin(lambda generation: self._packed(scale, generation=generation, run=self._run))
+        journal.begin(lambda generation: self._packed(scale, True, generation=generation, run=self._run))
         self._bus.pulse.values.pop("journal", None)
         self._overhauled, self._failed_s, self._wait_s = False, float("-inf"), AGAIN_S
 
@@ -230,7 +230,7 @@ class MapKeeper:
         if flaw := size_flaw(len(world.keyframes), bool(world.points)):
             raise MapError(flaw)  # as loading it would
         self._bus.pulse.working("saving the map", 60.0)
-        data = self._packed(scale, saved=datetime.now(UTC).isoformat(timespec="seconds"))
+        data = self._packed(scale, False, saved=datetime.now(UTC).isoformat(timespec="seconds"))
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -239,9 +239,9 @@ class MapKeeper:
         counts = f"{len(world.keyframes)} keyframes, {len(world.points)} points"
         return f"saved {name}: {counts}, {len(data) / 1e6:.1f} MB"
 
-    def _packed(self, scale: KnownScale, **info: str | int) -> bytes:
+    def _packed(self, scale: KnownScale, made_by: bool, **info: str | int) -> bytes:
         own = {"program": f"prism_edge {__version__}", "robot": self._config.robot}
-        stored, arrays = self._mapper.stored()
+        stored, arrays = self._mapper.stored(made_by)
         known = {**stored, **own, **scale.info, "model": self._config.depth.network, **info}
         return map_file.pack(known, arrays)
 

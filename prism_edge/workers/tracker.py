@@ -103,7 +103,7 @@ class TrackerWorker:
             self._bus.await_ready(self._peers, PATIENCE_S)
         self._show(INITIALISING, 0, time.time_ns())
         while not self._bus.stopped.is_set():
-            # Loaded first: a command that comes with it was given once that had been done, and holds for it.
+            # Loaded first: a command that waits beside it was most likely given once that had been done.
             self._maps.take_loaded(self._tracker, self._adopt, self._reset)
             self._desk.serve()
             frame = self._frames.take(_LOOK_S)
@@ -287,10 +287,12 @@ class TrackerWorker:
 
     def _apply_scale(self, message: Scale) -> None:
         numbers = (message.log_scale, message.sigma, message.local_sigma)
+        if message.epoch != self._tracker.epoch:
+            return
+        self._status.metres.scale(message.observation, message.accepted)
         # One that was started again and knows nothing yet takes nothing from what was known.
-        if message.epoch == self._tracker.epoch and message.metric and np.isfinite(numbers).all():
+        if message.metric and np.isfinite(numbers).all():
             self._scale.hear(message)
-            self._status.metres.scale(message.observation, message.accepted)
 
     def _apply_update(self, message: MapUpdate) -> None:
         if message.epoch != self._tracker.epoch or message.sequence <= self._update_sequence:

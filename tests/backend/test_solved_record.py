@@ -11,6 +11,7 @@ from prism_edge.backend import map_file
 from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.solved_record import solution_of, solved_arrays
+from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig
 from tests.backend.world import Teller, check, depth_at_keypoints
 from tests.tracking.cloud import pose_at
@@ -18,8 +19,11 @@ from tests.tracking.cloud import pose_at
 CONFIG = BackendConfig(observations=60)  # few: many points are none of a window's, and go along
 
 
-def told_twice(count: int = 8) -> tuple[Mapper, Mapper]:
-    """One solves each window; the other hears of the same keyframes and takes the records over."""
+def told_twice(count: int = 8, restored_at: int = -1) -> tuple[Mapper, Mapper]:
+    """One solves each window; the other hears of the same keyframes and takes the records over.
+
+    From ``restored_at`` on it is one that went on from what a journal's base says of the first.
+    """
     first, second = Mapper(CONFIG), Mapper(CONFIG)
     teller = Teller(500, noise_px=0.5)
     rng = np.random.default_rng(0)
@@ -29,16 +33,30 @@ def told_twice(count: int = 8) -> tuple[Mapper, Mapper]:
         message.pixels[wrong] += 60.0
         for mapper in (first, second):
             mapper.absorb(message)
+            for point in mapper.world.points.values():  # most are made from the newer of two views
+                point.made_by = sorted(point.keyframes)[:2][-1]
             depth_at_keypoints(mapper.world, teller.cloud, teller.poses)
         update = first.optimise(i, 0.0) if i else None
         if update is not None:
             _, arrays = map_file.unpack(map_file.pack({}, solved_arrays(update)))
             second.replay(solution_of(arrays))
+        if i == restored_at:
+            info, base = first.stored(made_by=True)
+            second.restore(*map_file.unpack(map_file.pack({**info, **KnownScale().info}, base)))
     return first, second
 
 
-def test_replayed_the_map_is_as_it_was_with_points_that_went_along_and_observations_that_went() -> None:
-    first, second = told_twice()
+@pytest.mark.parametrize("restored_at", [-1, 7])
+def test_replayed_the_map_is_as_it_was_with_points_that_went_along_and_observations_that_went(
+    restored_at: int,
+) -> None:
+    first, second = told_twice(restored_at=restored_at)
+    if restored_at > 0:  # one window more: what it leaves out is of the base alone
+        first.world.keyframes[7].world_from_camera = first.world.keyframes[7].world_from_camera @ pose_at(0.1)
+        second.world.keyframes[7].world_from_camera = first.world.keyframes[7].world_from_camera
+        update = first.optimise(7, 0.0)
+        assert update is not None
+        second.replay(solution_of(solved_arrays(update)))
     check(second.world)
     assert second.world.keyframes.keys() == first.world.keyframes.keys()
     assert second.world.points.keys() == first.world.points.keys()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import pytest
 
@@ -59,3 +60,19 @@ def test_a_map_that_was_begun_meanwhile_is_the_one_to_go_on_in() -> None:
     assert made._mapper.epoch == 1
     assert whole is not None
     assert whole.epoch == 1
+
+
+def test_what_was_taken_in_for_it_is_solved_and_no_work_is_said_to_go_on(tmp_path: Path) -> None:
+    """Else the journal that a loop has made due would be written for ever, as the supervisor sees it."""
+    bus, (teller, told) = ListBus("keyframe"), keyframes(5)
+    bus.run_directory = tmp_path
+    made = worker.BackendWorker(CONFIG, bus)
+    hear(made, bus, told[:3], teller)
+    made._keeper.overhauled()  # as a loop does
+    bus.give("depth", *(depth_of(k, teller) for k in told[3:]))
+    bus.give("keyframe", *told[3:])
+    before = len(bus.of("map_update"))
+    assert asked_while_busy(bus, made) is not None
+    assert "writing the journal" in bus.states
+    assert bus.states[-1] == "idle"
+    assert [update.based_on for update in bus.of("map_update")[before:]] == [4]
