@@ -70,7 +70,7 @@ class GlobalPoint:
     position: Array
     keyframes: set[int] = field(default_factory=set)
     parallax_deg: float = 0.0  # widest angle between its rays when last solved
-    made_by: int = UNKNOWN  # keyframe that it was made from; a map's file doesn't say
+    made_by: int = UNKNOWN  # keyframe that it was made from; a saved map doesn't say
 
 
 class GlobalMap:

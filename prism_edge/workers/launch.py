@@ -49,7 +49,7 @@ def log_as_configured(process: str, config: Config) -> None:
         logging.basicConfig(level=level, handlers=[handler], force=True)
 
 
-def close_stdout() -> None:
+def silence_stdout() -> None:
     """What is to be read goes to stderr; gtsam prints each point that slips behind a camera in a solve."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     if nowhere != 1:  # else it was closed before, and stays taken
@@ -69,7 +69,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
     if parent is not None:
         die_with(parent)
         setproctitle(f"{TITLE} {process.name}")
-        close_stdout()
+        silence_stdout()
     bound_heap()
     # In a terminal's background, where `stty tostop` would stop whoever writes a line.
     signal.signal(signal.SIGTTOU, signal.SIG_IGN)

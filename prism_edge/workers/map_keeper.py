@@ -122,17 +122,19 @@ class MapKeeper:
 
         Where no record can be added now, the next base will have them.
         """
-        if self._journal is not None and self._is_going_on:
-            self._append(self._journal, self._record(number, scale))
+        if (journal := self._open_journal) is not None:
+            self._append(journal, self._record(number, scale))
 
     def note_solved(self, update: MapUpdate, scale: KnownScale) -> None:
         """A window's result is in the map, and told; the next base would have it."""
-        if self._journal is not None and self._is_going_on:
-            self._append(self._journal, map_file.pack({**scale.info}, solved_arrays(update)))
+        if (journal := self._open_journal) is not None:
+            self._append(journal, map_file.pack(scale.info, solved_arrays(update)))
 
     @property
-    def _is_going_on(self) -> bool:
-        return self._journal is not None and self._journal.is_open and not self._overhauled
+    def _open_journal(self) -> Journal | None:
+        """The journal, where a record would go on from what it holds."""
+        journal = self._journal
+        return journal if journal is not None and journal.is_open and not self._overhauled else None
 
     def _append(self, journal: Journal, record: bytes) -> None:
         try:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from prism_edge.depth.prediction import Prediction, no_descriptor
+from prism_edge.tracking.depth_watch import MUTE, DepthWatch
+from prism_edge.workers.tracker import TrackerWorker
 from tests.workers.whole_system import Spoil, WholeSystem, finite, in_turn
 
 FRAMES, BAD = 220, range(40, 110)
@@ -84,3 +87,14 @@ def test_other_outputs_of_the_network_gone_wrong_change_nothing() -> None:
     assert len(system.errors()) == FRAMES - 1
     assert max(system.errors().values()) < 0.06
     assert set(system.words().values()) == {"initialising", "ok"}
+
+
+def test_depth_that_could_never_tell_the_scale_is_said_though_the_scale_knows_no_metres_yet() -> None:
+    watch = DepthWatch()
+    worker = SimpleNamespace(_tracker=SimpleNamespace(epoch=0), _status=SimpleNamespace(metres=watch))
+    told = SimpleNamespace(log_scale=0.0, sigma=0.3, local_sigma=0.1, observation=np.nan, accepted=False)
+    for epoch, said in ((1, ""), (0, "too few points")):  # of another map it says nothing
+        mute = SimpleNamespace(**vars(told), epoch=epoch, metric=False)
+        for _ in range(MUTE):
+            TrackerWorker._apply_scale(worker, mute)  # type: ignore[arg-type]
+        assert watch.trouble(0)[:14] == said

@@ -15,7 +15,6 @@ from prism_edge.messages import (
     Frame,
     probe_of,
 )
-from prism_edge.tracking.depth_watch import MUTE, DepthWatch
 from prism_edge.workers import tracker
 from prism_edge.workers.tracker import _tracking
 from tests.tracking.footage import footage, other_room
@@ -392,14 +391,3 @@ def test_the_log_says_where_the_camera_looks(
     caplog.set_level("INFO")
     tracker.main(Config(), ListBus())
     assert "camera looks along base_link (1.00, 0.00, 0.00), level with it" in caplog.text
-
-
-def test_depth_that_could_never_tell_the_scale_is_said_though_the_scale_knows_no_metres_yet() -> None:
-    watch = DepthWatch()
-    worker = SimpleNamespace(_tracker=SimpleNamespace(epoch=0), _status=SimpleNamespace(metres=watch))
-    told = SimpleNamespace(log_scale=0.0, sigma=0.3, local_sigma=0.1, observation=np.nan, accepted=False)
-    for epoch, said in ((1, ""), (0, "too few points")):  # of another map it says nothing
-        mute = SimpleNamespace(**vars(told), epoch=epoch, metric=False)
-        for _ in range(MUTE):
-            tracker.TrackerWorker._apply_scale(worker, mute)  # type: ignore[arg-type]
-        assert watch.trouble(0)[:14] == said
