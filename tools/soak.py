@@ -4,6 +4,8 @@
 
 Writes report.json and report.md; the exit code is 1 where a bar is not met. Memory counts after the first
 ten minutes, or the first third of a shorter run, which then says little: a map that still grows takes memory.
+CPU time a pose and what others took of the machine stand beside the latency, by thirds of the run, too: a
+latency that grows without them is the daemon's.
 """
 
 from __future__ import annotations
@@ -15,6 +17,7 @@ import sys
 import tempfile
 import time
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -74,12 +77,14 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
                 raise SystemExit(f"soak: error: no poses in two minutes; see {out / 'daemon.log'}")
             time.sleep(0.1)
         begun, first = time.monotonic(), len(watcher.poses)
-        machine, own_s = machine_cpu(), _cpu(service)
         samples: list[dict[str, Any]] = []
         while (at := time.monotonic() - begun) < seconds:
             samples.append(
                 {
                     "at_s": at,
+                    "poses": len(watcher.poses),
+                    "cpu_s": _cpu(service),
+                    "machine": machine_cpu(),
                     "pss_mb": service.memory_mb(),
                     "anonymous_mb": service.memory_mb("_Anon"),
                     "descriptors": service.descriptors(),
@@ -89,7 +94,7 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
             )
             time.sleep(max(0.0, min(SAMPLE_S, begun + seconds - time.monotonic())))
         poses = len(watcher.poses) - first
-        foreign = taken_by_others(machine, machine_cpu(), _cpu(service) - own_s)
+        costs = by_thirds(samples)
         restarts = {name: row["restarts"] for name, row in watcher.health.items() if "restarts" in row}
         latencies = [(when - begun, ms) for when, ms in list(watcher.latencies) if when >= begun]
         gap, gap_at = watcher.longest_gap_and_when(begun, time.monotonic() - 0.05)
@@ -128,7 +133,7 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
         "rate_hz": poses / seconds,
         "longest_gap_s": gap,
         "longest_gap_at_s": gap_at - begun,
-        "foreign_cpu": foreign,
+        "thirds": costs,
         "growth_mb": growth,
         "anonymous_growth_mb": anonymous,
         "log_scale": _range([float(sample["scale"]["log_scale"]) for sample in samples]),
@@ -146,11 +151,15 @@ def soak(folder: Path, seconds: float, max_keyframes: int, out: Path) -> dict[st
 
 def markdown(report: dict[str, Any]) -> str:
     """The report for people."""
-    foreign = report["foreign_cpu"]
+    thirds = report["thirds"]
     lines = [
         f"{report['seconds'] / 60:.1f} minutes, {report['poses']} poses ({report['rate_hz']:.2f} Hz), "
         f"longest gap {1e3 * report['longest_gap_s']:.0f} ms, after {report['longest_gap_at_s']:.0f} s.",
-        "Other programs took " + ("?" if foreign is None else f"{100 * foreign:.0f} %") + " of the machine.",
+        "By thirds of the run, other programs and hosts took "
+        + ", ".join("?" if t["foreign_cpu"] is None else f"{100 * t['foreign_cpu']:.0f} %" for t in thirds)
+        + " of the machine; CPU time a pose was "
+        + ", ".join(f"{t['cpu_ms_per_pose']['total']:.1f}" for t in thirds)
+        + " ms.",
         "",
         "| bar | found | met |",
         "|---|---|---|",
@@ -163,6 +172,25 @@ def markdown(report: dict[str, Any]) -> str:
     lines += ["", f"Log scale from {low:.2f} to {high:.2f}, {report['scales_refused']} observations refused."]
     lines += ["", f"Growth by process (MB): {by_process}. Without files' pages: {anonymous:+.1f} MB in all."]
     return "\n".join(lines) + "\n"
+
+
+def by_thirds(samples: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """CPU time a pose (ms; of each process, and ``total``) and others' share of the machine in each third."""
+    ends = [round(k * (len(samples) - 1) / 3) for k in range(4)]
+    found = []
+    for first, last in pairwise(ends):
+        before, after = samples[first], samples[last]
+        used = {name: after["cpu_s"][name] - before["cpu_s"].get(name, 0.0) for name in after["cpu_s"]}
+        poses = max(after["poses"] - before["poses"], 1)
+        spent = {name: round(1e3 * seconds / poses, 2) for name, seconds in used.items()}
+        foreign = taken_by_others(before["machine"], after["machine"], sum(used.values()))
+        found.append(
+            {
+                "cpu_ms_per_pose": {**spent, "total": round(1e3 * sum(used.values()) / poses, 2)},
+                "foreign_cpu": foreign,
+            }
+        )
+    return found
 
 
 def lasted(
@@ -226,9 +254,9 @@ def _held(watcher: Watcher) -> int:
     return max(map(int, said))
 
 
-def _cpu(service: Service) -> float:
-    used = [cpu_s(process.pid) for process in service.processes().values()]
-    return sum(seconds[0] for seconds in used if seconds is not None)
+def _cpu(service: Service) -> dict[str, float]:
+    used = {name: cpu_s(process.pid) for name, process in service.processes().items()}
+    return {name: seconds[0] for name, seconds in used.items() if seconds is not None}
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ import pytest
 
 from prism_edge.geometry.poses import Array, from_rt, so3_exp
 from tools.faults_service import one_run
-from tools.soak import RATE, lasted, wander
+from tools.soak import RATE, by_thirds, lasted, wander
 
 
 def looped(pictures: int, rounds: int, motion: Array) -> list[tuple[float, Array]]:
@@ -46,3 +46,26 @@ def test_a_service_that_died_altogether_did_not_last_though_no_process_was_start
     assert missed(restarts={**restarts, "tracker": "1"}) == missed(restarts={}) == again
     assert missed(exits=[-9]) == missed(code=1) == missed(code=None) == ["one run, that ends with 0"]
     assert one_run([-9], 0)[0] == "0, and before that by itself with -9"
+
+
+def test_costs_of_each_third_are_told_apart_and_a_host_that_takes_is_not_the_daemon() -> None:
+    def sample(poses: int, own: float, others: float) -> dict[str, object]:
+        cpu = {"tracker": 0.75 * own, "source": 0.25 * own}
+        seconds = poses / 10.0
+        return {"poses": poses, "cpu_s": cpu, "machine": (own + others, 2.0 * seconds)}
+
+    # 20 ms a pose, twice as much in the last third; others take half of the machine in the second.
+    numbers = [(0, 0, 0), (150, 3, 0), (300, 6, 0), (450, 9, 15), (600, 12, 30), (750, 18, 30), (900, 24, 30)]
+    thirds = by_thirds([sample(*row) for row in numbers])
+    assert [third["cpu_ms_per_pose"]["total"] for third in thirds] == [20.0, 20.0, 40.0]
+    assert [third["cpu_ms_per_pose"]["tracker"] for third in thirds] == [15.0, 15.0, 30.0]
+    assert [third["foreign_cpu"] for third in thirds] == pytest.approx([0.0, 0.5, 0.0])
+
+
+def test_a_process_that_came_later_and_a_machine_that_tells_nothing_are_no_reason_to_fail() -> None:
+    first = {"poses": 0, "cpu_s": {"tracker": 1.0}, "machine": None}
+    last = {"poses": 10, "cpu_s": {"tracker": 1.1, "depth": 0.1}, "machine": None}
+    thirds = by_thirds([first, last])
+    spent = {"tracker": 10.0, "depth": 10.0, "total": 20.0}
+    assert thirds[1] == {"cpu_ms_per_pose": spent, "foreign_cpu": None}
+    assert by_thirds([first])[0]["cpu_ms_per_pose"] == {"tracker": 0.0, "total": 0.0}
