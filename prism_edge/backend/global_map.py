@@ -222,6 +222,15 @@ class GlobalMap:
             point = self._now[point]
         return point
 
+    def renamed(self) -> NDArray[np.int64]:
+        """Points that there were, oldest first, and what they are now (n, 2)."""
+        pairs = [(old, self.present(old)) for old in self._now if old not in self.points]
+        return np.array(pairs, np.int64).reshape(-1, 2)
+
+    def rename(self, renamed: NDArray[np.int64]) -> None:
+        """What :meth:`renamed` has told, of a map that had the same points."""
+        self._now = dict(renamed.tolist())
+
     def drop_observation(self, keyframe: int, point: int) -> None:
         """Forget that a keyframe sees a point; a point nobody sees is forgotten too."""
         if keyframe in self.keyframes:

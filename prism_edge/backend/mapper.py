@@ -61,9 +61,9 @@ class Mapper:
         if index is not None:
             self.loops.index = index
 
-    def stored(self, made_by: bool = False) -> tuple[Info, Arrays]:
+    def stored(self, in_use: bool = False) -> tuple[Info, Arrays]:
         """The map for a file (stored_map.py), with its epoch."""
-        info, arrays = to_arrays(self.world, self.loops.index, made_by)
+        info, arrays = to_arrays(self.world, self.loops.index, in_use)
         return {**info, **mount_info(self.mount), "epoch": self.epoch}, arrays
 
     def restore(

@@ -25,9 +25,11 @@ places           i8 (P)      keyframes that have a place descriptor
 place_descriptors f4 (P,D)   of norm 1
 depth_sigmas     f8 (K)      relative noise of depths, 0 where the source did not know it; may be
                              left out where it is 0 for all
-made_by          i8 (M)      keyframe that a point was made from, -1 where that is not known; not in saved
-                             maps, which builds before it read as well
+made_by          i8 (M)      keyframe that a point was made from, -1 where that is not known
+renamed          i8 (R,2)    point that there was, and the one that it was made one with
 ================ =========== ================================================================
+
+The last two are not in saved maps, which builds before them read as well.
 """
 
 from __future__ import annotations
@@ -80,8 +82,9 @@ _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "place_descriptors": ("<f4", ("P", "D")),
     "depth_sigmas": ("<f8", ("K",)),
     "made_by": ("<i8", ("M",)),
+    "renamed": ("<i8", ("R", 2)),
 }
-_OPTIONAL = {"depth_sigmas", "made_by"}  # earlier builds lack them, and can read maps that do
+_OPTIONAL = {"depth_sigmas", "made_by", "renamed"}  # earlier builds lack them, and can read maps that do
 
 
 @dataclass(frozen=True)
@@ -121,8 +124,8 @@ class KnownScale:
         return {**known, "scale_by": self.network}
 
 
-def to_arrays(world: GlobalMap, index: PlaceIndex, made_by: bool = False) -> tuple[Info, Arrays]:
-    """Everything of a map that is worth keeping; ``made_by`` is, as long as those go on who have it too."""
+def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tuple[Info, Arrays]:
+    """Everything of a map that is worth keeping; ``in_use``: for one who goes on with who told it to us."""
     keyframes = list(world.keyframes.values())
     sizes = [len(k.features) for k in keyframes]
     cameras: dict[tuple[str, bytes], int] = {}
@@ -167,20 +170,26 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, made_by: bool = False) -> tup
     }
     if any(k.depth_sigma for k in keyframes):
         arrays["depth_sigmas"] = np.array([k.depth_sigma for k in keyframes], np.float64)
-    if made_by:
+    if in_use:
         arrays["made_by"] = np.array([world.points[p].made_by for p in kept], np.int64)
+        arrays["renamed"] = world.renamed()
     return {"cameras": listed, "places_of": index.network}, arrays
 
 
 def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap, PlaceIndex]:
     """The map that :func:`to_arrays` was given. Raises MapError for one that can't be."""
     _check_columns(arrays)
-    unsaid = np.full(len(arrays["points"]), UNKNOWN)
-    arrays = {"depth_sigmas": np.zeros(len(arrays["keyframes"])), "made_by": unsaid, **arrays}
+    unsaid = {
+        "depth_sigmas": np.zeros(len(arrays["keyframes"])),
+        "made_by": np.full(len(arrays["points"]), UNKNOWN),
+        "renamed": np.zeros((0, 2), np.int64),
+    }
+    arrays = unsaid | arrays
     _check_values(arrays)
     cameras = _cameras(info, arrays["cameras"])
     _check_room(cameras, arrays)
     world = GlobalMap(max_carried)
+    world.rename(arrays["renamed"])
     ids = arrays["points"].tolist()
     columns = arrays["positions"], arrays["parallax_deg"].tolist(), arrays["made_by"].tolist()
     for p, position, parallax, made_by in zip(ids, *columns, strict=True):
@@ -280,6 +289,7 @@ def _check_values(arrays: Arrays) -> None:
         "positions": _between(arrays["positions"], -FARTHEST, FARTHEST),
         "parallax_deg": _between(arrays["parallax_deg"], 0.0, 180.0),
         "made_by": _between(arrays["made_by"], UNKNOWN, LARGEST_ID),
+        "renamed": _names(arrays["renamed"], arrays["points"]),
         "carried": _between(arrays["carried"], 0, LARGEST_ID) and _numbers(arrays["carried"][:, 0]),
         "links": _rigid(arrays["links"]),
         "places": _numbers(arrays["places"]),
@@ -297,6 +307,13 @@ def _between(array: NDArray[Any], low: float, high: float) -> bool:
 
 def _numbers(array: NDArray[Any]) -> bool:
     return _between(array, 0, LARGEST_ID) and len(np.unique(array)) == len(array)
+
+
+def _names(renamed: NDArray[np.int64], points: NDArray[np.int64]) -> bool:
+    """Whether each point that there was has one new name, which is nobody's old one."""
+    gone, now = renamed.T
+    elsewhere = not np.isin(gone, np.concatenate([now, points])).any()
+    return _numbers(gone) and _between(now, 0, LARGEST_ID) and elsewhere
 
 
 def _rigid(poses: NDArray[np.float64]) -> bool:

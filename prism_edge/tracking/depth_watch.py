@@ -18,6 +18,7 @@ class DepthWatch:
         self._waiting: dict[int, int] = {}  # stamp of each keyframe without an answer
         self._unusable = ""
         self._refused, self._contradicted = 0, False
+        self._deep: set[int] = set()  # keyframes with depth whose scale has not been said yet
         self._mute = 0
 
     def keyframe(self, number: int, stamp_ns: int) -> None:
@@ -29,10 +30,16 @@ class DepthWatch:
         """A keyframe's depth has come; those before it won't, since the newest picture wins."""
         self._waiting = {k: stamp for k, stamp in self._waiting.items() if k > keyframe}
         self._unusable = "" if valid else f"no usable depth: {reason}"
+        if valid and len(self._deep) < MOST_WAITING:
+            self._deep.add(keyframe)
 
-    def scale(self, observation: float, accepted: bool) -> None:
+    def scale(self, keyframe: int, observation: float, accepted: bool) -> None:
         """The scale after a keyframe; an observation that is not finite is none."""
-        self._mute = 0 if math.isfinite(observation) else self._mute + 1
+        if math.isfinite(observation):
+            self._mute = 0
+        elif keyframe in self._deep:  # one without depth, as a slow network leaves them, says nothing
+            self._mute += 1
+        self._deep = {k for k in self._deep if k > keyframe}
         if math.isfinite(observation):
             self._refused = max(self._refused - 1, 0) if accepted else min(self._refused + 1, MOST_REFUSED)
             # Also where the filter has given in by now: as long again, since either may have been wrong.

@@ -241,9 +241,9 @@ class MapKeeper:
         counts = f"{len(world.keyframes)} keyframes, {len(world.points)} points"
         return f"saved {name}: {counts}, {len(data) / 1e6:.1f} MB"
 
-    def _packed(self, scale: KnownScale, made_by: bool, **info: str | int) -> bytes:
+    def _packed(self, scale: KnownScale, in_use: bool, **info: str | int) -> bytes:
         own = {"program": f"prism_edge {__version__}", "robot": self._config.robot}
-        stored, arrays = self._mapper.stored(made_by)
+        stored, arrays = self._mapper.stored(in_use)
         known = {**stored, **own, **scale.info, "model": self._config.depth.network, **info}
         return map_file.pack(known, arrays)
 

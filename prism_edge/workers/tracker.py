@@ -289,7 +289,7 @@ class TrackerWorker:
         numbers = (message.log_scale, message.sigma, message.local_sigma)
         if message.epoch != self._tracker.epoch:
             return
-        self._status.metres.scale(message.observation, message.accepted)
+        self._status.metres.scale(message.keyframe, message.observation, message.accepted)
         # One that was started again and knows nothing yet takes nothing from what was known.
         if message.metric and np.isfinite(numbers).all():
             self._scale.hear(message)

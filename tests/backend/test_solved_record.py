@@ -41,7 +41,7 @@ def told_twice(count: int = 8, restored_at: int = -1) -> tuple[Mapper, Mapper]:
             _, arrays = map_file.unpack(map_file.pack({}, solved_arrays(update)))
             second.replay(solution_of(arrays))
         if i == restored_at:
-            info, base = first.stored(made_by=True)
+            info, base = first.stored(in_use=True)
             second.restore(*map_file.unpack(map_file.pack({**info, **KnownScale().info}, base)))
     return first, second
 

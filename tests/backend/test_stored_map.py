@@ -21,7 +21,7 @@ from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.tracking.place_index import PlaceIndex
-from tests.backend.world import Teller
+from tests.backend.world import Teller, check
 from tests.tracking.cloud import pose_at
 
 
@@ -45,6 +45,8 @@ def example() -> tuple[GlobalMap, PlaceIndex]:
 
 EXAMPLE = example()
 STORED = map_file.unpack(map_file.pack(*to_arrays(*EXAMPLE)))
+IN_USE = map_file.unpack(map_file.pack(*to_arrays(*EXAMPLE, in_use=True)))
+EXISTING = int(IN_USE[1]["points"][0])
 OF_KEYFRAMES = ("poses", "scale_factors", "travelled", "depth_sigmas")
 
 
@@ -107,7 +109,7 @@ def test_what_comes_back_may_be_changed() -> None:
 
 def changed(name: str, change: Callable[[np.ndarray], Any]) -> tuple[Info, Arrays]:
     """The example with one array changed in place, or another in its stead."""
-    info, arrays = STORED[0], {k: v.copy() for k, v in STORED[1].items()}
+    info, arrays = IN_USE[0], {k: v.copy() for k, v in IN_USE[1].items()}
     result = change(arrays[name])
     if isinstance(result, np.ndarray):
         arrays[name] = result
@@ -154,6 +156,13 @@ def put(value: Any, at: Any = 0) -> Callable[[np.ndarray], None]:
         ("points", lambda a: np.concatenate([a[1:2], a[1:]])),
         ("positions", put(np.inf)),
         ("parallax_deg", put(999.0)),
+        ("made_by", put(-2)),
+        ("made_by", lambda a: a[:-1]),
+        ("renamed", lambda a: np.array([[9001, 9002], [9001, 9003]])),  # two names
+        ("renamed", lambda a: np.array([[9001, 9002], [9002, 9001]])),  # round and round
+        ("renamed", lambda a: np.array([[9001, -1]])),
+        ("renamed", lambda a: np.array([[EXISTING, 9001]])),  # is there
+        ("renamed", lambda a: np.array([9001, 9002])),
         ("carried", put(10**6, (0, 1))),  # hangs on nothing
         ("carried", put(1, (0, 0))),  # is there
         ("links", put(np.nan)),
@@ -246,6 +255,26 @@ def test_a_map_without_noise_of_its_depths_is_a_network_s_as_it_was_before_any_h
     world, index = from_arrays(info, old, max_carried=100)
     assert {k.depth_sigma for k in world.keyframes.values()} == {0.0}
     assert "depth_sigmas" not in to_arrays(world, index)[1], "which an earlier build can read"
+
+
+def test_who_goes_on_with_a_map_knows_points_by_the_names_that_they_had() -> None:
+    """A loop has made them one, and the tracker, which has not heard of it, speaks of them as before."""
+    teller, world = Teller(), GlobalMap()
+    for i in range(5):
+        world.absorb(teller.keyframe(pose_at(0.2 * i)))
+    message = teller.keyframe(pose_at(0.9))
+    first, second, third, fourth = [p for p in message.points.tolist() if p in world.points][:4]
+    for gone, kept in ((first, second), (second, third)):
+        world.fuse(gone, kept)
+    stored = map_file.unpack(map_file.pack(*to_arrays(world, PlaceIndex(), in_use=True)))
+    again, _ = from_arrays(*stored, max_carried=100)
+    assert [again.present(p) for p in (first, second, third, fourth)] == [third, third, third, fourth]
+    observed = again.absorb(message).observed
+    assert observed == world.absorb(message).observed
+    assert third in observed
+    assert first not in observed
+    check(again)
+    assert "renamed" not in to_arrays(world, PlaceIndex())[1], "a saved map is nobody's whose names are old"
 
 
 @pytest.mark.parametrize("name", ["keyframes", "points"])

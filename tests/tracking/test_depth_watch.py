@@ -13,7 +13,7 @@ def test_depth_that_comes_is_no_trouble() -> None:
         watch.keyframe(k, k * SILENT_NS)
         assert watch.trouble(k * SILENT_NS) == ""
         watch.depth(k, True, "")
-        watch.scale(0.1, True)
+        watch.scale(k, 0.1, True)
     assert watch.trouble(100 * SILENT_NS) == "", "a camera that makes no keyframe waits for none"
 
 
@@ -55,15 +55,15 @@ def test_unusable_depth_is_told_with_its_reason_until_a_usable_one_comes() -> No
 
 def test_one_outlier_is_none_several_are_trouble_for_as_long_again() -> None:
     watch = DepthWatch()
-    for _ in range(REFUSED - 1):
-        watch.scale(2.3, False)
+    for number in range(REFUSED - 1):
+        watch.scale(number, 2.3, False)
     assert watch.trouble(0) == ""
-    watch.scale(NAN, False)  # a keyframe without an observation says nothing
+    watch.scale(REFUSED - 1, NAN, False)  # a keyframe without an observation says nothing
     assert watch.trouble(0) == ""
-    watch.scale(2.3, False)
-    for _ in range(REFUSED):
+    watch.scale(REFUSED, 2.3, False)
+    for number in range(REFUSED):
         assert watch.trouble(0) == "depth contradicts the scale"
-        watch.scale(2.3, True)
+        watch.scale(REFUSED + 1 + number, 2.3, True)
     assert watch.trouble(0) == ""
 
 
@@ -72,7 +72,16 @@ def test_depth_that_never_tells_the_scale_is_trouble_until_it_does() -> None:
     for number in range(MUTE):
         assert watch.trouble(number) == ""
         watch.depth(number, True, "")
-        watch.scale(NAN, False)
+        watch.scale(number, NAN, False)
     assert watch.trouble(MUTE) == "too few points have depth that tells the scale, in 10 keyframes"
-    watch.scale(0.1, True)
+    watch.scale(MUTE, 0.1, True)
     assert watch.trouble(MUTE) == ""
+
+
+def test_keyframes_that_a_slow_network_leaves_without_depth_are_not_called_mute() -> None:
+    watch = DepthWatch()
+    for number in range(11 * MUTE):
+        if number % 10 == 0:
+            watch.depth(number, True, "")
+        watch.scale(number, NAN, False)
+        assert (watch.trouble(0) == "") == (number < 10 * (MUTE - 1))
