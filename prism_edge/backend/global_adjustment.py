@@ -16,6 +16,7 @@ from prism_edge.backend.elimination import points_first, solver
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.sizes import size_factors, sizes
 from prism_edge.backend.window import CONVERGED, outliers, widest_parallax
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
@@ -43,7 +44,10 @@ class Adjusted:
 
 
 class GlobalAdjustment:
-    """All keyframes (paper, section 3.5), with depth where that was measured, the first pose held."""
+    """All keyframes (paper, section 3.5), the first pose held.
+
+    With depth where that was measured; of a network's how large each place is (sizes.py).
+    """
 
     def __init__(
         self,
@@ -91,6 +95,10 @@ class GlobalAdjustment:
         for k in self._keyframes:
             values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
         hanging = [part & seen for part in (list(parts) or [seen]) if part & seen]
+        if use_depth and camera is None:  # a bent map says nothing of sizes
+            for part in hanging:
+                for factor in size_factors(sizes(world, sorted(part), set(self._points))):
+                    graph.add(factor)
         for k in sorted({min(part) for part in hanging}):
             graph.add(held(X(k), self._before[k]))
         if camera is not None:

@@ -45,6 +45,7 @@ class GlobalKeyframe:
     depths: NDArray[np.float64] | None = None
     # Their relative noise where the source knows it, and they are in the map's scale; else 0.
     depth_sigma: float = 0.0
+    depth_units: float = 0.0  # map units that a metre of a network's depth became there; 0: not known
     features: Features = field(default_factory=no_features, repr=False)
     scale_factor: float = 1.2  # between pyramid levels
     travelled: float = 0.0  # path length to here, map units as the tracker had them

@@ -305,6 +305,7 @@ def _attach_depth(
             return
         factor = agreed.units_per_metre
     keyframe.depths = own * factor
+    keyframe.depth_units = 0.0 if keyframe.depth_sigma > 0 else factor
 
 
 def _pinhole(camera: Camera | None) -> Array:

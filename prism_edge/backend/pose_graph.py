@@ -130,6 +130,7 @@ def apply(world: GlobalMap, moved: Moved) -> None:
         keyframe.world_from_camera = similarity.world_from_camera
         if keyframe.depths is not None:
             keyframe.depths = keyframe.depths * similarity.scale
+            keyframe.depth_units *= similarity.scale
     take_references(world)
 
 

@@ -26,10 +26,11 @@ place_descriptors f4 (P,D)   of norm 1
 depth_sigmas     f8 (K)      relative noise of depths, 0 where the source did not know it; may be
                              left out where it is 0 for all
 made_by          i8 (M)      keyframe that a point was made from, -1 where that is not known
+depth_units      f8 (K)      map units a metre of network depth; 0 where that is not known
 renamed          i8 (R,2)    point that there was, and the one that it was made one with
 ================ =========== ================================================================
 
-The last two are not in saved maps, which builds before them read as well.
+The last three are not in saved maps, which builds before them read as well.
 """
 
 from __future__ import annotations
@@ -82,9 +83,11 @@ _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "place_descriptors": ("<f4", ("P", "D")),
     "depth_sigmas": ("<f8", ("K",)),
     "made_by": ("<i8", ("M",)),
+    "depth_units": ("<f8", ("K",)),
     "renamed": ("<i8", ("R", 2)),
 }
-_OPTIONAL = {"depth_sigmas", "made_by", "renamed"}  # earlier builds lack them, and can read maps that do
+# Earlier builds lack them, and can read maps that do.
+_OPTIONAL = {"depth_sigmas", "made_by", "depth_units", "renamed"}
 
 
 @dataclass(frozen=True)
@@ -172,6 +175,7 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["depth_sigmas"] = np.array([k.depth_sigma for k in keyframes], np.float64)
     if in_use:
         arrays["made_by"] = np.array([world.points[p].made_by for p in kept], np.int64)
+        arrays["depth_units"] = np.array([k.depth_units for k in keyframes], np.float64)
         arrays["renamed"] = world.renamed()
     return {"cameras": listed, "places_of": index.network}, arrays
 
@@ -182,6 +186,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     unsaid = {
         "depth_sigmas": np.zeros(len(arrays["keyframes"])),
         "made_by": np.full(len(arrays["points"]), UNKNOWN),
+        "depth_units": np.zeros(len(arrays["keyframes"])),
         "renamed": np.zeros((0, 2), np.int64),
     }
     arrays = unsaid | arrays
@@ -237,6 +242,7 @@ def _keyframe(
         {},
         depths if depths.any() else None,
         depth_sigma=float(arrays["depth_sigmas"][row]),
+        depth_units=float(arrays["depth_units"][row]),
         features=Features.build(pixels, octaves, packed, camera.width, camera.height),
         scale_factor=factor,
         travelled=float(arrays["travelled"][row]),
@@ -289,6 +295,7 @@ def _check_values(arrays: Arrays) -> None:
         "positions": _between(arrays["positions"], -FARTHEST, FARTHEST),
         "parallax_deg": _between(arrays["parallax_deg"], 0.0, 180.0),
         "made_by": _between(arrays["made_by"], UNKNOWN, LARGEST_ID),
+        "depth_units": _between(arrays["depth_units"], 0.0, FARTHEST),
         "renamed": _names(arrays["renamed"], arrays["points"]),
         "carried": _between(arrays["carried"], 0, LARGEST_ID) and _numbers(arrays["carried"][:, 0]),
         "links": _rigid(arrays["links"]),

@@ -28,6 +28,7 @@ class Agreement:
 
     units_per_metre: float  # median ratio
     informative: bool  # whether the network tells near from far
+    spread: float  # of the log ratios
 
 
 def agreement(map_depths: Array, network_depths: Array) -> Agreement:
@@ -40,7 +41,8 @@ def agreement(map_depths: Array, network_depths: Array) -> Agreement:
     log_depths = np.log(map_depths)
     ratios = log_depths - np.log(network_depths)
     bound = max(ALWAYS_CREDIBLE_SPREAD, LEAST_EXPLAINED * robust_sigma(log_depths))
-    return Agreement(float(np.exp(np.median(ratios))), robust_sigma(ratios) < bound)
+    spread = robust_sigma(ratios)
+    return Agreement(float(np.exp(np.median(ratios))), spread < bound, spread)
 
 
 def robust_sigma(values: Array) -> float:

@@ -258,7 +258,11 @@ class MapKeeper:
             "weights": np.zeros(0, np.float32) if weights is None else weights.astype(np.float32),
             "place": np.zeros(0, np.float32) if place is None else place,
         }
-        told = {"places_of": self._mapper.loops.index.network, "depth_sigma": keyframe.depth_sigma}
+        told = {
+            "places_of": self._mapper.loops.index.network,
+            "depth_sigma": keyframe.depth_sigma,
+            "depth_units": keyframe.depth_units,
+        }
         return map_file.pack({**scale.info, **told, "number": number}, arrays)
 
     def _absorb(self, record: bytes) -> KnownScale:
@@ -276,8 +280,9 @@ class MapKeeper:
             return KnownScale.of(info)
         if len(arrays["depths"]) == len(keyframe.pixels):
             keyframe.depths = arrays["depths"].astype(np.float64)
-            sigma = info.get("depth_sigma")  # records of earlier builds don't say
+            sigma, units = info.get("depth_sigma"), info.get("depth_units")  # earlier builds don't say
             keyframe.depth_sigma = sigma if isinstance(sigma, float) else 0.0
+            keyframe.depth_units = units if isinstance(units, float) else 0.0
         if len(arrays["weights"]) == len(keyframe.pixels):
             keyframe.weights = arrays["weights"].astype(np.float64)
         if len(arrays["place"]):

@@ -37,6 +37,8 @@ def example() -> tuple[GlobalMap, PlaceIndex]:
             added.weights = rng.random(len(added.pixels))
             added.weights[::5] = np.nan
             added.depth_sigma = 0.01 * i  # a sensor's
+        else:
+            added.depth_units = 1.0 + 0.1 * i  # of a network's
         index.add(added.id, rng.normal(size=16).astype(np.float32), "some network")
     world._forget_keyframe(3)
     index.remove(3)
@@ -158,6 +160,8 @@ def put(value: Any, at: Any = 0) -> Callable[[np.ndarray], None]:
         ("parallax_deg", put(999.0)),
         ("made_by", put(-2)),
         ("made_by", lambda a: a[:-1]),
+        ("depth_units", put(-1.0)),
+        ("depth_units", put(np.nan)),
         ("renamed", lambda a: np.array([[9001, 9002], [9001, 9003]])),  # two names
         ("renamed", lambda a: np.array([[9001, 9002], [9002, 9001]])),  # round and round
         ("renamed", lambda a: np.array([[9001, -1]])),
@@ -274,7 +278,10 @@ def test_who_goes_on_with_a_map_knows_points_by_the_names_that_they_had() -> Non
     assert third in observed
     assert first not in observed
     check(again)
-    assert "renamed" not in to_arrays(world, PlaceIndex())[1], "a saved map is nobody's whose names are old"
+    saved = to_arrays(world, PlaceIndex())[1].keys()
+    assert not {"made_by", "depth_units", "renamed"} & saved, "which an earlier build can read"
+    known, _ = from_arrays(*IN_USE, max_carried=100)
+    assert [k.depth_units for k in known.keyframes.values()] == [1.0, 0.0, 1.2, 1.4, 0.0, 1.6, 0.0]
 
 
 @pytest.mark.parametrize("name", ["keyframes", "points"])

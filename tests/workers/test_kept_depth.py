@@ -41,6 +41,10 @@ def sigmas(made: BackendWorker) -> dict[int, float]:
     return {k: keyframe.depth_sigma for k, keyframe in made._mapper.world.keyframes.items()}
 
 
+def units(made: BackendWorker) -> dict[int, float]:
+    return {k: keyframe.depth_units for k, keyframe in made._mapper.world.keyframes.items()}
+
+
 def test_it_is_in_the_journal_s_base_and_in_its_tail(tmp_path: Path) -> None:
     teller, told = keyframes(6)
     _, left = life(tmp_path, 0, told[:4], teller)  # the first in the base, the others behind it
@@ -48,6 +52,16 @@ def test_it_is_in_the_journal_s_base_and_in_its_tail(tmp_path: Path) -> None:
     found, left = life(tmp_path, 1, told[4:5], teller)  # all in the base
     assert found == {0: 0.0, 1: 0.03, 2: 0.0, 3: 0.03}
     assert life(tmp_path, 2, [], teller)[0] == left
+
+
+def test_what_a_metre_of_a_network_s_became_is_kept_too_and_a_sensor_s_is_none(tmp_path: Path) -> None:
+    teller, told = keyframes(6)
+    life(tmp_path, 0, told[:4], teller)  # the first in the base, the others behind it
+    found = units(backend(tmp_path, 1)[0])
+    assert found[0] > 0.0 < found[2]
+    assert found[1] == found[3] == 0.0
+    life(tmp_path, 1, told[4:5], teller)  # all in the base
+    assert units(backend(tmp_path, 2)[0]) == {**found, 4: found[2]}
 
 
 def test_what_comes_after_its_keyframe_is_in_the_journal_too(

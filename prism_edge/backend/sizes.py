@@ -1,0 +1,93 @@
+"""What a network says of how large the places of a map are beside each other.
+
+Reprojection ties two rooms that are seen through one door by the few points that both see: their sizes may
+differ by a tenth or two at next to no cost. A network has the same metres on both sides. Its depths, point by
+point, would bend the map, as it flattens what it sees (window.py). So each keyframe says one number, how many
+map units a metre is there, and its surroundings are drawn to where that is the same everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L, X
+
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.geometry.poses import Array
+from prism_edge.tracking.depth_alignment import agreement
+
+LEAST_POINTS, LEAST_PARALLAX_DEG = 20, 1.0  # as where depth gets its scale (mapper.py)
+# A network that is unsure within an image is as unsure from place to place. And neighbours err alike: some
+# ten keyframes say no more than one.
+SHARE, LEAST_SPREAD = 1.5, 0.03
+CARRIERS = 10  # points about a keyframe that its number is laid on
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large the map is about one keyframe."""
+
+    keyframe: int
+    log_units: float  # logarithm of map units a metre of network depth
+    sigma: float  # of it, beside those of other keyframes
+    ranges: dict[int, float]  # points of middling distance and how far they are, map units
+
+
+def sizes(world: GlobalMap, keyframes: Iterable[int], points: set[int]) -> list[Size]:
+    """Of those keyframes whose depth tells near from far, by ``points`` that their rays place."""
+    found = (_size(world, world.keyframes[k], points) for k in keyframes)
+    return [size for size in found if size is not None]
+
+
+def size_factors(found: list[Size]) -> list[gtsam.NonlinearFactor]:
+    """Range factors that draw the surroundings of keyframes of one part to one size, their median.
+
+    Each asks for the range that a point has, times what its keyframe's size is off by, so that all of its
+    points together weigh as the keyframe's sigma, and none is drawn nearer than another.
+    """
+    if not found:
+        return []
+    median = float(np.median([size.log_units for size in found]))
+    factors: list[gtsam.NonlinearFactor] = []
+    for size in found:
+        stretch = math.exp(median - size.log_units)
+        for point, distance in size.ranges.items():
+            wanted = stretch * distance
+            noise = gtsam.noiseModel.Isotropic.Sigma(1, size.sigma * math.sqrt(len(size.ranges)) * wanted)
+            factors.append(gtsam.RangeFactor3D(X(size.keyframe), L(point), wanted, noise))
+    return factors
+
+
+def _size(world: GlobalMap, keyframe: GlobalKeyframe, points: set[int]) -> Size | None:
+    if keyframe.depths is None or keyframe.depth_units <= 0.0:
+        return None
+    seen = keyframe.observed.items() if len(keyframe.observed) >= LEAST_POINTS else ()
+    firm = {
+        p: keypoint
+        for p, keypoint in seen
+        if p in points
+        and world.points[p].parallax_deg >= LEAST_PARALLAX_DEG
+        and keyframe.depths[keypoint] > 0.0
+    }
+    if len(firm) < LEAST_POINTS:
+        return None
+    offsets = np.array([world.points[p].position for p in firm]) - keyframe.world_from_camera[:3, 3]
+    along_axis: Array = offsets @ keyframe.world_from_camera[:3, 2]
+    metres = keyframe.depths[list(firm.values())] / keyframe.depth_units
+    front = along_axis > 1e-6
+    if front.sum() < LEAST_POINTS:
+        return None
+    agreed = agreement(along_axis[front], metres[front])
+    if not agreed.informative:
+        return None
+    ids = np.array(list(firm))[front]
+    ranges = np.linalg.norm(offsets[front], axis=1)
+    middle = np.argsort(ranges, kind="stable")[len(ids) // 4 : 3 * len(ids) // 4]
+    chosen = middle[:: max(len(middle) // CARRIERS, 1)][:CARRIERS]
+    carriers = dict(zip(ids[chosen].tolist(), ranges[chosen].tolist(), strict=True))
+    sigma = SHARE * max(agreed.spread, LEAST_SPREAD)
+    return Size(keyframe.id, math.log(agreed.units_per_metre), sigma, carriers)
