@@ -21,9 +21,9 @@ from prism_edge.geometry.poses import Array
 from prism_edge.tracking.depth_alignment import agreement
 
 LEAST_POINTS, LEAST_PARALLAX_DEG = 20, 1.0  # as where depth gets its scale (mapper.py)
-# A network that is unsure within an image is as unsure from place to place. And neighbours err alike: some
-# ten keyframes say no more than one.
-SHARE, LEAST_SPREAD = 1.5, 0.03
+# A network that is unsure within an image is as unsure from place to place; and neighbours err alike, so that
+# six keyframes say no more than one.
+SHARE, LEAST_SPREAD = 2.5, 0.03
 CARRIERS = 10  # points about a keyframe that its number is laid on
 
 
