@@ -54,7 +54,7 @@ SENSOR = "sensor"  # depth.model: the recording's own depth images in a network'
 ABLATIONS = {
     "kalman": "the scale filter: the last observation is the estimate",
     "wls": "the weighted least squares: an observation is a plain mean",
-    "depth_factor": "metric depth in the window's bundle adjustment",
+    "depth_factor": "metric depth in bundle adjustments",
     "loop": "place recognition and loop closure",
     "init": "the first two views' structure: the second keyframe waits for nothing",
     "dsug": "the uncertainty gate: depth weighs alike at every pixel",
