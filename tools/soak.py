@@ -180,7 +180,12 @@ def by_thirds(samples: list[dict[str, Any]]) -> list[dict[str, Any]]:
     found = []
     for first, last in pairwise(ends):
         before, after = samples[first], samples[last]
-        used = {name: after["cpu_s"][name] - before["cpu_s"].get(name, 0.0) for name in after["cpu_s"]}
+        used: dict[str, float] = {}
+        for one, other in pairwise(samples[first : last + 1]):
+            for name, seconds in other["cpu_s"].items():
+                spent_s = seconds - one["cpu_s"].get(name, 0.0)
+                # One that was started again counts from 0.
+                used[name] = used.get(name, 0.0) + (spent_s if spent_s >= 0.0 else seconds)
         poses = max(after["poses"] - before["poses"], 1)
         spent = {name: round(1e3 * seconds / poses, 2) for name, seconds in used.items()}
         foreign = taken_by_others(before["machine"], after["machine"], sum(used.values()))

@@ -75,14 +75,14 @@ class GlobalAdjustment:
         if camera is not None and said_k1 is not None:
             lens.add_variable(graph, values, camera, said_k1)
             self._points = _firm(world, self._points, config)
-        seen: set[int] = set()
+        used: dict[int, list[int]] = {}  # points of each keyframe, by the views that are chosen
         self._through: dict[int, list[int]] = {}  # points of each keyframe that tell the lens
         for p, views in choose_views(world, self._points).items():
             values.insert(L(p), world.points[p].position)
             for k in views:
                 keyframe = world.keyframes[k]
                 keypoint = keyframe.observed[p]
-                seen.add(k)
+                used.setdefault(k, []).append(p)
                 if camera is None:
                     graph.add(factors.reprojection(X(k), L(p), keyframe, keypoint))
                 else:
@@ -91,13 +91,13 @@ class GlobalAdjustment:
                 measured = use_depth and keyframe.depth_sigma > 0  # a network would bend the map (window.py)
                 if measured and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
                     graph.add(factors.metric_depth(X(k), L(p), keyframe, keypoint))
-        self._keyframes = sorted(seen)
+        self._keyframes = sorted(used)
         for k in self._keyframes:
             values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
-        hanging = [part & seen for part in (list(parts) or [seen]) if part & seen]
+        hanging = [part & used.keys() for part in (list(parts) or [set(used)]) if part & used.keys()]
         if use_depth and camera is None:  # a bent map says nothing of sizes
             for part in hanging:
-                for factor in size_factors(sizes(world, sorted(part), set(self._points))):
+                for factor in size_factors(sizes(world, sorted(part), used)):
                     graph.add(factor)
         for k in sorted({min(part) for part in hanging}):
             graph.add(held(X(k), self._before[k]))

@@ -22,7 +22,7 @@ from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
 from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
-from prism_edge.messages import LARGEST_ID, Gate, Keyframe, MapUpdate
+from prism_edge.messages import LARGEST_ID, Gate, Keyframe, MapUpdate, same_network
 from prism_edge.tracking.depth_alignment import agreement
 from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.seeding import sample_depth
@@ -51,6 +51,7 @@ class Mapper:
         self.begin(0)
         self.sequence = first_id
         self.window = 0  # keyframes that the last solution had
+        self._network = ""  # whose metres keyframes have
 
     def begin(self, epoch: int, world: GlobalMap | None = None, index: PlaceIndex | None = None) -> None:
         """Begin a map, empty or one that there was."""
@@ -79,6 +80,7 @@ class Mapper:
         if type(own) is not int or not 0 <= own < LARGEST_ID:
             raise MapError("the map's epoch is none")
         self.begin(own if epoch is None else epoch, world, index)
+        self._network = known.network
         known_mount = mount if made_with is None else made_with
         self.mount = self.mount if known_mount is None else known_mount
         return known
@@ -100,8 +102,9 @@ class Mapper:
         image_to_depth: Array,
         log_scale: float,
         frame_sigma: float = math.nan,
+        network: str = "",
     ) -> None:
-        """Attach network depth (metres) to a keyframe's keypoints, in map units.
+        """Attach depth (metres) of a ``network`` to a keyframe's keypoints, in map units.
 
         A network's scale wavers from frame to frame, much more than its relative depth is wrong. So each
         keyframe has a log scale of its own: that of its triangulated points, where there are enough. Depths
@@ -110,6 +113,7 @@ class Mapper:
         """
         keyframe = self.world.keyframes.get(message.id)
         if keyframe is not None:
+            self._hear(network)
             _attach_depth(
                 keyframe, message.depths, message.parallax_deg, depth, image_to_depth, log_scale, frame_sigma
             )
@@ -121,10 +125,12 @@ class Mapper:
         image_to_depth: Array,
         log_scale: float,
         frame_sigma: float = math.nan,
+        network: str = "",
     ) -> None:
         """As :meth:`add_depth`, of a keyframe solved since: held against the map as it is now."""
         keyframe = self.world.keyframes.get(number)
         if keyframe is not None:
+            self._hear(network)
             points = {keypoint: self.world.points[p] for p, keypoint in keyframe.observed.items()}
             rows = list(points)
             places = np.array([points[i].position for i in rows]).reshape(-1, 3)
@@ -132,6 +138,13 @@ class Mapper:
             known[rows] = transform(inverse(keyframe.world_from_camera), places)[:, 2]
             parallax_deg[rows] = [points[i].parallax_deg for i in rows]
             _attach_depth(keyframe, known, parallax_deg, depth, image_to_depth, log_scale, frame_sigma)
+
+    def _hear(self, network: str) -> None:
+        """Another network's metres are not those of the one before: of two, the later's count."""
+        if self._network and network and not same_network(network, self._network):
+            for keyframe in self.world.keyframes.values():
+                keyframe.depth_units = 0.0
+        self._network = network or self._network
 
     def add_gate(self, message: Gate) -> None:
         """Attach the gate's weights to a keyframe's keypoints (those of a message that fits it).

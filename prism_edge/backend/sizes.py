@@ -9,22 +9,25 @@ map units a metre is there, and its surroundings are drawn to where that is the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
+from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.poses import Array
-from prism_edge.tracking.depth_alignment import agreement
+from prism_edge.tracking.depth_alignment import agreement, robust_sigma
 
 LEAST_POINTS, LEAST_PARALLAX_DEG = 20, 1.0  # as where depth gets its scale (mapper.py)
 # A network that is unsure within an image is as unsure from place to place; and neighbours err alike, so that
 # six keyframes say no more than one.
 SHARE, LEAST_SPREAD = 2.5, 0.03
 CARRIERS = 10  # points about a keyframe that its number is laid on
+# One that says otherwise than the seven about it, or than all by a factor of two, has seen something odd.
+BESIDE, ODD, LEAST_SCATTER, FARTHEST_OFF = 3, 3.0, 0.05, math.log(2.0)
 
 
 @dataclass(frozen=True)
@@ -37,9 +40,12 @@ class Size:
     ranges: dict[int, float]  # points of middling distance and how far they are, map units
 
 
-def sizes(world: GlobalMap, keyframes: Iterable[int], points: set[int]) -> list[Size]:
-    """Of those keyframes whose depth tells near from far, by ``points`` that their rays place."""
-    found = (_size(world, world.keyframes[k], points) for k in keyframes)
+def sizes(world: GlobalMap, keyframes: Iterable[int], points: Mapping[int, Iterable[int]]) -> list[Size]:
+    """Of those keyframes, in the order they were made, whose depth tells near from far.
+
+    ``points`` are what each may speak of; what counts of them is what rays place.
+    """
+    found = (_size(world, world.keyframes[k], points.get(k, ())) for k in keyframes)
     return [size for size in found if size is not None]
 
 
@@ -51,27 +57,35 @@ def size_factors(found: list[Size]) -> list[gtsam.NonlinearFactor]:
     """
     if not found:
         return []
-    median = float(np.median([size.log_units for size in found]))
+    said = np.array([size.log_units for size in found])
+    median = float(np.median(said))
     factors: list[gtsam.NonlinearFactor] = []
-    for size in found:
+    for size, credible in zip(found, _credible(said).tolist(), strict=True):
         stretch = math.exp(median - size.log_units)
-        for point, distance in size.ranges.items():
-            wanted = stretch * distance
-            noise = gtsam.noiseModel.Isotropic.Sigma(1, size.sigma * math.sqrt(len(size.ranges)) * wanted)
-            factors.append(gtsam.RangeFactor3D(X(size.keyframe), L(point), wanted, noise))
+        for point, distance in size.ranges.items() if credible else ():
+            # Relative to the mean of both: to shrink costs what it costs to grow.
+            sigma = size.sigma * math.sqrt(len(size.ranges)) * math.sqrt(stretch) * distance
+            noise = gtsam.noiseModel.Isotropic.Sigma(1, sigma)
+            factors.append(gtsam.RangeFactor3D(X(size.keyframe), L(point), stretch * distance, noise))
     return factors
 
 
-def _size(world: GlobalMap, keyframe: GlobalKeyframe, points: set[int]) -> Size | None:
+def _credible(said: Array) -> NDArray[np.bool_]:
+    """Which of the log sizes (n,), in the order of their keyframes, are no outliers."""
+    about = [np.median(said[max(i - BESIDE, 0) : i + BESIDE + 1]) for i in range(len(said))]
+    beside = np.abs(said - about)
+    scatter = max(robust_sigma(said - about), LEAST_SCATTER)
+    good: NDArray[np.bool_] = (beside < ODD * scatter) & (np.abs(said - np.median(said)) < FARTHEST_OFF)
+    return good
+
+
+def _size(world: GlobalMap, keyframe: GlobalKeyframe, points: Iterable[int]) -> Size | None:
     if keyframe.depths is None or keyframe.depth_units <= 0.0:
         return None
-    seen = keyframe.observed.items() if len(keyframe.observed) >= LEAST_POINTS else ()
     firm = {
-        p: keypoint
-        for p, keypoint in seen
-        if p in points
-        and world.points[p].parallax_deg >= LEAST_PARALLAX_DEG
-        and keyframe.depths[keypoint] > 0.0
+        p: keyframe.observed[p]
+        for p in points
+        if world.points[p].parallax_deg >= LEAST_PARALLAX_DEG and keyframe.depths[keyframe.observed[p]] > 0.0
     }
     if len(firm) < LEAST_POINTS:
         return None
@@ -87,7 +101,7 @@ def _size(world: GlobalMap, keyframe: GlobalKeyframe, points: set[int]) -> Size 
     ids = np.array(list(firm))[front]
     ranges = np.linalg.norm(offsets[front], axis=1)
     middle = np.argsort(ranges, kind="stable")[len(ids) // 4 : 3 * len(ids) // 4]
-    chosen = middle[:: max(len(middle) // CARRIERS, 1)][:CARRIERS]
+    chosen = middle[np.rint(np.linspace(0, len(middle) - 1, CARRIERS)).astype(np.intp)]
     carriers = dict(zip(ids[chosen].tolist(), ranges[chosen].tolist(), strict=True))
     sigma = SHARE * max(agreed.spread, LEAST_SPREAD)
     return Size(keyframe.id, math.log(agreed.units_per_metre), sigma, carriers)

@@ -175,7 +175,7 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["depth_sigmas"] = np.array([k.depth_sigma for k in keyframes], np.float64)
     if in_use:
         arrays["made_by"] = np.array([world.points[p].made_by for p in kept], np.int64)
-        arrays["depth_units"] = np.array([k.depth_units for k in keyframes], np.float64)
+        arrays["depth_units"] = np.array([_units_of(k) for k in keyframes], np.float64)
         arrays["renamed"] = world.renamed()
     return {"cameras": listed, "places_of": index.network}, arrays
 
@@ -366,6 +366,11 @@ def _bytes_of(features: Features) -> NDArray[np.uint8]:
 
 def _depths_of(keyframe: GlobalKeyframe) -> NDArray[np.float64]:
     return np.zeros(len(keyframe.features)) if keyframe.depths is None else keyframe.depths
+
+
+def _units_of(keyframe: GlobalKeyframe) -> float:
+    """None that reading would refuse the map for."""
+    return keyframe.depth_units if 0.0 < keyframe.depth_units < FARTHEST else 0.0
 
 
 def _weights_of(keyframe: GlobalKeyframe) -> NDArray[np.float64]:

@@ -191,7 +191,8 @@ class BackendWorker:
         useful = depth.valid and self._use_depth
         if useful:
             self._mapper.add_late_depth(
-                depth.keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma
+                depth.keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma,
+                depth.model,
             )
         if not self._close_loops:
             return useful
@@ -215,7 +216,8 @@ class BackendWorker:
         self._scaled = {k for k in self._scaled if k > keyframe.id}
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
             self._mapper.add_depth(
-                keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma
+                keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma,
+                depth.model,
             )
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
             self._mapper.loops.add_place(keyframe.id, depth.descriptor, depth.model)

@@ -54,7 +54,7 @@ def test_drift_of_scale_is_taken_out():
 
 def test_points_and_depths_go_with_their_keyframe():
     world = chain([pose_at(0.1 * i) for i in range(4)])
-    world.keyframes[2].depths = np.full(2 * SHARED, 3.0)
+    world.keyframes[2].depths, world.keyframes[2].depth_units = np.full(2 * SHARED, 3.0), 2.0
     before = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
     places = {p: point.position for p, point in world.points.items()}
     motion = pose_at(0.3, -0.2, 0.1, 0.1, 0.2, -0.1)
@@ -66,6 +66,7 @@ def test_points_and_depths_go_with_their_keyframe():
                 now = transform(inverse(keyframe.world_from_camera), world.points[p].position[None])[0]
                 assert now == pytest.approx(1.5 * was, abs=1e-9)
     assert world.keyframes[2].depths == pytest.approx(4.5)
+    assert world.keyframes[2].depth_units == pytest.approx(3.0)  # the network's metres are what they were
 
 
 def test_what_hangs_on_neither_end_stays():

@@ -282,6 +282,9 @@ def test_who_goes_on_with_a_map_knows_points_by_the_names_that_they_had() -> Non
     assert not {"made_by", "depth_units", "renamed"} & saved, "which an earlier build can read"
     known, _ = from_arrays(*IN_USE, max_carried=100)
     assert [k.depth_units for k in known.keyframes.values()] == [1.0, 0.0, 1.2, 1.4, 0.0, 1.6, 0.0]
+    again.keyframes[0].depth_units = 1e12  # before a lens cap, say: that is no reason to lose the map
+    units = to_arrays(again, PlaceIndex(), in_use=True)[1]["depth_units"]
+    assert units[0] == 0.0
 
 
 @pytest.mark.parametrize("name", ["keyframes", "points"])

@@ -68,4 +68,7 @@ def test_a_process_that_came_later_and_a_machine_that_tells_nothing_are_no_reaso
     thirds = by_thirds([first, last])
     spent = {"tracker": 10.0, "depth": 10.0, "total": 20.0}
     assert thirds[1] == {"cpu_ms_per_pose": spent, "foreign_cpu": None}
-    assert by_thirds([first])[0]["cpu_ms_per_pose"] == {"tracker": 0.0, "total": 0.0}
+    assert by_thirds([first])[0]["cpu_ms_per_pose"] == {"total": 0.0}
+    again = {"poses": 20, "cpu_s": {"tracker": 0.05, "depth": 0.2}, "machine": None}  # started anew
+    spent = by_thirds([first, last, last, again])[2]["cpu_ms_per_pose"]
+    assert spent == {"tracker": 5.0, "depth": 10.0, "total": 15.0}

@@ -64,6 +64,30 @@ def test_what_a_metre_of_a_network_s_became_is_kept_too_and_a_sensor_s_is_none(t
     assert units(backend(tmp_path, 2)[0]) == {**found, 4: found[2]}
 
 
+def test_of_two_networks_the_later_s_metres_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a reload with another one: each has metres of its own."""
+    teller, told = keyframes(6)
+    made, bus = backend(tmp_path, 0)
+
+    def tell(keyframe: Keyframe, model: str) -> None:
+        bus.give("depth", depth_of(keyframe, teller, model=model))
+        bus.give("gate", gate_of(keyframe))
+        bus.give("keyframe", keyframe)
+        made._realtime()
+
+    for keyframe in told[:3]:
+        tell(keyframe, "first 1 (0123456789ab)")
+    assert all(units(made).values())
+    tell(told[3], "second 1 (ba9876543210)")
+    assert [u > 0.0 for u in units(made).values()] == [False, False, False, True]
+    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    bus.give("keyframe", told[4])
+    made._realtime()
+    bus.give("depth", depth_of(told[4], teller, model="third 1 (001122334455)"))  # comes late
+    made._realtime()
+    assert [u > 0.0 for u in units(made).values()] == [False, False, False, False, True]
+
+
 def test_what_comes_after_its_keyframe_is_in_the_journal_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
