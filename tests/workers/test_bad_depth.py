@@ -95,6 +95,8 @@ def test_depth_that_could_never_tell_the_scale_is_said_though_the_scale_knows_no
     told = SimpleNamespace(log_scale=0.0, sigma=0.3, local_sigma=0.1, observation=np.nan, accepted=False)
     for epoch, said in ((1, ""), (0, "too few points")):  # of another map it says nothing
         mute = SimpleNamespace(**vars(told), epoch=epoch, metric=False)
-        for _ in range(MUTE):
+        for number in range(MUTE):
+            watch.depth(number, True, "")
+            mute.keyframe = number
             TrackerWorker._apply_scale(worker, mute)  # type: ignore[arg-type]
         assert watch.trouble(0)[:14] == said
