@@ -15,6 +15,8 @@ from prism_edge.tracking.point_table import Ids
 
 MAX_DISTANCE = 60
 MIN_INLIERS = 15
+SUDDEN = 0.5  # of the previous frame's matches
+CLEARLY = 1.5  # times as many
 
 
 def match_keyframe(features: Features, keyframe: LocalKeyframe) -> tuple[Ids, Ids]:
@@ -79,3 +81,20 @@ def recover(
         if frame is not None and frame.matched >= least:
             return frame
     return None
+
+
+def misled(frame: TrackedFrame | None, previous: TrackedFrame | None, least: int) -> bool:
+    """Whether a frame was not tracked, or suddenly by so few points that they may agree by chance.
+
+    In a wide search for the hundreds of points of a first map thirty to a hundred did, half a metre away.
+    """
+    if frame is None or frame.matched < least:
+        return True
+    return previous is not None and frame.matched < SUDDEN * previous.matched
+
+
+def clearly_better(frame: TrackedFrame | None, other: TrackedFrame | None) -> TrackedFrame | None:
+    """A placement of a frame, or another one that clearly more points agree with."""
+    if frame is None or (other is not None and other.matched > CLEARLY * frame.matched):
+        return other
+    return frame

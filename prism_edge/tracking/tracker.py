@@ -28,7 +28,7 @@ from prism_edge.tracking.map_correction import see_through, take_over
 from prism_edge.tracking.motion import ConstantVelocity
 from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.point_table import Ids
-from prism_edge.tracking.recovery import recover
+from prism_edge.tracking.recovery import clearly_better, misled, recover
 from prism_edge.tracking.reference import Reference
 from prism_edge.tracking.relocalisation import Relocaliser
 from prism_edge.tracking.second_look import look_again
@@ -206,10 +206,11 @@ class Tracker:
         if previous is not None:
             moving = self._motion.predict(previous.world_from_camera, stamp_ns)
             frame = self._frames.track_after(self.world, camera, features, moving, previous, enough)
-        if frame is None or frame.matched < enough:
-            frame = recover(
-                self.world, self._frames, camera, features, self._reference(), enough, self._seed
-            )
+        if misled(frame, previous, enough):
+            # Chance agrees with a few points: what most of the looks say is worth more.
+            found = recover(self.world, self._frames, camera, features, self._reference(), enough, self._seed)
+            frame = clearly_better(frame, found)
+            self._since_refresh = REFRESH_FRAMES
         if frame is None or frame.matched < enough:
             return None
         return look_again(

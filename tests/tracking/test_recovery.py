@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pytest
 
-from prism_edge.geometry.poses import inverse, se3_log
+from prism_edge.config import TrackingConfig
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
+from prism_edge.sources.sim import SimSource
 from prism_edge.tracking.features import Features
-from prism_edge.tracking.recovery import locate, match_keyframe
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.recovery import clearly_better, locate, match_keyframe, misled
+from prism_edge.tracking.tracker import Tracker
 from tests.tracking.cloud import CAMERA, Cloud, descriptors, pose_at
+from tests.tracking.footage import IDENTITY
 
 
 @pytest.fixture
@@ -96,3 +102,42 @@ def test_points_that_fix_no_pose_give_none(map_and_cloud, place):
     world.points.position[:] = place
     pose = locate(world, CAMERA, features, world.keyframes[0], seed=0)
     assert pose is None
+
+
+def _placed(matched):
+    return TrackedFrame.of_keyframe(Cloud(40, seed=0).mapped([np.eye(4)])[0].keyframes[0], matched)
+
+
+def test_a_sudden_loss_of_points_is_looked_at_again():
+    assert misled(None, None, 25)
+    assert misled(_placed(24), None, 25)
+    assert not misled(_placed(25), None, 25)
+    assert misled(_placed(113), _placed(600), 25)
+    assert not misled(_placed(300), _placed(600), 25)
+    assert not misled(_placed(40), _placed(40), 25)
+
+
+def test_a_placement_gives_way_to_one_that_clearly_more_points_agree_with():
+    few, as_few, many = _placed(44), _placed(45), _placed(183)
+    assert clearly_better(few, many) is many
+    assert clearly_better(few, as_few) is few
+    assert clearly_better(few, None) is few
+    assert clearly_better(None, few) is few
+    assert clearly_better(None, None) is None
+
+
+@pytest.mark.parametrize(
+    ("seed", "way", "index"),
+    [(0, "path=wheeled&speed=0.8", 8), (8, "path=wheeled&speed=0.8", 8), (23, "path=wheeled&speed=1", 5)],
+)
+def test_a_camera_that_turned_before_its_first_map_came_is_not_placed_by_chance(seed, way, index):
+    with SimSource(f"sim:room?seed={seed}&{way}&width=320&height=240") as source:
+        grey = [cv2.cvtColor(source.image(i).pixels, cv2.COLOR_BGR2GRAY) for i in (0, index)]
+        tracker = Tracker(TrackingConfig())
+        tracker.process(0, 0, grey[0], source.camera)
+        keyframe = tracker.maybe_keyframe()
+        tracker.add_depth(keyframe.id, source.depth(0), IDENTITY, 0.27)
+        result = tracker.process(index, round(index * 1e9 / 30), grey[1], source.camera)
+        off = inverse(inverse(source.pose(0)) @ source.pose(index)) @ result.world_from_camera
+    assert np.degrees(rotation_angle(off[:3, :3])) < 1.5
+    assert np.linalg.norm(off[:3, 3]) < 0.05
