@@ -26,7 +26,7 @@ _WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 
 
 class Exposure(NamedTuple):
-    """When to draw the picture that the smear starts from, and of how many positions it is made."""
+    """When to draw the picture that is smeared, and of how many positions the smear is made."""
 
     seconds: float
     positions: int
@@ -62,10 +62,10 @@ class Sensor:
         moved = view @ marks
         smear = float(np.linalg.norm(moved[:2] / moved[2] - marks[:2], axis=0).max())
         count = next((number for shortest, number in _POSITIONS if smear >= shortest), 1)
-        return Exposure(seconds - 0.5 * self._exposure_s * (1.0 - 1.0 / count), count)
+        return Exposure(seconds, count)
 
     def take(self, clean: U8, index: int, exposure: Exposure, depth: float) -> U8:
-        """The picture BGR (h, w, 3) of a clean one (h, w, 4) drawn at the exposure's first position.
+        """The picture BGR (h, w, 3) of a clean one (h, w, 4) drawn at the middle of the exposure.
 
         ``depth`` (m) is that of most of the scene.
         """
@@ -82,18 +82,23 @@ class Sensor:
         return out
 
     def _blurred(self, picture: U8, exposure: Exposure, depth: float) -> U8:
-        """The mean of the picture as seen from equally spaced positions during the exposure.
+        """The mean of the picture as seen from equally spaced positions about the middle of the exposure.
 
-        Averaging with a copy moved by one step, then by two, then by four, gives two, four, eight
-        positions. The turning is exact; the shift is that of a wall at ``depth``, and walkers stand still.
+        The mean of two copies moved by half a step either way, of that by one step, then by two, gives two,
+        four, eight positions. The turning is exact; the shift is that of a wall at ``depth``, and walkers
+        stand still. What is nearer or farther smears by too little or too much, but about its true place.
         """
         size = (self._camera.width, self._camera.height)
-        step, reach = self._exposure_s / exposure.positions, 1
-        while reach < exposure.positions:
-            view = self._view(exposure.seconds + 0.5 * reach * step, reach * step, depth)
-            moved = cv2.warpPerspective(picture, view, size, None, _WARP, cv2.BORDER_REPLICATE)
-            picture = cv2.addWeighted(picture, 0.5, moved, 0.5, 0.0)
-            reach *= 2
+        away = 0.5 * self._exposure_s / exposure.positions
+        for _ in range(exposure.positions.bit_length() - 1):
+            later = self._view(exposure.seconds + 0.5 * away, away, depth)
+            earlier = np.linalg.inv(self._view(exposure.seconds - 0.5 * away, away, depth))
+            moved = [
+                cv2.warpPerspective(picture, view, size, None, _WARP, cv2.BORDER_REPLICATE)
+                for view in (earlier, later)
+            ]
+            picture = cv2.addWeighted(moved[0], 0.5, moved[1], 0.5, 0.0)
+            away *= 2.0
         return picture
 
     def _view(self, seconds: float, span: float, depth: float) -> Array:

@@ -10,6 +10,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, so3_exp
 from prism_edge.messages import U8
 from prism_edge.sources.sim.effects import EXPOSURE_S, NOISE_SIGMA, Sensor
+from prism_edge.sources.sim.source import SimSource
 
 CAMERA = Camera(320, 240, 262.5, 262.5, 159.5, 119.5)
 
@@ -83,3 +84,40 @@ def test_motion_smears_along_the_motion_as_far_as_it_goes(pixels: float) -> None
 
 def test_slow_motion_does_not_smear() -> None:
     assert np.array_equal(taken(blur=1.0, rate=0.1), picture()[:, :, :3])
+
+
+class Sliding:
+    """Goes along the camera's x axis: the picture of a wall moves the other way."""
+
+    def __init__(self, speed: float) -> None:
+        self.speed = speed
+
+    def pose(self, seconds: float) -> Array:
+        return from_rt(np.eye(3), np.array([self.speed * seconds, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(("speed", "positions"), [(0.1, 2), (0.3, 4), (1.0, 8)])
+def test_a_smear_lies_about_where_the_middle_of_the_exposure_has_it(speed: float, positions: int) -> None:
+    bar = np.zeros((240, 320, 4), np.uint8)
+    bar[:, 150:170] = 200
+    sensor = Sensor(CAMERA, Sliding(speed), 3, 0.0, 10.0, 0.0)
+    exposure = sensor.exposure(1.5)
+    assert exposure.positions == positions
+    out = sensor.take(bar, 0, exposure, 2.0)[120, :, 0].astype(float)
+    assert out @ np.arange(320) / out.sum() == pytest.approx(159.5, abs=0.05)
+
+
+def test_what_is_near_smears_about_its_true_place() -> None:
+    """Drawn at the beginning and moved to the middle as what is farther, it lay 0.7 pixels off."""
+    walk, pictures = "sim:room?seed=2&speed=1.5&width=320&height=240&noise=0&exposure=0", []
+    for blur in (4, 0):
+        with SimSource(f"{walk}&blur={blur}") as source:
+            pixels = source.image(30).pixels[:, :, 1].astype(np.float32)
+            pictures.append(cv2.GaussianBlur(pixels, (0, 0), 3.0))
+            depth = source.depth(30)
+    smeared, sharp = pictures
+    near = cv2.erode((depth < 0.6 * np.median(depth)).astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    assert near.sum() > 1000
+    slopes = [cv2.Sobel(sharp, cv2.CV_32F, *axis, scale=0.125)[near] for axis in ((1, 0), (0, 1))]
+    shift = np.linalg.lstsq(np.stack(slopes, axis=1), (sharp - smeared)[near], rcond=None)[0]
+    assert np.linalg.norm(shift) < 0.1
