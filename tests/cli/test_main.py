@@ -219,3 +219,12 @@ def test_reader_that_goes_away_is_no_error() -> None:
     assert process.stderr is not None
     assert process.stderr.read() == b""
     assert process.wait() == 0
+
+
+@pytest.mark.parametrize("module", ["prism_edge", "prism_edge.cli"])
+def test_the_package_runs_as_the_command(module: str) -> None:
+    root = Path(__file__).resolve().parents[2]
+    line = [sys.executable, "-m", module, "config", "--explain", "--set", "robot=ada"]
+    done = subprocess.run(line, capture_output=True, text=True, cwd=root)
+    assert done.returncode == 0
+    assert "robot: ada" in done.stdout

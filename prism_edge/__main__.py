@@ -1,0 +1,7 @@
+"""``python -m prism_edge``: what ``prism-edge`` does."""
+
+import sys
+
+from prism_edge.cli.main import main
+
+sys.exit(main())
