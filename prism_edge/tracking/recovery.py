@@ -16,7 +16,7 @@ from prism_edge.tracking.point_table import Ids
 MAX_DISTANCE = 60
 MIN_INLIERS = 15
 SUDDEN = 0.5  # of the previous frame's matches
-CLEARLY = 1.5  # times as many
+CLEARLY = 1.1  # times as many
 
 
 def match_keyframe(features: Features, keyframe: LocalKeyframe) -> tuple[Ids, Ids]:
@@ -86,7 +86,7 @@ def recover(
 def misled(frame: TrackedFrame | None, previous: TrackedFrame | None, least: int) -> bool:
     """Whether a frame was not tracked, or suddenly by so few points that they may agree by chance.
 
-    In a wide search for the hundreds of points of a first map thirty to a hundred did, half a metre away.
+    In a wide search for the hundreds of points of a first map thirty to two hundred did, half a metre away.
     """
     if frame is None or frame.matched < least:
         return True
