@@ -210,7 +210,7 @@ class Tracker:
             # Chance agrees with a few points: what most of the looks say is worth more.
             found = recover(self.world, self._frames, camera, features, self._reference(), enough, self._seed)
             frame = clearly_better(frame, found)
-            self._since_refresh = REFRESH_FRAMES
+            self._since_refresh = REFRESH_FRAMES  # the search has left other points at hand
         if frame is None or frame.matched < enough:
             return None
         return look_again(
