@@ -14,6 +14,7 @@ next to no more than MOST_DETOUR times what lies between: a camera that stands t
 
 from __future__ import annotations
 
+import heapq
 import math
 from dataclasses import dataclass
 
@@ -131,8 +132,9 @@ class Drift:
         if len(world.keyframes) == 1:
             self._keyframes = {keyframe.id: NO_DRIFT}
             return
-        near = [world.keyframes[k] for k in keyframe.neighbours if k in world.keyframes]
-        ways = [self._until(k, log_scale) + self._between(k, keyframe, log_scale) for k in near]
+        near = _near(world, keyframe)
+        between = self._between(keyframe, near, log_scale)
+        ways = [self._until(k, log_scale) + way for k, way in zip(near, between, strict=True)]
         self._keyframes[keyframe.id] = _least(ways or [self.total])
         if len(self._keyframes) > FORGET_ABOVE * len(world.keyframes) + 10:
             self._keyframes = {k: walk for k, walk in self._keyframes.items() if k in world.keyframes}
@@ -142,15 +144,25 @@ class Drift:
         query, candidate = world.keyframes.get(update.loop_query), world.keyframes.get(update.loop_candidate)
         if query is None or candidate is None:
             return
-        edges = [(query, candidate), (candidate, query)]
-        while edges:  # each step makes a keyframe surer, so it ends
-            surer, other = edges.pop()
-            known = self._until(other, log_scale)
-            found = self._until(surer, log_scale) + self._between(surer, other, log_scale)
+        front: list[tuple[float, int]] = []
+        self._spread(candidate, [query], log_scale, front)
+        self._spread(query, [candidate], log_scale, front)
+        while front:  # the surest first: no keyframe's surroundings are gone through twice
+            metres2, number = heapq.heappop(front)
+            surer = world.keyframes[number]
+            if metres2 <= self._keyframes[number].metres2:  # else it has been made surer since
+                self._spread(surer, _near(world, surer), log_scale, front)
+
+    def _spread(
+        self, surer: LocalKeyframe, near: list[LocalKeyframe], log_scale: float, front: list[tuple[float, int]]
+    ) -> None:
+        """Make keyframes as sure as the way from a surer one allows; what that changes joins the heap."""
+        here = self._until(surer, log_scale)
+        for other, way in zip(near, self._between(surer, near, log_scale), strict=True):
+            known, found = self._until(other, log_scale), here + way
             if found.metres2 < known.metres2 * (1.0 - 1e-6):
                 self._keyframes[other.id] = _least([found, known])
-                near = [world.keyframes[k] for k in other.neighbours if k in world.keyframes]
-                edges += [(other, k) for k in near]
+                heapq.heappush(front, (found.metres2, other.id))
 
     def _of(self, motion: Array, log_scale: float) -> Walk:
         """What is added between two places that differ by ``motion`` (4, 4), map units."""
@@ -158,10 +170,17 @@ class Drift:
 
     def _walk(self, way: float, angle: float, log_scale: float) -> Walk:
         """What is added over a way (map units) and a turn (rad)."""
-        c, way = self._config, math.exp(log_scale) * way
+        return self._walks(np.array([way]), np.array([angle]), log_scale)[0]
+
+    def _walks(self, ways: Array, angles: Array, log_scale: float) -> list[Walk]:
+        """What is added over each of some ways (n,) and turns (n,), as :meth:`_walk`."""
+        c, ways = self._config, math.exp(log_scale) * ways
         share2 = c.drift_of_motion**2 + self.local_sigma**2
-        per_m = c.drift_per_sqrt_m**2 + share2 * max(COHERENT_S * self._speed, min(way, COHERENT_M))
-        return Walk(per_m * way, c.drift_per_sqrt_rad**2 * angle + c.turn_per_sqrt_m**2 * way)
+        per_m = c.drift_per_sqrt_m**2 + share2 * np.maximum(
+            COHERENT_S * self._speed, np.minimum(ways, COHERENT_M)
+        )
+        radians2 = c.drift_per_sqrt_rad**2 * angles + c.turn_per_sqrt_m**2 * ways
+        return [Walk(*variances) for variances in zip((per_m * ways).tolist(), radians2.tolist(), strict=True)]
 
     def _go(self, motion: Array, log_scale: float, depth: float) -> None:
         """Take a frame's motion into the way."""
@@ -196,8 +215,19 @@ class Drift:
         known = self._keyframes.get(keyframe.id)
         return self._of(keyframe.world_from_camera, log_scale) if known is None else known
 
-    def _between(self, first: LocalKeyframe, second: LocalKeyframe, log_scale: float) -> Walk:
-        return self._of(inverse(first.world_from_camera) @ second.world_from_camera, log_scale)
+    def _between(self, first: LocalKeyframe, others: list[LocalKeyframe], log_scale: float) -> list[Walk]:
+        """What is added on the straight way from one keyframe to each of some others."""
+        if not others:
+            return []
+        here, there = first.world_from_camera, np.array([k.world_from_camera for k in others])
+        ways = np.linalg.norm(there[:, :3, 3] - here[:3, 3], axis=1)
+        # Two rotations' matrices differ by sqrt(8) sin(angle / 2).
+        chords = np.linalg.norm(there[:, :3, :3] - here[:3, :3], axis=(1, 2)) / math.sqrt(8.0)
+        return self._walks(ways, 2.0 * np.arcsin(np.minimum(chords, 1.0)), log_scale)
+
+
+def _near(world: LocalMap, keyframe: LocalKeyframe) -> list[LocalKeyframe]:
+    return [world.keyframes[k] for k in keyframe.neighbours if k in world.keyframes]
 
 
 def _least(walks: list[Walk]) -> Walk:

@@ -93,6 +93,43 @@ def test_a_loop_makes_both_ends_and_what_is_around_them_surer():
     assert world.drift_at(6).metres2 == pytest.approx(0.02**2)
 
 
+def wandering(drift: Drift, keyframes: int, seed: int) -> World:
+    """Keyframes here and there in one room, each knowing the few before it."""
+    world, rng = World(drift), np.random.default_rng(seed)
+    for n in range(keyframes):
+        pose = from_rt(so3_exp(rng.normal(0, 0.5, 3)), rng.uniform(-2, 2, 3))
+        world.walk_to(n, pose, list(range(max(0, n - 4), n))[::-1])
+    return world
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_loop_leaves_the_least_of_all_ways_from_what_was_known(seed):
+    drift = Drift(CONFIG)
+    world = wandering(drift, 40, seed)
+    before = [world.drift_at(n).metres2 for n in range(40)]
+    drift.close(world, SimpleNamespace(loop_query=39, loop_candidate=1), 0.0)
+    places = np.array([world.keyframes[n].world_from_camera[:3, 3] for n in range(40)])
+    ways = np.array(before)
+    for _ in range(40):  # Bellman and Ford: until nothing changes, from what was known
+        for a in range(40):
+            for b in [*world.keyframes[a].neighbours, *{1: [39], 39: [1]}.get(a, [])]:
+                ways[b] = min(ways[b], ways[a] + 0.02**2 * np.linalg.norm(places[a] - places[b]))
+    assert [world.drift_at(n).metres2 for n in range(40)] == pytest.approx(ways.tolist())
+    assert world.drift_at(39).metres2 < before[39]
+
+
+def test_a_loop_in_a_large_map_goes_through_no_keyframe_s_surroundings_twice(monkeypatch):
+    drift = Drift(CONFIG)
+    world = wandering(drift, 300, 1)
+    gone_through = []
+    between = Drift._between
+    monkeypatch.setattr(
+        Drift, "_between", lambda self, first, *rest: gone_through.append(first.id) or between(self, first, *rest)
+    )
+    drift.close(world, SimpleNamespace(loop_query=299, loop_candidate=0), 0.0)
+    assert 100 < len(gone_through) <= 300 + 2  # and the two ends, of each other
+
+
 def test_a_new_map_begins_without_drift_and_odom_goes_on():
     drift = Drift(CONFIG)
     world = World(drift)
