@@ -5,6 +5,9 @@ from __future__ import annotations
 import heapq
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from prism_edge.backend.global_map import GlobalMap
 
 Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and how many points they share
@@ -44,15 +47,35 @@ def parts_of(world: GlobalMap) -> dict[int, int]:
 def ties(world: GlobalMap, loops: list[tuple[int, int]]) -> Ties:
     """Keyframes that share enough points, and those that loops so far have joined."""
     found: Ties = {}
-    for k in sorted(world.keyframes):
-        before = [(other, shared) for other, shared in world.covisible(k) if other < k]
-        for rank, (other, shared) in enumerate(before):
-            if shared >= MANY_SHARED or (rank < BEST_FEW and shared >= FEW_SHARED):
-                found[other, k] = float(shared)
+    numbers, shared = shared_points(world)
+    for row, k in enumerate(numbers):
+        before = shared[row, :row]
+        some = np.flatnonzero(before >= FEW_SHARED)
+        most_first = some[np.lexsort((-some, -before[some]))]
+        for rank, other in enumerate(most_first.tolist()):
+            if before[other] >= MANY_SHARED or rank < BEST_FEW:
+                found[numbers[other], k] = float(before[other])
     for a, b in loops:
         if a in world.keyframes and b in world.keyframes:
             found.setdefault((min(a, b), max(a, b)), LOOPED)
     return found
+
+
+def shared_points(world: GlobalMap) -> tuple[list[int], NDArray[np.int64]]:
+    """All keyframes (n), ascending, and how many points each two of them share (n, n)."""
+    numbers = sorted(world.keyframes)
+    row = {k: i for i, k in enumerate(numbers)}
+    viewers: dict[int, list[int]] = {}  # by how many each point has: those of all such points in a row
+    for point in world.points.values():
+        if len(point.keyframes) > 1:
+            viewers.setdefault(len(point.keyframes), []).extend(row[k] for k in point.keyframes)
+    shared = np.zeros(len(numbers) ** 2, np.int64)
+    for many, rows in viewers.items():
+        seeing = np.array(rows, np.int64).reshape(-1, many)
+        one, other = np.triu_indices(many, 1)
+        np.add.at(shared, (len(numbers) * seeing[:, one] + seeing[:, other]).ravel(), 1)
+    square = shared.reshape(len(numbers), len(numbers))
+    return numbers, square + square.T
 
 
 def reachable(by: Ties, start: set[int]) -> set[int]:

@@ -15,6 +15,7 @@ PERIOD_S = 0.5
 # While links are still coming up, what was said may have reached nobody: it is said again soon.
 FIRST_PERIOD_S, FIRST_S = 0.1, 1.0
 STARTING_S = 60.0
+LONG_S = 5.0  # work that may take longer is said at once: native code may let nobody speak until it is done
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -22,9 +23,10 @@ log = logging.getLogger("prism_edge.bus")
 class Pulse:
     """Publishes a :class:`Heartbeat` twice a second from its own thread.
 
-    The worker stamps what it is doing (cheap: no message goes out), so that the supervisor can tell
-    a hang, an activity beyond its budget, from work and from idleness. ``values`` are shown on `health`;
-    one called ``warning`` becomes the process's message there, and its level a warning, while it stands.
+    The worker stamps what it is doing (cheap: no message goes out, but for long work), so that the
+    supervisor can tell a hang, an activity beyond its budget, from work and from idleness. ``values`` are
+    shown on `health`; one called ``warning`` becomes the process's message there, and its level a warning,
+    while it stands.
     """
 
     def __init__(
@@ -34,7 +36,7 @@ class Pulse:
         self.values: dict[str, str] = {}
         self._process, self._publish, self._announce = process, publish, announce
         self._doing: tuple[str, str, int, float] = ("starting", "", time.monotonic_ns(), STARTING_S)
-        self._due = threading.Event()
+        self._due, self._speaking = threading.Event(), threading.Lock()
         self._closing = False
         self._ready = False
         self._ready_s = float("inf")
@@ -52,6 +54,8 @@ class Pulse:
     def working(self, activity: str, budget_s: float = 5.0) -> None:
         """An activity begins that should take no longer than ``budget_s``."""
         self._stamp("working", activity, budget_s)
+        if budget_s > LONG_S:
+            self._say()
 
     def idle(self) -> None:
         """Nothing to do: waiting for messages."""
@@ -96,10 +100,14 @@ class Pulse:
 
     def _run(self) -> None:
         while not self._closing:
-            try:
-                self._publish(self.beat())
-            except BusError as error:
-                if not self._closing:
-                    log.warning("heartbeat not sent: %s", error)
+            self._say()
             self._due.wait(FIRST_PERIOD_S if self._is_new() else PERIOD_S)
             self._due.clear()
+
+    def _say(self) -> None:
+        try:
+            with self._speaking:  # the last to be heard is the last that is true
+                self._publish(self.beat())
+        except BusError as error:
+            if not self._closing:
+                log.warning("heartbeat not sent: %s", error)

@@ -27,6 +27,8 @@ from prism_edge.tracking.frame_result import FrameResult
 from prism_edge.tracking.keyframe_decision import MOVED_ANGLE, MOVED_BASELINE
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
+Front = list[tuple[float, int]]  # a heap of keyframes and their variances (m^2)
+
 FORGET_ABOVE = 2  # times as many keyframes remembered as there are
 COHERENT_S = 1.0  # for so long the local map is off by the same share; speed is averaged over as long
 COHERENT_M = 1.0  # and, between two places, at least over so much of the way, however slow the camera is now
@@ -144,7 +146,7 @@ class Drift:
         query, candidate = world.keyframes.get(update.loop_query), world.keyframes.get(update.loop_candidate)
         if query is None or candidate is None:
             return
-        front: list[tuple[float, int]] = []
+        front: Front = []
         self._spread(candidate, [query], log_scale, front)
         self._spread(query, [candidate], log_scale, front)
         while front:  # the surest first: no keyframe's surroundings are gone through twice
@@ -154,7 +156,7 @@ class Drift:
                 self._spread(surer, _near(world, surer), log_scale, front)
 
     def _spread(
-        self, surer: LocalKeyframe, near: list[LocalKeyframe], log_scale: float, front: list[tuple[float, int]]
+        self, surer: LocalKeyframe, near: list[LocalKeyframe], log_scale: float, front: Front
     ) -> None:
         """Make keyframes as sure as the way from a surer one allows; what that changes joins the heap."""
         here = self._until(surer, log_scale)
@@ -180,7 +182,8 @@ class Drift:
             COHERENT_S * self._speed, np.minimum(ways, COHERENT_M)
         )
         radians2 = c.drift_per_sqrt_rad**2 * angles + c.turn_per_sqrt_m**2 * ways
-        return [Walk(*variances) for variances in zip((per_m * ways).tolist(), radians2.tolist(), strict=True)]
+        metres2 = per_m * ways
+        return [Walk(*both) for both in zip(metres2.tolist(), radians2.tolist(), strict=True)]
 
     def _go(self, motion: Array, log_scale: float, depth: float) -> None:
         """Take a frame's motion into the way."""

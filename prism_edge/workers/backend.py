@@ -36,7 +36,7 @@ from prism_edge.workers.map_keeper import MapKeeper
 log = logging.getLogger("prism_edge.backend")
 
 _LOOK_S = 0.05
-_SOLVE_S = 20.0
+_SOLVE_S, _ADJUST_S = 20.0, 60.0  # gtsam may try a step of a global adjustment a dozen times
 _ASK_S = 2.0
 _PATIENCE_S = 30.0  # lockstep: a keyframe or depth that takes longer isn't coming
 # Real time: how long a keyframe waits for its depth and gate before its window is solved without.
@@ -224,7 +224,8 @@ class BackendWorker:
         self._keeper.note(keyframe, self._home_scale)
 
     def _solve(self, keyframe: Keyframe) -> MapUpdate | None:
-        self._bus.pulse.working(f"window of keyframe {keyframe.id}", _SOLVE_S)
+        budget_s = _SOLVE_S if self._ticks is None else _ADJUST_S  # in lockstep it has steps of both
+        self._bus.pulse.working(f"window of keyframe {keyframe.id}", budget_s)
         loops, adjusted = self._mapper.loops, False
         if self._ticks is not None:
             # In lockstep its result comes a fixed number of keyframes after its beginning.
@@ -265,7 +266,7 @@ class BackendWorker:
 
     def _adjust(self) -> None:
         """One step of the global adjustment, so that keyframes are heard in between."""
-        self._bus.pulse.working("global adjustment", _SOLVE_S)
+        self._bus.pulse.working("global adjustment", _ADJUST_S)
         if self._adjust_further():
             self._tell_whole()
         self._rest()

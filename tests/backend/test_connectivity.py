@@ -8,11 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.backend.connectivity import (
+    BEST_FEW,
     FEW_SHARED,
     LOOPED,
+    MANY_SHARED,
     hanging_together,
     parts_of,
     reachable,
+    shared_points,
     tied_parts,
     ties,
     ways,
@@ -50,6 +53,30 @@ def test_what_any_shared_point_joins(sets: list[set[int]]) -> None:
         assert hanging_together(world, k) == set(np.flatnonzero(closure[k]).tolist())
     first = closure.argmax(axis=1)
     assert parts_of(world) == {k: int(first[k]) for k in range(count) if not closure[k, 0]}
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.sets(st.integers(0, 25), max_size=20), min_size=1, max_size=8))
+def test_how_many_points_each_two_share(sets: list[set[int]]) -> None:
+    numbers, shared = shared_points(seen_by(sets))
+    assert numbers == list(range(len(sets)))
+    both = [[len(a & b) if i != j else 0 for j, b in enumerate(sets)] for i, a in enumerate(sets)]
+    np.testing.assert_array_equal(shared, both)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**31), st.integers(2, 12))
+def test_tied_are_all_that_share_many_points_and_the_best_few(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    seen = [rng.random(150) < rng.uniform(0.2, 0.9) for _ in range(count)]
+    world = seen_by([set(np.flatnonzero(row).tolist()) for row in seen])
+    expected = {}
+    for k in range(count):
+        before = [(other, shared) for other, shared in world.covisible(k) if other < k]
+        for rank, (other, shared) in enumerate(before):
+            if shared >= MANY_SHARED or (rank < BEST_FEW and shared >= FEW_SHARED):
+                expected[other, k] = shared
+    assert list(ties(world, []).items()) == list(expected.items())
 
 
 def test_a_loop_ties_what_shares_nothing() -> None:

@@ -75,6 +75,18 @@ def test_an_activity_carries_its_start_and_budget(pulse):
     assert (pulse.beat().state, pulse.beat().activity) == ("idle", "")
 
 
+def test_long_work_is_said_before_it_begins(between_beats, pulse, sent, eventually):
+    eventually(lambda: sent)
+    pulse.ready()
+    eventually(lambda: sent[-1].state == "ready")
+    pulse.working("tracking", 5.0)
+    pulse.idle()
+    pulse.working("a global adjustment", 20.0)
+    # Of what is said by the caller itself nothing has to be waited for, nor could it be in native code.
+    assert (sent[-1].state, sent[-1].activity, sent[-1].budget_s) == ("working", "a global adjustment", 20.0)
+    assert [beat.activity for beat in sent[:-1]] == [""] * (len(sent) - 1)
+
+
 def test_work_before_ready_is_a_part_of_starting(pulse):
     pulse.working("loading the network", 30.0)
     beat = pulse.beat()

@@ -121,11 +121,13 @@ def test_a_loop_leaves_the_least_of_all_ways_from_what_was_known(seed):
 def test_a_loop_in_a_large_map_goes_through_no_keyframe_s_surroundings_twice(monkeypatch):
     drift = Drift(CONFIG)
     world = wandering(drift, 300, 1)
-    gone_through = []
-    between = Drift._between
-    monkeypatch.setattr(
-        Drift, "_between", lambda self, first, *rest: gone_through.append(first.id) or between(self, first, *rest)
-    )
+    gone_through, between = [], Drift._between
+
+    def counted(self, first, *rest):
+        gone_through.append(first.id)
+        return between(self, first, *rest)
+
+    monkeypatch.setattr(Drift, "_between", counted)
     drift.close(world, SimpleNamespace(loop_query=299, loop_candidate=0), 0.0)
     assert 100 < len(gone_through) <= 300 + 2  # and the two ends, of each other
 
