@@ -13,7 +13,6 @@ from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.point_table import Ids
 
 BASELINE = 0.08  # of the median depth: new rays are worth adding
-IN_HAND = 4  # keyframes that the backend may have before it: with more than that they come farther apart
 UNCOVERED = 0.4  # share of the image with corners but no points: new ground
 MOVED_BASELINE, MOVED_ANGLE = 0.01, np.radians(2.0)
 WEAK_MATCHES, WEAK_GAP_S = 120, 0.05  # so few points must be added to at once
@@ -41,13 +40,11 @@ def decide(
     seconds_since: float,
     reference_matches: int,
     median_depth: float,
-    unanswered: int = 0,
 ) -> Decision:
     """Judge a tracked frame against the keyframe that the camera is at.
 
     ``seconds_since`` counts from when it came there, ``reference_matches`` is how many points the frame right
-    after matched. ``unanswered`` keyframes have yet to be in a window of the backend's: one that falls behind
-    gets fewer, and none that only adds rays.
+    after matched.
     """
     if seconds_since < (config.keyframe_min_s if frame.matched >= WEAK_MATCHES else WEAK_GAP_S):
         return Decision(False)
@@ -58,7 +55,7 @@ def decide(
         return Decision(False)
     if frame.matched < max(config.keyframe_ratio * reference_matches, WEAK_MATCHES):
         return Decision(True, "few matches")
-    if baseline > BASELINE * max(1.0, unanswered / IN_HAND):
+    if baseline > BASELINE:
         return Decision(True, "baseline")
     if seconds_since > config.keyframe_max_s:
         return Decision(True, "time")

@@ -63,7 +63,6 @@ class Tracker:
         self.epoch, self.log_scale = first_id, 0.0
         self._next_keyframe = first_id
         self._announced = -1  # newest keyframe whose message has gone out
-        self._answered: int | None = None  # newest that the backend's last word was said with
         self._last: TrackedFrame | None = None
         self._motion = ConstantVelocity()
         self._seen_at: int | None = None  # stamp of the last tracked frame
@@ -244,8 +243,7 @@ class Tracker:
         stamp_ns, reference, at = self._motion.stamp_ns, self._reference(), self._at
         at.matches = max(at.matches, frame.matched)
         since_s = (stamp_ns - at.since_ns) * 1e-9
-        unanswered = 0 if self._answered is None else self._next_keyframe - 1 - self._answered
-        decision = decide(self._config, frame, reference, since_s, at.matches, at.depth, unanswered)
+        decision = decide(self._config, frame, reference, since_s, at.matches, at.depth)
         if not decision.wanted:
             return None
         known = shown_before(self.world, frame, at.depth, stamp_ns)
@@ -356,7 +354,6 @@ class Tracker:
 
     def apply_update(self, update: MapUpdate) -> None:
         """Take over the backend's corrections; the last frame moves with its surroundings."""
-        self._answered = update.based_on
         if len(update.camera):
             self._lens = Camera.from_array(PINHOLE, update.camera)
             see_through(self._lens, [*self.world.keyframes.values(), *([self._last] if self._last else [])])
@@ -395,5 +392,5 @@ class Tracker:
         self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1
         self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
-        self._last, self._unmapped, self._answered, self.initialised = None, None, None, False
+        self._last, self._unmapped, self.initialised = None, None, False
         self._motion.stop()

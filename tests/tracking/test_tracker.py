@@ -7,9 +7,7 @@ import pytest
 
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.messages import INITIALISING, OK
-from prism_edge.tracking import tracker as module
 from prism_edge.tracking.announcement import keyframe_message
-from prism_edge.tracking.keyframe_decision import decide
 from tests.synthetic.messages import map_update
 from tests.tracking.cloud import check, pose_at
 from tests.tracking.film_run import BLACK, Run
@@ -117,27 +115,6 @@ def test_it_goes_on_when_nobody_answers_after_the_start():
     assert all(run.results[i].odometry == OK for i in range(1, 75))
     assert run.errors(range(1, 75)).max() < 0.06
     assert len(run.keyframes) >= 2
-
-
-def test_how_far_the_backend_is_behind_is_counted_from_its_last_word(monkeypatch):
-    told: list[int] = []
-
-    def decided(*arguments):
-        told.append(arguments[-1])
-        return decide(*arguments)
-
-    monkeypatch.setattr(module, "decide", decided)
-    run = Run()
-    run.play(range(30))
-    assert len(run.keyframes) == 3
-    assert set(told) == {0}  # it never spoke: nobody knows
-    run.tracker.apply_update(map_update(based_on=0))
-    run.play(range(30, 32))
-    run.tracker.apply_update(map_update(based_on=2, sequence=2))
-    run.play(range(32, 34))
-    run.tracker.reset()
-    run.play(range(34, 37))
-    assert told[29:] == [2, 2, 0, 0, 0, 0]
 
 
 def test_images_without_corners_begin_nothing():
