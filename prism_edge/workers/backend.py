@@ -32,6 +32,7 @@ from prism_edge.messages import (
 from prism_edge.processes import processes_for
 from prism_edge.workers.handover import Handover
 from prism_edge.workers.map_keeper import MapKeeper
+from prism_edge.workers.map_snapshot import snapshot
 
 log = logging.getLogger("prism_edge.backend")
 
@@ -224,10 +225,10 @@ class BackendWorker:
         self._keeper.note(keyframe, self._home_scale)
 
     def _solve(self, keyframe: Keyframe) -> MapUpdate | None:
-        budget_s = _SOLVE_S if self._ticks is None else _ADJUST_S  # in lockstep it has steps of both
-        self._bus.pulse.working(f"window of keyframe {keyframe.id}", budget_s)
+        at_once = self._ticks is None
+        self._bus.pulse.working(f"window of keyframe {keyframe.id}", _SOLVE_S if at_once else _ADJUST_S)
         loops, adjusted = self._mapper.loops, False
-        if self._ticks is not None:
+        if not at_once:
             # In lockstep its result comes a fixed number of keyframes after its beginning.
             for _ in range(_LOCKSTEP_STEPS):
                 if loops.adjusting and not adjusted:
@@ -236,23 +237,28 @@ class BackendWorker:
         update = self._mapper.optimise(keyframe.id, self._scale.log_scale)
         if update is not None:
             self._tell_solved(False, self._mapper.window, began_ns, time.process_time() - began_cpu)
+            self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
+        if at_once and update is not None:
+            self._tell(update)  # to look for loops may take as long again; lockstep waits for one update
+            update = None
         closed = loops.look(keyframe.id) if self._close_loops else None
         if closed is not None or adjusted:
             update = self._mapper.whole(keyframe.id, loops.take_changes(), update, closed)
             self._keeper.overhauled()
         if update is not None:
-            self._bus.publish("map_update", update)
-            self._keeper.note_solved(update, self._home_scale)
-            self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
+            self._tell(update)
         self._snapshot = self._take_snapshot()
-        self._bus.pulse.values["keyframes"] = str(len(self._mapper.world.keyframes))
-        self._bus.pulse.values["points"] = str(len(self._mapper.world.points))
-        self._bus.pulse.values["behind"] = str(len(self._waiting))
-        camera = self._mapper.world.camera
-        if camera is not None:
-            self._bus.pulse.values["k1"] = f"{radial(camera):.4f}"
+        world, values = self._mapper.world, self._bus.pulse.values
+        values.update(keyframes=str(len(world.keyframes)), points=str(len(world.points)))
+        values["behind"] = str(len(self._waiting))
+        if world.camera is not None:
+            values["k1"] = f"{radial(world.camera):.4f}"
         self._bus.pulse.idle()
         return update
+
+    def _tell(self, update: MapUpdate) -> None:
+        self._bus.publish("map_update", update)
+        self._keeper.note_solved(update, self._home_scale)
 
     def _look_again(self, keyframe: int) -> None:
         """By a descriptor that was not there yet when the keyframe was looked at."""
@@ -377,22 +383,7 @@ class BackendWorker:
         return self._keeper.whole(self._home_scale)
 
     def _take_snapshot(self) -> MapSnapshot:
-        world, loops = self._mapper.world, self._mapper.loops.accepted
-        numbers, poses = world.table()
-        return MapSnapshot(
-            epoch=self._mapper.epoch,
-            sequence=self._mapper.sequence,
-            settled=self._settled,
-            log_scale=self._home_scale.log_scale,
-            keyframes=numbers,
-            poses=poses,
-            points=np.array(list(world.points), np.int64),
-            loop_queries=np.array([loop.query_index for loop in loops], np.int64),
-            loop_candidates=np.array([loop.candidate_index for loop in loops], np.int64),
-            loop_poses=np.array([loop.candidate_from_query for loop in loops]).reshape(-1, 4, 4),
-            loop_inliers=np.array([loop.inliers for loop in loops], np.int64),
-            base_from_camera=self._mapper.mount,
-        )
+        return snapshot(self._mapper, self._settled, self._home_scale.log_scale)
 
 
 def main(config: Config, bus: Bus) -> None:
