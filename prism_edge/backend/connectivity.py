@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalMap
 
+Ids = NDArray[np.int64]
 Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and how many points they share
 
 MANY_SHARED = 50  # every such pair is tied; of the others each keyframe with its best few
@@ -47,35 +48,36 @@ def parts_of(world: GlobalMap) -> dict[int, int]:
 def ties(world: GlobalMap, loops: list[tuple[int, int]]) -> Ties:
     """Keyframes that share enough points, and those that loops so far have joined."""
     found: Ties = {}
-    numbers, shared = shared_points(world)
-    for row, k in enumerate(numbers):
-        before = shared[row, :row]
-        some = np.flatnonzero(before >= FEW_SHARED)
-        most_first = some[np.lexsort((-some, -before[some]))]
-        for rank, other in enumerate(most_first.tolist()):
-            if before[other] >= MANY_SHARED or rank < BEST_FEW:
-                found[numbers[other], k] = float(before[other])
+    older, newer, shared = shared_points(world)
+    enough = np.flatnonzero(shared >= FEW_SHARED)
+    most_first = enough[np.lexsort((-older[enough], -shared[enough], newer[enough]))]
+    columns = (column[most_first].tolist() for column in (older, newer, shared))
+    rank, of = 0, -1  # among those that a keyframe has before it
+    for a, b, count in zip(*columns, strict=True):
+        rank, of = (rank + 1 if b == of else 0), b
+        if count >= MANY_SHARED or rank < BEST_FEW:
+            found[a, b] = float(count)
     for a, b in loops:
         if a in world.keyframes and b in world.keyframes:
             found.setdefault((min(a, b), max(a, b)), LOOPED)
     return found
 
 
-def shared_points(world: GlobalMap) -> tuple[list[int], NDArray[np.int64]]:
-    """All keyframes (n), ascending, and how many points each two of them share (n, n)."""
-    numbers = sorted(world.keyframes)
-    row = {k: i for i, k in enumerate(numbers)}
+def shared_points(world: GlobalMap) -> tuple[Ids, Ids, Ids]:
+    """Every two keyframes that share points (n): the older one, the newer one, and how many."""
+    numbers = np.array(sorted(world.keyframes), np.int64)
+    row = {k: i for i, k in enumerate(numbers.tolist())}
     viewers: dict[int, list[int]] = {}  # by how many each point has: those of all such points in a row
     for point in world.points.values():
         if len(point.keyframes) > 1:
             viewers.setdefault(len(point.keyframes), []).extend(row[k] for k in point.keyframes)
-    shared = np.zeros(len(numbers) ** 2, np.int64)
+    pairs = [np.zeros(0, np.int64)]
     for many, rows in viewers.items():
-        seeing = np.array(rows, np.int64).reshape(-1, many)
-        one, other = np.triu_indices(many, 1)
-        np.add.at(shared, (len(numbers) * seeing[:, one] + seeing[:, other]).ravel(), 1)
-    square = shared.reshape(len(numbers), len(numbers))
-    return numbers, square + square.T
+        seeing = np.sort(np.array(rows, np.int64).reshape(-1, many), axis=1)
+        newer, older = np.tril_indices(many, -1)
+        pairs.append((len(numbers) * seeing[:, newer] + seeing[:, older]).ravel())
+    found, shared = np.unique(np.concatenate(pairs), return_counts=True)
+    return numbers[found % len(numbers)], numbers[found // len(numbers)], shared
 
 
 def reachable(by: Ties, start: set[int]) -> set[int]:

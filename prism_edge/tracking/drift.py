@@ -172,18 +172,10 @@ class Drift:
 
     def _walk(self, way: float, angle: float, log_scale: float) -> Walk:
         """What is added over a way (map units) and a turn (rad)."""
-        return self._walks(np.array([way]), np.array([angle]), log_scale)[0]
-
-    def _walks(self, ways: Array, angles: Array, log_scale: float) -> list[Walk]:
-        """What is added over each of some ways (n,) and turns (n,), as :meth:`_walk`."""
-        c, ways = self._config, math.exp(log_scale) * ways
+        c, way = self._config, math.exp(log_scale) * way
         share2 = c.drift_of_motion**2 + self.local_sigma**2
-        per_m = c.drift_per_sqrt_m**2 + share2 * np.maximum(
-            COHERENT_S * self._speed, np.minimum(ways, COHERENT_M)
-        )
-        radians2 = c.drift_per_sqrt_rad**2 * angles + c.turn_per_sqrt_m**2 * ways
-        metres2 = per_m * ways
-        return [Walk(*both) for both in zip(metres2.tolist(), radians2.tolist(), strict=True)]
+        per_m = c.drift_per_sqrt_m**2 + share2 * max(COHERENT_S * self._speed, min(way, COHERENT_M))
+        return Walk(per_m * way, c.drift_per_sqrt_rad**2 * angle + c.turn_per_sqrt_m**2 * way)
 
     def _go(self, motion: Array, log_scale: float, depth: float) -> None:
         """Take a frame's motion into the way."""
@@ -226,7 +218,8 @@ class Drift:
         ways = np.linalg.norm(there[:, :3, 3] - here[:3, 3], axis=1)
         # Two rotations' matrices differ by sqrt(8) sin(angle / 2).
         chords = np.linalg.norm(there[:, :3, :3] - here[:3, :3], axis=(1, 2)) / math.sqrt(8.0)
-        return self._walks(ways, 2.0 * np.arcsin(np.minimum(chords, 1.0)), log_scale)
+        turns = 2.0 * np.arcsin(np.minimum(chords, 1.0))
+        return [self._walk(*both, log_scale) for both in zip(ways.tolist(), turns.tolist(), strict=True)]
 
 
 def _near(world: LocalMap, keyframe: LocalKeyframe) -> list[LocalKeyframe]:
