@@ -225,10 +225,10 @@ class BackendWorker:
         self._keeper.note(keyframe, self._home_scale)
 
     def _solve(self, keyframe: Keyframe) -> MapUpdate | None:
-        at_once = self._ticks is None
-        self._bus.pulse.working(f"window of keyframe {keyframe.id}", _SOLVE_S if at_once else _ADJUST_S)
+        budget_s = _SOLVE_S if self._ticks is None else _ADJUST_S  # in lockstep it has steps of both
+        self._bus.pulse.working(f"window of keyframe {keyframe.id}", budget_s)
         loops, adjusted = self._mapper.loops, False
-        if not at_once:
+        if self._ticks is not None:
             # In lockstep its result comes a fixed number of keyframes after its beginning.
             for _ in range(_LOCKSTEP_STEPS):
                 if loops.adjusting and not adjusted:
@@ -237,16 +237,14 @@ class BackendWorker:
         update = self._mapper.optimise(keyframe.id, self._scale.log_scale)
         if update is not None:
             self._tell_solved(False, self._mapper.window, began_ns, time.process_time() - began_cpu)
-            self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
-        if at_once and update is not None:
-            self._tell(update)  # to look for loops may take as long again; lockstep waits for one update
-            update = None
         closed = loops.look(keyframe.id) if self._close_loops else None
         if closed is not None or adjusted:
             update = self._mapper.whole(keyframe.id, loops.take_changes(), update, closed)
             self._keeper.overhauled()
         if update is not None:
-            self._tell(update)
+            self._bus.publish("map_update", update)
+            self._keeper.note_solved(update, self._home_scale)
+            self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
         self._snapshot = self._take_snapshot()
         world, values = self._mapper.world, self._bus.pulse.values
         values.update(keyframes=str(len(world.keyframes)), points=str(len(world.points)))
@@ -255,10 +253,6 @@ class BackendWorker:
             values["k1"] = f"{radial(world.camera):.4f}"
         self._bus.pulse.idle()
         return update
-
-    def _tell(self, update: MapUpdate) -> None:
-        self._bus.publish("map_update", update)
-        self._keeper.note_solved(update, self._home_scale)
 
     def _look_again(self, keyframe: int) -> None:
         """By a descriptor that was not there yet when the keyframe was looked at."""

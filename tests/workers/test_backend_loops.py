@@ -117,11 +117,7 @@ def test_the_end_waits_for_the_global_adjustment_of_the_last_loop():
     """In real time all of it comes at once here: one window, one loop, and then the adjustment's steps."""
     bus = ListBus("keyframe", patience=40)
     round_the_ring(bus, CONFIG)
-    window, closed, adjusted = bus.of("map_update")
-    assert not window.loop_closed, "nobody waits for a loop to be looked for"
-    assert window.based_on == closed.based_on == 42
-    assert window.sequence < closed.sequence
-    assert len(window.points) < len(closed.points)
+    closed, adjusted = bus.of("map_update")
     assert closed.loop_closed
     assert not adjusted.loop_closed
     assert len(adjusted.keyframes) == 43
