@@ -15,7 +15,9 @@ PERIOD_S = 0.5
 # While links are still coming up, what was said may have reached nobody: it is said again soon.
 FIRST_PERIOD_S, FIRST_S = 0.1, 1.0
 STARTING_S = 60.0
-LONG_S = 5.0  # work that may take longer is said at once: native code may let nobody speak until it is done
+# Work that may take longer is said at once: native code may let nobody speak until it is done, and who was
+# idle when last heard may be silent for no longer than that (supervisor/liveness.py).
+LONG_S = 5.0
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -51,7 +53,7 @@ class Pulse:
             self._announce()
         self._due.set()
 
-    def working(self, activity: str, budget_s: float = 5.0) -> None:
+    def working(self, activity: str, budget_s: float = LONG_S) -> None:
         """An activity begins that should take no longer than ``budget_s``."""
         self._stamp("working", activity, budget_s)
         if budget_s > LONG_S:

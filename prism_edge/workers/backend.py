@@ -246,11 +246,12 @@ class BackendWorker:
             self._keeper.note_solved(update, self._home_scale)
             self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
         self._snapshot = self._take_snapshot()
-        world, values = self._mapper.world, self._bus.pulse.values
-        values.update(keyframes=str(len(world.keyframes)), points=str(len(world.points)))
-        values["behind"] = str(len(self._waiting))
-        if world.camera is not None:
-            values["k1"] = f"{radial(world.camera):.4f}"
+        self._bus.pulse.values["keyframes"] = str(len(self._mapper.world.keyframes))
+        self._bus.pulse.values["points"] = str(len(self._mapper.world.points))
+        self._bus.pulse.values["behind"] = str(len(self._waiting))
+        camera = self._mapper.world.camera
+        if camera is not None:
+            self._bus.pulse.values["k1"] = f"{radial(camera):.4f}"
         self._bus.pulse.idle()
         return update
 

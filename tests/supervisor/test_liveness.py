@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from prism_edge.bus.pulse import LONG_S
 from prism_edge.messages import Heartbeat
 from prism_edge.supervisor.liveness import ALIVE, OVERDUE, QUIET, QUIET_S, SILENT_S, judge
 
@@ -14,6 +15,10 @@ def beat(state: str, since_s: float = 0.0, budget_s: float = 0.0, activity: str 
     """A heartbeat sent ``since_s`` seconds after its activity began, by a clock that started elsewhere."""
     sent = 77 * SECOND
     return Heartbeat("depth", 1, sent, state, activity, sent - int(since_s * SECOND), budget_s, {})
+
+
+def test_work_that_outlasts_the_patience_with_silence_is_said_before_it_begins() -> None:
+    assert LONG_S <= SILENT_S
 
 
 def test_nothing_is_held_against_a_process_never_heard() -> None:
