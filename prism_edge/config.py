@@ -133,6 +133,9 @@ class TrackingConfig:
     two_views: bool = field(
         default=True, metadata={"help": "a map's second keyframe waits for parallax, and checks the depth"}
     )
+    adjust_unheard: int = limits(
+        3, 0, 100, "with so many keyframes that no correction knows yet, they are adjusted here; 0: never"
+    )
     max_keyframes: int = limits(
         600, 10, 100_000, "keyframes the local map keeps at most; fewer than 12 close no loop"
     )

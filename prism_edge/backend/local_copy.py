@@ -46,6 +46,7 @@ def local_copy(world: GlobalMap) -> LocalMap:
     # In their order, so that points look as the newest keyframe saw them.
     for k in order:
         copy.add_keyframe(_keyframe(world.keyframes[k], near[k]))
+    copy.heard = max(order, default=copy.heard)
     return copy
 
 

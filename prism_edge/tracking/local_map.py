@@ -28,6 +28,7 @@ class LocalKeyframe:
     features: Features
     points: Ids
     neighbours: list[int] = field(default_factory=list)  # covisible when it or they were made, best first
+    metres: Array | None = None  # (n,) depth of each keypoint as the network has it; 0: none
 
     def observed(self) -> Index:
         """Keypoints that have a point."""
@@ -56,6 +57,7 @@ class LocalMap:
         self.points = PointTable()
         self.keyframes: dict[int, LocalKeyframe] = {}
         self.changes = Changes()
+        self.heard = -1  # the newest keyframe that a correction knew
         self.has_baseline = False  # whether a frame has seen enough points from two sides (baseline.py)
 
     def newest(self) -> LocalKeyframe:

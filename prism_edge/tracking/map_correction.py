@@ -105,6 +105,7 @@ def apply_correction(
     Returns the rigid motion (4, 4) of the newest keyframe, new world from old.
     """
     index = {int(k): i for i, k in enumerate(keyframe_ids)}
+    world.heard = max(world.heard, based_on)
     table = world.points
     known = table.known(point_ids)
     rows = table.rows(point_ids[known])

@@ -42,32 +42,32 @@ def seed_from_depth(
     relative_sigma: float,
     most: int,
 ) -> Ids:
-    """Add points at the free keypoints of a keyframe from its network depth (metres).
+    """Add points at the free keypoints of a keyframe from its network depth (metres), which it keeps.
 
     Where the keyframe sees enough triangulated points, their own ratios to the network's depth place
     the seeds in the map's unit (depth_alignment.py); elsewhere ``units_per_metre`` does.
     """
     alignment = None
+    raw = keyframe.camera.distort_pixels(keyframe.features.pixels)
+    good, metres = sample_depth(depth, image_to_depth, raw)
     keypoints, map_depth = world.depths_in(keyframe)
     rows = world.points.rows(keyframe.points[keypoints])
     firm = (world.points.parallax_deg[rows] >= 1.0) & (map_depth > 0)
     if firm.sum() >= MIN_ALIGNED:
-        pixels = keyframe.camera.distort_pixels(keyframe.features.pixels[keypoints[firm]])
-        good, network = sample_depth(depth, image_to_depth, pixels)
-        if good.sum() >= MIN_ALIGNED:
+        told = firm & good[keypoints]
+        if told.sum() >= MIN_ALIGNED:
             size = (keyframe.camera.width, keyframe.camera.height)
-            alignment = DepthAlignment.of(pixels[good], map_depth[firm][good], network[good], size)
+            at = keypoints[told]
+            alignment = DepthAlignment.of(raw[at], map_depth[told], metres[at], size)
             if not alignment.overall.informative:
                 return np.zeros(0, np.int64)
+    keyframe.metres = np.where(good, metres, 0.0)
     free = keyframe.free()
-    raw = keyframe.camera.distort_pixels(keyframe.features.pixels[free])
-    good, metres = sample_depth(depth, image_to_depth, raw)
-    chosen: Index = free[good][:most]
-    metres = metres[good][:most]
+    chosen: Index = free[good[free]][:most]
     if len(chosen) == 0:
         return np.zeros(0, np.int64)
     units, sigma = np.full(len(chosen), units_per_metre), np.full(len(chosen), relative_sigma)
     if alignment is not None:
-        units, sigma = alignment.at(raw[good][:most])
-    local = rays(keyframe.camera, keyframe.features.pixels[chosen]) * (metres * units)[:, None]
+        units, sigma = alignment.at(raw[chosen])
+    local = rays(keyframe.camera, keyframe.features.pixels[chosen]) * (metres[chosen] * units)[:, None]
     return world.add_points(keyframe, chosen, transform(keyframe.world_from_camera, local), sigma, 0.0)

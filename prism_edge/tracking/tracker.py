@@ -34,6 +34,7 @@ from prism_edge.tracking.relocalisation import Relocaliser
 from prism_edge.tracking.second_look import look_again
 from prism_edge.tracking.seeding import seed_from_depth
 from prism_edge.tracking.submaps import Parts
+from prism_edge.tracking.unheard import adjust_unheard
 
 log = logging.getLogger("prism_edge.tracking")
 
@@ -283,7 +284,8 @@ class Tracker:
             meanwhile()
             if self.world is not world:
                 return False
-        self._unmapped = None
+        self._unmapped, units = None, math.exp(-self.log_scale)
+        adjust_unheard(world, self._config.adjust_unheard, units, self._factors, self._last)
         frame.points = keyframe.points.copy()
         self._at.move_to(keyframe, world, self.parts, keyframe.stamp_ns)
         self._fresh = None

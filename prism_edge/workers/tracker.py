@@ -365,7 +365,10 @@ def _tracking(config: Config) -> TrackingConfig:
     """The tracker's settings, without what is ablated."""
     trusting = 0.0 if "consistency" in config.ablate else config.tracking.proven_after_s
     two_views = config.tracking.two_views and "init" not in config.ablate
-    return replace(config.tracking, proven_after_s=trusting, two_views=two_views)
+    adjusting = 0 if "depth_factor" in config.ablate else config.tracking.adjust_unheard
+    return replace(
+        config.tracking, proven_after_s=trusting, two_views=two_views, adjust_unheard=adjusting
+    )
 
 
 def main(config: Config, bus: Bus) -> None:

@@ -58,6 +58,10 @@ def test_seeds_lie_on_the_wall(camera):
     assert (world.points.log_depth_sigma == 0.2).all()
     assert not world.points.parallax_deg.any()
     assert np.array_equal(keyframe.points[world.points.reference_keypoint], ids)
+    told = world.points.reference_keypoint
+    assert keyframe.metres is not None
+    assert keyframe.metres[told] == pytest.approx(local[:, 2])  # what the unit is has no part in it
+    assert not np.delete(keyframe.metres, told).any()
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
@@ -139,3 +143,15 @@ def test_nothing_usable_seeds_nothing():
         world, keyframe = keyframe_of(CAMERAS[0], np.eye(4))
         assert len(seed_from_depth(world, keyframe, depth, np.array(WIDE), 1.0, 0.2, 100)) == 0
         assert len(world.points) == 0
+
+
+def test_of_a_network_that_does_not_tell_near_from_far_nothing_is_kept():
+    world, keyframe = keyframe_of(CAMERAS[0], np.eye(4))
+    firm = np.arange(60)
+    rays = CAMERAS[0].normalise(keyframe.features.pixels[firm])
+    depths = np.random.default_rng(3).uniform(2.0, 20.0, 60)
+    places = np.column_stack([rays, np.ones(60)]) * depths[:, None]
+    world.add_points(keyframe, firm, places, np.full(60, 0.01), 5.0)
+    flat = np.full((120, 160), 5.0, np.float32)
+    assert len(seed_from_depth(world, keyframe, flat, np.array(WIDE), 1.0, 0.2, 100)) == 0
+    assert keyframe.metres is None

@@ -1,0 +1,234 @@
+"""Keyframes that no correction knew are put right by the tracker; the rest of the map holds them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.local_copy import local_copy
+from prism_edge.backend.mapper import Mapper
+from prism_edge.config import BackendConfig, Config, TrackingConfig
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
+from prism_edge.tracking import mapping
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.map_correction import apply_correction
+from prism_edge.tracking.tracker import Tracker
+from prism_edge.tracking.unheard import adjust_unheard
+from prism_edge.workers.tracker import _tracking
+from tests.backend.ring import Ring
+from tests.tracking.cloud import FACTORS, Cloud, check, pose_at
+from tests.tracking.film_run import CONFIG, Run
+
+HEARD, UNHEARD = 4, 5  # keyframes
+POSES = [pose_at(0.15 * i, 0.01 * i, 0.0, 0.0, 0.1 * i, 0.0) for i in range(HEARD + UNHEARD)]
+
+
+def bent(drift: float = 1.0, seed: int = 0) -> tuple[LocalMap, dict[int, np.ndarray]]:
+    """A map whose newest keyframes drifted off with the points they made, and where all points truly are."""
+    cloud = Cloud(2000, seed)
+    cloud.positions[:, 0] = cloud.rng.uniform(-0.75, 2.2, 2000) * cloud.positions[:, 2]
+    world, shown = cloud.mapped(POSES, noise_px=0.3)
+    true = {
+        int(point): cloud.positions[at]
+        for keyframe, seen in zip(world.keyframes.values(), shown, strict=True)
+        for point, at in zip(keyframe.points.tolist(), seen.tolist(), strict=True)
+    }
+    world.heard = HEARD - 1
+    rng, walked = np.random.default_rng(seed), np.eye(4)
+    for number in range(HEARD, HEARD + UNHEARD):
+        keyframe = world.keyframes[number]
+        walked = walked @ se3_exp(drift * rng.normal(0.0, (0.02, 0.02, 0.02, 0.01, 0.01, 0.01)))
+        keyframe.world_from_camera = walked @ keyframe.world_from_camera
+        made = world.points.reference == number
+        world.points.position[made] = transform(walked, world.points.position[made])
+    for keyframe in world.keyframes.values():
+        mapping.introduce(world, keyframe)
+    return world, true
+
+
+def errors(world: LocalMap) -> tuple[float, float]:
+    """The largest of the newest keyframes' errors, m and rad."""
+    off = [inverse(POSES[k]) @ world.keyframes[k].world_from_camera for k in range(HEARD, HEARD + UNHEARD)]
+    return (
+        max(float(np.linalg.norm(m[:3, 3])) for m in off),
+        max(rotation_angle(m[:3, :3]) for m in off),
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_bent_is_straight_again(seed: int) -> None:
+    world, true = bent(seed=seed)
+    table = world.points
+    new = np.flatnonzero((table.reference >= HEARD) & (table.observations >= 2))
+    assert len(new) > 100
+    places = np.array([true[p] for p in table.ids[new].tolist()])
+    assert errors(world)[0] > 0.03
+    before = np.median(np.linalg.norm(table.position[new] - places, axis=1))
+    assert adjust_unheard(world, 3, 1.0, FACTORS)
+    shift, turn = errors(world)
+    assert shift < 0.004
+    assert turn < 0.001
+    assert np.median(np.linalg.norm(table.position[new] - places, axis=1)) < 0.8 * before
+    check(world)
+
+
+def test_the_rest_of_the_map_is_held() -> None:
+    world, _ = bent()
+    before = {k: world.keyframes[k].world_from_camera.copy() for k in range(HEARD)}
+    old = np.flatnonzero(world.points.reference < HEARD)
+    places = world.points.position[old].copy()
+    assert adjust_unheard(world, 3, 1.0, FACTORS)
+    assert all(np.array_equal(world.keyframes[k].world_from_camera, pose) for k, pose in before.items())
+    assert np.array_equal(world.points.position[old], places)
+
+
+def test_what_its_maker_alone_sees_holds_nothing_and_goes_along() -> None:
+    """Seeds of a keyframe fit it wherever it is: held, they would hold it there."""
+    world, _ = bent()
+    newest = world.newest()
+    extra, _ = Cloud(300, seed=9).keyframe(newest.id, newest.world_from_camera)
+    features = replace(
+        newest.features,
+        pixels=np.concatenate([newest.features.pixels, extra.features.pixels]),
+        octaves=np.concatenate([newest.features.octaves, extra.features.octaves]),
+        descriptors=np.concatenate([newest.features.descriptors, extra.features.descriptors]),
+    )
+    newest.features, many = features, len(extra.points)
+    newest.points = np.concatenate([newest.points, extra.points])
+    keypoints = np.arange(len(newest.points) - many, len(newest.points))
+    rays = newest.camera.ideal().normalise(features.pixels[keypoints])
+    local = 3.0 * np.column_stack([rays, np.ones(many)])
+    places = transform(newest.world_from_camera, local)
+    ids = world.add_points(newest, keypoints, places, np.full(many, 0.2), 0.0)
+    assert adjust_unheard(world, 3, 1.0, FACTORS)
+    assert errors(world)[0] < 0.004
+    there = transform(inverse(newest.world_from_camera), world.points.position[world.points.rows(ids)])
+    assert np.allclose(there, local)
+
+
+@pytest.mark.parametrize(
+    ("least", "heard", "why"),
+    [
+        (UNHEARD + 1, HEARD - 1, "too few"),
+        (0, HEARD - 1, "switched off"),
+        (3, -1, "none that are older: nothing has been corrected yet"),
+        (1, HEARD + UNHEARD, "none unheard"),
+    ],
+)
+def test_nothing_is_done(least: int, heard: int, why: str) -> None:
+    world, _ = bent()
+    world.heard = heard
+    poses = {k: keyframe.world_from_camera.copy() for k, keyframe in world.keyframes.items()}
+    places = world.points.position.copy()
+    assert not adjust_unheard(world, least, 1.0, FACTORS), why
+    assert all(np.array_equal(world.keyframes[k].world_from_camera, pose) for k, pose in poses.items())
+    assert np.array_equal(world.points.position, places)
+
+
+def test_a_part_that_nothing_joins_is_left_to_the_backend() -> None:
+    world, _ = bent()
+    cloud = Cloud(400, seed=8)
+    ids = np.full(len(cloud.positions), -1, np.int64)
+    for number in range(20, 24):
+        keyframe, seen = cloud.keyframe(number, pose_at(0.1 * (number - 20)))
+        keyframe.points = ids[seen]
+        world.add_keyframe(keyframe)
+        free = keyframe.free()
+        places = cloud.positions[seen[free]]
+        places += cloud.rng.normal(0.0, 0.05, places.shape)  # so that there would be much to adjust
+        ids[seen[free]] = world.add_points(keyframe, free, places, np.full(len(free), 0.1), 2.0)
+        mapping.introduce(world, keyframe)
+    world.heard = HEARD + UNHEARD - 1
+    before = world.points.position.copy()
+    assert not adjust_unheard(world, 3, 1.0, FACTORS)
+    assert np.array_equal(world.points.position, before)
+
+
+def test_the_last_frame_moves_with_its_surroundings() -> None:
+    world, _ = bent()
+    newest = world.newest()
+    last = TrackedFrame.of_keyframe(newest, 100)
+    assert adjust_unheard(world, 3, 1.0, FACTORS, last)
+    off = inverse(newest.world_from_camera) @ last.world_from_camera
+    assert np.linalg.norm(off[:3, 3]) < 0.01
+    assert rotation_angle(off[:3, :3]) < 0.005
+
+
+@pytest.mark.parametrize("units_per_metre", [1.0, 2.0])
+def test_the_network_says_how_large_what_is_new_is(units_per_metre: float) -> None:
+    """Where what is older is itself in doubt, the new part stays a fifth too large without it."""
+    wrong = {}
+    for hears in (True, False):
+        world, true = bent(drift=0.0)
+        table = world.points
+        table.log_depth_sigma[table.reference < HEARD] = 2.0
+        for keyframe in world.keyframes.values():
+            keypoints = keyframe.observed()
+            places = np.array([true[p] for p in keyframe.points[keypoints].tolist()])
+            keyframe.metres = np.zeros(len(keyframe.points))
+            keyframe.metres[keypoints] = transform(inverse(keyframe.world_from_camera), places)[:, 2] * hears
+        at, new = world.keyframes[HEARD - 1].world_from_camera[:3, 3], table.reference >= HEARD
+        table.position[new] += 0.2 * (table.position[new] - at)
+        for k in range(HEARD, HEARD + UNHEARD):
+            pose = world.keyframes[k].world_from_camera
+            pose[:3, 3] += 0.2 * (pose[:3, 3] - at)
+        for keyframe in world.keyframes.values():
+            keyframe.world_from_camera[:3, 3] *= units_per_metre
+        table.position *= units_per_metre
+        adjust_unheard(world, 3, units_per_metre, FACTORS)
+        ends = [k.world_from_camera[:3, 3] for k in (world.keyframes[HEARD], world.newest())]
+        truth = units_per_metre * np.linalg.norm(POSES[-1][:3, 3] - POSES[HEARD][:3, 3])
+        wrong[hears] = abs(float(np.log(np.linalg.norm(ends[1] - ends[0]) / truth)))
+    assert wrong[True] < 0.03
+    assert wrong[False] > 3.0 * wrong[True]
+
+
+@pytest.mark.parametrize("least", [3, 0])
+def test_the_tracker_does_so_by_itself(least: int) -> None:
+    """A keyframe that was put aside comes back with the next ones, which no correction has known."""
+    run = Run(tracker=Tracker(replace(CONFIG, keyframe_max_s=0.15, adjust_unheard=least)))
+    frame, world = 0, run.tracker.world
+    while len(run.keyframes) < 5:
+        run.play(range(frame, frame + 1))
+        frame, world = frame + 1, run.tracker.world
+    world.heard = sorted(world.keyframes)[-4]
+    astray = world.newest()
+    there = astray.world_from_camera.copy()
+    push = se3_exp(np.array([0.0, 0.03, 0.0, 0.0, 0.0, 0.0]))
+    astray.world_from_camera = push @ there
+    made = world.points.reference == astray.id
+    world.points.position[made] = transform(push, world.points.position[made])
+    while len(run.keyframes) < 6:
+        run.feed(frame)
+        frame += 1
+    off = np.linalg.norm(astray.world_from_camera[:3, 3] - there[:3, 3])
+    assert (off < 0.015) if least else (off > 0.029)
+
+
+def test_a_correction_is_heard() -> None:
+    world, _ = bent()
+    world.heard = 1
+    nothing = np.zeros(0, np.int64)
+    for based_on, heard in ((6, 6), (5, 6)):
+        apply_correction(
+            world, based_on, nothing, np.zeros((0, 4, 4)), nothing, np.zeros((0, 3)), np.zeros(0, np.float32),
+            FACTORS,
+        )  # fmt: skip
+        assert world.heard == heard
+
+
+def test_of_a_map_that_the_backend_gave_all_is_heard() -> None:
+    ring, mapper = Ring(), Mapper(BackendConfig(), use_depth=False)
+    for _ in range(3):
+        mapper.absorb(ring.keyframe())
+    assert local_copy(mapper.world).heard == max(mapper.world.keyframes)
+    assert LocalMap().heard == -1
+
+
+def test_without_metric_factors_nothing_metric_is_adjusted() -> None:
+    config = Config(tracking=TrackingConfig(adjust_unheard=4))
+    assert _tracking(config).adjust_unheard == 4
+    assert _tracking(replace(config, ablate=("depth_factor",))).adjust_unheard == 0
