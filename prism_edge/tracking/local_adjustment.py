@@ -36,26 +36,24 @@ class Problem:
     inverse_sigma: Array  # (m, 2) of those
     weight: Array  # (m,)
     depth_error: Array  # (points, 3) one sigma along the ray of a held point of doubtful depth, else 0
-    pull: Array  # (free points, 3) unit first ray over the sigma of the depth along it; 0 for none
     log_depth: Array  # (m,) what a network says of the depth
     depth_weight: Array  # (m,) root of its information; 0 for nothing said
 
 
 @dataclass(frozen=True)
 class _Linear:
-    """A problem linearised: whitened residuals and Jacobians, three rows an observation, and the pulls'."""
+    """A problem linearised: whitened residuals and Jacobians, three rows an observation."""
 
     cost: float
     residual: Array  # (m, 3) two of the pixel, one of the depth
     by_twist: Array  # (m, 3, 6) translation first, camera frame
     by_point: Array  # (m, 3, 3)
-    pulled: Array  # (free points,)
 
 
 def adjust(problem: Problem, poses: Array, positions: Array) -> tuple[Array, Array] | None:
     """Poses (views, 4, 4), world_from_camera, and points (points, 3) that fit better; None where none do."""
     best, damping = (poses, positions), 1e-4
-    at = first = _linearise(problem, poses, positions, positions)
+    at = first = _linearise(problem, poses, positions)
     for _ in range(STEPS):
         twists, shifts = _step(problem, at, damping)
         if not (np.isfinite(twists).all() and np.isfinite(shifts).all()):
@@ -64,7 +62,7 @@ def adjust(problem: Problem, poses: Array, positions: Array) -> tuple[Array, Arr
         for i, twist in enumerate(twists):
             moved[i] = moved[i] @ se3_exp(twist)
         shifted[: problem.free_points] += shifts
-        tried = _linearise(problem, moved, shifted, positions)
+        tried = _linearise(problem, moved, shifted)
         gained = at.cost - tried.cost
         if gained <= 0.0:
             damping *= 100.0
@@ -75,7 +73,7 @@ def adjust(problem: Problem, poses: Array, positions: Array) -> tuple[Array, Arr
     return best if at.cost < first.cost else None
 
 
-def _linearise(problem: Problem, poses: Array, positions: Array, start: Array) -> _Linear:
+def _linearise(problem: Problem, poses: Array, positions: Array) -> _Linear:
     turned, centre = poses[problem.view, :3, :3], poses[problem.view, :3, 3]
     local = np.einsum("nji,nj->ni", turned, positions[problem.point] - centre)
     visible = local[:, 2] > LEAST_DEPTH
@@ -101,14 +99,12 @@ def _linearise(problem: Problem, poses: Array, positions: Array, start: Array) -
     heard = np.where(visible, problem.depth_weight, 0.0)
     depth = heard * (np.log(z) - problem.log_depth)
     by_local[:, 2, 2] = heard / z
-    pulled = np.einsum("ni,ni->n", problem.pull, (positions - start)[: problem.free_points])
     by_twist = np.concatenate([-by_local, np.cross(by_local, local[:, None, :])], axis=2)
     return _Linear(
-        cost + float(depth @ depth) + float(pulled @ pulled),
+        cost + float(depth @ depth),
         np.concatenate([pixel * root, depth[:, None]], axis=1),
         by_twist,
         np.einsum("nij,nkj->nik", by_local, turned),
-        pulled,
     )
 
 
@@ -124,9 +120,8 @@ def _step(problem: Problem, at: _Linear, damping: float) -> tuple[Array, Array]:
     own = problem.point < points
     view, point, by_point = problem.view[own], problem.point[own], at.by_point[own]
     hessian = _summed(point, np.einsum("nki,nkj->nij", by_point, by_point).reshape(-1, 9), points)
-    hessian = hessian.reshape(-1, 3, 3) + problem.pull[:, :, None] * problem.pull[:, None, :]
+    hessian = hessian.reshape(-1, 3, 3)
     gradient = _summed(point, np.einsum("nki,nk->ni", by_point, at.residual[own]), points)
-    gradient += problem.pull * at.pulled[:, None]
     for matrix in (hessian, camera[None]):
         diagonal = np.arange(matrix.shape[-1])
         matrix[:, diagonal, diagonal] = (1.0 + damping) * matrix[:, diagonal, diagonal] + FLOOR

@@ -21,8 +21,8 @@ from prism_edge.tracking.triangulation import rays
 
 MOST_FREE = 8  # keyframes, the newest
 LEAST_HELD = 30  # observations that hold what is free to the rest
-SEED_SHARE = 3.0  # seeds of one image are wrong together: each tells so much less of its depth
-IMAGE_SIGMA = 0.15  # of the log of what a network says of one image's size
+IMAGE_SIGMA = 0.15  # of the log of what a network says of one image's size, at least
+LEAST_TOLD, LEAST_IMAGES = 20, 3  # points of an image, and such images, that show how far it was off so far
 
 
 def adjust_unheard(
@@ -84,6 +84,7 @@ def _assemble(
     table = world.points
     place = np.full(len(table), -1, np.intp)
     place[rows] = np.arange(len(rows))
+    sigma = max(IMAGE_SIGMA, _off(world, views[free:], units_per_metre))
     columns: list[tuple[NDArray[np.generic], ...]] = []
     for i, keyframe in enumerate(views):
         keypoints = keyframe.observed()
@@ -97,19 +98,14 @@ def _assemble(
         if i < free and keyframe.metres is not None:
             metres = np.where(point < own, keyframe.metres[keypoints], 0.0)
         known = metres > 0.0
-        vote = known / (IMAGE_SIGMA * np.sqrt(max(int(known.sum()), 1)))
+        vote = known / (sigma * np.sqrt(max(int(known.sum()), 1)))
         log_depth = np.log(np.where(known, units_per_metre * metres, 1.0))
         seen = rays(keyframe.camera, keyframe.features.pixels[keypoints])[:, :2]
         columns.append((np.full(len(point), i), point, seen, sharp, log_depth, vote))
     view, point, seen, inverse_sigma, log_depth, vote = (
         np.concatenate(column) for column in zip(*columns, strict=True)
     )
-    origins = reference_origins(world, rows)
-    doubt = depth_error(table, rows, origins)
-    first = table.position[rows[:own]] - origins[:own]
-    away = np.maximum(np.linalg.norm(first, axis=1), 1e-9)
-    seed = table.parallax_deg[rows[:own]] == 0.0
-    firmness = np.where(seed, 1.0 / (SEED_SHARE * np.maximum(table.log_depth_sigma[rows[:own]], 1e-3)), 0.0)
+    doubt = depth_error(table, rows, reference_origins(world, rows))
     doubt[:own] = 0.0
     return Problem(
         free,
@@ -120,10 +116,22 @@ def _assemble(
         inverse_sigma,
         table.weight[rows][point],
         doubt,
-        first * (firmness / away**2)[:, None],
         log_depth,
         vote,
     )
+
+
+def _off(world: LocalMap, held: list[LocalKeyframe], units_per_metre: float) -> float:
+    """How far (log) the network was off about the size of images that are held; 0 of too few."""
+    said = []
+    for keyframe in held:
+        if keyframe.metres is not None:
+            keypoints, depths = world.depths_in(keyframe)
+            metres = units_per_metre * keyframe.metres[keypoints]
+            good = (metres > 0.0) & (depths > 0.0)
+            if good.sum() >= LEAST_TOLD:
+                said.append(float(np.median(np.log(depths[good] / metres[good]))))
+    return float(np.sqrt(np.mean(np.square(said)))) if len(said) >= LEAST_IMAGES else 0.0
 
 
 def _take_over(

@@ -31,7 +31,7 @@ def scene(seed: int = 0, noise: float = 0.0) -> tuple[Problem, np.ndarray, np.nd
     return (
         Problem(
             FREE_VIEWS, FREE_POINTS, view, point, rays, np.tile(FOCAL, (len(view), 1)), np.ones(len(view)),
-            np.zeros((POINTS, 3)), np.zeros((FREE_POINTS, 3)), nothing, nothing,
+            np.zeros((POINTS, 3)), nothing, nothing,
         ),
         poses,
         points,
@@ -120,28 +120,25 @@ def test_gtsam_finds_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     assert np.median(np.abs(found[1] - there[1])) < 1e-4
 
 
-@pytest.mark.parametrize("what", ["pixels", "depth", "pull"])
+@pytest.mark.parametrize("what", ["pixels", "depth"])
 def test_the_derivatives_are_those_of_the_cost(what: str) -> None:
     problem, poses, points = scene(2, noise=3.0)
     rng = np.random.default_rng(4)
     if what == "depth":
         says = rng.normal(1.2, 0.3, len(problem.view))
         problem = replace(problem, log_depth=says, depth_weight=rng.uniform(0.5, 2.0, len(says)))
-    if what == "pull":
-        problem = replace(problem, pull=rng.normal(0.0, 3.0, (FREE_POINTS, 3)))
-    here, start = displaced(poses, points), displaced(poses, points, seed=7)[1]
-    at = local_adjustment._linearise(problem, *here, start)
+    here = displaced(poses, points)
+    at = local_adjustment._linearise(problem, *here)
 
     def cost(twist: np.ndarray, shift: np.ndarray) -> float:
         moved, shifted = here[0].copy(), here[1].copy()
         moved[1] = moved[1] @ se3_exp(twist)
         shifted[5] += shift
-        return local_adjustment._linearise(problem, moved, shifted, start).cost
+        return local_adjustment._linearise(problem, moved, shifted).cost
 
     mine, of_point = problem.view == 1, problem.point == 5
     by_twist = 2.0 * np.einsum("mki,mk->i", at.by_twist[mine], at.residual[mine])
     by_point = 2.0 * np.einsum("mki,mk->i", at.by_point[of_point], at.residual[of_point])
-    by_point += 2.0 * problem.pull[5] * at.pulled[5]
     for i in range(6):
         step = 1e-6 * np.eye(6)[i]
         slope = (cost(step, np.zeros(3)) - cost(-step, np.zeros(3))) / 2e-6
@@ -162,7 +159,7 @@ def one_held(says: float, sigma: float) -> tuple[Problem, np.ndarray, np.ndarray
     weight = np.full(len(view), 1.0 / (sigma * np.sqrt(POINTS)) if sigma else 0.0)
     return (
         replace(
-            problem, free_views=VIEWS - 1, free_points=POINTS, view=view, pull=np.zeros((POINTS, 3)),
+            problem, free_views=VIEWS - 1, free_points=POINTS, view=view,
             log_depth=np.log(local[:, 2]) + says, depth_weight=weight,
         ),
         poses,
@@ -210,34 +207,6 @@ def test_a_gross_error_is_hardly_heard() -> None:
     found = adjust(problem, *displaced(poses, points))
     assert found is not None
     assert off(found[0], poses)[0] < 0.01
-
-
-@pytest.mark.parametrize(("says", "firmness"), [(0.3, 0.3), (0.3, 1.0), (-0.5, 0.1), (0.3, 1e6)])
-def test_a_pull_and_a_vote_meet_where_their_cost_is_least(
-    says: float, firmness: float, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of a seed that one held view alone sees: along its ray nothing else has a say."""
-    monkeypatch.setattr(local_adjustment, "STEPS", 30)
-    monkeypatch.setattr(local_adjustment, "SETTLED", 1e-12)
-    problem, poses, points = scene()
-    only = (problem.point != 0) | (problem.view == VIEWS - 1)
-    kept = {
-        name: getattr(problem, name)[only]
-        for name in ("view", "point", "rays", "inverse_sigma", "weight", "log_depth", "depth_weight")
-    }
-    ray = points[0] - poses[-1, :3, 3]
-    away, depth = np.linalg.norm(ray), float(ray @ poses[-1, :3, 2])
-    seed, sigma = kept["point"] == 0, 0.2
-    kept["log_depth"] = np.where(seed, np.log(depth) + says, 0.0)
-    kept["depth_weight"] = np.where(seed, 1.0 / sigma, 0.0)
-    pull = np.zeros((FREE_POINTS, 3))
-    pull[0] = ray / away / (firmness * away)
-    found = adjust(replace(problem, **kept, pull=pull), poses, points)
-    assert found is not None
-    scales = np.linspace(0.4, 2.0, 160_001)
-    cost = ((np.log(scales) - says) / sigma) ** 2 + ((scales - 1.0) / firmness) ** 2
-    now = np.linalg.norm(found[1][0] - poses[-1, :3, 3]) / away
-    assert now == pytest.approx(scales[np.argmin(cost)], abs=2e-3)
 
 
 def test_a_doubtful_held_point_turns_no_view() -> None:
