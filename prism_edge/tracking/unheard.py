@@ -20,6 +20,7 @@ from prism_edge.tracking.point_table import Index
 from prism_edge.tracking.triangulation import rays
 
 MOST_FREE = 8  # keyframes, the newest
+LEAST_OLD = 12  # keyframes: of a younger map each window of the backend is the whole, and gives it its shape
 LEAST_HELD = 30  # observations that hold what is free to the rest
 IMAGE_SIGMA = 0.15  # of the log of what a network says of one image's size, at least
 LEAST_TOLD, LEAST_IMAGES = 20, 3  # points of an image, and such images, that show how far it was off so far
@@ -34,11 +35,11 @@ def adjust_unheard(
 ) -> bool:
     """Adjust the keyframes that no correction knew, where they are ``least`` or more, and what they made.
 
-    Whether it was done: not without older ones, nor where too little holds the new ones to those. The
-    ``last`` frame moves with its surroundings.
+    Whether it was done: not in a young map, nor where too little holds the new ones to the old. The ``last``
+    frame moves with its surroundings.
     """
     unheard = [k for k in sorted(world.keyframes) if k > world.heard]
-    if not 0 < least <= len(unheard) < len(world.keyframes):
+    if not 0 < least <= len(unheard) <= len(world.keyframes) - LEAST_OLD:
         return False
     free = [world.keyframes[k] for k in unheard[-MOST_FREE:]]
     numbers = [keyframe.id for keyframe in free]
