@@ -1,7 +1,7 @@
 """Bundle adjustment of a few keyframes and the points they made, held by the map round them.
 
 Reprojection errors under a Huber kernel, minimised by Levenberg-Marquardt. The points go first (Schur
-complement), which leaves six unknowns a keyframe; all is done in columns, a few milliseconds for eight
+complement), which leaves six unknowns a keyframe; all is done in columns, some ten milliseconds for eight
 keyframes. What rays don't fix, how far away all is, rests on network depth: one vote an image, as what a
 network says of one image is wrong together.
 """

@@ -152,6 +152,25 @@ def test_a_part_that_nothing_joins_is_left_to_the_backend() -> None:
     assert np.array_equal(world.points.position, before)
 
 
+@pytest.mark.parametrize("broken", ["one sees nothing", "none sees anything", "two alike", "absurd depth"])
+def test_what_is_degenerate_does_no_harm(broken: str) -> None:
+    world, _ = bent()
+    newest = [world.keyframes[k] for k in range(HEARD, HEARD + UNHEARD)]
+    if broken == "two alike":
+        newest[3].world_from_camera = newest[2].world_from_camera.copy()
+    elif broken == "absurd depth":
+        for keyframe in newest:
+            keyframe.metres = np.full(len(keyframe.points), 1e-300)
+    else:
+        for keyframe in newest if broken.startswith("none") else newest[-1:]:
+            keyframe.points[:] = -1
+    assert adjust_unheard(world, 3, 1.0, FACTORS) == (broken != "none sees anything")
+    for keyframe in newest[:-1] if broken != "none sees anything" else []:
+        off = inverse(POSES[keyframe.id]) @ keyframe.world_from_camera
+        assert np.linalg.norm(off[:3, 3]) < 0.01
+    assert np.isfinite(world.points.position).all()
+
+
 def test_the_last_frame_moves_with_its_surroundings() -> None:
     world, _ = bent()
     newest = world.newest()
