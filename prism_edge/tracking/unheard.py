@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
+from prism_edge.tracking.depth_alignment import agreement
 from prism_edge.tracking.frame_tracking import TrackedFrame, depth_error, reference_origins
 from prism_edge.tracking.local_adjustment import Problem, adjust
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
@@ -131,7 +132,7 @@ def _off(world: LocalMap, held: list[LocalKeyframe], units_per_metre: float) -> 
             metres = units_per_metre * keyframe.metres[keypoints]
             good = (metres > 0.0) & (depths > 0.0)
             if good.sum() >= LEAST_TOLD:
-                said.append(float(np.median(np.log(depths[good] / metres[good]))))
+                said.append(np.log(agreement(depths[good], metres[good]).units_per_metre))
     return float(np.sqrt(np.mean(np.square(said)))) if len(said) >= LEAST_IMAGES else 0.0
 
 
