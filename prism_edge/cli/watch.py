@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -47,14 +48,17 @@ def _file(name: str) -> Path:
 def run(args: argparse.Namespace) -> int:
     """Show poses until enough have come; returns the exit code."""
     from prism_edge.bus.session import Bus
-    from prism_edge.evaluation.recorder import PoseRecorder
+    from prism_edge.evaluation.recorder import PoseRecorder, published_mount
 
     config = config_from(args)
     _heed_ctrl_c()
     with ExitStack() as stack:
         bus = stack.enter_context(Bus.open(config, "watch"))
         heard = Listener(bus, config)
-        recorder = stack.enter_context(PoseRecorder(args.tum, config.frames)) if args.tum else None
+        recorder = None
+        if args.tum:
+            mount = partial(published_mount, bus, config.frames)
+            recorder = stack.enter_context(PoseRecorder(args.tum, mount))
         print(f"watching prism/{config.robot} at {config.bus.endpoint}; Ctrl-C ends", file=sys.stderr)
         show: Plain | Table = Plain() if args.plain else Table()
         stack.enter_context(show)

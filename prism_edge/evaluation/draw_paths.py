@@ -45,7 +45,8 @@ def draw_paths(paths: list[tuple[str, Colour, F64]], title: str) -> U8:
     for row, (name, colour, path) in enumerate(paths):
         finite = path[np.isfinite(path).all(axis=1)]
         cv2.polylines(picture, [pixel(finite)], False, colour, 3 if row == 0 else 2, cv2.LINE_AA)
-        cv2.circle(picture, pixel(finite)[0].tolist(), 6, colour, -1, cv2.LINE_AA)  # where it starts
+        for start in pixel(finite[:1]).tolist():
+            cv2.circle(picture, start, 6, colour, -1, cv2.LINE_AA)
         y = MARGIN + 24 + 24 * row
         cv2.line(picture, (MARGIN + 14, y - 5), (MARGIN + 44, y - 5), colour, 3, cv2.LINE_AA)
         cv2.putText(picture, name, (MARGIN + 54, y), FONT, 0.5, INK, 1, cv2.LINE_AA)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -21,8 +22,12 @@ from prism_edge.geometry.mount import base_from_camera
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import EndOfStream, Heartbeat, Tracked
 
+log = logging.getLogger("prism_edge.evaluation")
+
 _QUEUE = 4096  # messages; minutes of poses, so that a busy machine loses none
 _LOOK_S = 0.2
+_MOUNT_S = 0.5  # for an answer to where the camera sits
+_ASKS = 4
 
 
 def camera_pose(message: Any, mount: Array) -> tuple[int, Array]:
@@ -34,17 +39,44 @@ def camera_pose(message: Any, mount: Array) -> tuple[int, Array]:
         return ros.stamp_ns(message), ros.pose_matrix(message.pose.pose) @ mount
 
 
+def published_mount(bus: Bus, frames: FramesConfig) -> Array:
+    """base_from_camera (4, 4) of the daemon whose poses come, as its `tf` says; in metres.
+
+    That of ``frames``, with a warning, where the daemon doesn't say.
+    """
+    for _ in range(_ASKS):  # `tf` follows the first pose at once, but does follow it
+        tree = bus.ask("tf", _MOUNT_S)
+        links = [] if tree is None else tree.transforms
+        parents = {link.header.frame_id for link in links}
+        leaves = [link for link in links if link.child_frame_id not in parents]
+        if len(leaves) == 1 and leaves[0].header.frame_id in {link.child_frame_id for link in links}:
+            mount = ros.pose_matrix(leaves[0].transform)
+            if np.isfinite(mount).all():
+                return mount
+    log.warning(
+        "the daemon's tf does not say where the camera sits on the robot: frames.base_from_camera of this "
+        "configuration is taken"
+    )
+    return base_from_camera(frames)
+
+
 class PoseRecorder:
     """Appends each `pose` message to a TUM file at once, as the camera's pose; what was written stays."""
 
-    def __init__(self, path: Path, frames: FramesConfig) -> None:
-        """Creates or empties the file. Raises OSError with its name, as all that writes to it."""
+    def __init__(self, path: Path, mount: Callable[[], Array]) -> None:
+        """Creates or empties the file; ``mount`` gives base_from_camera (4, 4), asked at the first pose.
+
+        Raises OSError with the file's name, as all that writes to it.
+        """
         self.count = 0
-        self._mount, self._path = base_from_camera(frames), path
+        self._ask: Callable[[], Array] | None = mount
+        self._mount, self._path = np.eye(4), path
         self._file = path.open("w", buffering=1)
 
     def record(self, message: Any) -> None:
         """One geometry_msgs/PoseWithCovarianceStamped; one that is not finite is left out."""
+        if self._ask is not None:
+            self._mount, self._ask = self._ask(), None
         stamp_ns, pose = camera_pose(message, self._mount)
         if np.isfinite(pose).all():
             with self._named():

@@ -42,13 +42,15 @@ class SensorNetwork:
             self._sensor = SensorDepth(folder)
         except SourceError as error:
             raise ModelError(f"{error}; {needs}") from None
+        # A recording that is looped begins again after as many images as are played of it.
+        self._round = min(source.frames or len(self._sensor), len(self._sensor))
         self.counters: dict[str, int] = {}
         log.warning("depth comes from the recording's own depth camera: this run is not monocular")
 
     def measure(self, index: int, camera: Camera) -> Prediction:
         """The depth image of a colour image that ``camera`` took; a looped recording counts on."""
         started = time.perf_counter()
-        depth = self._sensor.in_colour(index % len(self._sensor), camera)
+        depth = self._sensor.in_colour(index % self._round, camera)
         if depth is None:
             depth = np.zeros((3, 3), np.float32)
         across, down = depth.shape[1] / camera.width, depth.shape[0] / camera.height

@@ -22,6 +22,7 @@ from prism_edge.geometry.poses import Array
 from prism_edge.messages import (
     INITIALISING,
     LOOP_CLOSED,
+    LOST,
     RECOVERED,
     Acknowledged,
     Depth,
@@ -104,7 +105,7 @@ class TrackerWorker:
         self._show(INITIALISING, 0, time.time_ns())
         while not self._bus.stopped.is_set():
             # Loaded first: a command that waits beside it was most likely given once that had been done.
-            self._maps.take_loaded(self._tracker, self._adopt, self._reset)
+            self._maps.take_loaded(self._tracker, self._adopt_loaded, self._reset)
             self._desk.serve()
             frame = self._frames.take(_LOOK_S)
             if frame is not None:
@@ -323,6 +324,12 @@ class TrackerWorker:
         self._answers.forget()
         return True
 
+    def _adopt_loaded(self, whole: WholeMap | None) -> bool:
+        adopted = self._adopt(whole)
+        if adopted:
+            self._show_now(LOST)
+        return adopted
+
     def _prove(self, camera: Camera) -> None:
         """Go on in the map of an earlier run only with the camera that made it."""
         self._unproven = False
@@ -340,6 +347,7 @@ class TrackerWorker:
         self._scale.begin()
         self._drift.travelled, self._localise_only = 0.0, False
         self._unproven = self._recovering = False  # there is nothing left of an earlier run's map
+        self._show_now(INITIALISING)
         return Reply(True, "a new map begins with the next image, and is built on; odom goes on")
 
     def _switch_localise_only(self, argument: str) -> Reply:
@@ -347,7 +355,13 @@ class TrackerWorker:
         if wanted and not self._tracker.initialised:
             return Reply(False, "there is no map to localise in yet")
         self._localise_only, self._tracker.may_map = wanted, not wanted
+        last = self._tracker.last_result
+        self._show_now(LOST if last is None else last.odometry)
         return Reply(True, "the map stays as it is" if wanted else "the map is built on")
+
+    def _show_now(self, odometry: str) -> None:
+        """What a command has changed, as it may be long until the next image: the camera may be paused."""
+        self._show(odometry, 0, self._now_ns or time.time_ns())
 
     def _show(self, odometry: str, matched: int, stamp_ns: int) -> None:
         world = self._tracker.world

@@ -18,13 +18,20 @@ from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.cli.main import main
 from prism_edge.cli.watch import Listener
-from prism_edge.config import BusConfig, Config
+from prism_edge.config import BusConfig, Config, FramesConfig
+from prism_edge.evaluation.trajectory import read_tum
+from prism_edge.geometry.mount import base_from_camera, looking
 from prism_edge.messages import Tracked
 from tests.bus.conftest import free_endpoint
 
 MS = 1_000_000
 COVARIANCE = np.diag([0.01, 0.01, 0.02, 0, 0, 0])
 SCALE = ros.scale(0, "map", np.log(1.5), 0.1, 0.02, metric=True)
+
+
+def looking_left_from_the_mast() -> np.ndarray:
+    frames = FramesConfig(base_from_camera_xyz=(0.5, -0.1, 1.2), base_from_camera_xyzw=tuple(looking(30, 10)))
+    return base_from_camera(frames)
 
 
 def pose_at(x: float) -> np.ndarray:
@@ -34,7 +41,13 @@ def pose_at(x: float) -> np.ndarray:
 
 
 @pytest.fixture
-def endpoint() -> Iterator[str]:
+def mounted() -> np.ndarray | None:
+    """Where the daemon's camera sits on its robot; None: it doesn't say."""
+    return None
+
+
+@pytest.fixture
+def endpoint(mounted: np.ndarray | None) -> Iterator[str]:
     """Where a daemon publishes: one metre a second along x, 33 ms a frame, until the test is over."""
     endpoint = free_endpoint()
     over = threading.Event()
@@ -51,6 +64,10 @@ def endpoint() -> Iterator[str]:
                 bus.publish("scale", SCALE)
                 bus.publish("status", ros.diagnostics(stamp, [("tracking", 0, "ok building", {})]))
                 bus.publish("pose", ros.pose_with_covariance(stamp, "map", pose, COVARIANCE))
+                if mounted is not None:
+                    links = [("odom", "body", pose), ("body", "eye", mounted)]
+                    tree = ros.transforms((stamp, *link) for link in links)
+                    bus.publish_if_heard("tf", lambda tree=tree: tree)
 
     thread = threading.Thread(target=publish)
     thread.start()
@@ -111,7 +128,10 @@ def test_what_waits_counts_from_when_it_came() -> None:
         assert listener.view._arrivals[0] <= came_before_s
 
 
-def test_records_the_cameras_poses(endpoint: str, tmp_path: Path) -> None:
+def test_records_the_cameras_poses(
+    endpoint: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Of a daemon that doesn't say where its camera sits, as this configuration has it."""
     file = tmp_path / "poses.tum"
     arguments = ["--robot", "fake", "--endpoint", endpoint, "--count", "20", "--tum", str(file)]
     assert main(["watch", *arguments]) == 0
@@ -120,6 +140,23 @@ def test_records_the_cameras_poses(endpoint: str, tmp_path: Path) -> None:
     assert rows[:, 1] == pytest.approx(rows[:, 0])
     # the default camera looks along the robot's x axis
     assert np.abs(rows[:, 4:] - [-0.5, 0.5, -0.5, 0.5]).max() < 1e-9
+    assert "frames.base_from_camera of this configuration" in caplog.text
+
+
+@pytest.mark.parametrize("mounted", [looking_left_from_the_mast()])
+@pytest.mark.parametrize("own", [[], ["--set", "frames.base_from_camera_xyz=[9, 9, 9]"]])
+def test_records_the_camera_where_the_daemon_has_it(
+    endpoint: str, mounted: np.ndarray, own: list[str], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whatever the watcher's own configuration says, or doesn't."""
+    file = tmp_path / "poses.tum"
+    arguments = ["--robot", "fake", "--endpoint", endpoint, "--count", "20", "--tum", str(file), *own]
+    assert main(["watch", *arguments]) == 0
+    recorded = read_tum(file)
+    seconds = 1e-9 * recorded.stamps
+    np.testing.assert_allclose(recorded.positions - mounted[:3, 3], np.outer(seconds, [1, 0, 0]), atol=1e-8)
+    np.testing.assert_allclose(recorded.poses[:, :3, :3], mounted[None, :3, :3].repeat(20, 0), atol=1e-8)
+    assert "base_from_camera" not in caplog.text
 
 
 def test_ctrl_c_ends_it_in_the_background_of_a_script_too() -> None:

@@ -30,6 +30,8 @@ def test_what_is_not_finite_is_left_out_and_nothing_at_all_is_refused() -> None:
     assert len(drawn(draw_paths([("path", TRUTH, path)], ""), TRUTH))
     with pytest.raises(ValueError, match="no points"):
         draw_paths([("path", TRUTH, np.full((2, 2), np.nan))], "")
+    nothing = ("other", ESTIMATE, np.full((2, 2), np.nan))
+    assert len(drawn(draw_paths([nothing, ("path", TRUTH, path)], ""), TRUTH))
 
 
 def test_a_camera_that_stands_still_is_drawn() -> None:

@@ -63,9 +63,9 @@ def test_the_cameras_pose_is_the_robots_times_the_mount(stamp_ns: int, seed: int
 
 
 def test_poses_are_in_the_file_as_soon_as_they_are_recorded(tmp_path: Path) -> None:
-    frames = FramesConfig()
-    inverse_mount = np.linalg.inv(base_from_camera(frames))
-    with PoseRecorder(tmp_path / "r.tum", frames) as recorder:
+    mount = base_from_camera(FramesConfig())
+    inverse_mount = np.linalg.inv(mount)
+    with PoseRecorder(tmp_path / "r.tum", lambda: mount) as recorder:
         for i in range(3):
             pose = from_rt(np.eye(3), np.array([i, 2.0, 3.0]))
             recorder.record(message(i * 10**9, pose @ inverse_mount))
@@ -79,4 +79,4 @@ def test_poses_are_in_the_file_as_soon_as_they_are_recorded(tmp_path: Path) -> N
 
 def test_a_file_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"absent/r\.tum"):
-        PoseRecorder(tmp_path / "absent" / "r.tum", FramesConfig())
+        PoseRecorder(tmp_path / "absent" / "r.tum", lambda: np.eye(4))

@@ -95,6 +95,24 @@ def test_the_same_map_loaded_in_the_first_life(whole: WholeMap) -> None:
     assert len({k.id for k in run_of.bus.of("keyframe")}) == len(run_of.bus.of("keyframe"))
 
 
+def test_status_tells_of_a_loaded_map_without_another_image(whole: WholeMap) -> None:
+    """The source is paused: the camera has still to be found in it."""
+    bus = Asked(whole, life=0).bus
+    depths = World(bus)
+
+    def heard(topic: str, message: object) -> None:
+        depths.heard(topic, message)
+        if topic == "tracked" and message.index == 20:  # type: ignore[attr-defined]
+            bus.give("map_loaded", MapLoaded(EPOCH, LOG_SCALE, 0.05))
+
+    bus.hear = heard
+    run(bus, [frame(i) for i in range(21)])
+    last = bus.of("status")[-1].status[0]
+    assert last.message == "lost relocalising"
+    told = {pair.key: pair.value for pair in last.values}
+    assert int(told["keyframes"]) > 2
+
+
 @pytest.mark.parametrize("asked_for", ["before it is loaded", "as soon as it is"])
 def test_a_loaded_map_stays_as_it_is_where_that_was_asked_for(whole: WholeMap, asked_for: str) -> None:
     bus = Asked(whole, life=0).bus

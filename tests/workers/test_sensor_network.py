@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from prism_edge.config import SENSOR, Config, DepthConfig, SourceConfig
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import KeyframeImage
+from prism_edge.sources.open import open_source
 from prism_edge.sources.sensor_depth import seen_by_colour
 from prism_edge.tracking.seeding import sample_depth
 from prism_edge.workers.depth import answer
@@ -43,9 +45,9 @@ def picture(index: int) -> KeyframeImage:
     return KeyframeImage(7, index, 0, 0, False, CAMERA.model, CAMERA.to_array(), image)
 
 
-def open_sensor(folder: Path | str) -> SensorNetwork:
+def open_sensor(folder: Path | str, **source: Any) -> SensorNetwork:
     network = open_depth(
-        Config(source=SourceConfig(uri=str(folder)), depth=DepthConfig(model=SENSOR))
+        Config(source=SourceConfig(uri=str(folder), **source), depth=DepthConfig(model=SENSOR))
     )
     assert isinstance(network, SensorNetwork)
     return network
@@ -78,6 +80,20 @@ def test_an_image_without_depth_or_with_a_flat_one_is_answered_as_unusable(folde
 def test_a_recording_played_again_counts_on(folder: Path) -> None:
     network = open_sensor(folder)
     np.testing.assert_array_equal(answer(network, picture(1)).depth, answer(network, picture(9)).depth)
+
+
+def test_the_beginning_of_a_recording_played_again_counts_on(folder: Path) -> None:
+    """The source begins again after its first two images, and so does depth."""
+    played = open_source(SourceConfig(uri=str(folder), frames=2, loop=True))
+    network = open_sensor(folder, frames=2, loop=True)
+    with played:
+        shown = [played.read() for _ in range(6)]
+    assert [image.index for image in shown] == list(range(6))
+    for image in shown:
+        np.testing.assert_array_equal(image.pixels, shown[image.index % 2].pixels)
+        of_it = answer(network, picture(image.index)).depth
+        np.testing.assert_array_equal(of_it, answer(network, picture(image.index % 2)).depth)
+    assert answer(network, picture(2)).depth.shape != answer(network, picture(3)).depth.shape
 
 
 def test_what_has_no_depth_images_is_refused_in_one_line(tmp_path: Path) -> None:

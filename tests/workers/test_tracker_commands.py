@@ -66,6 +66,31 @@ def test_there_must_be_a_map_to_localise_in(bus: ListBus) -> None:
 
 
 @pytest.mark.usefixtures("world")
+@pytest.mark.parametrize(
+    ("commands", "word", "keyframes"),
+    [
+        ([("localise_only", "on")], "ok localised", None),
+        ([("localise_only", "on"), ("localise_only", "off")], "ok building", None),
+        ([("reset", "")], "initialising building", 0),
+        ([("localise_only", "on"), ("reset", "")], "initialising building", 0),
+    ],
+)
+def test_status_follows_a_command_without_another_image(
+    bus: ListBus, commands: list[tuple[str, str]], word: str, keyframes: int | None
+) -> None:
+    """The source is paused, or its camera away."""
+    for command in commands:
+        when_frames_left(bus, 0, *command)
+    run(bus, [frame(i) for i in range(30)])
+    assert [reply.ok for reply in bus.desk.replies] == [True] * len(commands)
+    last = bus.of("status")[-1].status[0]
+    assert last.message == word
+    shown = {pair.key: pair.value for pair in last.values}
+    assert shown["map"] == bus.pulse.values["map"] == word.split()[1]
+    assert (shown["keyframes"] == "0") == (keyframes == 0)
+
+
+@pytest.mark.usefixtures("world")
 def test_a_new_map_is_built_on_again(bus: ListBus) -> None:
     when_frames_left(bus, 50, "localise_only", "on")
     when_frames_left(bus, 40, "reset")
