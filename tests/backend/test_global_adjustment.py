@@ -276,3 +276,18 @@ def test_a_point_that_had_no_part_in_it_goes_with_its_first_viewer(monkeypatch):
     motion = poses[viewers[0]] @ inverse(before[viewers[0]])
     expected = transform(motion, place[None])[0]
     assert world.points[left_out].position == pytest.approx(expected)
+
+
+def test_where_a_sensor_has_no_depth_the_image_alone_counts():
+    """Its holes are zeros: no distance, and none that has a logarithm."""
+    teller, world = shaken()
+    depth_at_keypoints(world, teller.cloud, teller.poses)
+    for keyframe in world.keyframes.values():
+        keyframe.depth_sigma = 0.02
+        keyframe.depths[::3] = 0.0
+    poses = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
+    before = position_error(poses, teller.poses)
+    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=True)
+    while not job.step():
+        pass
+    assert position_error(job.result().poses, teller.poses) < 0.2 * before

@@ -298,3 +298,21 @@ def test_of_two_keypoints_that_show_one_point_now_the_first_keeps_it(told):
     assert observed[second] == points.index(first)
     assert observed[known[14]] == points.index(known[14])
     check(world)
+
+
+def test_a_culled_keyframe_that_was_never_told_is_no_matter(told):
+    """The tracker made it while the backend was down."""
+    world, _, messages = told
+    world.absorb(quiet(messages[-1], culled_keyframes=[77, 2]))
+    assert set(world.keyframes) == {0, 1, 3, 4, 5}
+    assert 77 not in world.poses()
+    check(world)
+
+
+def test_the_only_keyframe_stays():
+    """Nothing is left that could carry it."""
+    teller, world = Teller(), GlobalMap()
+    message = teller.keyframe(POSES[0])
+    world.absorb(replace(message, culled_keyframes=np.array([message.id])))
+    assert list(world.keyframes) == [message.id]
+    check(world)

@@ -142,3 +142,14 @@ def test_points_seen_from_nearer_by_are_looked_for_on_higher_levels():
     found = surroundings.look(view, teller.poses[2], (7.0,))
     assert found is not None
     assert np.isin(risen, found.points).mean() > 0.8
+
+
+def test_the_query_s_neighbours_agree_far_from_the_map_s_origin_too():
+    """How far off a neighbour is found is a matter of its own camera, not of where the world's zero lies."""
+    _, world = walked(drift=DRIFT, stretch=1.004)
+    at_home = verify(world, 41, 2, 30)
+    world.move(pose_at(3000.0, -2000.0, 100.0, 0.0, 0.7), set(world.keyframes))
+    far = verify(world, 41, 2, 30)
+    assert at_home is not None
+    assert far is not None
+    assert far.neighbours == at_home.neighbours >= 2

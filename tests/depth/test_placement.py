@@ -72,3 +72,12 @@ def test_normalisation_and_order_of_colours():
     image[:] = (255, 51, 0)  # R, G, B
     values = tensor(image, card, place(card, 320, 240))[0, :, 5, 5]
     assert values == pytest.approx([(0.0 - 0.1) / 0.5, (0.2 - 0.2) / 0.25, (1.0 - 0.3) / 2.0], abs=1e-6)
+
+
+def test_texture_too_fine_for_the_network_is_averaged():
+    """Sampled here and there, a fine grid would become broad stripes that are not in the image."""
+    image = np.zeros((480, 640, 3), np.uint8)
+    image[:, ::5] = 255
+    card = replace(CARD, input_width=128, input_height=96, mean=(0.0,) * 3, std=(1.0,) * 3)
+    values = tensor(image, card, place(card, 640, 480))
+    assert values == pytest.approx(np.full_like(values, 0.2), abs=1e-4)

@@ -215,3 +215,8 @@ def test_the_table_shows_the_figures(capsys: pytest.CaptureFixture[str], tmp_pat
     assert "0.909" in shown  # scale ratio
     assert "15 ms" in shown
     assert "140 MB" in shown
+
+
+@pytest.mark.parametrize(("model", "monocular"), [("", True), ("network.onnx", True), ("sensor", False)])
+def test_whether_one_camera_did_it_alone_is_said(model: str, monocular: bool) -> None:
+    assert report(config=Config(depth=DepthConfig(model=model)))["monocular"] is monocular

@@ -333,3 +333,17 @@ def test_drift_goes_with_metres_whatever_the_map_s_unit_is():
     variance = scale.sigma**2
     scale.predict(0.0, 1.0)  # a unit is ten metres
     assert scale.sigma**2 - variance == pytest.approx(10.0 * config.drift_per_sqrt_m**2)
+
+
+@pytest.mark.parametrize("off", [0.1, 0.3, 1.0])
+def test_a_belief_that_falls_to_a_small_contradiction_is_open_however_small(off):
+    """A sensor's images agree to 1 %: what contradicts it may be less than the prior's sigma, or as much."""
+    sensor = replace(STILL, frame_sigma=0.01, initial_sigma=0.3)
+    scale = ScaleFilter(sensor)
+    answers = []
+    for k, z in enumerate([0.0] * 20 + [off] * 20):
+        scale.predict(0.3 * k, 0.0)
+        answers.append(scale.update(seen(z, white=1e-6, config=sensor)))
+    assert answers == [True] * 20 + [False] * 19 + [True]
+    assert scale.log_scale == pytest.approx(off, abs=0.005)
+    assert 0.005 < scale.sigma < 0.05

@@ -164,3 +164,15 @@ def test_trust_that_makes_no_sense_is_as_good_as_none(trust):
     scale, _ = ScaleEstimator(ScaleConfig()).process(keyframe, depth_of(keyframe))
     assert scale.points == 200
     assert scale.observation == pytest.approx(0.0, abs=1e-3)
+
+
+def test_the_estimator_s_gate_is_the_configured_one():
+    """The network gives no tau and T, the configuration does."""
+    uncertainty = {}
+    for name, config in (("none", GateConfig()), ("set", GateConfig(tau=0.2, temperature=0.05))):
+        estimator = ScaleEstimator(ScaleConfig(), gate=config)
+        for k in range(2):
+            keyframe = keyframe_of_wall(k, 0.4 * k)
+            uncertainty[name] = estimator.process(keyframe, depth_of(keyframe))[1].uncertainty
+    assert np.isnan(uncertainty["none"]).all()
+    assert np.isfinite(uncertainty["set"]).mean() > 0.9

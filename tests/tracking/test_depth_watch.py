@@ -85,3 +85,13 @@ def test_keyframes_that_a_slow_network_leaves_without_depth_are_not_called_mute(
             watch.depth(number, True, "")
         watch.scale(number, NAN, False)
         assert (watch.trouble(0) == "") == (number < 10 * (MUTE - 1))
+
+
+def test_unusable_depth_is_not_held_against_the_usable_that_comes_after() -> None:
+    """It could tell no scale: that says nothing of how many points have depth."""
+    watch = DepthWatch()
+    for number in range(2 * MUTE):
+        watch.depth(number, False, "the depth map is constant (2 m)")
+        watch.scale(number, NAN, False)
+    watch.depth(2 * MUTE, True, "")
+    assert watch.trouble(0) == ""

@@ -9,6 +9,7 @@ from prism_edge.geometry.poses import inverse, rotation_angle
 from prism_edge.tracking.first_map import SecondView, begin_structure
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import NO_POINT
+from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
 from tests.tracking.cloud import CAMERA, Cloud, pose_at
 from tests.tracking.film_run import Run
 from tests.tracking.footage import IDENTITY, footage
@@ -182,3 +183,20 @@ def test_points_that_two_views_moved_are_told():
     moved = {p for p, place in now.items() if not np.array_equal(place, before[p])}
     assert len(moved) > 100
     assert set(np.concatenate(world.changes.new_points).tolist()) >= moved
+
+
+def test_points_of_two_views_are_as_well_known_as_their_parallax_has_them():
+    """Not as the network's: a pixel of noise at their angle."""
+    cloud, second = Cloud(2000), pose_at(0.5, 0.1, 0.0, 0.0, -0.05)
+    world, _ = cloud.mapped([pose_at()], parallax_deg=0.0)
+    first, table = world.newest(), world.points
+    table.position[:] *= (3.0 / table.position[:, 2])[:, None]
+    table.log_depth_sigma[:] = 0.5
+    features, _ = cloud.view(second, noise_px=0.3)
+    points = np.full(len(features), NO_POINT, np.int64)
+    frame = TrackedFrame(CAMERA, features, pose_at(0.2), points, np.zeros((6, 6)), 60)
+    assert begin_structure(world, first, frame, seed=0) is SecondView.CONTRADICTS
+    rows = table.rows(frame.points[frame.points != NO_POINT])
+    assert len(rows) > 100
+    expected = MATCHING_SIGMA_PX / (CAMERA.fx * np.radians(table.parallax_deg[rows]))
+    assert table.log_depth_sigma[rows] == pytest.approx(np.minimum(expected, 2.0), rel=1e-3)

@@ -116,3 +116,13 @@ def test_the_way_in_a_part_has_the_part_s_sigma(camera):
     camera.enter(HOME)
     camera.walk(-20.0)  # back where it began: only what the part erred by more is left
     assert camera.error == pytest.approx(1.0 + 2.0 - 2.0)
+
+
+def test_asked_at_each_frame_the_same_part_stays_one_way(camera):
+    """A scale that is known better now was that of all the way in this part, however often it was asked."""
+    camera.hear(0.0, 0.5)
+    for _ in range(10):
+        camera.walk(1.0)
+        camera.enter(HOME)
+    camera.hear(0.0, 0.1)
+    assert camera.error == pytest.approx(1.0)
