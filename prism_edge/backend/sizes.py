@@ -40,17 +40,24 @@ class Size:
     ranges: dict[int, float]  # points of middling distance and how far they are, map units
 
 
-def sizes(world: GlobalMap, keyframes: Iterable[int], points: Mapping[int, Iterable[int]]) -> list[Size]:
+def sizes(
+    world: GlobalMap,
+    keyframes: Iterable[int],
+    points: Mapping[int, Iterable[int]],
+    least_parallax_deg: float = LEAST_PARALLAX_DEG,
+) -> list[Size]:
     """Of those keyframes, in the order they were made, whose depth tells near from far.
 
-    ``points`` are what each may speak of; what counts of them is what rays place.
+    ``points`` are what each may speak of; what counts of them is what rays place, by ``least_parallax_deg``.
     """
-    found = (_size(world, world.keyframes[k], points.get(k, ())) for k in keyframes)
+    found = (_size(world, world.keyframes[k], points.get(k, ()), least_parallax_deg) for k in keyframes)
     return [size for size in found if size is not None]
 
 
-def size_factors(found: list[Size]) -> list[gtsam.NonlinearFactor]:
+def size_factors(found: list[Size], log_units: float | None = None) -> list[gtsam.NonlinearFactor]:
     """Range factors that draw the surroundings of keyframes of one part to one size, their median.
+
+    ``log_units``: to that size instead.
 
     Each asks for the range that a point has, times what its keyframe's size is off by, so that all of its
     points together weigh as the keyframe's sigma, and none is drawn nearer than another.
@@ -58,7 +65,7 @@ def size_factors(found: list[Size]) -> list[gtsam.NonlinearFactor]:
     if not found:
         return []
     said = np.array([size.log_units for size in found])
-    median = float(np.median(said))
+    median = float(np.median(said)) if log_units is None else log_units
     factors: list[gtsam.NonlinearFactor] = []
     for size, credible in zip(found, _credible(said).tolist(), strict=True):
         stretch = math.exp(median - size.log_units)
@@ -79,13 +86,15 @@ def _credible(said: Array) -> NDArray[np.bool_]:
     return good
 
 
-def _size(world: GlobalMap, keyframe: GlobalKeyframe, points: Iterable[int]) -> Size | None:
+def _size(
+    world: GlobalMap, keyframe: GlobalKeyframe, points: Iterable[int], least_parallax_deg: float
+) -> Size | None:
     if keyframe.depths is None or keyframe.depth_units <= 0.0:
         return None
     firm = {
         p: keyframe.observed[p]
         for p in points
-        if world.points[p].parallax_deg >= LEAST_PARALLAX_DEG and keyframe.depths[keyframe.observed[p]] > 0.0
+        if world.points[p].parallax_deg >= least_parallax_deg and keyframe.depths[keyframe.observed[p]] > 0.0
     }
     if len(firm) < LEAST_POINTS:
         return None
