@@ -48,6 +48,8 @@ def test_commands_take_the_options_shown(page: Path, capsys: pytest.CaptureFixtu
         arguments = [command, "--help"]
         if command == "models":
             arguments, options = [command, "bench", "--help"], options & {"--providers", "--threads"}
+        if command == "map":
+            arguments = [command, "export", "--help"]
         with pytest.raises(SystemExit):
             build_parser(command).parse_args(arguments)
         taken = set(re.findall(r"--[a-z][a-z0-9-]+", capsys.readouterr().out))

@@ -30,7 +30,8 @@ depth_units      f8 (K)      map units a metre of network depth; 0 where that is
 renamed          i8 (R,2)    point that there was, and the one that it was made one with
 ================ =========== ================================================================
 
-The last three are not in saved maps, which builds before them read as well.
+The last three are not in saved maps, which builds before them read as well. When keyframes were taken is told
+beside the arrays (map_stamps.py).
 """
 
 from __future__ import annotations
@@ -44,6 +45,7 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import UNKNOWN, GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.backend.map_file import Arrays, Info
+from prism_edge.backend.map_stamps import stamps_info, stamps_of
 from prism_edge.errors import ConfigError, MapError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import normalised
@@ -177,7 +179,8 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["made_by"] = np.array([world.points[p].made_by for p in kept], np.int64)
         arrays["depth_units"] = np.array([_units_of(k) for k in keyframes], np.float64)
         arrays["renamed"] = world.renamed()
-    return {"cameras": listed, "places_of": index.network}, arrays
+    known = stamps_info([k.taken_ns for k in keyframes])
+    return {"cameras": listed, "places_of": index.network, **known}, arrays
 
 
 def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap, PlaceIndex]:
@@ -193,6 +196,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     _check_values(arrays)
     cameras = _cameras(info, arrays["cameras"])
     _check_room(cameras, arrays)
+    stamps = stamps_of(info, len(arrays["keyframes"]))
     world = GlobalMap(max_carried)
     world.rename(arrays["renamed"])
     ids = arrays["points"].tolist()
@@ -205,6 +209,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     for row, number in enumerate(arrays["keyframes"].tolist()):
         part = slice(starts[row], starts[row + 1])
         world.keyframes[number] = _keyframe(number, row, part, arrays, cameras)
+        world.keyframes[number].taken_ns = stamps[row]
         for keypoint, point in enumerate(arrays["seen"][part].tolist()):
             if point >= 0:
                 world.observe(number, point, keypoint)

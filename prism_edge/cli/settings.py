@@ -51,12 +51,17 @@ def seconds_above_zero(text: str) -> float:
 
 
 def add_common(parser: argparse.ArgumentParser) -> None:
-    """--config, --robot, --endpoint and --set."""
-    parser.add_argument("--config", metavar="FILE", help="configuration file (YAML); options win over it")
+    """--robot, --endpoint, and what :func:`add_configuration` adds."""
     parser.add_argument("--robot", metavar="NAME", help="name in the topics prism/NAME/... (default: robot)")
     parser.add_argument(
         "--endpoint", metavar="ENDPOINT", help="Zenoh endpoint of the daemon (default: tcp/127.0.0.1:7447)"
     )
+    add_configuration(parser)
+
+
+def add_configuration(parser: argparse.ArgumentParser) -> None:
+    """--config and --set."""
+    parser.add_argument("--config", metavar="FILE", help="configuration file (YAML); options win over it")
     parser.add_argument(
         "--set",
         metavar="KEY=VALUE",
@@ -108,8 +113,8 @@ def config_from(args: argparse.Namespace) -> Config:
             raise ConfigError(f"--set {setting}: expected KEY=VALUE, such as --set depth.threads=2")
         overrides[key.strip()] = value
     options = {
-        "robot": args.robot,
-        "bus.endpoint": args.endpoint,
+        "robot": getattr(args, "robot", None),
+        "bus.endpoint": getattr(args, "endpoint", None),
         "source.uri": getattr(args, "source", None),
         "source.camera": getattr(args, "camera", None),
         "source.mask": getattr(args, "mask", None),

@@ -11,7 +11,7 @@ from prism_edge.errors import CalibrationError, ConfigError
 def check_writable(path: Path, overwrite: bool) -> None:
     """Before anybody takes the trouble. Raises ConfigError."""
     if path.exists() and not overwrite:
-        raise ConfigError(f"{path} is there already: name another with --out, or give --overwrite")
+        raise ConfigError(f"{path} is there already: name another, or give --overwrite")
     if not path.parent.is_dir():
         raise ConfigError(f"{path}: there is no folder {path.parent}")
     if path.is_dir():
@@ -25,14 +25,22 @@ def check_writable(path: Path, overwrite: bool) -> None:
 
 
 def write_whole(path: Path, data: bytes) -> None:
-    """All or nothing: a file cut short might be read as another one. Raises CalibrationError."""
+    """All or nothing, as :func:`put_whole`. Raises CalibrationError."""
+    try:
+        put_whole(path, data)
+    except OSError as error:
+        raise CalibrationError(f"{path} can't be written ({error.strerror})") from None
+
+
+def put_whole(path: Path, data: bytes) -> None:
+    """All or nothing: a file cut short might be read as another one. Raises OSError with the file's name."""
     temporary = _beside(path)
     try:
         temporary.write_bytes(data)
         temporary.replace(path)
     except OSError as error:
         temporary.unlink(missing_ok=True)
-        raise CalibrationError(f"{path} can't be written ({error.strerror})") from None
+        raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def _beside(path: Path) -> Path:

@@ -27,7 +27,7 @@ from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import Keyframe, MapUpdate, WholeMap, same_network
 from prism_edge.workers.cut_off import OWN_JOURNAL, goes_on
 from prism_edge.workers.map_flaw import map_flaw, pyramid_flaw, size_flaw
-from prism_edge.workers.state_directory import kept_journal, map_names, map_path
+from prism_edge.workers.state_directory import kept_journal, map_path, stored_map
 
 log = logging.getLogger("prism_edge.backend")
 
@@ -170,10 +170,7 @@ class MapKeeper:
         ``tracked`` is the tracker's epoch, which may be later than any that it has told keyframes of. Raises
         MapError, with the present one kept, where there is none, or none that could be gone on with.
         """
-        path = map_path(self._config.state, name)
-        if not path.exists():
-            there = ", ".join(map_names(self._config.state)) or "none"
-            raise MapError(f"there is no map {name}; there are: {there}")
+        path = stored_map(self._config.state, name)
         self._bus.pulse.working("loading a map", 60.0)
         info, arrays = map_file.unpack(map_file.read(path))
         if flaw := map_flaw(arrays, self._config.tracking):

@@ -44,6 +44,15 @@ def map_path(config: StateConfig, name: str) -> Path:
     return maps_folder(config) / (name + SUFFIX)
 
 
+def stored_map(config: StateConfig, name: str) -> Path:
+    """The file of a map that there is. Raises MapError, which says what there is, where there is none."""
+    path = map_path(config, name)
+    if not path.exists():
+        there = ", ".join(map_names(config)) or "none"
+        raise MapError(f"there is no map {name}; there are: {there}")
+    return path
+
+
 def maps_folder(config: StateConfig) -> Path:
     """The folder of maps."""
     return state_directory(config) / "maps"
