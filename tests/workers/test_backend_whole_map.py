@@ -19,7 +19,7 @@ def asked_while_busy(bus: ListBus, made: worker.BackendWorker) -> WholeMap | Non
     """What a tracker gets that asked before the backend came back from its work."""
     with ThreadPoolExecutor(1) as tracker:
         answer = tracker.submit(bus.answers["whole_map"])
-        while not made._whole._wanted.is_set():
+        while not made._whole.wanted:
             pass
         made.run()
         return answer.result()
