@@ -12,6 +12,11 @@ _SPECIAL = "/*$#?"
 # Links that Zenoh knows and that carry messages of any size reliably.
 _PROTOCOLS = ("tcp", "tls", "quic", "ws", "unixsock-stream")
 
+# Bytes of a Unix socket's path: Linux's sun_path without its NUL. The processes listen beside the bus's own,
+# at PATH.PID.N (links.py): the largest PID there is, and more sessions than one process opens.
+_SOCKET_PATH = 108 - 1
+_BESIDE = len(".4194304.9999")
+
 _BY_TCP = ("tcp", "tls", "ws")
 _LOOPBACK = re.compile(r"localhost|127(\.[0-9]{1,3}){3}|\[::1\]")
 
@@ -80,7 +85,9 @@ def collide(loopback: str, other: str) -> bool:
 def check_endpoint(endpoint: str, setting: str = "bus.endpoint") -> str:
     """The endpoint, if Zenoh could listen on it or connect to it; else BusError.
 
-    Without this, a mistyped endpoint would be retried for ever.
+    Without this, a mistyped endpoint would be retried for ever, and of a socket whose path leaves no room for
+    those beside it each worker would fail by itself. ``setting``: whose it is, for the message; beside a
+    ``network.endpoint`` there are none.
     """
     protocol, address = protocol_of(endpoint), address_of(endpoint)
     problem = ""
@@ -94,6 +101,18 @@ def check_endpoint(endpoint: str, setting: str = "bus.endpoint") -> str:
             problem = f"{host!r} is no host name or address"
     elif not address:
         problem = "it needs a path after the slash"
+    else:
+        problem = _too_long(address, beside=setting == "bus.endpoint")
     if problem:
         raise BusError(f"{setting}: {endpoint!r} is no endpoint: {problem}")
     return endpoint
+
+
+def _too_long(path: str, beside: bool) -> str:
+    """What is wrong with the length of a socket's path, in bytes; empty where nothing is."""
+    length = len(path.encode("utf-8", "surrogatepass"))
+    most = _SOCKET_PATH - (_BESIDE if beside else 0)
+    if length <= most:
+        return ""
+    why = f": a socket's has {_SOCKET_PATH}, and the processes' own are beside it, at PATH.PID.N"
+    return f"its path has {length} bytes, and {most} are the most{why if beside else ' of a socket'}"

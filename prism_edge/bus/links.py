@@ -74,8 +74,9 @@ def _direct(endpoint: str) -> str:
 
     Who keeps the endpoint in a folder of his own would find loopback open to every account: beside it, then.
     """
-    protocol, _, path = endpoint.partition("/")
-    return f"{_SOCKET}/{path}.{os.getpid()}.{next(_sessions)}" if protocol == _SOCKET else _DIRECT
+    if protocol_of(endpoint) != _SOCKET:
+        return _DIRECT
+    return f"{_SOCKET}/{address_of(endpoint)}.{os.getpid()}.{next(_sessions)}"
 
 
 def on_this_host(endpoint: str) -> bool:

@@ -69,6 +69,18 @@ def test_an_address_out_of_range_is_no_endpoint(endpoint):
         check_endpoint(endpoint)
 
 
+@pytest.mark.parametrize(("setting", "most"), [("bus.endpoint", 94), ("network.endpoint", 107)])
+@pytest.mark.parametrize("letter", ["x", "ä"])
+def test_a_sockets_path_leaves_room_for_those_beside_it(setting, most, letter):
+    """107 bytes are what Linux takes; .PID.N of the processes' own, 13 at most, are behind the bus's path."""
+    path = ("/run/" + letter * 40).encode().ljust(most, b"x").decode()
+    longest = f"unixsock-stream/{path}"
+    assert check_endpoint(longest, setting) == longest
+    assert check_endpoint(f"{longest}#a=b", setting)
+    with pytest.raises(BusError, match=rf"^{setting}: .* path has {most + 1} bytes, and {most} are the most"):
+        check_endpoint(f"{longest}x", setting)
+
+
 @pytest.mark.parametrize(
     ("bus", "network", "same"),
     [

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import psutil
 import pytest
@@ -93,6 +97,45 @@ def test_behind_a_socket_in_a_private_folder_nothing_listens_on_loopback(tmp_pat
         eventually(lambda: heard == [b"direct"])
         subscriber.undeclare()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def short_folder():
+    """pytest's own are too long for a path of a given length below 107 bytes."""
+    with TemporaryDirectory(dir="/tmp") as folder:
+        yield Path(folder)
+
+
+def test_at_the_longest_path_that_a_socket_may_have_all_processes_can_listen(short_folder, monkeypatch):
+    """The largest PID of Linux and the last session there is room for come to the last byte."""
+    monkeypatch.setattr(os, "getpid", lambda: 4194304)
+    monkeypatch.setattr(links, "_sessions", itertools.count(9999))
+    path = short_folder / "b".ljust(94 - len(f"{short_folder}/"), "x")
+    config = BusConfig(endpoint=f"unixsock-stream/{path}")
+    with open_session(config, listen=True), open_session(config, listen=False):
+        beside = Path(f"{path}.4194304.9999")
+        assert len(str(beside)) == 107
+        assert beside.is_socket()
+    longer = BusConfig(endpoint=f"{config.endpoint}x")
+    for listen in (True, False):
+        with pytest.raises(BusError, match="path has 95 bytes"):
+            open_session(longer, listen=listen)
+
+
+def test_a_socket_of_the_network_may_be_as_long_as_any(short_folder):
+    """Nobody listens beside it."""
+    path = short_folder / "n".ljust(107 - len(f"{short_folder}/"), "x")
+    network = NetworkConfig(endpoint=f"unixsock-stream/{path}")
+    with open_session(BusConfig(endpoint=free_endpoint()), listen=True, network=network):
+        assert path.is_socket()
+
+
+def test_settings_behind_a_sockets_path_are_not_of_it(tmp_path):
+    """Else the processes' own path would be the bus's, with other settings."""
+    config = BusConfig(endpoint=f"unixsock-stream/{tmp_path}/bus#a=b")
+    with open_session(config, listen=False), open_session(config, listen=True):
+        assert (tmp_path / "bus").is_socket()
+        assert len([path for path in tmp_path.glob("bus.*.*") if path.is_socket()]) == 1
 
 
 def test_in_real_time_nothing_blocks_and_in_lockstep_nothing_is_dropped():
