@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.errors import EvaluationError
-from prism_edge.geometry.poses import Array, from_rt, quaternion_from_rotation, rotation_from_quaternion
+from prism_edge.errors import EvaluationError, SourceError
+from prism_edge.geometry.poses import Array, quaternion_from_rotation
 from prism_edge.sources.stamps import write_seconds
+from prism_edge.sources.tum_poses import read_poses
 
 NS = 1_000_000_000
-_LATEST_S = Decimal(2**63 - 1) / NS
 
 
 @dataclass(frozen=True)
@@ -142,39 +141,14 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
 
 
 def read_tum(path: Path) -> Trajectory:
-    """Reads a TUM file (``stamp tx ty tz qx qy qz qw``, # begins a comment), sorted by stamp.
+    """Reads a TUM file, sorted by stamp; the rules are those of :mod:`prism_edge.sources.tum_poses`.
 
     Raises EvaluationError naming file and line where a line is no pose, and where there is none at all.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise EvaluationError(f"{path}: {error.strerror}: can't read the trajectory") from error
-    except UnicodeDecodeError as error:
-        raise EvaluationError(f"{path}: not a text file: a TUM trajectory is expected") from error
-    rows = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        fields = line.split("#", 1)[0].split()
-        if fields:
-            rows.append(_parse(fields, f"{path}:{number}"))
+        rows = read_poses(path)
+    except SourceError as error:
+        raise EvaluationError(str(error)) from None
     if not rows:
         raise EvaluationError(f"{path}: holds no poses (TUM lines are 'stamp tx ty tz qx qy qz qw')")
     return Trajectory.of(rows)
-
-
-def _parse(fields: list[str], where: str) -> tuple[int, Array]:
-    if len(fields) != 8:
-        raise EvaluationError(f"{where}: {len(fields)} fields, but a TUM line has 8 (stamp, xyz, xyzw)")
-    try:
-        stamp = Decimal(fields[0])  # a float has no nanoseconds left at today's dates
-        values = np.array([float(field) for field in fields[1:]])
-    except (InvalidOperation, ValueError):
-        raise EvaluationError(f"{where}: a field is not a number") from None
-    if not stamp.is_finite() or not np.isfinite(values).all():
-        raise EvaluationError(f"{where}: a number is not finite")
-    if abs(stamp) > _LATEST_S:
-        unit = "nanoseconds or milliseconds? TUM files have seconds"
-        raise EvaluationError(f"{where}: the stamp is out of range; {unit}")
-    if not 1e-6 < np.linalg.norm(values[3:]) < 1e6:
-        raise EvaluationError(f"{where}: the quaternion has no direction")
-    return round(stamp * NS), from_rt(rotation_from_quaternion(values[3:]), values[:3])

@@ -20,14 +20,14 @@ def parse_seconds(text: str) -> int:
     Its text asks about the unit where that may be another: today's date in milliseconds is past any second.
     """
     try:
-        value = Decimal(text) * _NS
+        value = Decimal(text)
     except InvalidOperation:
         raise ValueError(f"{text!r} is no time in seconds") from None
     if not value.is_finite():
         raise ValueError(f"{text!r} is no time in seconds")
-    if abs(value) > _LIMIT:
+    if abs(value) > _LIMIT / _NS:  # before it is multiplied: decimals have a largest number
         raise ValueError(f"{text!r} is no time in seconds; nanoseconds or milliseconds? lists have seconds")
-    return int(value.to_integral_value())
+    return int((value * _NS).to_integral_value())
 
 
 def fits_ros(stamp_ns: int) -> bool:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from prism_edge.errors import SourceError
-from prism_edge.geometry.poses import Array, from_rt, rotation_from_quaternion
+from prism_edge.geometry.poses import Array, from_rt
 from prism_edge.messages import F64, I64
 from prism_edge.named_path import named_path
 from prism_edge.sources.bonn import camera_from_markers, holds_markers
@@ -19,7 +19,7 @@ from prism_edge.sources.known_cameras import BY_NAME, by_name
 from prism_edge.sources.listing import Listing, lines_of
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.sim import SimSource, is_simulated
-from prism_edge.sources.stamps import parse_seconds
+from prism_edge.sources.tum_poses import read_poses
 
 log = logging.getLogger("prism_edge.sources")
 
@@ -48,7 +48,7 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
         return None
     rows: list[tuple[int, Array]] = []
     if listing.layout == "TUM RGB-D":
-        rows = _tum(file)
+        rows = read_poses(file)
         if holds_markers(folder):
             rows = [(stamp, camera_from_markers(pose)) for stamp, pose in rows]
         elif rows and by_name(folder) == BY_NAME["rgbd_bonn"]:
@@ -80,30 +80,6 @@ def truth_file(folder: Path, listing: Listing) -> Path | None:
 
 def _pose_file(image: Path) -> Path:
     return image.with_name(image.name.split(".")[0] + ".pose.txt")
-
-
-def _tum(path: Path) -> list[tuple[int, Array]]:
-    rows, left_out = [], ""
-    lines = lines_of(path)
-    for number, words in lines:
-        where = f"{path} line {number}"
-        *position, x, y, z, w = numbers = _numbers(words[1:], 7, where, finite=False)
-        if not np.all(np.isfinite(numbers)):
-            left_out = left_out or where
-            continue
-        if not 0.9 < float(np.hypot(np.hypot(x, y), np.hypot(z, w))) < 1.1:
-            raise SourceError(f"{where}: the quaternion is not of length one")
-        rotation = rotation_from_quaternion(np.array([x, y, z, w]))
-        try:
-            rows.append((parse_seconds(words[0]), from_rt(rotation, np.array(position))))
-        except ValueError as error:
-            raise SourceError(f"{where}: {error}") from None
-    if left_out and not rows:
-        raise SourceError(f"{left_out}: not finite, nor is any other pose of it")
-    if left_out:
-        count = len(lines) - len(rows)
-        log.warning("%s: not finite; %d of %d poses are such, and left out", left_out, count, len(lines))
-    return rows
 
 
 def _seven_scenes(pairs: Iterable[tuple[int, Path]]) -> list[tuple[int, Array]]:
