@@ -9,6 +9,8 @@ import numpy as np
 from prism_edge.calibration.board import View
 from prism_edge.calibration.solve import Calibration
 from prism_edge.geometry.cameras import PINHOLE, Camera
+from prism_edge.geometry.field_of_view import folded
+from prism_edge.geometry.unlikely_camera import FOLDED
 from prism_edge.messages import I64
 
 LEAST_VIEWS = 10
@@ -18,7 +20,6 @@ _REACH = 0.15  # of width or height, within which some corner must come to each 
 _TILTED_DEG, _LEAST_TILTED = 12.0, 2
 _RMS, _RMS_WIDTH = 1.0, 1280  # pixels; larger images may have proportionally larger errors
 _SIGMA = 0.005  # of the focal length
-_FOLDED = 0.01  # of the image
 _STRETCHED = 0.01  # fx against fy
 
 
@@ -88,10 +89,10 @@ def of_result(result: Calibration) -> list[str]:
             f"the corners miss by {result.rms:.2f} pixels, and {limit:.2g} are allowed: "
             f"the images are blurred, the board is not flat or not the one named{hint}"
         )
-    folded = _folded(camera)
-    if folded > _FOLDED:
+    share = folded(camera)
+    if share > FOLDED:
         problems.append(
-            f"the lens that was found folds over in {folded:.1%} of the image, and {_FOLDED:.0%} is allowed: "
+            f"the lens that was found folds over in {share:.1%} of the image, and {FOLDED:.0%} is allowed: "
             "bring the board further into its corners, or take the lens for a fisheye (--model fisheye)"
         )
     sigma = max(result.sigmas[0] / camera.fx, result.sigmas[1] / camera.fy)
@@ -118,14 +119,3 @@ def doubt(camera: Camera) -> str:
         f"fx is {ratio:.3f} of fy, and nearly every camera has square pixels: measure whether the board's "
         "squares are square, as printers stretch them"
     )
-
-
-def _folded(camera: Camera) -> float:
-    """Share of the image that no ray through a pinhole camera's lens comes to."""
-    if camera.model != PINHOLE:
-        return 0.0
-    v, u = np.mgrid[0 : camera.height - 1 : 75j, 0 : camera.width - 1 : 100j]
-    pixels = np.column_stack([u.ravel(), v.ravel()])
-    with np.errstate(all="ignore"):  # a lens that means nothing goes anywhere
-        missed = np.linalg.norm(camera.distort_pixels(camera.undistort_pixels(pixels)) - pixels, axis=1)
-    return float(1.0 - (missed <= 1.0).mean())

@@ -1,7 +1,7 @@
 """Which ideal pixels a camera's image shows: its border, straight as taken, is bent in ideal pixels.
 
 Beyond the views it was fitted to, a lens model may fold over: pixels near the border then belong to no ray,
-and rays from far outside end in the image. Of such a camera every ray is sent there and back.
+and rays from far outside end in the image. Of such a camera every ray and every pixel is sent there and back.
 """
 
 from __future__ import annotations
@@ -21,10 +21,21 @@ _THERE_AND_BACK = 1.0  # pixels
 
 def has_ideal_pixel(camera: Camera, raw: Array, ideal: Array) -> NDArray[np.bool_]:
     """Which pixels as taken (n, 2) have one, ``ideal`` (n, 2), that is of use."""
-    near: NDArray[np.bool_] = np.abs(ideal - raw).max(axis=1, initial=0.0) < FARTHEST * max(
-        camera.width, camera.height
-    )
-    return near
+    useful = _near(camera, raw, ideal)
+    if _bounds(camera)[2]:
+        useful[useful] = _returns(camera.distort_pixels(ideal[useful]), raw[useful])
+    return useful
+
+
+def folded(camera: Camera) -> float:
+    """Share of the image that no ray through a pinhole camera's lens comes to."""
+    if camera.model != PINHOLE or camera.is_ideal:
+        return 0.0
+    v, u = np.mgrid[0 : camera.height - 1 : 75j, 0 : camera.width - 1 : 100j]
+    pixels = np.column_stack([u.ravel(), v.ravel()])
+    with np.errstate(all="ignore"):  # a lens that means nothing goes anywhere
+        missed = np.linalg.norm(camera.distort_pixels(camera.undistort_pixels(pixels)) - pixels, axis=1)
+    return float(1.0 - (missed <= _THERE_AND_BACK).mean())
 
 
 def in_image(camera: Camera, ideal: Array) -> NDArray[np.bool_]:
@@ -40,11 +51,18 @@ def in_image(camera: Camera, ideal: Array) -> NDArray[np.bool_]:
     if len(at):
         raw = camera.distort_pixels(ideal[at])
         there = np.all((raw >= 0) & (raw < (camera.width, camera.height)), axis=1)
-        there &= has_ideal_pixel(camera, raw, ideal[at])
+        there &= _near(camera, raw, ideal[at])
         if folds:
             there[there] = _returns(camera.undistort_pixels(raw[there]), ideal[at][there])
         inside[at] = there
     return inside
+
+
+def _near(camera: Camera, raw: Array, ideal: Array) -> NDArray[np.bool_]:
+    near: NDArray[np.bool_] = np.abs(ideal - raw).max(axis=1, initial=0.0) < FARTHEST * max(
+        camera.width, camera.height
+    )
+    return near
 
 
 def _returns(came: Array, went: Array) -> NDArray[np.bool_]:

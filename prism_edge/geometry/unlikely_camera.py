@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.field_of_view import folded
 
 OFF_CENTRE = 0.2  # of the image's size, from its middle
 STRETCHED = 0.05  # fx against fy
+FOLDED = 0.01  # of the image
 
 
 def doubts(camera: Camera) -> list[str]:
@@ -19,5 +21,10 @@ def doubts(camera: Camera) -> list[str]:
         found.append(
             f"fx {camera.fx:g} and fy {camera.fy:g} differ by {100 * abs(camera.fx / camera.fy - 1):.0f} %: "
             "are these intrinsics of an image of another shape?"
+        )
+    if (share := folded(camera)) > FOLDED:
+        found.append(
+            f"its lens folds over in {share:.1%} of the image, where nothing is tracked: "
+            "is it a fisheye (model: fisheye), or is the distortion another lens's?"
         )
     return found

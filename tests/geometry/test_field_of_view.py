@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
-from prism_edge.geometry.field_of_view import FARTHEST, has_ideal_pixel, in_image
+from prism_edge.geometry.field_of_view import FARTHEST, folded, has_ideal_pixel, in_image
 from tests.geometry.test_cameras import CAMERAS, IDS
 
 WEBCAM = Camera(640, 480, 450.0, 450.0, 320.0, 240.0, PINHOLE, (-0.35, 0.12, 0.0, 0.0))
@@ -80,5 +80,44 @@ def test_of_a_lens_model_that_folds_over_only_rays_that_come_back_count(camera: 
         assert not claimed[last + 8 :].any()
 
 
+# The image's corners alone fold over.
+SLIGHTLY = Camera(640, 480, 400.0, 400.0, 320.0, 240.0, PINHOLE, (-0.3, 0.1, 1e-3, -2e-3, -0.02))
+
+
+@pytest.mark.parametrize("camera", [SLIGHTLY, *FOLDING])
+def test_of_a_lens_model_that_folds_over_only_pixels_that_come_back_have_an_ideal_one(camera: Camera) -> None:
+    raw = all_over(camera)
+    ideal = camera.undistort_pixels(raw)
+    back = np.abs(camera.distort_pixels(ideal) - raw).max(axis=1)
+    kept = has_ideal_pixel(camera, raw, ideal)
+    assert not kept[back >= 1.0].any()
+    assert kept[(back < 1.0) & (np.abs(ideal - raw).max(axis=1) < camera.width)].all()
+    assert 0 < kept.sum() < len(raw)
+    # At the very fold a ray that comes back to the pixel by half of one may come back elsewhere itself.
+    assert in_image(camera, ideal[kept]).mean() > 0.995
+
+
+def test_the_share_of_an_image_that_folds_over() -> None:
+    assert folded(SLIGHTLY) == pytest.approx(0.023, abs=0.002)
+    assert [folded(camera) for camera in ALL] == [0.0] * len(ALL)
+
+
+@pytest.mark.parametrize("camera", ALL, ids=NAMES)
+def test_of_other_cameras_no_pixel_is_sent_there_and_back(
+    camera: Camera, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is done in every frame."""
+    raw = all_over(camera)
+    ideal = camera.undistort_pixels(raw)
+    before = has_ideal_pixel(camera, raw, ideal)
+    monkeypatch.setattr(Camera, "distort_pixels", None)
+    np.testing.assert_array_equal(has_ideal_pixel(camera, raw, ideal), before)
+    far = np.abs(ideal - raw).max(axis=1) >= FARTHEST * max(camera.width, camera.height)
+    np.testing.assert_array_equal(before, ~far)
+
+
 def test_none_gives_none() -> None:
-    assert in_image(WIDE, np.zeros((0, 2))).shape == (0,)
+    none = np.zeros((0, 2))
+    for camera in (WIDE, SLIGHTLY):
+        assert in_image(camera, none).shape == (0,)
+        assert has_ideal_pixel(camera, none, none).shape == (0,)

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.known_cameras import BY_NAME, ROS_DEFAULT, SEVEN_SCENES
@@ -43,3 +43,11 @@ def test_focal_lengths_that_differ() -> None:
     assert doubts(replace(VGA, fx=525.0, fy=501.0)) == []
     (line,) = doubts(replace(VGA, fx=525.0, fy=700.0))
     assert line.startswith("fx 525 and fy 700 differ by 25 %")
+
+
+def test_a_lens_that_folds_over_in_more_than_a_hundredth_of_the_image() -> None:
+    wide = replace(VGA, fx=400.0, fy=400.0, distortion=(-0.3, 0.1, 1e-3, -2e-3, -0.02))
+    (line,) = doubts(wide)
+    assert line.startswith("its lens folds over in 2.3% of the image, where nothing is tracked")
+    assert doubts(replace(wide, fx=420.0, fy=420.0)) == []  # 0.7 %
+    assert doubts(replace(wide, model=FISHEYE, distortion=wide.distortion[:4])) == []

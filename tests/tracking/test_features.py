@@ -118,6 +118,15 @@ def test_a_fisheyes_rim_is_left_out():
         assert np.abs(got - r).min() < 1e-3
 
 
+def test_where_a_lens_folds_over_there_are_none():
+    """Those pixels belong to no ray: what undistortion makes of them lies anywhere."""
+    camera = Camera(640, 480, 330.0, 330.0, 319.5, 239.5, "pinhole", (-0.33, 0.12, 5e-4, -3e-4, -0.02))
+    raw, features = (OrbExtractor(TrackingConfig()).extract(blocks(), c) for c in (CAMERA, camera))
+    assert 0.8 * len(raw) < len(features) < len(raw)
+    back = camera.distort_pixels(features.pixels)
+    assert max(np.linalg.norm(raw.pixels - pixel, axis=1).min() for pixel in back) < 1.5
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     seed=st.integers(0, 2**32 - 1),
