@@ -13,12 +13,12 @@ from prism_edge.backend.elimination import points_first, solver
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.sizes import size_factors, sizes
+from prism_edge.backend.ties import untied
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
 CHI2_2D_99 = 9.21
 DEPTH_PARALLAX_DEG = 3.0  # above it two rays place a point far better than a network does
-LEAST_PLACED, PLACED_DEG = 30, 1.0  # points, under so much parallax, hold a window's size
 REFINING = 4  # iterations kept for a second round
 RANGE_CHANGE = 0.05
 BESIDE = 0.02  # of the depth of the scene: from one spot, for its points
@@ -134,9 +134,9 @@ def assemble(
     With one pose held scale rests on depth: then there is a metric depth factor wherever a keyframe has depth
     for a point, else only where that is as good as a sensor's. A network flattens what it sees, and of the
     points that rays hardly place, which are the far ones, all would be drawn nearer, and the map shrink on
-    its way. Where those held all stand in one spot, as after a turn there, nothing says how large the ground
-    is that has come into view: each image then has one vote on its size (sizes.py). At a point whose rays
-    differ by less than 3 degrees a ray is in place of the reprojection, which would say the same.
+    its way. Keyframes whose size nothing ties to that of those held (ties.py) have a vote each on it
+    (sizes.py). At a point whose rays differ by less than 3 degrees a ray is in place of the reprojection,
+    which would say the same.
     """
     graph, values, observations, rays = gtsam.NonlinearFactorGraph(), gtsam.Values(), [], []
     factors = FactorFactory(config, units_per_metre)
@@ -164,20 +164,13 @@ def assemble(
                 rays.append(Ray(k, p, keypoint))
             else:
                 graph.add(factors.reprojection(pose_key, point_key, keyframe, keypoint))
-    if use_depth and not scale_is_free and not scale_is_held(world, window):
-        told = [k for k in sorted(members) if members[k][1].depth_sigma == 0.0]
+    if use_depth and not scale_is_free:
+        loose = untied(world, window.held, window.free, window.points)
+        told = [k for k in loose if world.keyframes[k].depth_sigma == 0.0]
         seen = {k: sorted(world.keyframes[k].observed.keys() & set(window.points)) for k in told}
         for factor in size_factors(sizes(world, told, seen, 0.0), math.log(units_per_metre)):
             graph.add(factor)
     return Problem(graph, values, observations, rays, factors)
-
-
-def scale_is_held(world: GlobalMap, window: Window) -> bool:
-    """Whether the held poses by themselves place enough of a window's points to tie its size to theirs."""
-    held = set(window.held)
-    seen = {p: world.points[p].position for p in window.points if len(world.points[p].keyframes & held) > 1}
-    angles = widest_parallax(world, seen, held).values() if len(seen) >= LEAST_PLACED else ()
-    return sum(angle >= PLACED_DEG for angle in angles) >= LEAST_PLACED
 
 
 def placed_elsewhere(world: GlobalMap, window: Window) -> set[int]:

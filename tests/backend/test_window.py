@@ -10,11 +10,11 @@ import pytest
 from prism_edge.backend import window as module
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalMap, GlobalPoint
+from prism_edge.backend.ties import untied
 from prism_edge.backend.window import (
     Window,
     choose_window,
     placed_elsewhere,
-    scale_is_held,
     solve,
     widest_parallax,
 )
@@ -359,11 +359,26 @@ def test_after_a_turn_on_the_spot_the_network_says_how_large_the_new_ground_is(f
     """Eight poses are held, and place nothing among them: all lengths could be others."""
     often = replace(CONFIG, iterations=100)
     world, window = turned_away(factor)
-    assert not scale_is_held(world, window)
+    assert untied(world, window.held, window.free, window.points) == window.free
     assert driven(solve(world, window, often, 1.0, use_depth=False)) == pytest.approx(factor, rel=0.01)
     assert driven(solve(world, window, often, 1.0, use_depth=True)) == pytest.approx(1.0, abs=0.03)
     # In a map whose unit is half a metre all is twice as large.
     assert driven(solve(world, window, often, 2.0, use_depth=True)) == pytest.approx(2.0, abs=0.06)
+
+
+def test_what_says_how_far_each_point_is_has_no_vote_on_sizes(monkeypatch):
+    """It would count twice."""
+    world, window = turned_away(1.0)
+    asked = []
+    monkeypatch.setattr(module, "sizes", lambda world, keyframes, *_: asked.append(keyframes) or [])
+    for sigma in (0.0, 0.01):
+        for keyframe in world.keyframes.values():
+            keyframe.depth_sigma = sigma
+        module.assemble(world, window, CONFIG, 1.0, use_depth=True)
+    assert asked == [window.free, []]
+    # Nor has a network whose every depth is a factor, which it is while one pose is held.
+    module.assemble(world, Window(window.held[1:] + window.free, [0], window.points), CONFIG, 1.0, use_depth=True)
+    assert len(asked) == 2
 
 
 def test_a_network_says_nothing_of_the_size_of_what_held_poses_place():
@@ -372,7 +387,7 @@ def test_a_network_says_nothing_of_the_size_of_what_held_poses_place():
         keyframe.depth_units = 1.0
     points = sorted(p for p, point in world.points.items() if len(point.keyframes) >= 2)
     window = Window([3, 4, 5], [0, 1, 2], points)
-    assert scale_is_held(world, window)
+    assert untied(world, window.held, window.free, window.points) == []
     alone, told = (solve(world, window, CONFIG, 1.0, use_depth) for use_depth in (False, True))
     for k in window.free:
         np.testing.assert_allclose(told.poses[k], alone.poses[k], atol=1e-6)

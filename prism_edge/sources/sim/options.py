@@ -10,7 +10,7 @@ from prism_edge.sources.address import parse_options
 
 SCHEME = "sim:"
 KINDS = ("room", "loop", "static")
-HANDHELD, WHEELED, TURN, STILL = "handheld", "wheeled", "turn", "still"
+HANDHELD, WHEELED, STOPS, TURN, STILL = "handheld", "wheeled", "stops", "turn", "still"
 
 
 @dataclass(frozen=True)
@@ -20,12 +20,12 @@ class Options:
     kind: str = one_of("room", *KINDS, help="world: one room, a ring of eight, or one room from a tripod")
     seed: int = limits(0, 0, 2**31 - 1, "the world, the way and the noise; equal seeds, equal pictures")
     frames: int = limits(0, 0, 100_000_000, "length; 0: 900, or for loop one lap and 6 m more")
-    path: str = one_of(HANDHELD, HANDHELD, WHEELED, TURN, STILL, help="how the camera moves")
+    path: str = one_of(HANDHELD, HANDHELD, WHEELED, STOPS, TURN, STILL, help="how the camera moves")
     rate: float = limits(30.0, 0.1, 1000.0, "frames a second")
     width: int = limits(640, 32, 4096, "pixels of a row, even")
     height: int = limits(480, 32, 4096, "rows, even")
     focal: float = limits(0.0, 0.0, 20_000.0, "focal length in pixels; 0: 525 at a width of 640")
-    speed: float = limits(0.0, 0.0, 5.0, "metres a second; 0: handheld 0.22 (loop: 0.9), wheeled 0.3 (0.5)")
+    speed: float = limits(0.0, 0.0, 5.0, "metres a second; 0: handheld 0.22 (loop: 0.9), else 0.3 (0.5)")
     actors: int = limits(0, 0, 3, "people who walk about")
     noise: float = limits(1.0, 0.0, 10.0, "sensor noise, times 2.5 grey levels; 0: none")
     blur: float = limits(1.0, 0.0, 10.0, "exposure time that smears motion, times 8 ms; 0: none")
@@ -56,6 +56,8 @@ def parse(uri: str) -> Options:
     if kind == "static" and values.setdefault("path", STILL) != STILL:
         raise SourceError(f"{uri}: the camera of static stands still; use room for path={values['path']}")
     options = Options(**values)
+    if options.path == STOPS and options.several_rooms:
+        raise SourceError(f"{uri}: path=stops keeps to one room; use room, or path=wheeled")
     if options.width % 2 or options.height % 2:
         raise SourceError(f"{uri}: width and height must be even, not {options.width}x{options.height}")
     if options.speed and options.path in (TURN, STILL):

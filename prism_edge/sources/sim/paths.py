@@ -13,13 +13,15 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array, from_rt
 from prism_edge.sources.sim.floorplan import Plan, rounded, smoothed
-from prism_edge.sources.sim.options import HANDHELD, STILL, TURN, WHEELED
+from prism_edge.sources.sim.options import HANDHELD, STILL, STOPS, TURN, WHEELED
 
-SPEEDS = {(HANDHELD, False): 0.22, (WHEELED, False): 0.3, (HANDHELD, True): 0.9, (WHEELED, True): 0.5}
+SPEEDS = {(HANDHELD, False): 0.22, (HANDHELD, True): 0.9}
+SPEEDS |= {(WHEELED, False): 0.3, (WHEELED, True): 0.5, (STOPS, False): 0.3}
 OVERLAP = 6.0  # metres walked again after a lap, so that places are seen twice
 _STEP = 0.01  # m between samples of a route
 _LOOKAHEAD = 0.35  # m; people look where they will be
 _TURN_RATE = 0.35  # rad/s
+_CORNER_S, _REST_S = 3.0, 0.5  # of a robot that turns on the spot, and before and after it
 
 
 class CameraPath(Protocol):
@@ -163,6 +165,34 @@ class Wheeled:
         return looking(np.array([*position, 0.6]), heading, 0.0, 0.0)
 
 
+class StoppingToTurn:
+    """A robot drives the sides of a rectangle; at each corner it stops and turns on the spot."""
+
+    def __init__(self, corners: Array, speed: float) -> None:
+        """``corners`` (4, 2), m, anticlockwise; ``speed`` is the mean along a side, in m/s."""
+        self._corners = corners
+        self._sides = np.roll(corners, -1, axis=0) - corners
+        self._drives = np.linalg.norm(self._sides, axis=1) / speed
+
+    def pose(self, seconds: float) -> Array:
+        """world_from_camera (4, 4)."""
+        lap, left = divmod(seconds, float((self._drives + _CORNER_S + 2 * _REST_S).sum()))
+        side = 0
+        while left >= self._drives[side] + _CORNER_S + 2 * _REST_S:
+            left -= self._drives[side] + _CORNER_S + 2 * _REST_S
+            side += 1
+        position = self._corners[side] + _eased(left / self._drives[side]) * self._sides[side]
+        turned = side + _eased((left - self._drives[side] - _REST_S) / _CORNER_S) + 4 * lap
+        first = float(np.arctan2(self._sides[0, 1], self._sides[0, 0]))
+        return looking(np.array([*position, 0.6]), first + turned * np.pi / 2, 0.0, 0.0)
+
+
+def _eased(share: float) -> float:
+    """From 0 at 0 and before to 1 at 1 and after, without a jerk at either end."""
+    share = float(np.clip(share, 0.0, 1.0))
+    return share - float(np.sin(2 * np.pi * share)) / (2 * np.pi)
+
+
 class Turning:
     """A camera on a stand turns on the spot, or does not move at all (``rate`` 0)."""
 
@@ -181,6 +211,8 @@ def make_path(plan: Plan, kind: str, speed: float, seed: int) -> CameraPath:
     if kind in (TURN, STILL):
         place = plan.zone.mean(axis=0) if plan.zone is not None else Ring.of(_curve(plan), 0.0).at(-1.5)[0]
         return Turning(place, float(rng.uniform(-np.pi, np.pi)), _TURN_RATE if kind == TURN else 0.0)
+    if kind == STOPS:
+        return StoppingToTurn(_corners(plan), speed)
     if kind == WHEELED:
         return Wheeled(_curve(plan), speed)
     if plan.route is not None:
@@ -197,6 +229,10 @@ def lap_length(path: CameraPath) -> float:
 def _curve(plan: Plan) -> Array:
     if plan.route is not None:
         return plan.route
+    return rounded(_corners(plan))
+
+
+def _corners(plan: Plan) -> Array:
     assert plan.zone is not None
     (x0, y0), (x1, y1) = plan.zone
-    return rounded(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]))
+    return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])

@@ -59,6 +59,7 @@ def test_focal_length_follows_the_width() -> None:
         ("sim:room?width=100000", "width"),
         ("sim:static?path=wheeled", "static"),
         ("sim:room?path=turn&speed=1", "speed"),
+        ("sim:loop?path=stops", "one room"),
         ("sim:room?seed=1?frames=3", "seed"),
         ("sim:room?&", "''"),
     ],
@@ -92,5 +93,5 @@ def test_the_document_names_every_option_kind_and_path() -> None:
     for field in fields(Options):
         if field.name != "kind":
             assert f"| `{field.name}` |" in text
-    for word in (*KINDS, "handheld", "wheeled", "turn", "still"):
+    for word in (*KINDS, "handheld", "wheeled", "stops", "turn", "still"):
         assert f"`{word}`" in text

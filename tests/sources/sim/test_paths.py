@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import Array, rotation_angle
 from prism_edge.sources.sim import SimSource
 from prism_edge.sources.sim.floorplan import make_plan, rounded, smoothed
-from prism_edge.sources.sim.options import HANDHELD, STILL, TURN, WHEELED
+from prism_edge.sources.sim.options import HANDHELD, STILL, STOPS, TURN, WHEELED
 from prism_edge.sources.sim.paths import CameraPath, Ring, Wander, lap_length, looking, make_path
 
 MOVING = [(several, kind) for several in (False, True) for kind in (HANDHELD, WHEELED)]
@@ -100,6 +102,35 @@ def test_a_robot_stays_level_and_looks_where_it_drives() -> None:
         moved = np.diff(way[:, :3, 3], axis=0)
         moved /= np.linalg.norm(moved, axis=1, keepdims=True)
         assert np.einsum("ni,ni->n", moved, way[:-1, :3, 2]).min() > np.cos(np.radians(2.0))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_that_stops_to_turn_moves_or_turns_and_never_both(seed: int) -> None:
+    step = 0.01
+    way = poses(path_of(False, STOPS, seed), np.arange(0.0, 200.0, step))
+    moved = np.diff(way[:, :3, 3], axis=0)
+    speed = np.linalg.norm(moved, axis=1) / step
+    turned = np.degrees([rotation_angle(a.T @ b) for a, b in itertools.pairwise(way[:, :3, :3])]) / step
+    drives, turns = speed > 1e-3, turned > 0.1
+    assert not (drives & turns).any()
+    assert turned.max() < 95.0
+    assert np.abs(np.diff(speed)).max() < 0.02
+    ahead = np.einsum("ni,ni->n", moved, way[:-1, :3, 2]) / step
+    assert ahead[drives] == pytest.approx(speed[drives])  # it looks where it drives
+    assert np.abs(way[:, 2, 0]).max() < 1e-12
+    # Each stop is at a corner of the zone, and turns by a right angle to the left.
+    zone = make_plan(False, seed).zone
+    assert zone is not None
+    edges = np.diff(turns.astype(int))
+    begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
+    assert len(ends) > 4
+    for a, b in zip(begins[: len(ends)], ends, strict=True):
+        assert min(np.linalg.norm(way[a, :2, 3] - (x, y)) for x in zone[:, 0] for y in zone[:, 1]) < 1e-6
+        angle = rotation_angle(way[a - 9, :3, :3].T @ way[b + 9, :3, :3])
+        assert np.degrees(angle) == pytest.approx(90.0, abs=0.1)
+        assert np.dot(way[b + 9, :3, 2], -way[a - 9, :3, 0]) > 0.99
+    lap = 2 * np.ptp(zone, axis=0).sum() / 0.3 + 4 * 4.0
+    assert path_of(False, STOPS, seed).pose(3.0 + lap) == pytest.approx(path_of(False, STOPS, seed).pose(3.0))
 
 
 def test_turning_and_standing() -> None:
