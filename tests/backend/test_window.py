@@ -377,7 +377,8 @@ def test_what_says_how_far_each_point_is_has_no_vote_on_sizes(monkeypatch):
         module.assemble(world, window, CONFIG, 1.0, use_depth=True)
     assert asked == [window.free, []]
     # Nor has a network whose every depth is a factor, which it is while one pose is held.
-    module.assemble(world, Window(window.held[1:] + window.free, [0], window.points), CONFIG, 1.0, use_depth=True)
+    young = Window(window.held[1:] + window.free, [0], window.points)
+    module.assemble(world, young, CONFIG, 1.0, use_depth=True)
     assert len(asked) == 2
 
 
