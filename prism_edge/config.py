@@ -325,7 +325,11 @@ class FramesConfig:
     )
     base_from_camera_xyzw: tuple[float, ...] = field(
         default=(-0.5, 0.5, -0.5, 0.5),
-        metadata={"length": 4, "unit": True, "help": "camera orientation on the robot (quaternion x y z w)"},
+        metadata={
+            "length": 4,
+            "unit": True,
+            "help": "camera orientation on the robot (quaternion x y z w); the network sees pictures upright",
+        },
     )
 
 

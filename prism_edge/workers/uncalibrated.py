@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 from prism_edge.config import Config, SourceConfig
 from prism_edge.depth import NESTED, open_onnx
 from prism_edge.depth.session import OnnxNetwork
+from prism_edge.depth.upright import quarter_turns, turned_camera
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import U8
 from prism_edge.sources import Image, open_source
 from prism_edge.sources.address import shown_address
@@ -37,18 +39,20 @@ def estimated_camera(config: Config, stopped: threading.Event) -> tuple[str, Cam
     """
     network = _network_with_intrinsics(config)
     estimates, size = [], (0, 0)
+    turns = quarter_turns(base_from_camera(config.frames))
     for pixels in _first_images(config.source, stopped):
         rgb = pixels[:, :, ::-1] if pixels.ndim == 3 else np.repeat(pixels[:, :, None], 3, axis=2)
-        found = network.intrinsics(np.ascontiguousarray(rgb))
+        upright = np.ascontiguousarray(np.rot90(rgb, turns))
+        found = network.intrinsics(upright)
         if found is None:
             continue
         try:
-            Camera(pixels.shape[1], pixels.shape[0], *found)
+            camera = turned_camera(Camera(upright.shape[1], upright.shape[0], *found), -turns % 4)
         except ConfigError as error:  # as little worth as none
             log.info("camera auto: an image says nothing of its camera: %s", error)
             continue
-        estimates.append(found)
-        size = (pixels.shape[1], pixels.shape[0])
+        estimates.append((camera.fx, camera.fy, camera.cx, camera.cy))
+        size = (camera.width, camera.height)
     if not estimates:
         raise SourceError(
             f"camera auto: {network.name} found no intrinsics in the first images of "

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,9 +11,10 @@ import numpy as np
 import pytest
 
 from prism_edge.bus.pack import pack
-from prism_edge.config import Config, DepthConfig
+from prism_edge.config import Config, DepthConfig, FramesConfig
 from prism_edge.depth import open_network
 from prism_edge.errors import ModelError
+from prism_edge.geometry.mount import looking
 from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage
 from prism_edge.workers.depth import DepthWorker, answer, main
 from tests.synthetic.messages import tick
@@ -69,6 +72,24 @@ def test_a_keyframes_picture_becomes_its_metric_depth(tiny: str):
     assert values["keyframes"] == "1"
     assert float(values["inference_ms"]) > 0
     assert float(values["inference_ms_median"]) > 0
+
+
+@pytest.mark.parametrize(("roll", "turned"), [(0, ""), (90, "+270"), (180, "+180")])
+def test_a_network_sees_upright_what_a_camera_that_is_not_has_taken(
+    tiny: str, roll: int, turned: str, caplog
+):
+    caplog.set_level(logging.INFO)
+    bus, config = live(tiny)
+    frames = FramesConfig(base_from_camera_xyzw=tuple(looking(roll_deg=roll)))
+    bus.give("keyframe_image", picture(7))
+    main(replace(config, frames=frames), bus)
+    (depth,) = bus.of("depth")
+    assert re.fullmatch(rf"tiny_tint@[0-9a-f]{{12}}{re.escape(turned)}", depth.model)
+    assert (f"turned by {turned[1:]} degrees" in caplog.text) if turned else ("turned" not in caplog.text)
+    a, b, c, d = depth.image_to_depth
+    for x, y in ((320, 240), (100, 60), (600, 400)):
+        assert depth.depth[round(c * y + d), round(a * x + b)] == pytest.approx(DEPTH[y, x], rel=0.05)
+    assert bus.pulse.values["model"] == "tiny_tint"
 
 
 def test_the_newest_keyframe_wins_and_those_passed_over_are_counted(tiny: str):

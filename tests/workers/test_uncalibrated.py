@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from onnx import TensorProto, helper
 
-from prism_edge.config import Config, DepthConfig, SourceConfig
+from prism_edge.config import Config, DepthConfig, FramesConfig, SourceConfig
 from prism_edge.errors import ConfigError, SourceError
+from prism_edge.geometry.mount import looking
 from prism_edge.sources import open_source
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.workers import uncalibrated
@@ -43,6 +44,20 @@ def test_the_camera_is_the_networks_in_pixels_of_the_image(tiny_sequence: Path, 
     assert (camera.width, camera.height, camera.distortion) == (64, 48, ())
     assert [camera.fx, camera.fy, camera.cx, camera.cy] == pytest.approx([12, 16, 31.5, 23.5])
     assert "4 images" in said  # of 24 at 30 Hz, 0.2 s apart
+
+
+def test_a_camera_on_its_side_is_judged_by_upright_pictures(tiny_sequence: Path, tmp_path: Path):
+    """48 x 64 after a turn becomes 320 x 240; what was across there is down in the camera's own image."""
+    matrix = [160.0, 0.0, 139.5, 0.0, 100.0, 119.5, 0.0, 0.0, 1.0]
+    path = network(tmp_path / "net.onnx", matrix)
+    rolled = FramesConfig(base_from_camera_xyzw=tuple(looking(roll_deg=90)))
+    on_its_side = replace(config(tiny_sequence, str(path)), frames=rolled)
+    _, camera = estimated_camera(on_its_side, threading.Event())
+    across, down = 48 / 320, 64 / 240
+    assert (camera.width, camera.height) == (64, 48)
+    assert [camera.fx, camera.fy] == pytest.approx([100 * down, 160 * across])
+    # Turned clockwise, the upright picture's left is the camera's lower edge.
+    assert [camera.cx, camera.cy] == pytest.approx([120 * down - 0.5, 47 - (140 * across - 0.5)])
 
 
 def test_the_part_of_a_pair_that_knows_is_asked(tiny_sequence: Path, tmp_path: Path):
