@@ -163,6 +163,19 @@ class FrameTracker:
             covariance=estimate.covariance, unobserved=unobserved,
         )
 
+    def seen_again(self, world: LocalMap, frame: TrackedFrame, features: Features) -> TrackedFrame:
+        """The frame with its keypoints elsewhere (``features``, in the same order), placed anew by them."""
+        start, points = frame.world_from_camera, frame.points.copy()
+        solved = self._solve(world, world.centres(), frame.camera, features, start, points)
+        if solved is None:
+            return frame
+        estimate, keypoints = solved
+        points[keypoints[~estimate.inliers]] = -1
+        return replace(
+            frame, features=features, world_from_camera=estimate.world_from_camera, points=points,
+            covariance=estimate.covariance, matched=int(estimate.inliers.sum()),
+        )
+
     def _follow(
         self,
         world: LocalMap,

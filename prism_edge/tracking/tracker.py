@@ -31,6 +31,7 @@ from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import clearly_better, misled, recover
 from prism_edge.tracking.reference import Reference
 from prism_edge.tracking.relocalisation import Relocaliser
+from prism_edge.tracking.rolling_shutter import RollingShutter
 from prism_edge.tracking.second_look import look_again
 from prism_edge.tracking.seeding import seed_from_depth
 from prism_edge.tracking.submaps import Parts
@@ -65,7 +66,7 @@ class Tracker:
         self._next_keyframe = first_id
         self._announced = -1  # newest keyframe whose message has gone out
         self._last: TrackedFrame | None = None
-        self._motion = ConstantVelocity()
+        self._motion, self._shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
         self._seen_at: int | None = None  # stamp of the last tracked frame
         self._began_at: int | None = None  # of this map's first; None for one that was there before
         self._at, self._first = Reference(), FirstKeyframe()
@@ -92,10 +93,8 @@ class Tracker:
             camera = self._lens
         features = self._extractor.extract(grey, camera)
         self._fresh = None  # an older frame that nobody judged
-        if not self.world.keyframes:
-            self._result = self._begin(index, stamp_ns, camera, features)
-        else:
-            self._result = self._continue(index, stamp_ns, camera, features)
+        follow = self._continue if self.world.keyframes else self._begin
+        self._result = follow(index, stamp_ns, camera, features)
         return self._result
 
     @property
@@ -204,7 +203,9 @@ class Tracker:
             return None
         if self._lost:
             return self.places.attempt(self.world, self._frames, camera, features, previous, enough)
+        raw, depth = features, self._at.depth
         if previous is not None:
+            features = self._shutter.in_the_middle(raw, camera, self._motion.twist, depth)
             moving = self._motion.predict(previous.world_from_camera, stamp_ns)
             frame = self._frames.track_after(self.world, camera, features, moving, previous, enough)
         if misled(frame, previous, enough):
@@ -214,9 +215,11 @@ class Tracker:
             self._since_refresh = REFRESH_FRAMES  # the search has left other points at hand
         if frame is None or frame.matched < enough:
             return None
-        return look_again(
+        frame = look_again(
             self.world, self.parts, self._frames, frame, self._reference(), self.proven_after_s, self._seed
         )
+        twist = self._motion.since(self.last_pose(), frame.world_from_camera, stamp_ns)
+        return self._shutter.placed(self.world, self._frames, frame, raw, twist, depth)
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)
@@ -384,8 +387,6 @@ class Tracker:
     def last_pose(self) -> Array | None:
         """world_from_camera of the last tracked frame as the map has it now."""
         return None if self._last is None else self._last.world_from_camera
-
-    # -- ends -----------------------------------------------------------------------------------
 
     def _restart(self, at: Array) -> None:
         """Begin a new map, its first camera at a pose (4, 4) in metres."""

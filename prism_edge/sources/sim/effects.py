@@ -12,8 +12,9 @@ import numpy as np
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse
-from prism_edge.messages import U8
+from prism_edge.messages import F32, U8
 from prism_edge.sources.sim.paths import CameraPath, Wander
+from prism_edge.sources.sim.rolling_shutter import rolled
 
 EXPOSURE_S = 0.008  # of one picture, centred on its stamp, with blur=1
 NOISE_SIGMA = 2.5  # grey levels with noise=1
@@ -36,10 +37,18 @@ class Sensor:
     """Turns clean pictures into a camera's. The three strengths are those of the options."""
 
     def __init__(
-        self, camera: Camera, path: CameraPath, seed: int, noise: float, blur: float, exposure: float
+        self,
+        camera: Camera,
+        path: CameraPath,
+        seed: int,
+        noise: float,
+        blur: float,
+        exposure: float,
+        readout_ms: float = 0.0,
     ):
         rng = np.random.default_rng([seed, 5])
         self._camera, self._path, self._seed = camera, path, seed
+        self.readout_s = 1e-3 * readout_ms
         self._exposure_s, self._gain = blur * EXPOSURE_S, exposure * _GAIN
         self._brightness = Wander(rng, 0.05, 0.5)
         self._lighter = self._darker = None
@@ -64,12 +73,17 @@ class Sensor:
         count = next((number for shortest, number in _POSITIONS if smear >= shortest), 1)
         return Exposure(seconds, count)
 
-    def take(self, clean: U8, index: int, exposure: Exposure, depth: float) -> U8:
+    def take(
+        self, clean: U8, index: int, exposure: Exposure, depth: float, depths: F32 | None = None
+    ) -> U8:
         """The picture BGR (h, w, 3) of a clean one (h, w, 4) drawn at the middle of the exposure.
 
-        ``depth`` (m) is that of most of the scene.
+        ``depth`` (m) is that of most of the scene, ``depths`` (h, w) each pixel's, which a rolling shutter
+        needs: it reads the clean picture's middle row in the middle of the exposure, others before and after.
         """
         out = cv2.cvtColor(self._blurred(clean, exposure, depth), cv2.COLOR_BGRA2BGR)
+        if self.readout_s and depths is not None:
+            out = rolled(out, depths, self._camera, self._path.pose, exposure.seconds, self.readout_s)
         if self._gain:
             out = cv2.convertScaleAbs(
                 out, alpha=float(np.exp(self._gain * self._brightness(exposure.seconds)))

@@ -73,7 +73,7 @@ class SimSource(Source):
         textures = list(world.textures)
         self._walkers = [Walker.random(rng, lane, textures) for lane in lanes]
         self._renderer = Renderer(World(world.cells, textures, world.plan), self.camera)
-        self._sensor = Sensor(self.camera, self.path, o.seed, o.noise, o.blur, o.exposure)
+        self._sensor = Sensor(self.camera, self.path, o.seed, o.noise, o.blur, o.exposure, o.readout)
 
     def close(self) -> None:
         """Ends reading. The world stays as long as this object, so that a looped source opens at once."""
@@ -99,7 +99,7 @@ class SimSource(Source):
         return self._next <= self.frame_count
 
     def stamp_ns(self, index: int) -> int:
-        """When frame ``index`` is taken: the middle of its exposure."""
+        """When frame ``index`` is taken: the middle of its exposure, a rolling shutter's middle row's."""
         return at_rate(index, self.options.rate)
 
     def image(self, index: int) -> Image:
@@ -109,7 +109,8 @@ class SimSource(Source):
         exposure = sensor.exposure(stamp * 1e-9)
         walkers = walkers_at(self._walkers, stamp * 1e-9)
         picture = renderer.draw(self.path.pose(exposure.seconds), walkers)
-        return Image(index, stamp, sensor.take(picture.pixels, index, exposure, picture.depth))
+        depths = self.depth(index) if sensor.readout_s else None
+        return Image(index, stamp, sensor.take(picture.pixels, index, exposure, picture.depth, depths))
 
     def depth(self, index: int) -> F32:
         """Exact depth (h, w) of frame ``index``, metres along the optical axis, at pixel centres."""

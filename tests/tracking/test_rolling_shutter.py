@@ -1,0 +1,110 @@
+"""Keypoints of a rolling shutter against a scene projected row by row from where the camera was."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from prism_edge.config import TrackingConfig
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array, inverse, rotation_angle, se3_exp, transform
+from prism_edge.sources.sim import SimSource
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.rolling_shutter import RollingShutter
+from prism_edge.tracking.tracker import Tracker
+
+CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
+READOUT_MS, DEPTH = 26.0, 2.0
+
+
+def features(pixels: Array) -> Features:
+    n = len(pixels)
+    return Features.build(pixels, np.zeros(n, np.intp), np.zeros((n, 4), np.uint64), 640, 480)
+
+
+def read_row_by_row(points: Array, twist: Array, camera: Camera, readout_s: float) -> Array:
+    """Pixels of points (n, 3): each seen at the time when the row that it falls on is read."""
+    pixels = camera.project(points)
+    for _ in range(20):
+        at = ((pixels[:, 1] + 0.5) / camera.height - 0.5) * readout_s
+        seen = [transform(inverse(se3_exp(twist * t)), p[None]) for t, p in zip(at, points, strict=True)]
+        pixels = camera.project(np.concatenate(seen))
+    return pixels
+
+
+def wall(seed: int) -> Array:
+    """Points of a wall across the picture, and still in it when the camera has turned a little."""
+    rng = np.random.default_rng(seed)
+    pixels = rng.uniform((60, 60), (580, 420), (40, 2))
+    return np.column_stack([(pixels - (319.5, 239.5)) / 525.0, np.ones(40)]) * DEPTH
+
+
+@given(
+    st.lists(st.floats(-0.6, 0.6), min_size=6, max_size=6),
+    st.sampled_from([READOUT_MS, -READOUT_MS]),
+    st.integers(0, 100),
+)
+def test_keypoints_go_where_the_middle_of_the_readout_has_them(
+    moves: list[float], readout_ms: float, seed: int
+) -> None:
+    twist, points = np.array(moves), wall(seed)
+    taken = read_row_by_row(points, twist, CAMERA, 1e-3 * readout_ms)
+    seen = RollingShutter(readout_ms).in_the_middle(features(taken), CAMERA, twist, DEPTH)
+    true = CAMERA.project(points)
+    before, after = (np.abs(p - true).max() for p in (taken, seen.pixels))
+    assert after < 0.02 + 0.05 * before  # what is left is of second order
+
+
+def test_rows_are_the_lens_s() -> None:
+    """A keypoint's time is that of the row where the image as taken has it, not of its ideal pixel."""
+    bent = Camera(640, 480, 525.0, 525.0, 319.5, 239.5, distortion=(-0.3, 0.1, 0.0, 0.0))
+    raw = np.array([[320.0, 450.0]])
+    twist = np.array([0, 0, 0, 0, 0.5, 0])
+    ideal = bent.undistort_pixels(raw)
+    seen = RollingShutter(READOUT_MS).in_the_middle(features(ideal), bent, twist, DEPTH)
+    late_s = ((450.0 + 0.5) / 480 - 0.5) * 1e-3 * READOUT_MS
+    assert seen.pixels[0, 0] - ideal[0, 0] == pytest.approx(525.0 * 0.5 * late_s, rel=2e-3)
+
+
+def test_a_global_shutter_and_a_camera_at_rest_change_nothing() -> None:
+    found = features(CAMERA.project(wall(0)))
+    assert RollingShutter(0.0).in_the_middle(found, CAMERA, np.ones(6), DEPTH) is found
+    assert RollingShutter(READOUT_MS).in_the_middle(found, CAMERA, np.zeros(6), DEPTH) is found
+
+
+def test_a_motion_that_is_wrong_by_far_leaves_numbers() -> None:
+    found = features(CAMERA.project(wall(0)))
+    seen = RollingShutter(100.0).in_the_middle(found, CAMERA, np.full(6, 1e4), DEPTH)
+    assert np.isfinite(seen.pixels).all()
+    assert len(seen) == len(found)
+
+
+def turn_errors(readout_ms: float) -> Array:
+    """Errors (rad) of the turn over six frames of a simulated walk that is read over 40 ms."""
+    tracker, estimated, true = Tracker(TrackingConfig(readout_ms=readout_ms)), [], []
+    with SimSource("sim:room?seed=3&speed=1.2&readout=40&noise=0.5&blur=0&frames=60") as source:
+        for index in range(source.frame_count):
+            image = source.read()
+            assert image is not None
+            grey = image.pixels.mean(axis=2).astype(np.uint8)
+            result = tracker.process(index, image.stamp_ns, grey, source.camera)
+            keyframe = tracker.maybe_keyframe()
+            tracker.map_keyframe()
+            if keyframe is not None:
+                tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
+            if result.world_from_camera is not None:
+                estimated.append(result.world_from_camera)
+                true.append(source.pose(index))
+    assert len(estimated) > 50
+    pairs = zip(estimated[:-6], estimated[6:], true[:-6], true[6:], strict=True)
+    return np.array([
+        rotation_angle((inverse(inverse(c) @ d) @ (inverse(a) @ b))[:3, :3]) for a, b, c, d in pairs
+    ])
+
+
+def test_a_walk_read_row_by_row_is_followed_better_when_that_is_known() -> None:
+    said, unsaid, wrong = (np.sqrt(np.mean(turn_errors(ms) ** 2)) for ms in (40.0, 0.0, -40.0))
+    assert said < 0.85 * unsaid
+    assert unsaid < wrong
