@@ -81,6 +81,13 @@ def test_a_motion_that_is_wrong_by_far_leaves_numbers() -> None:
     assert len(seen) == len(found)
 
 
+def test_what_a_wrong_motion_would_put_behind_the_camera_stays_on_its_side() -> None:
+    found = features(CAMERA.project(wall(0)))
+    seen = RollingShutter(100.0).in_the_middle(found, CAMERA, np.array([0, 0, 100.0, 0, 0, 0]), DEPTH)
+    centre = np.array([319.5, 239.5])
+    assert ((seen.pixels - centre) * (found.pixels - centre) >= 0).all()
+
+
 def turn_errors(readout_ms: float) -> Array:
     """Errors (rad) of the turn over six frames of a simulated walk that is read over 40 ms."""
     tracker, estimated, true = Tracker(TrackingConfig(readout_ms=readout_ms)), [], []
