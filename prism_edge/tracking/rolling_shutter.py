@@ -2,7 +2,7 @@
 
 Keypoints are moved to where the camera would have seen them in the middle of the readout, the time of the
 frame's pose; from there on the image is as if taken at once. First by the motion that is expected, and once
-the frame is placed by the motion that it had.
+the frame is placed by the motion that it had; where a map begins, by how corners went since the frame before.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from prism_edge.geometry.poses import Array
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.motion import LONGEST_S
+from prism_edge.tracking.turn_between import turn_between
 
 LEAST = 0.5  # of a ray's depth that is left: a wrong motion, however fast, turns no ray away
 
@@ -24,6 +26,8 @@ class RollingShutter:
     def __init__(self, readout_ms: float) -> None:
         """``readout_ms``: from the first row to the last; below 0 where the last is read first."""
         self._readout_s = 1e-3 * readout_ms
+        self._before: tuple[int, Features] | None = None  # stamp and keypoints as taken
+        self._now: tuple[int, Features] | None = None
 
     def in_the_middle(self, features: Features, camera: Camera, twist: Array, depth: float) -> Features:
         """Keypoints as seen in the middle of the readout by a camera that moves by ``twist`` a second.
@@ -51,3 +55,28 @@ class RollingShutter:
         """A frame placed once more, its ``raw`` keypoints moved by the motion that it turned out to have."""
         seen = self.in_the_middle(raw, frame.camera, twist, depth)
         return frame if seen is raw else frames.seen_again(world, frame, seen)
+
+    def saw(self, stamp_ns: int, features: Features) -> None:
+        """A frame has come, with keypoints as they were taken."""
+        if self._readout_s:
+            self._before, self._now = self._now, (stamp_ns, features)
+
+    @property
+    def may_begin(self) -> bool:
+        """Whether a map may begin with this frame: not with the first of all, whose motion nothing tells."""
+        return self._before is not None or not self._readout_s
+
+    def without_map(self, features: Features, camera: Camera) -> Features:
+        """The last frame's keypoints, moved by how its corners went since the frame before.
+
+        A shift counts as the turn that looks like it, so no depth is needed. They stay where too few corners
+        agree on one, or the two frames are too far apart.
+        """
+        if self._before is None or self._now is None:
+            return features
+        elapsed_s = (self._now[0] - self._before[0]) * 1e-9
+        if not 0 < elapsed_s < LONGEST_S:
+            return features
+        turn, twist = turn_between(camera, self._before[1], features), np.zeros(6)
+        twist[3:] = 0.0 if turn is None else turn / elapsed_s
+        return self.in_the_middle(features, camera, twist, 1.0)

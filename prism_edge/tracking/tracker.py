@@ -69,8 +69,7 @@ class Tracker:
         self._motion, self._shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
         self._seen_at: int | None = None  # stamp of the last tracked frame
         self._began_at: int | None = None  # of this map's first; None for one that was there before
-        self._at, self._first = Reference(), FirstKeyframe()
-        self._since_refresh = 0
+        self._at, self._first, self._since_refresh = Reference(), FirstKeyframe(), 0
         self.initialised = False  # True once a frame was tracked in this map
         self._result: FrameResult | None = None
         self._fresh: tuple[int, TrackedFrame] | None = None  # tracked, not yet judged as a keyframe
@@ -92,6 +91,7 @@ class Tracker:
         if self._lens is not None and self._lens.like(camera):
             camera = self._lens
         features = self._extractor.extract(grey, camera)
+        self._shutter.saw(stamp_ns, features)
         self._fresh = None  # an older frame that nobody judged
         follow = self._continue if self.world.keyframes else self._begin
         self._result = follow(index, stamp_ns, camera, features)
@@ -113,7 +113,7 @@ class Tracker:
     # -- frames ---------------------------------------------------------------------------------
 
     def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
-        if len(features) >= MIN_FIRST_FEATURES:
+        if len(features) >= MIN_FIRST_FEATURES and self._shutter.may_begin:
             self._pending = self._insert(index, stamp_ns, camera, features, self._begins_at)
             self._first.begin(self._pending.id, stamp_ns)
             self._seen_at = self._began_at = stamp_ns
@@ -262,7 +262,7 @@ class Tracker:
                 self._motion.stop()
                 self._result = beside(reference, frame, self.parts.at_home)  # it is elsewhere now
         keyframe = self._insert(
-            index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points
+            index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points.copy()
         )
         mapping.introduce(self.world, keyframe)
         self._unmapped = keyframe, frame
@@ -299,7 +299,9 @@ class Tracker:
         self, index: int, stamp_ns: int, camera: Camera, features: Features, pose: Array,
         points: Ids | None = None,
     ) -> LocalKeyframe:
-        points = np.full(len(features), -1, np.int64) if points is None else points.copy()
+        if points is None:  # it begins a map or a part: only corners can say how it moves
+            features = self._shutter.without_map(features, camera)
+            points = np.full(len(features), -1, np.int64)
         keyframe = LocalKeyframe(self._next_keyframe, index, stamp_ns, pose.copy(), camera, features, points)
         self._next_keyframe += 1
         self.world.add_keyframe(keyframe)
@@ -325,9 +327,8 @@ class Tracker:
             return 0
         first = (not self.initialised and self._last is None) or (keyframe is self._waiting and self._lost)
         most = self._config.features if first or not self.initialised else self._config.features // 3
-        units_per_metre = float(np.exp(-self.log_scale))
         ids = seed_from_depth(
-            self.world, keyframe, depth, image_to_depth, units_per_metre, relative_sigma, most
+            self.world, keyframe, depth, image_to_depth, float(np.exp(-self.log_scale)), relative_sigma, most
         )
         if keyframe.id <= self._announced:
             keypoint_of = dict(zip(keyframe.points.tolist(), range(len(keyframe.points)), strict=True))

@@ -88,10 +88,58 @@ def test_what_a_wrong_motion_would_put_behind_the_camera_stays_on_its_side() -> 
     assert ((seen.pixels - centre) * (found.pixels - centre) >= 0).all()
 
 
-def turn_errors(readout_ms: float) -> Array:
-    """Errors (rad) of the turn over six frames of a simulated walk that is read over 40 ms."""
+def two_views(twist: Array, elapsed_s: float) -> tuple[Features, Features, Array]:
+    """A wall read row by row at two times, and where the middle of the second readout has it."""
+    points, looks = wall(5), np.random.default_rng(5).integers(0, 2**63, (40, 4)).astype(np.uint64)
+    before = transform(se3_exp(twist * elapsed_s), points)  # the camera was so far back
+    taken = [read_row_by_row(p, twist, CAMERA, 1e-3 * READOUT_MS) for p in (before, points)]
+    first, second = (Features.build(p, np.zeros(40, np.intp), looks, 640, 480) for p in taken)
+    return first, second, CAMERA.project(points)
+
+
+@pytest.mark.parametrize(
+    ("twist", "left"),
+    # A turn moves the rim more than the shift that it stands for.
+    [((0, 0, 0, 0.1, 0.6, 0.2), 0.15), ((0.5, -0.3, 0, 0, 0, 0), 0.3)],
+)
+def test_where_a_map_begins_corners_say_how_the_camera_moves(twist: tuple[float, ...], left: float) -> None:
+    first, second, true = two_views(np.array(twist), 0.033)
+    shutter = RollingShutter(READOUT_MS)
+    shutter.saw(0, first)
+    assert not shutter.may_begin
+    shutter.saw(33_000_000, second)
+    assert shutter.may_begin
+    seen = shutter.without_map(second, CAMERA).pixels
+    before, after = (np.abs(p - true).max() for p in (second.pixels, seen))
+    assert after < left * before
+
+
+def test_two_frames_that_tell_no_motion_leave_what_begins_a_map() -> None:
+    first, second, _ = two_views(np.array([0, 0, 0, 0, 0.6, 0]), 0.033)
+    shutter = RollingShutter(READOUT_MS)
+    assert shutter.without_map(second, CAMERA) is second  # nothing came before it
+    shutter.saw(0, first)
+    shutter.saw(1_000_000_000, second)
+    assert shutter.without_map(second, CAMERA) is second  # a second apart
+    shutter.saw(1_033_000_000, first)
+    shutter.saw(1_033_000_000, second)
+    assert shutter.without_map(second, CAMERA) is second  # at one time
+    shutter.saw(1_066_000_000, features(first.pixels[:5]))
+    shutter.saw(1_099_000_000, second)
+    assert shutter.without_map(second, CAMERA) is second  # too few corners
+
+
+def test_a_global_shutter_begins_with_its_first_frame() -> None:
+    found, shutter = features(CAMERA.project(wall(0))), RollingShutter(0.0)
+    shutter.saw(0, found)
+    assert shutter.may_begin
+    assert shutter.without_map(found, CAMERA) is found
+
+
+def turn_errors(readout_ms: float, way: str = "seed=3&speed=1.2") -> Array:
+    """Errors (rad) of the turn over six frames of a simulated way that is read over 40 ms."""
     tracker, estimated, true = Tracker(TrackingConfig(readout_ms=readout_ms)), [], []
-    with SimSource("sim:room?seed=3&speed=1.2&readout=40&noise=0.5&blur=0&frames=60") as source:
+    with SimSource(f"sim:room?{way}&readout=40&noise=0.5&blur=0&frames=60") as source:
         for index in range(source.frame_count):
             image = source.read()
             assert image is not None
@@ -115,3 +163,8 @@ def test_a_walk_read_row_by_row_is_followed_better_when_that_is_known() -> None:
     said, unsaid, wrong = (np.sqrt(np.mean(turn_errors(ms) ** 2)) for ms in (40.0, 0.0, -40.0))
     assert said < 0.85 * unsaid
     assert unsaid < wrong
+
+
+def test_a_turn_from_the_first_frame_on_is_followed_no_worse_when_that_is_known() -> None:
+    said, unsaid = (np.sqrt(np.mean(turn_errors(ms, "seed=2&path=turn") ** 2)) for ms in (40.0, 0.0))
+    assert said < 1.05 * unsaid
