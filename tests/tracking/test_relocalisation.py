@@ -121,6 +121,18 @@ def test_another_place_is_not_found(place):
         assert lost.see(cloud.view(at(HEADINGS[i]))[0]) is None
 
 
+def test_few_points_that_agree_are_no_first_witness(place):
+    """Forty are enough to track by, but some forty agree by chance anywhere in a large map."""
+    cloud, world = place
+    lost, whole = Lost(world), cloud.view(at(HEADINGS[9]), bits=15)[0]
+    seen = (whole.pixels[::5][:40], whole.octaves[::5][:40], whole.descriptors[::5][:40])
+    lost.relocaliser.heard(world, looks(HEADINGS[9]))
+    assert lost.see(Features.build(*seen, CAMERA.width, CAMERA.height)) is None
+    lost.relocaliser.heard(world, looks(HEADINGS[9]))
+    assert lost.see(whole) is None
+    assert lost.see(whole) is not None
+
+
 def test_two_frames_that_contradict_each_other_are_not_believed(place):
     """Each alone is convincing; together they would be a leap of the camera."""
     cloud, world = place
