@@ -1,1 +1,1 @@
-"""Intrinsics from views of a calibration board (docs/CAMERAS.md); pure: images in, a camera out."""
+"""Intrinsics from views of a board, and a rolling shutter's readout (docs/CAMERAS.md); pure."""

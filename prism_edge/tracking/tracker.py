@@ -65,8 +65,8 @@ class Tracker:
         self.epoch, self.log_scale = first_id, 0.0
         self._next_keyframe = first_id
         self._announced = -1  # newest keyframe whose message has gone out
-        self._last: TrackedFrame | None = None
-        self._motion, self._shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
+        self.last: TrackedFrame | None = None
+        self.motion, self._shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
         self._seen_at: int | None = None  # stamp of the last tracked frame
         self._began_at: int | None = None  # of this map's first; None for one that was there before
         self._at, self._first, self._since_refresh = Reference(), FirstKeyframe(), 0
@@ -129,7 +129,7 @@ class Tracker:
                     log.info("the first keyframe could not be tracked: starting again")
                     self._restart(self._begins_at)
                 return nothing(INITIALISING)
-            self._motion.stop()
+            self.motion.stop()
             if silent_s > self._config.lost_after_s and not self._lost:
                 self._lost, self._looked_ns, self._looking_at = True, 0, stamp_ns
                 self.places.begin()
@@ -198,15 +198,15 @@ class Tracker:
         self._at.leave()
 
     def _track(self, stamp_ns: int, camera: Camera, features: Features) -> TrackedFrame | None:
-        previous, frame, enough = self._last, None, self._config.min_matches
+        previous, frame, enough = self.last, None, self._config.min_matches
         if not (self.world.points.alive.any() and len(features) >= enough):
             return None
         if self._lost:
             return self.places.attempt(self.world, self._frames, camera, features, previous, enough)
         raw, depth = features, self._at.depth
         if previous is not None:
-            features = self._shutter.in_the_middle(raw, camera, self._motion.twist, depth)
-            moving = self._motion.predict(previous.world_from_camera, stamp_ns)
+            features = self._shutter.in_the_middle(raw, camera, self.motion.twist, depth)
+            moving = self.motion.predict(previous.world_from_camera, stamp_ns)
             frame = self._frames.track_after(self.world, camera, features, moving, previous, enough)
         if misled(frame, previous, enough):
             # Chance agrees with a few points: what most of the looks say is worth more.
@@ -218,13 +218,13 @@ class Tracker:
         frame = look_again(
             self.world, self.parts, self._frames, frame, self._reference(), self.proven_after_s, self._seed
         )
-        twist = self._motion.since(self.last_pose(), frame.world_from_camera, stamp_ns)
+        twist = self.motion.since(self.last_pose(), frame.world_from_camera, stamp_ns)
         return self._shutter.placed(self.world, self._frames, frame, raw, twist, depth)
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)
-        self._motion.follow(self.last_pose(), frame.world_from_camera, stamp_ns)
-        self._last, self._seen_at = frame, stamp_ns
+        self.motion.follow(self.last_pose(), frame.world_from_camera, stamp_ns)
+        self.last, self._seen_at = frame, stamp_ns
         self._since_refresh += 1
         if self._since_refresh >= REFRESH_FRAMES:
             self._refresh(frame)
@@ -244,7 +244,7 @@ class Tracker:
         if pending is not None or self._fresh is None or not judge:
             return pending
         (index, frame), self._fresh = self._fresh, None
-        stamp_ns, reference, at = self._motion.stamp_ns, self._reference(), self._at
+        stamp_ns, reference, at = self.motion.stamp_ns, self._reference(), self._at
         at.matches = max(at.matches, frame.matched)
         since_s = (stamp_ns - at.since_ns) * 1e-9
         decision = decide(self._config, frame, reference, since_s, at.matches, at.depth)
@@ -259,7 +259,7 @@ class Tracker:
             if said is SecondView.TOO_NEAR:
                 return None
             if said is SecondView.CONTRADICTS:
-                self._motion.stop()
+                self.motion.stop()
                 self._result = beside(reference, frame, self.parts.at_home)  # it is elsewhere now
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points.copy()
@@ -288,11 +288,11 @@ class Tracker:
             if self.world is not world:
                 return False
         self._unmapped, units = None, math.exp(-self.log_scale)
-        adjust_unheard(world, self._config.adjust_unheard, units, self._factors, self._last)
+        adjust_unheard(world, self._config.adjust_unheard, units, self._factors, self.last)
         frame.points = keyframe.points.copy()
         self._at.move_to(keyframe, world, self.parts, keyframe.stamp_ns)
         self._fresh = None
-        self._refresh(frame if self._last is None else self._last)
+        self._refresh(frame if self.last is None else self.last)
         return True
 
     def _insert(
@@ -325,7 +325,7 @@ class Tracker:
         keyframe = self.world.keyframes.get(keyframe_id)
         if keyframe is None:
             return 0
-        first = (not self.initialised and self._last is None) or (keyframe is self._waiting and self._lost)
+        first = (not self.initialised and self.last is None) or (keyframe is self._waiting and self._lost)
         most = self._config.features if first or not self.initialised else self._config.features // 3
         ids = seed_from_depth(
             self.world, keyframe, depth, image_to_depth, float(np.exp(-self.log_scale)), relative_sigma, most
@@ -340,9 +340,9 @@ class Tracker:
             if self._waiting is not None:  # a slow network is no reason to be lost again
                 self._waiting, self._lost, self.wants_probe = None, False, False
                 self._seen_at = self._looking_at
-            self._last = TrackedFrame.of_keyframe(keyframe, len(ids))
-            self._refresh(self._last)
-            self._motion.stamp_ns = keyframe.stamp_ns
+            self.last = TrackedFrame.of_keyframe(keyframe, len(ids))
+            self._refresh(self.last)
+            self.motion.stamp_ns = keyframe.stamp_ns
         self._since_refresh = REFRESH_FRAMES
         self._at.depth = self.world.median_depth(self._reference())
         return len(ids)
@@ -362,9 +362,9 @@ class Tracker:
         """Take over the backend's corrections; the last frame moves with its surroundings."""
         if len(update.camera):
             self._lens = Camera.from_array(PINHOLE, update.camera)
-            see_through(self._lens, [*self.world.keyframes.values(), *([self._last] if self._last else [])])
-        if take_over(self.world, self.parts, update, self._last, self._factors) and self._last is not None:
-            self._refresh(self._last)
+            see_through(self._lens, [*self.world.keyframes.values(), *([self.last] if self.last else [])])
+        if take_over(self.world, self.parts, update, self.last, self._factors) and self.last is not None:
+            self._refresh(self.last)
 
     def reset(self) -> None:
         """Begin a new map with the next frame: another epoch, at the identity."""
@@ -387,7 +387,7 @@ class Tracker:
 
     def last_pose(self) -> Array | None:
         """world_from_camera of the last tracked frame as the map has it now."""
-        return None if self._last is None else self._last.world_from_camera
+        return None if self.last is None else self.last.world_from_camera
 
     def _restart(self, at: Array) -> None:
         """Begin a new map, its first camera at a pose (4, 4) in metres."""
@@ -396,5 +396,5 @@ class Tracker:
         self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1
         self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
-        self._last, self._unmapped, self.initialised = None, None, False
-        self._motion.stop()
+        self.last, self._unmapped, self.initialised = None, None, False
+        self.motion.stop()

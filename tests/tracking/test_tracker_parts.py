@@ -137,7 +137,7 @@ def test_what_a_part_had_mapped_is_found_again_once_it_is_home():
         for i, (image, _, _) in enumerate(reversed(room), start=92):
             assert run.feed(0, image, at=i).world_from_camera is not None
         way_back = [k.points for k in world.keyframes.values() if k.index >= 92]
-        seen = np.concatenate([points[points >= 0] for points in [*way_back, run.tracker._last.points]])
+        seen = np.concatenate([points[points >= 0] for points in [*way_back, run.tracker.last.points]])
         shares.append(np.isin(seen, before).mean())
     assert shares[1] > 0.9 * shares[0]
 
