@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from prism_edge.bus.pack import pack, rgb
+from prism_edge.bus.pack import PackedImage, pack, rgb
 from prism_edge.config import DepthConfig, SourceConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction
@@ -160,14 +160,7 @@ def autocorrelation(stamps: F64, values: F64, lag_s: float) -> float:
 def _as_on_the_bus(image: Image, camera: Camera) -> NDArray[np.uint8]:
     """The RGB image as the depth worker gets it, with the chroma that messages carry."""
     packed, colour = pack(image.pixels)
-    return rgb(_Packed(colour, camera.to_array(), packed))
-
-
-@dataclass(frozen=True)
-class _Packed:
-    colour: bool
-    camera: F64
-    image: NDArray[np.uint8]
+    return rgb(PackedImage(colour, camera.to_array(), packed))
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ import argparse
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -21,7 +20,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from prism_edge.bus.pack import grey, pack, rgb
+from prism_edge.bus.pack import PackedImage, grey, pack, rgb
 from prism_edge.calibration.readout import ReadoutFit
 from prism_edge.cli.settings import BUNDLED
 from prism_edge.config import DepthConfig, SourceConfig, TrackingConfig
@@ -29,7 +28,6 @@ from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import checked
 from prism_edge.errors import ConfigError, PrismError
 from prism_edge.geometry.poses import Array, inverse, transform
-from prism_edge.messages import F64, U8
 from prism_edge.sources.base import Image
 from prism_edge.sources.open import open_source
 from prism_edge.sources.sim import is_simulated
@@ -113,7 +111,7 @@ def left_over(source_config: SourceConfig, network: DepthNetwork, said_ms: float
             if not isinstance(image, Image):
                 continue
             packed, colour = pack(image.pixels)
-            frame = _Packed(colour, source.camera.to_array(), packed)
+            frame = PackedImage(colour, source.camera.to_array(), packed)
             tracker.process(image.index, image.stamp_ns, grey(frame), source.camera)
             _hear(tracker, fit)
             keyframe = tracker.maybe_keyframe()
@@ -144,15 +142,6 @@ def _hear(tracker: Tracker, fit: ReadoutFit) -> None:
         tracker.scale_factor ** frame.features.octaves[keypoints],
         twist,
     )
-
-
-@dataclass(frozen=True)
-class _Packed:
-    """An image as it travels in messages."""
-
-    colour: bool
-    camera: F64
-    image: U8
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ samples and a rounding of the luma, which spans 16..235; an image that comes fro
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Protocol
 
 import cv2
@@ -27,6 +28,15 @@ class FrameLike(Protocol):
 
     @property
     def image(self) -> U8: ...
+
+
+@dataclass(frozen=True)
+class PackedImage:
+    """An image as it travels, beside no message: for whoever needs what the daemon's processes would see."""
+
+    colour: bool
+    camera: F64
+    image: U8
 
 
 def pack(pixels: U8) -> tuple[U8, bool]:

@@ -81,10 +81,5 @@ def _by_pose(camera: Camera, points: Array) -> Array:
     by_point = np.zeros((len(points), 2, 3))
     by_point[:, 0, 0], by_point[:, 0, 2] = camera.fx / z, -camera.fx * x / z**2
     by_point[:, 1, 1], by_point[:, 1, 2] = camera.fy / z, -camera.fy * y / z**2
-    by_twist = np.zeros((len(points), 3, 6))
-    by_twist[:, :, :3] = -np.eye(3)
-    by_twist[:, 0, 4], by_twist[:, 0, 5] = -z, y
-    by_twist[:, 1, 3], by_twist[:, 1, 5] = z, -x
-    by_twist[:, 2, 3], by_twist[:, 2, 4] = -y, x
-    jacobian: Array = by_point @ by_twist
-    return jacobian
+    by_twist: Array = np.concatenate([-by_point, np.cross(by_point, points[:, None, :])], axis=2)
+    return by_twist
