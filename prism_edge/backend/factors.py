@@ -22,6 +22,7 @@ from prism_edge.geometry.poses import Array
 LEAST_WEIGHT = 1e-3  # a gate that is shut leaves a factor finite
 _RAY_STEP = 0.01
 _LEAST_RANGE = 1e-3  # map units
+_UNIT_CAMERA, _CENTRE = gtsam.Cal3_S2(1.0, 1.0, 0.0, 0.0, 0.0), np.zeros(2)
 _SIGMA_STEP = 0.1  # of log sigma: noise models are shared between depths that are about as uncertain
 
 
@@ -34,31 +35,43 @@ class FactorFactory:
         self._huber_depth = config.huber_depth_m * units_per_metre
         self._ray_sigma = config.ray_sigma_m * units_per_metre
         self._calibrations: dict[int, gtsam.Cal3_S2] = {}
+        self._standing: dict[int, gtsam.PinholePoseCal3_S2] = {}  # cameras whose poses are known
         self._taken: dict[int, Array] = {}  # pixels of each keyframe before undistortion, off the centre
 
     def reprojection(
         self, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int
     ) -> gtsam.NonlinearFactor:
         """Reprojection error of a point (paper, equation 1) under Huber's kernel."""
-        sigma = self._config.pixel_sigma * float(keyframe.sigmas[keypoint])
-        noise = pixel_noise(sigma, self._config.huber_pixels)
+        noise = self._pixel_noise(keyframe, keypoint)
         calibration = self._calibrations.get(keyframe.id) or self._calibrate(keyframe)
         return gtsam.GenericProjectionFactorCal3_S2(
             keyframe.pixels[keypoint], noise, pose_key, point_key, calibration
         )
 
+    def reprojection_from(
+        self, point_key: int, keyframe: GlobalKeyframe, keypoint: int
+    ) -> gtsam.NonlinearFactor:
+        """The same from where the keyframe stands: its pose is no variable."""
+        camera = self._standing.get(keyframe.id)
+        if camera is None:
+            calibration = self._calibrations.get(keyframe.id) or self._calibrate(keyframe)
+            camera = gtsam.PinholePoseCal3_S2(gtsam.Pose3(keyframe.world_from_camera), calibration)
+            self._standing[keyframe.id] = camera
+        noise = self._pixel_noise(keyframe, keypoint)
+        return gtsam.TriangulationFactorPoseCal3_S2(camera, keyframe.pixels[keypoint], noise, point_key)
+
     def reprojection_through(
         self, lens_key: int, pose_key: int, point_key: int, keyframe: GlobalKeyframe, keypoint: int
     ) -> gtsam.NonlinearFactor:
         """The same for the pixel as taken, through a lens that is unknown (lens.py); its centre is at 0."""
-        camera, sigma = keyframe.camera, self._config.pixel_sigma * float(keyframe.sigmas[keypoint])
+        camera = keyframe.camera
         taken = self._taken.get(keyframe.id)
         if taken is None:
             taken = self._taken[keyframe.id] = camera.distort_pixels(keyframe.pixels) - (camera.cx, camera.cy)
         x, y = taken[keypoint]
         return gtsam.GeneralSFMFactor2Cal3Bundler(
             np.array([x, y * camera.fx / camera.fy]),
-            pixel_noise(sigma, self._config.huber_pixels),
+            self._pixel_noise(keyframe, keypoint),
             pose_key,
             point_key,
             lens_key,
@@ -92,21 +105,64 @@ class FactorFactory:
         A length far away is a small angle, but no ray is known better than its pixel: one point that had run
         off to a kilometre turned a whole window towards itself.
         """
-        camera, pixel = keyframe.camera, keyframe.pixels[keypoint]
-        direction = (pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0
+        direction = gtsam.Unit3(_direction(keyframe, keypoint))
+        noise = self._ray_noise(keyframe, keypoint, current_range)
+        return gtsam.BearingFactor3D(pose_key, point_key, direction, noise)
+
+    def ray_from(
+        self, point_key: int, keyframe: GlobalKeyframe, keypoint: int, current_range: float
+    ) -> gtsam.NonlinearFactor:
+        """The same from where the keyframe stands: its pose is no variable.
+
+        As seen by a camera that looks along the ray, with a focal length of 1: the tangent of the angle off
+        the ray, which is as the angle itself to second order.
+        """
+        along = _axes_along(_direction(keyframe, keypoint))
+        pose = keyframe.world_from_camera
+        axes = gtsam.Pose3(gtsam.Rot3(pose[:3, :3] @ along), pose[:3, 3])
+        camera = gtsam.PinholePoseCal3_S2(axes, _UNIT_CAMERA)
+        noise = self._ray_noise(keyframe, keypoint, current_range)
+        return gtsam.TriangulationFactorPoseCal3_S2(camera, _CENTRE, noise, point_key)
+
+    def _pixel_noise(self, keyframe: GlobalKeyframe, keypoint: int) -> gtsam.noiseModel.Base:
+        sigma = self._config.pixel_sigma * float(keyframe.sigmas[keypoint])
+        return pixel_noise(sigma, self._config.huber_pixels)
+
+    def _ray_noise(
+        self, keyframe: GlobalKeyframe, keypoint: int, current_range: float
+    ) -> gtsam.noiseModel.Base:
         weight = max(keyframe.gate_weight(keypoint), LEAST_WEIGHT)
-        of_pixel = self._config.pixel_sigma * float(keyframe.sigmas[keypoint]) / camera.fx
+        of_pixel = self._config.pixel_sigma * float(keyframe.sigmas[keypoint]) / keyframe.camera.fx
         of_length = self._ray_sigma / max(current_range, _LEAST_RANGE)
         angle = max(of_length, of_pixel) / math.sqrt(weight)
         threshold = self._config.huber_ray_m / self._config.ray_sigma_m * math.sqrt(weight)
-        noise = ray_noise(round(math.log(angle) / _RAY_STEP), round(threshold, 2))
-        return gtsam.BearingFactor3D(pose_key, point_key, gtsam.Unit3(np.array(direction)), noise)
+        return ray_noise(round(math.log(angle) / _RAY_STEP), round(threshold, 2))
 
     def _calibrate(self, keyframe: GlobalKeyframe) -> gtsam.Cal3_S2:
         camera = keyframe.camera
         made = gtsam.Cal3_S2(camera.fx, camera.fy, 0.0, camera.cx, camera.cy)
         self._calibrations[keyframe.id] = made
         return made
+
+
+def _direction(keyframe: GlobalKeyframe, keypoint: int) -> Array:
+    """Of a keypoint's ray (3,), in its camera's frame."""
+    camera, pixel = keyframe.camera, keyframe.pixels[keypoint]
+    return np.array([(pixel[0] - camera.cx) / camera.fx, (pixel[1] - camera.cy) / camera.fy, 1.0])
+
+
+def _axes_along(direction: Array) -> Array:
+    """A rotation (3, 3) whose z axis lies along ``direction`` (x, y, 1)."""
+    x, y, _ = direction.tolist()
+    across, length = math.hypot(x, 1.0), math.sqrt(x * x + y * y + 1.0)
+    right = (1.0 / across, 0.0, -x / across)
+    ahead = (x / length, y / length, 1.0 / length)
+    down = (
+        ahead[1] * right[2] - ahead[2] * right[1],
+        ahead[2] * right[0] - ahead[0] * right[2],
+        ahead[0] * right[1] - ahead[1] * right[0],
+    )
+    return np.array([right, down, ahead]).T
 
 
 @lru_cache(maxsize=256)

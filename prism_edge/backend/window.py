@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import chain
 
 import gtsam
 import numpy as np
@@ -11,7 +12,7 @@ from gtsam.symbol_shorthand import L, X
 
 from prism_edge.backend.elimination import points_first, solver
 from prism_edge.backend.factors import FactorFactory, held
-from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.sizes import size_factors, sizes
 from prism_edge.backend.ties import untied
 from prism_edge.config import BackendConfig
@@ -112,13 +113,18 @@ class Ray:
 
 @dataclass
 class Problem:
-    """A window as gtsam has it. ``rays`` are not in ``graph``: each round makes them anew."""
+    """A window as gtsam has it. ``rays`` are not in ``graph``: each round makes them anew.
+
+    ``standing`` are the keyframes whose poses are no variables: what they see are factors of points alone,
+    which is a third less to eliminate.
+    """
 
     graph: gtsam.NonlinearFactorGraph
     values: gtsam.Values
     observations: list[tuple[int, int, int]]  # keyframe, point, keypoint
     rays: list[Ray]
     factors: FactorFactory
+    standing: dict[int, GlobalKeyframe]
 
 
 def assemble(
@@ -140,13 +146,18 @@ def assemble(
     """
     graph, values, observations, rays = gtsam.NonlinearFactorGraph(), gtsam.Values(), [], []
     factors = FactorFactory(config, units_per_metre)
-    for k in window.free + window.held:
-        values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
-    for k in window.held:
-        graph.add(held(X(k), world.keyframes[k].world_from_camera))
     members = {k: (X(k), world.keyframes[k]) for k in window.free + window.held}
-    placed = placed_elsewhere(world, window)
     scale_is_free = len(window.held) == 1
+    measured = any(world.keyframes[k].depth_sigma > 0 for k in window.held)
+    # To a held pose that depth is a factor of there is no way but as a variable under a prior.
+    standing = {} if scale_is_free or measured else {k: world.keyframes[k] for k in window.held}
+    for k, (pose_key, keyframe) in members.items():
+        if k not in standing:
+            values.insert(pose_key, gtsam.Pose3(keyframe.world_from_camera))
+    for k in window.held:
+        if k not in standing:
+            graph.add(held(X(k), world.keyframes[k].world_from_camera))
+    placed = placed_elsewhere(world, window)
     for p in window.points:
         point, point_key = world.points[p], L(p)
         values.insert(point_key, point.position)
@@ -162,6 +173,8 @@ def assemble(
                 graph.add(factors.metric_depth(pose_key, point_key, keyframe, keypoint))
             if deep and shallow and use_rays:
                 rays.append(Ray(k, p, keypoint))
+            elif k in standing:
+                graph.add(factors.reprojection_from(point_key, keyframe, keypoint))
             else:
                 graph.add(factors.reprojection(pose_key, point_key, keyframe, keypoint))
     if use_depth and not scale_is_free:
@@ -170,7 +183,7 @@ def assemble(
         seen = {k: sorted(world.keyframes[k].observed.keys() & set(window.points)) for k in told}
         for factor in size_factors(sizes(world, told, seen, 0.0), math.log(units_per_metre)):
             graph.add(factor)
-    return Problem(graph, values, observations, rays, factors)
+    return Problem(graph, values, observations, rays, factors, standing)
 
 
 def placed_elsewhere(world: GlobalMap, window: Window) -> set[int]:
@@ -187,27 +200,31 @@ def with_rays(world: GlobalMap, problem: Problem, values: gtsam.Values) -> gtsam
     """The problem's graph with its ray factors, whitened by the ranges that ``values`` have."""
     if not problem.rays:
         return problem.graph
-    graph = gtsam.NonlinearFactorGraph(problem.graph)
-    for ray, distance in zip(problem.rays, ranges_of(problem.rays, values).tolist(), strict=True):
-        keyframe = world.keyframes[ray.keyframe]
-        graph.add(problem.factors.ray(X(ray.keyframe), L(ray.point), keyframe, ray.keypoint, distance))
+    graph, make = gtsam.NonlinearFactorGraph(problem.graph), problem.factors
+    for ray, distance in zip(problem.rays, ranges_of(problem, values).tolist(), strict=True):
+        k, point_key, keypoint = ray.keyframe, L(ray.point), ray.keypoint
+        if k in problem.standing:
+            graph.add(make.ray_from(point_key, world.keyframes[k], keypoint, distance))
+        else:
+            graph.add(make.ray(X(k), point_key, world.keyframes[k], keypoint, distance))
     return graph
 
 
-def stale(rays: list[Ray], whitened_at: gtsam.Values, now: gtsam.Values) -> bool:
+def stale(problem: Problem, whitened_at: gtsam.Values, now: gtsam.Values) -> bool:
     """Whether a tenth of the rays or more has a range that differs by more than RANGE_CHANGE (log)."""
-    if not rays:
+    if not problem.rays:
         return False
-    before, after = ranges_of(rays, whitened_at), ranges_of(rays, now)
+    before, after = ranges_of(problem, whitened_at), ranges_of(problem, now)
     return bool(np.mean(np.abs(np.log(before / after)) > RANGE_CHANGE) > 0.1)
 
 
-def ranges_of(rays: list[Ray], values: gtsam.Values) -> Array:
+def ranges_of(problem: Problem, values: gtsam.Values) -> Array:
     """Distance (n,) of each ray's point from its camera."""
-    centres = {k: values.atPose3(X(k)).translation() for k in {ray.keyframe for ray in rays}}
-    points = {p: values.atPoint3(L(p)) for p in {ray.point for ray in rays}}
-    offsets = np.array([points[ray.point] - centres[ray.keyframe] for ray in rays])
-    return np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
+    cameras = [ray.keyframe for ray in problem.rays]
+    centres = {k: keyframe.world_from_camera[:3, 3] for k, keyframe in problem.standing.items()}
+    centres |= {k: values.atPose3(X(k)).translation() for k in set(cameras) - centres.keys()}
+    points = np.array([values.atPoint3(L(ray.point)) for ray in problem.rays])
+    return np.maximum(np.linalg.norm(points - np.array([centres[k] for k in cameras]), axis=1), 1e-9)
 
 
 def solve(
@@ -222,8 +239,8 @@ def solve(
     if not window.free or len(window.points) < 10:
         return None
     problem = assemble(world, window, config, units_per_metre, use_depth, use_rays)
-    members = [*window.free, *window.held]
-    parameters = solver(points_first(window.points, sorted(members)), len(members))
+    members = sorted({*window.free, *window.held} - problem.standing.keys())
+    parameters = solver(points_first(window.points, members), len(members))
     parameters.setRelativeErrorTol(1e-4)
     result, iterations = problem.values, 0
     first = max(config.iterations - REFINING, 1) if problem.rays else config.iterations
@@ -244,13 +261,13 @@ def solve(
                 previous = error
             result = optimiser.values()
             # Rays are whitened by ranges: where those have changed a second round sets that right.
-            if converged and not stale(problem.rays, started, result):
+            if converged and not stale(problem, started, result):
                 break
     except RuntimeError:
         return None
     poses = {k: result.atPose3(X(k)).matrix() for k in window.free}
     points = {p: np.asarray(result.atPoint3(L(p))) for p in window.points}
-    if not all(np.all(np.isfinite(v)) for v in (*poses.values(), *points.values())):
+    if not all(np.isfinite(list(found.values())).all() for found in (poses, points)):
         return None
     wrong = outliers(world, poses, points, problem.observations, config)
     parallax = widest_parallax(world, points)
@@ -264,18 +281,16 @@ def widest_parallax(
 
     ``among``: only from these keyframes, of which every point must be seen by one.
     """
-    centres = {k: keyframe.world_from_camera[:3, 3] for k, keyframe in world.keyframes.items()}
-    owner, rays = [], []
-    for i, (p, position) in enumerate(points.items()):
-        viewers = world.points[p].keyframes
-        for k in sorted(viewers if among is None else viewers & among):
-            owner.append(i)
-            rays.append(position - centres[k])
-    groups = np.array(owner)
-    directions = np.array(rays)
+    row = {k: i for i, k in enumerate(world.keyframes)}
+    centres = np.array([keyframe.world_from_camera[:3, 3] for keyframe in world.keyframes.values()])
+    seen_by = (world.points[p].keyframes for p in points)
+    viewers = [sorted(all_of if among is None else all_of & among) for all_of in seen_by]
+    counts = np.array([len(mine) for mine in viewers])
+    starts = np.cumsum(counts) - counts
+    places = np.repeat(np.array(list(points.values())), counts, axis=0)
+    directions = places - centres.take([row[k] for k in chain.from_iterable(viewers)], axis=0)
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-12)
-    starts = np.flatnonzero(np.r_[True, groups[1:] != groups[:-1]])
-    cosine = np.einsum("ij,ij->i", directions, directions[starts][groups])
+    cosine = np.einsum("ij,ij->i", directions, np.repeat(directions[starts], counts, axis=0))
     angles = np.degrees(np.arccos(np.clip(np.minimum.reduceat(cosine, starts), -1.0, 1.0)))
     return dict(zip(points, angles.tolist(), strict=True))
 
@@ -289,15 +304,16 @@ def outliers(
 ) -> list[tuple[int, int]]:
     """Observations whose reprojection error is beyond the 99 % bound, or whose point is behind."""
     wrong: list[tuple[int, int]] = []
-    by_keyframe: dict[int, list[tuple[int, int]]] = {}
+    places, row = np.array(list(points.values())), {p: i for i, p in enumerate(points)}
+    by_keyframe: dict[int, tuple[list[int], list[int]]] = {}
     for k, p, keypoint in observations:
-        by_keyframe.setdefault(k, []).append((p, keypoint))
-    for k, seen in by_keyframe.items():
+        of_points, of_pixels = by_keyframe.setdefault(k, ([], []))
+        of_points.append(p)
+        of_pixels.append(keypoint)
+    for k, (ids, keypoints) in by_keyframe.items():
         keyframe = world.keyframes[k]
         pose = poses.get(k, keyframe.world_from_camera)
-        ids = [p for p, _ in seen]
-        keypoints = np.array([i for _, i in seen])
-        local = (np.array([points[p] for p in ids]) - pose[:3, 3]) @ pose[:3, :3]
+        local = (places.take([row[p] for p in ids], axis=0) - pose[:3, 3]) @ pose[:3, :3]
         z = np.where(local[:, 2] > 1e-6, local[:, 2], 1e-6)
         camera = keyframe.camera
         projected = local[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)

@@ -9,7 +9,7 @@ from gtsam.symbol_shorthand import L, X
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.backend.factors import FactorFactory, held
+from prism_edge.backend.factors import FactorFactory, _axes_along, _direction, held
 from prism_edge.backend.global_map import GlobalKeyframe
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, scaled, se3_exp, transform
@@ -208,3 +208,55 @@ def test_metric_depth_high_up_in_the_image_is_along_its_own_ray():
     point = transform(POSE, local)[0]
     factor = metric_depth(CAMERA.project(local)[0], 2.0)
     assert factor.error(values_of(POSE, point)) == pytest.approx(0.0, abs=1e-9)
+
+
+def of_point(factor: gtsam.NonlinearFactor, point: np.ndarray) -> tuple[float, np.ndarray]:
+    """A factor's cost at a point, and the gradient of its robust cost there."""
+    values, graph = values_of(POSE, point), gtsam.NonlinearFactorGraph()
+    graph.add(factor)
+    return factor.error(values), graph.linearize(values).gradientAtZero().at(L(0))
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-30, 30), st.floats(-30, 30), st.integers(0, 7), st.booleans())
+def test_from_a_known_pose_a_reprojection_is_the_same_factor_of_the_point_alone(dx, dy, octave, behind):
+    point = POINT - 5.0 * POSE[:3, 2] if behind else POINT
+    pixel = CAMERA.project(transform(inverse(POSE), POINT[None]))[0] + (dx, dy)
+    factor = FactorFactory(CONFIG, 1.0).reprojection_from(L(0), keyframe_of(pixel, octave), 0)
+    assert list(factor.keys()) == [L(0)]
+    (cost, gradient), (expected, along) = (
+        of_point(one, point) for one in (factor, reprojection(pixel, octave))
+    )
+    assert cost == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert gradient == pytest.approx(along, rel=1e-6, abs=1e-9)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(-40, 40), st.floats(-40, 40), st.floats(0.1, 1.0), st.floats(0.5, 2.0))
+def test_from_a_known_pose_a_ray_is_the_pluecker_distance_to_second_order(dx, dy, weight, units_per_metre):
+    local = transform(inverse(POSE), POINT[None])
+    pixel, current = CAMERA.project(local)[0] + (dx, dy), float(np.linalg.norm(local))
+    factory, keyframe = FactorFactory(CONFIG, units_per_metre), keyframe_of(pixel, 0, 0.0, weight)
+    factor = factory.ray_from(L(0), keyframe, 0, current)
+    assert list(factor.keys()) == [L(0)]
+    (cost, gradient), (expected, along) = (
+        of_point(one, POINT) for one in (factor, ray(pixel, current, units_per_metre, weight))
+    )
+    distance = pluecker_distance(POSE, pixel, POINT)
+    sigma = max(CONFIG.ray_sigma_m * units_per_metre, CONFIG.pixel_sigma / CAMERA.fx * current)
+    sigma /= np.sqrt(weight)
+    exact = huber(distance / sigma, CONFIG.huber_ray_m / CONFIG.ray_sigma_m * np.sqrt(weight))
+    angle2 = np.arcsin(distance / current) ** 2
+    assert cost == pytest.approx(exact, rel=angle2 + 0.012, abs=1e-9)
+    assert cost == pytest.approx(expected, rel=angle2, abs=1e-9)
+    slack = 3 * angle2 * np.abs(along).max() + 1e-9
+    assert gradient == pytest.approx(along, rel=1e-6, abs=slack)
+
+
+@pytest.mark.parametrize("pixel", [(0.0, 0.0), (CAMERA.cx, CAMERA.cy), (600.0, 17.0), (-900.0, 2000.0)])
+def test_the_camera_of_a_ray_is_a_camera_that_looks_along_it(pixel):
+    direction = _direction(keyframe_of(np.array(pixel), 0), 0)
+    axes = _axes_along(direction)
+    assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-12)
+    assert np.linalg.det(axes) == pytest.approx(1.0)
+    assert axes[:, 2] == pytest.approx(direction / np.linalg.norm(direction))
