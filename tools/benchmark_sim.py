@@ -25,7 +25,13 @@ from prism_edge.errors import PrismError
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.sources.sim import SimSource
 
-DEFAULT = ("sim:room?seed=1", "sim:room?seed=2&actors=2", "sim:loop?seed=1", "sim:loop?seed=1&path=wheeled")
+DEFAULT = (
+    "sim:room?seed=1",
+    "sim:room?seed=2&actors=2",
+    "sim:loop?seed=1",
+    "sim:loop?seed=1&path=wheeled",
+    "sim:street?seed=1&rate=10",
+)
 FEATURES = 1000
 NEAR_PIXELS = 2.0
 

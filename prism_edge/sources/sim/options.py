@@ -9,23 +9,26 @@ from prism_edge.errors import SourceError
 from prism_edge.sources.address import parse_options
 
 SCHEME = "sim:"
-KINDS = ("room", "loop", "static")
+STREET = "street"
+KINDS = ("room", "loop", "static", STREET)
 HANDHELD, WHEELED, STOPS, TURN, STILL = "handheld", "wheeled", "stops", "turn", "still"
+DRIVE = "drive"
+INDOORS_MPS = 5.0
 
 
 @dataclass(frozen=True)
 class Options:
     """What a ``sim:`` address says. 0 stands for 'as the kind and path have it' where noted."""
 
-    kind: str = one_of("room", *KINDS, help="world: one room, a ring of eight, or one room from a tripod")
+    kind: str = one_of("room", *KINDS, help="world: a room, a ring of eight, a room from a tripod, streets")
     seed: int = limits(0, 0, 2**31 - 1, "the world, the way and the noise; equal seeds, equal pictures")
-    frames: int = limits(0, 0, 100_000_000, "length; 0: 900, or for loop one lap and 6 m more")
-    path: str = one_of(HANDHELD, HANDHELD, WHEELED, STOPS, TURN, STILL, help="how the camera moves")
+    frames: int = limits(0, 0, 100_000_000, "length; 0: 900, or one lap of loop or street and a little more")
+    path: str = one_of(HANDHELD, HANDHELD, WHEELED, STOPS, TURN, STILL, DRIVE, help="how the camera moves")
     rate: float = limits(30.0, 0.1, 1000.0, "frames a second")
     width: int = limits(640, 32, 4096, "pixels of a row, even")
     height: int = limits(480, 32, 4096, "rows, even")
     focal: float = limits(0.0, 0.0, 20_000.0, "focal length in pixels; 0: 525 at a width of 640")
-    speed: float = limits(0.0, 0.0, 5.0, "metres a second; 0: handheld 0.22 (loop: 0.9), else 0.3 (0.5)")
+    speed: float = limits(0.0, 0.0, 20.0, "metres a second; 0: as is usual on that path")
     actors: int = limits(0, 0, 3, "people who walk about")
     noise: float = limits(1.0, 0.0, 10.0, "sensor noise, times 2.5 grey levels; 0: none")
     blur: float = limits(1.0, 0.0, 10.0, "exposure time that smears motion, times 8 ms; 0: none")
@@ -56,7 +59,15 @@ def parse(uri: str) -> Options:
     values = {"kind": kind} | parse_options(uri, query, Options, without=("kind",))
     if kind == "static" and values.setdefault("path", STILL) != STILL:
         raise SourceError(f"{uri}: the camera of static stands still; use room for path={values['path']}")
+    if kind == STREET and values.setdefault("path", DRIVE) != DRIVE:
+        raise SourceError(f"{uri}: the camera of street is on a car; path={values['path']} is for rooms")
     options = Options(**values)
+    if options.path == DRIVE and kind != STREET:
+        raise SourceError(f"{uri}: path=drive needs room for a car; use street")
+    if options.actors and kind == STREET:
+        raise SourceError(f"{uri}: nobody walks in street; actors are for rooms")
+    if options.speed > INDOORS_MPS and kind != STREET:
+        raise SourceError(f"{uri}: speed is at most {INDOORS_MPS:g} indoors, not {options.speed:g}")
     if options.path == STOPS and options.several_rooms:
         raise SourceError(f"{uri}: path=stops keeps to one room; use room, or path=wheeled")
     if options.width % 2 or options.height % 2:
@@ -64,4 +75,3 @@ def parse(uri: str) -> Options:
     if options.speed and options.path in (TURN, STILL):
         raise SourceError(f"{uri}: speed has no meaning with path={options.path}")
     return options
-

@@ -13,11 +13,11 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array, from_rt
 from prism_edge.sources.sim.floorplan import Plan, rounded, smoothed
-from prism_edge.sources.sim.options import HANDHELD, STILL, STOPS, TURN, WHEELED
+from prism_edge.sources.sim.options import DRIVE, HANDHELD, STILL, STOPS, TURN, WHEELED
 
 SPEEDS = {(HANDHELD, False): 0.22, (HANDHELD, True): 0.9}
-SPEEDS |= {(WHEELED, False): 0.3, (WHEELED, True): 0.5, (STOPS, False): 0.3}
-OVERLAP = 6.0  # metres walked again after a lap, so that places are seen twice
+SPEEDS |= {(WHEELED, False): 0.3, (WHEELED, True): 0.5, (STOPS, False): 0.3, (DRIVE, True): 9.0}
+OVERLAP, DRIVEN_OVERLAP = 6.0, 40.0  # metres gone again after a lap, so that places are seen twice
 _STEP = 0.01  # m between samples of a route
 _LOOKAHEAD = 0.35  # m; people look where they will be
 _TURN_RATE = 0.35  # rad/s
@@ -165,6 +165,24 @@ class Wheeled:
         return looking(np.array([*position, 0.6]), heading, 0.0, 0.0)
 
 
+class Driven:
+    """A car follows a closed way: it goes faster and slower, and sways a little on its springs."""
+
+    def __init__(self, rng: np.random.Generator, curve: Array, speed: float) -> None:
+        self.ring = Ring.of(curve, 1.0)
+        self._speed, self._start = speed, float(rng.uniform(10.0, 40.0))
+        self._pace = Wander(rng, 0.02, 0.1)
+        self._springs = [Wander(rng, 0.3, 2.0) for _ in range(3)]
+
+    def pose(self, seconds: float) -> Array:
+        """world_from_camera (4, 4)."""
+        ahead = 3.0 * self._speed * (self._pace(seconds) - self._pace(0.0)) / 9.0
+        position, heading = self.ring.at(self._start + self._speed * seconds + ahead)
+        bounce, nod, roll = (spring(seconds) for spring in self._springs)
+        place = np.array([*position, 1.65 + 0.02 * bounce])
+        return looking(place, heading, 0.006 * nod, 0.008 * roll)
+
+
 class StoppingToTurn:
     """A robot drives the sides of a rectangle; at each corner it stops and turns on the spot."""
 
@@ -215,6 +233,8 @@ def make_path(plan: Plan, kind: str, speed: float, seed: int) -> CameraPath:
         return StoppingToTurn(_corners(plan), speed)
     if kind == WHEELED:
         return Wheeled(_curve(plan), speed)
+    if plan.route is not None and kind == DRIVE:
+        return Driven(rng, plan.route, speed)
     if plan.route is not None:
         return HandheldOnRoute(rng, plan.route, speed)
     return HandheldInZone(rng, plan, speed)

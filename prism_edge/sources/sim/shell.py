@@ -68,7 +68,7 @@ def _pieces(length: float, longest: float) -> list[tuple[float, float]]:
     return list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
 
 
-def _panel(
+def panel(
     shop: Shop, origin: Array, right: Array, down: Array, paint: Painter, density: float, piece: float
 ) -> None:
     """One large rectangle, painted as a whole and cut along its pixels into pieces of ``piece`` m at most."""
@@ -120,10 +120,10 @@ def build_room(shop: Shop, room: Room, sides: list[Wall], shade: Callable[[Paint
     low, high = np.array([*room.low, 0.0]), np.array([*room.high, room.height])
     size = high - low
     ex, ey = np.array([1.0, 0, 0]) * size[0], np.array([0, 1.0, 0]) * size[1]
-    _panel(shop, low + ey, ex, -ey, shade(floor_paint(rng, room.kind, 130.0)), 130.0, _FLOOR_PIECE)
+    panel(shop, low + ey, ex, -ey, shade(floor_paint(rng, room.kind, 130.0)), 130.0, _FLOOR_PIECE)
     white = colour(0.12, 0.04, rng.uniform(0.75, 0.9))
     above = ceiling(white, 60 * 0.6) if room.kind in ("office", "hall") else plaster(white, 0.012)
-    _panel(shop, low + UP * room.height, ex, ey, above, 60.0, _CEILING_PIECE)
+    panel(shop, low + UP * room.height, ex, ey, above, 60.0, _CEILING_PIECE)
     density = 120.0
     paint = wall_paint(rng, room.kind, density)
     skirting = colour(rng.uniform(0.05, 0.1), rng.uniform(0.0, 0.5), rng.uniform(0.2, 0.9))
@@ -134,13 +134,13 @@ def build_room(shop: Shop, room: Room, sides: list[Wall], shade: Callable[[Paint
         edge = 0.0
         for left, right in wall.openings:
             before, above_door = wall.along * (left - edge), room.height - DOOR_HEIGHT
-            _panel(shop, top + wall.along * edge, before, -UP * room.height, lower, density, _WALL_PIECE)
+            panel(shop, top + wall.along * edge, before, -UP * room.height, lower, density, _WALL_PIECE)
             across = wall.along * (right - left)
-            _panel(shop, top + wall.along * left, across, -UP * above_door, paint, density, _WALL_PIECE)
+            panel(shop, top + wall.along * left, across, -UP * above_door, paint, density, _WALL_PIECE)
             _door_trim(shop, wall, left, right, trim)
             edge = right
         rest = wall.along * (wall.length - edge)
-        _panel(shop, top + wall.along * edge, rest, -UP * room.height, lower, density, _WALL_PIECE)
+        panel(shop, top + wall.along * edge, rest, -UP * room.height, lower, density, _WALL_PIECE)
 
 
 def _door_trim(shop: Shop, wall: Wall, left: float, right: float, paint: Painter) -> None:

@@ -11,11 +11,19 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import F32, I64
 from prism_edge.sources.base import Image, Slot, Source
+from prism_edge.sources.sim import streets
 from prism_edge.sources.sim.actors import Walker, walkers_at
 from prism_edge.sources.sim.effects import Sensor
 from prism_edge.sources.sim.floorplan import Plan, make_plan
-from prism_edge.sources.sim.options import Options, parse
-from prism_edge.sources.sim.paths import OVERLAP, SPEEDS, CameraPath, lap_length, make_path
+from prism_edge.sources.sim.options import DRIVE, STREET, Options, parse
+from prism_edge.sources.sim.paths import (
+    DRIVEN_OVERLAP,
+    OVERLAP,
+    SPEEDS,
+    CameraPath,
+    lap_length,
+    make_path,
+)
 from prism_edge.sources.sim.renderer import Renderer
 from prism_edge.sources.sim.world import World, build_world
 from prism_edge.sources.stamps import at_rate
@@ -45,7 +53,8 @@ class SimSource(Source):
             raise SourceError(f"{uri}: {error}") from None
         self.camera_origin = "the simulator's own"
         self.period_ns = at_rate(1, o.rate)
-        self.plan: Plan = make_plan(o.several_rooms, o.seed)
+        self._outdoors = o.kind == STREET
+        self.plan: Plan = streets.make_plan(o.seed) if self._outdoors else make_plan(o.several_rooms, o.seed)
         self.path: CameraPath = make_path(self.plan, o.path, o.speed, o.seed)
         self.frame_count: int = o.frames or self._usual_frames()
         self._next = 0
@@ -56,10 +65,11 @@ class SimSource(Source):
 
     def _usual_frames(self) -> int:
         lap = lap_length(self.path)
-        if not (self.options.several_rooms and lap):
+        if self.plan.route is None or not lap:
             return _USUAL_FRAMES
         speed = self.options.speed or SPEEDS[self.options.path, True]
-        return int(np.ceil((lap + OVERLAP) / speed * self.options.rate))
+        again = DRIVEN_OVERLAP if self.options.path == DRIVE else OVERLAP
+        return int(np.ceil((lap + again) / speed * self.options.rate))
 
     def open(self) -> None:
         """Builds the world, unless it stands from an earlier time."""
@@ -67,7 +77,7 @@ class SimSource(Source):
         if self._renderer is not None:
             return
         o = self.options
-        world = build_world(self.plan, o.seed)
+        world = (streets.build_streets if self._outdoors else build_world)(self.plan, o.seed)
         rng = np.random.default_rng([o.seed, 7])
         lanes = [self.plan.lanes[k] for k in rng.permutation(len(self.plan.lanes))[: o.actors]]
         textures = list(world.textures)

@@ -24,3 +24,10 @@ def loop() -> Iterator[SimSource]:
     """The ring of rooms with people in it, through a faultless camera."""
     with SimSource(f"sim:loop?seed=6&actors=3&{CLEAN}") as source:
         yield source
+
+
+@pytest.fixture(scope="session")
+def street() -> Iterator[SimSource]:
+    """Streets round a block, from a car, through a faultless camera."""
+    with SimSource(f"sim:street?seed=4&rate=10&{CLEAN}") as source:
+        yield source

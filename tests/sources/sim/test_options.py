@@ -27,6 +27,12 @@ def test_defaults_need_no_query() -> None:
     assert parse("sim:loop") == Options(kind="loop")
     assert parse("sim:loop?") == Options(kind="loop")
     assert parse("sim:static").path == "still"
+    assert parse("sim:street").path == "drive"
+
+
+def test_a_car_may_be_faster_than_a_robot_indoors() -> None:
+    assert parse("sim:street?speed=20").speed == 20.0
+    assert parse("sim:loop?speed=5").speed == 5.0
 
 
 def test_focal_length_follows_the_width() -> None:
@@ -60,6 +66,12 @@ def test_focal_length_follows_the_width() -> None:
         ("sim:static?path=wheeled", "static"),
         ("sim:room?path=turn&speed=1", "speed"),
         ("sim:loop?path=stops", "one room"),
+        ("sim:street?path=wheeled", "car"),
+        ("sim:street?path=still", "car"),
+        ("sim:room?path=drive", "street"),
+        ("sim:street?actors=1", "actors"),
+        ("sim:street?speed=20.5", "speed"),
+        ("sim:loop?speed=5.1", "speed"),
         ("sim:room?seed=1?frames=3", "seed"),
         ("sim:room?&", "''"),
     ],
@@ -93,5 +105,5 @@ def test_the_document_names_every_option_kind_and_path() -> None:
     for field in fields(Options):
         if field.name != "kind":
             assert f"| `{field.name}` |" in text
-    for word in (*KINDS, "handheld", "wheeled", "stops", "turn", "still"):
+    for word in (*KINDS, "handheld", "wheeled", "stops", "turn", "still", "drive"):
         assert f"`{word}`" in text

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import Array, rotation_angle
-from prism_edge.sources.sim import SimSource
+from prism_edge.sources.sim import SimSource, streets
 from prism_edge.sources.sim.floorplan import make_plan, rounded, smoothed
-from prism_edge.sources.sim.options import HANDHELD, STILL, STOPS, TURN, WHEELED
+from prism_edge.sources.sim.options import DRIVE, HANDHELD, STILL, STOPS, TURN, WHEELED
 from prism_edge.sources.sim.paths import CameraPath, Ring, Wander, lap_length, looking, make_path
 
 MOVING = [(several, kind) for several in (False, True) for kind in (HANDHELD, WHEELED)]
@@ -133,6 +133,26 @@ def test_a_robot_that_stops_to_turn_moves_or_turns_and_never_both(seed: int) -> 
     assert path_of(False, STOPS, seed).pose(3.0 + lap) == pytest.approx(path_of(False, STOPS, seed).pose(3.0))
 
 
+@pytest.mark.parametrize(("seed", "speed"), [(0, 0.0), (1, 0.0), (2, 4.0), (2, 15.0)])
+def test_a_car_drives_smoothly_looks_ahead_and_comes_back(seed: int, speed: float) -> None:
+    path = make_path(streets.make_plan(seed), DRIVE, speed, seed)
+    lap, usual, step = lap_length(path), speed or 9.0, 0.01
+    assert lap > 300.0
+    way = poses(path, np.arange(0.0, 1.02 * lap / usual, step))
+    moved = np.diff(way[:, :3, 3], axis=0)
+    fast = np.linalg.norm(moved, axis=1) / step
+    assert fast.mean() == pytest.approx(usual, rel=0.05)
+    assert np.abs(fast / usual - 1).max() < 0.4
+    assert np.abs(np.diff(fast)).max() < 0.1  # less than 10 m/s^2
+    assert np.abs(way[:, 2, 3] - 1.65).max() < 0.03
+    moved /= np.linalg.norm(moved, axis=1, keepdims=True)
+    assert np.einsum("ni,ni->n", moved, way[:-1, :3, 2]).min() > np.cos(np.radians(5.0))
+    assert np.abs(way[:, 2, 0]).max() < 0.02  # hardly any roll
+    away = np.linalg.norm(way[:, :3, 3] - way[0, :3, 3], axis=1)
+    assert away.max() > 80.0
+    assert away[len(way) * 9 // 10 :].min() < 0.2
+
+
 def test_turning_and_standing() -> None:
     turning, still = path_of(False, TURN), path_of(True, STILL)
     assert np.array_equal(turning.pose(0.0)[:3, 3], turning.pose(9.0)[:3, 3])
@@ -165,7 +185,8 @@ def clearance(source: SimSource) -> float:
     return float(least)
 
 
-def test_nothing_is_ever_near_the_camera(room: SimSource, loop: SimSource) -> None:
+def test_nothing_is_ever_near_the_camera(room: SimSource, loop: SimSource, street: SimSource) -> None:
+    assert clearance(street) > 1.5
     assert clearance(room) > 0.2
     assert clearance(loop) > 0.2
 

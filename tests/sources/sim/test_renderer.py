@@ -138,6 +138,11 @@ def test_depth_agrees_with_casting_rays_through_doors(loop: SimSource, share: fl
     check_depth(loop, int(share * loop.frame_count))
 
 
+@pytest.mark.parametrize("share", [0.0, 0.11, 0.23, 0.52, 0.77])
+def test_depth_agrees_with_casting_rays_along_streets(street: SimSource, share: float) -> None:
+    check_depth(street, int(share * street.frame_count))
+
+
 def check_depth(source: SimSource, index: int) -> None:
     depth, view = source.depth(index), source.pose(index)
     rng = np.random.default_rng(index)

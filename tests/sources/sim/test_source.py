@@ -15,6 +15,7 @@ from prism_edge.geometry.poses import inverse
 from prism_edge.sources import Image, open_source
 from prism_edge.sources.sim import SimSource
 from prism_edge.sources.sim.effects import EXPOSURE_S
+from prism_edge.sources.sim.paths import lap_length
 from prism_edge.sources.truth import read_truth
 from prism_edge.workers.source import SourceWorker
 from tests.workers.list_bus import ListBus
@@ -67,6 +68,24 @@ def test_equal_seeds_give_equal_rings(loop: SimSource) -> None:
         for index in (700, 20):
             assert np.array_equal(again.image(index).pixels, loop.image(index).pixels)
             assert np.array_equal(again.pose(index), loop.pose(index))
+
+
+def test_equal_seeds_give_equal_streets(street: SimSource) -> None:
+    uri = "sim:street?seed=4&rate=10&width=160&height=120&noise=0&blur=0&exposure=0"
+    with SimSource(uri) as again, SimSource(uri.replace("seed=4", "seed=5")) as other:
+        for index in (200, 3):
+            assert np.array_equal(again.image(index).pixels, street.image(index).pixels)
+        assert np.abs(other.image(3).pixels.astype(int) - street.image(3).pixels).mean() > 10
+
+
+def test_a_drive_is_a_lap_and_something_seen_again(street: SimSource) -> None:
+    lap = lap_length(street.path)
+    _, way = street.truth()
+    driven = np.linalg.norm(np.diff(way[:, :3, 3], axis=0), axis=1).sum()
+    assert lap + 20.0 < driven < lap + 60.0
+    assert SimSource("sim:street?seed=4&rate=10&speed=18").frame_count == pytest.approx(
+        street.frame_count / 2, abs=1
+    )
 
 
 def test_people_and_faults_leave_the_way_alone() -> None:
