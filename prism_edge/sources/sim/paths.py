@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import cv2
 import numpy as np
 
 from prism_edge.geometry.poses import Array, from_rt
@@ -21,6 +22,7 @@ OVERLAP, DRIVEN_OVERLAP = 6.0, 40.0  # metres gone again after a lap, so that pl
 _STEP = 0.01  # m between samples of a route
 _LOOKAHEAD = 0.35  # m; people look where they will be
 _TURN_RATE = 0.35  # rad/s
+_SIDEWAYS, _BRAKING, _PACE_S = 2.5, 6.0, 0.3  # of a car: m/s^2 in a bend, m, s that it is early or late
 _CORNER_S, _REST_S = 3.0, 0.5  # of a robot that turns on the spot, and before and after it
 
 
@@ -166,21 +168,41 @@ class Wheeled:
 
 
 class Driven:
-    """A car follows a closed way: it goes faster and slower, and sways a little on its springs."""
+    """A car follows a closed way: it slows down for bends, and sways a little on its springs."""
 
     def __init__(self, rng: np.random.Generator, curve: Array, speed: float) -> None:
+        """``speed`` is that of straight roads, in m/s."""
         self.ring = Ring.of(curve, 1.0)
-        self._speed, self._start = speed, float(rng.uniform(10.0, 40.0))
+        step = self.ring.length / len(self.ring.points)
+        bend = np.maximum(np.abs(np.diff(self.ring.heading)) / step, 1e-6)  # rad/m
+        fast = _least_about(np.minimum(speed, np.sqrt(_SIDEWAYS / bend)), round(2.0 * _BRAKING / step))
+        fast = smoothed(fast[:, None], _BRAKING / step)[:, 0]
+        self._passed = np.concatenate([[0.0], np.cumsum(step / fast)])  # seconds, at each sample of the ring
+        self._start = float(rng.uniform(0.05, 0.1)) * self.lap_s
         self._pace = Wander(rng, 0.02, 0.1)
         self._springs = [Wander(rng, 0.3, 2.0) for _ in range(3)]
 
+    @property
+    def lap_s(self) -> float:
+        """How long once round takes."""
+        return float(self._passed[-1])
+
     def pose(self, seconds: float) -> Array:
         """world_from_camera (4, 4)."""
-        ahead = 3.0 * self._speed * (self._pace(seconds) - self._pace(0.0)) / 9.0
-        position, heading = self.ring.at(self._start + self._speed * seconds + ahead)
+        ahead = _PACE_S * (self._pace(seconds) - self._pace(0.0))
+        lap, rest = divmod(self._start + seconds + ahead, self.lap_s)
+        share = np.interp(rest, self._passed, np.arange(len(self._passed))) / len(self.ring.points)
+        position, heading = self.ring.at((lap + float(share)) * self.ring.length)
         bounce, nod, roll = (spring(seconds) for spring in self._springs)
         place = np.array([*position, 1.65 + 0.02 * bounce])
         return looking(place, heading, 0.006 * nod, 0.008 * roll)
+
+
+def _least_about(values: Array, reach: int) -> Array:
+    """The least (n,) of a closed row of values (n,) within ``reach`` of each."""
+    around = np.pad(values, reach, mode="wrap")[None]
+    least: Array = cv2.erode(around, np.ones((1, 2 * reach + 1), np.uint8))[0, reach : reach + len(values)]
+    return least
 
 
 class StoppingToTurn:

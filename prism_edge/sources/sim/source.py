@@ -15,12 +15,13 @@ from prism_edge.sources.sim import streets
 from prism_edge.sources.sim.actors import Walker, walkers_at
 from prism_edge.sources.sim.effects import Sensor
 from prism_edge.sources.sim.floorplan import Plan, make_plan
-from prism_edge.sources.sim.options import DRIVE, STREET, Options, parse
+from prism_edge.sources.sim.options import STREET, Options, parse
 from prism_edge.sources.sim.paths import (
     DRIVEN_OVERLAP,
     OVERLAP,
     SPEEDS,
     CameraPath,
+    Driven,
     lap_length,
     make_path,
 )
@@ -68,8 +69,11 @@ class SimSource(Source):
         if self.plan.route is None or not lap:
             return _USUAL_FRAMES
         speed = self.options.speed or SPEEDS[self.options.path, True]
-        again = DRIVEN_OVERLAP if self.options.path == DRIVE else OVERLAP
-        return int(np.ceil((lap + again) / speed * self.options.rate))
+        if isinstance(self.path, Driven):
+            seconds = self.path.lap_s + DRIVEN_OVERLAP / speed
+        else:
+            seconds = (lap + OVERLAP) / speed
+        return int(np.ceil(seconds * self.options.rate))
 
     def open(self) -> None:
         """Builds the world, unless it stands from an earlier time."""

@@ -14,7 +14,7 @@ from prism_edge.sources.sim.textures import colour, forget_sheets, plain
 from prism_edge.sources.sim.world import Cell, Portal, World
 
 WIDTH, SKY = 16.0, 16.0  # m: from house to house, and up to where the sky is drawn
-BEND = 3.0  # m; the way round a corner is rounded by a Gaussian of that
+BEND = 4.0  # m; the way round a corner is rounded by a Gaussian of that
 _PIECE, _SKY_PIECE = 4.0, 40.0
 _MARK = np.array([2.0, 0.15])  # m, a line in the middle of the road
 _MARK_EVERY = 6.0

@@ -83,9 +83,8 @@ def test_a_drive_is_a_lap_and_something_seen_again(street: SimSource) -> None:
     _, way = street.truth()
     driven = np.linalg.norm(np.diff(way[:, :3, 3], axis=0), axis=1).sum()
     assert lap + 20.0 < driven < lap + 60.0
-    assert SimSource("sim:street?seed=4&rate=10&speed=18").frame_count == pytest.approx(
-        street.frame_count / 2, abs=1
-    )
+    faster = SimSource("sim:street?seed=4&rate=10&speed=18").frame_count
+    assert 0.5 * street.frame_count < faster < 0.9 * street.frame_count  # bends take as long
 
 
 def test_people_and_faults_leave_the_way_alone() -> None:
