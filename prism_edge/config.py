@@ -173,9 +173,9 @@ class DepthConfig:
     model: str = field(
         default="",
         metadata={
-            "help": "ONNX file, registry name, nested:RELATIVE,METRIC, sensor (an RGB-D recording's own "
-            "depth: not monocular) or none; empty: the one that comes with prism_edge for simulated "
-            "worlds, else none",
+            "help": "ONNX file, registry name, nested:RELATIVE,METRIC, sensor (an RGB-D recording's or "
+            "simulated world's own depth: not monocular) or none; empty: the one that comes with prism_edge "
+            "for simulated worlds, else none",
             "reload": ("depth", "scale"),  # another network, other metres
         },
     )

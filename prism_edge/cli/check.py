@@ -97,8 +97,9 @@ def _model(config: Config) -> list[str]:
     if "depth" in config.network.remote:
         return []
     if model == SENSOR:
-        if is_live(config.source.uri) or is_simulated(config.source.uri):
-            raise ConfigError(f"depth.model: {SENSOR} is for recordings with depth images")
+        if is_live(config.source.uri):
+            needs = "recordings with depth images and simulated worlds"
+            raise ConfigError(f"depth.model: {SENSOR} is for {needs}")
         return []
     if model:
         check_names(config.depth)

@@ -84,7 +84,7 @@ def add_playing(parser: argparse.ArgumentParser) -> None:
         "--model",
         metavar="MODEL",
         help="depth network: ONNX file, known name, nested:RELATIVE,METRIC, "
-        f"{SENSOR} (an RGB-D recording's own depth: not monocular) or {NO_NETWORK} "
+        f"{SENSOR} (an RGB-D recording's or a simulated world's own depth: not monocular) or {NO_NETWORK} "
         f"(default: {BUNDLED} for simulated worlds, else {NO_NETWORK})",
     )
     parser.add_argument(

@@ -19,6 +19,8 @@ from prism_edge.geometry.mount import base_from_camera
 from prism_edge.named_path import named_path
 from prism_edge.sources.address import shown_address
 from prism_edge.sources.sensor_depth import SensorDepth
+from prism_edge.sources.sim import is_simulated
+from prism_edge.sources.sim.depth_camera import SimulatedDepth
 
 log = logging.getLogger("prism_edge.depth")
 
@@ -26,7 +28,7 @@ log = logging.getLogger("prism_edge.depth")
 class SensorNetwork:
     """What the depth worker takes for a network, and isn't one: with it the system is not monocular.
 
-    Raises ModelError where the source carries no depth images.
+    A simulated world has exact depth. Raises ModelError where the source carries no depth images.
     """
 
     name = identity = "sensor (not monocular)"
@@ -37,17 +39,22 @@ class SensorNetwork:
 
     def __init__(self, source: SourceConfig) -> None:
         folder = named_path(source.uri)
-        needs = "--model sensor needs a recording with depth images (TUM RGB-D, BONN or 7-Scenes)"
-        if not folder.is_dir():
+        needs = (
+            "--model sensor needs a recording with depth images (TUM RGB-D, BONN or 7-Scenes) "
+            "or a simulated world"
+        )
+        simulated = is_simulated(source.uri)
+        if not simulated and not folder.is_dir():
             raise ModelError(f"{shown_address(source.uri) or 'no source'}: {needs}")
         try:
-            self._sensor = SensorDepth(folder)
+            self._sensor = SimulatedDepth(source.uri) if simulated else SensorDepth(folder)
         except SourceError as error:
             raise ModelError(f"{error}; {needs}") from None
         # A recording that is looped begins again after as many images as are played of it.
         self._round = min(source.frames or len(self._sensor), len(self._sensor))
         self.counters: dict[str, int] = {}
-        log.warning("depth comes from the recording's own depth camera: this run is not monocular")
+        whose = "the simulator" if simulated else "the recording's own depth camera"
+        log.warning("depth comes from %s: this run is not monocular", whose)
 
     def measure(self, index: int, camera: Camera) -> Prediction:
         """The depth image of a colour image that ``camera`` took; a looped recording counts on."""

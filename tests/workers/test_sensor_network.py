@@ -14,6 +14,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import KeyframeImage
 from prism_edge.sources.open import open_source
 from prism_edge.sources.sensor_depth import seen_by_colour
+from prism_edge.sources.sim import SimSource
 from prism_edge.tracking.seeding import sample_depth
 from prism_edge.workers.depth import answer
 from prism_edge.workers.sensor_network import SensorNetwork, open_depth
@@ -100,7 +101,7 @@ def test_what_has_no_depth_images_is_refused_in_one_line(tmp_path: Path) -> None
     plain = tiny.write_images(tmp_path / "plain")
     video = tiny.write_video(tmp_path / "video" / "v.avi")
     network = "rtsp://me:secret@camera/live"
-    for uri in (plain, video, tmp_path / "none", "sim:room", "v4l2:/dev/video0", network, ""):
+    for uri in (plain, video, tmp_path / "none", "v4l2:/dev/video0", network, ""):
         with pytest.raises(ModelError, match="needs a recording with depth images") as error:
             open_sensor(uri)
         assert "\n" not in str(error.value)
@@ -133,3 +134,27 @@ def test_invalid_pixels_stay_without_depth() -> None:
     colour = Camera(640, 480, 525.0, 525.0, 320.0, 240.0)
     assert not seen_by_colour(np.zeros((24, 32), np.float32), colour).any()
 
+
+def test_a_simulated_world_gives_its_exact_depth(caplog) -> None:
+    uri = "sim:room?seed=2&frames=4&width=64&height=48"
+    network = open_sensor(uri)
+    assert "simulator" in caplog.text
+    assert "not monocular" in caplog.text
+    with SimSource(uri) as source:
+        camera = source.camera
+        for index in (3, 4, 9):  # looped: it begins again after four
+            image = np.zeros((48, 64), np.uint8)
+            shown = KeyframeImage(7, index, 0, 0, False, camera.model, camera.to_array(), image)
+            depth = answer(network, shown)
+            assert depth.valid
+            pixels = np.array([[10.0, 7.0], [40.0, 30.0], [55.0, 12.0]])
+            good, metres = sample_depth(depth.depth, depth.image_to_depth, pixels)
+            exact = source.depth(index % 4)
+            assert good.all()
+            assert metres == pytest.approx([exact[int(y), int(x)] for x, y in pixels], rel=1e-5)
+
+
+def test_an_address_that_is_no_world_is_one_line_that_says_so() -> None:
+    with pytest.raises(ModelError, match="castle") as caught:
+        open_sensor("sim:castle")
+    assert "\n" not in str(caught.value)
