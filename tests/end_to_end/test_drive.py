@@ -1,0 +1,21 @@
+"""A car drives along a street and round a corner: steps of a metre, and depths up to a hundred."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from tests.end_to_end.processes import prism_edge
+
+DRIVE = "sim:street?seed=3&rate=10&width=480&height=240&frames=125"  # 84 m
+
+
+def test_metres_are_right_where_depth_is(tmp_path: Path) -> None:
+    done = prism_edge("eval", DRIVE, "--model", "sensor", "--lockstep", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    report = json.loads((tmp_path / "metrics.json").read_text())
+    assert not report["monocular"]
+    assert report["coverage"] > 0.95
+    for name in ("live", "final"):
+        assert report[name]["ate_se3_m"] < 0.4
+        assert 0.98 < report[name]["scale_ratio"] < 1.02
