@@ -116,7 +116,7 @@ class Problem:
     """A window as gtsam has it. ``rays`` are not in ``graph``: each round makes them anew.
 
     ``standing`` are the keyframes whose poses are no variables: what they see are factors of points alone,
-    which is a third less to eliminate.
+    which leaves less to eliminate.
     """
 
     graph: gtsam.NonlinearFactorGraph
@@ -220,11 +220,12 @@ def stale(problem: Problem, whitened_at: gtsam.Values, now: gtsam.Values) -> boo
 
 def ranges_of(problem: Problem, values: gtsam.Values) -> Array:
     """Distance (n,) of each ray's point from its camera."""
-    cameras = [ray.keyframe for ray in problem.rays]
+    cameras = {ray.keyframe for ray in problem.rays}
     centres = {k: keyframe.world_from_camera[:3, 3] for k, keyframe in problem.standing.items()}
-    centres |= {k: values.atPose3(X(k)).translation() for k in set(cameras) - centres.keys()}
-    points = np.array([values.atPoint3(L(ray.point)) for ray in problem.rays])
-    return np.maximum(np.linalg.norm(points - np.array([centres[k] for k in cameras]), axis=1), 1e-9)
+    centres |= {k: values.atPose3(X(k)).translation() for k in cameras - centres.keys()}
+    points = {p: values.atPoint3(L(p)) for p in {ray.point for ray in problem.rays}}
+    offsets = np.array([points[ray.point] - centres[ray.keyframe] for ray in problem.rays])
+    return np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
 
 
 def solve(
