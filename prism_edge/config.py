@@ -152,17 +152,20 @@ class CovarianceConfig:
     """What published poses say of their errors (fitted on the simulator: docs/COVARIANCE.md)."""
 
     refinement: float = limits(0.25, 0.01, 100.0, "factor on the covariance that a frame's own points give")
+    moment_ms: float = limits(
+        20.0, 0.0, 1000.0, "and what the camera moves in so long: a pose may be that of a moment aside"
+    )
     drift_of_motion: float = limits(
-        0.022, 0.0, 1.0, "drift of position in a second, as a share of the way in it"
+        0.018, 0.0, 1.0, "drift of position in a second, as a share of the way in it"
     )
     drift_per_sqrt_m: float = limits(
-        0.004, 0.0, 1.0, "and metres per square root of a metre travelled, however slowly"
+        0.002, 0.0, 1.0, "and metres per square root of a metre travelled, however slowly"
     )
     drift_per_sqrt_rad: float = limits(
-        0.0025, 0.0, 1.0, "drift of orientation, radians per square root of a radian turned"
+        0.002, 0.0, 1.0, "drift of orientation, radians per square root of a radian turned"
     )
     turn_per_sqrt_m: float = limits(
-        0.004, 0.0, 1.0, "and radians per square root of a metre travelled"
+        0.003, 0.0, 1.0, "and radians per square root of a metre travelled"
     )
 
 

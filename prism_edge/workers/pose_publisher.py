@@ -20,9 +20,14 @@ UNKNOWN_SPEED = 100.0  # m/s and rad/s: sigma of a velocity that nothing was mea
 class PosePublisher:
     """Publishes `odom`, `pose` and `tf` of a tracked frame."""
 
-    def __init__(self, bus: Bus, frames: FramesConfig, refinement: float = 1.0) -> None:
-        """``refinement`` multiplies the covariance that a frame's own points give."""
-        self._bus, self._frames, self._refinement = bus, frames, refinement
+    def __init__(
+        self, bus: Bus, frames: FramesConfig, refinement: float = 1.0, moment_s: float = 0.0
+    ) -> None:
+        """``refinement`` multiplies the covariance that a frame's own points give.
+
+        ``moment_s`` is the sigma of when a pose was so: it moves a pose along the camera's motion.
+        """
+        self._bus, self._frames, self._refinement, self._moment_s = bus, frames, refinement, moment_s
         self._mount = base_from_camera(frames)
         self._camera_from_base = inverse(self._mount)
 
@@ -56,14 +61,15 @@ class PosePublisher:
         world_from_camera = scaled(result.world_from_camera, metres)
         map_from_base = self._based(world_from_camera, begun_with)
         odom_from_base = self._based(odom_from_camera, self._mount)
-        own = self._covariance(result, metres)
+        own, velocity = self._covariance(result, metres), self._twist(twist)
+        aside = own + self._moment_s**2 * np.outer(velocity, velocity)
         # Scale multiplies the camera's path since the start; where it sits on the robot is known in metres.
         start = self._mount[:3, :3]
         walked = begun_with[:3, :3] @ world_from_camera[:3, 3]
-        in_map = with_scale_error(turned(own, map_from_base), walked, scale_sigma)
-        in_odom = with_scale_error(turned(own, odom_from_base), start @ odom_error, 1.0)
+        in_map = with_scale_error(turned(aside, map_from_base), walked, scale_sigma)
+        in_odom = with_scale_error(turned(aside, odom_from_base), start @ odom_error, 1.0)
         names = self._frames
-        velocity = self._twist(twist)
+        # Two poses in a row are aside by the same moment, so that their difference knows nothing of it.
         velocity_covariance = self._velocity_covariance(own, start @ twist[:3], interval_s, scale_sigma)
         if result.in_map:
             pose = ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map + drift.covariance())

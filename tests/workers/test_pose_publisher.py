@@ -37,7 +37,15 @@ def mount(frames: FramesConfig) -> np.ndarray:
 
 
 def publish(
-    pose, frames=None, odom=None, covariance=COVARIANCE, twist=None, log_scale=0.0, sigma=0.0, interval_s=0.1
+    pose,
+    frames=None,
+    odom=None,
+    covariance=COVARIANCE,
+    twist=None,
+    log_scale=0.0,
+    sigma=0.0,
+    interval_s=0.1,
+    moment_s=0.0,
 ):
     """The messages of one frame, by topic; through CDR, as they arrive."""
     sent = {}
@@ -47,7 +55,7 @@ def publish(
     )
     result = FrameResult(OK, pose, covariance, 0, np.eye(4), 100)
     odom, twist = pose if odom is None else odom, np.zeros(6) if twist is None else twist
-    publisher = PosePublisher(bus, frames or FramesConfig())
+    publisher = PosePublisher(bus, frames or FramesConfig(), moment_s=moment_s)
     publisher.publish(STAMP, result, odom, twist, interval_s, log_scale, sigma, sigma * odom[:3, 3])
     return {
         topic: ros.deserialise(TOPICS[topic].type, ros.serialise(TOPICS[topic].type, message))
@@ -223,6 +231,28 @@ def test_the_twist_s_covariance_is_that_of_two_disturbed_cameras_and_of_scale(in
     sampled = np.cov(np.array(found).T)
     size = np.sqrt(np.outer(np.diag(stated), np.diag(stated)))
     assert np.abs((sampled - stated) / size).max() < 0.12
+
+
+@pytest.mark.parametrize("log_scale", [0.0, 0.7])
+def test_a_pose_may_be_that_of_a_moment_aside(log_scale):
+    """What a shift in time does to base and orientation, by differences; a velocity is as sure as before."""
+    pose, odom = pose_at(1.0, -0.4, 2.0, 0.3, -0.2, 0.5), pose_at(0.7, 0.1, 1.0, -0.1, 0.4, 0.2)
+    twist, moment_s = np.array([0.3, -0.1, 0.8, 0.2, 0.5, -0.4]), 0.02
+    plain, aside = (
+        publish(pose, MOUNTED, odom, twist=twist, log_scale=log_scale, moment_s=s) for s in (0.0, moment_s)
+    )
+    in_metres = pose.copy()
+    in_metres[:3, 3] *= np.exp(log_scale)
+    for topic, camera in (("pose", in_metres), ("odom", odom)):
+        before, after = (
+            mount(MOUNTED) @ camera @ se3_exp(twist * t) @ inverse(mount(MOUNTED)) for t in (-1e-4, 1e-4)
+        )
+        turned = so3_log(after[:3, :3] @ before[:3, :3].T)
+        rate = np.concatenate([after[:3, 3] - before[:3, 3], turned]) / 2e-4
+        added = matrix(aside[topic]) - matrix(plain[topic])
+        assert added == pytest.approx(moment_s**2 * np.outer(rate, rate), rel=1e-4, abs=1e-10)
+    velocities = [np.asarray(sent["odom"].twist.covariance) for sent in (plain, aside)]
+    assert velocities[0] == pytest.approx(velocities[1])
 
 
 def test_a_velocity_that_was_not_measured_says_so():
