@@ -72,6 +72,8 @@ def _value(shown: str, name: str, text: str, kind: type, metadata: Any) -> Any:
         if text not in choices:
             raise SourceError(f"{shown}: {name} must be one of {', '.join(choices)}, not {text!r}")
         return text
+    if kind is str:
+        return text
     try:
         value = kind(text)
     except ValueError:

@@ -17,6 +17,7 @@ DOOR_WIDTH, DOOR_HEIGHT = 1.0, 2.08
 WALL = 0.14  # thickness of the walls between rooms
 ROUTE_CLEAR = 0.62  # nothing stands nearer to the camera's route than this
 ZONE_CLEAR = 0.35  # ... nor nearer to the zone it moves in
+BESIDE = 2.0  # m between a way that is followed and the walls
 LANE_CLEAR = 0.38  # half the width that a walker needs
 RING = ((0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
@@ -104,6 +105,19 @@ def make_plan(several_rooms: bool, seed: int) -> Plan:
     """The plan of a seed."""
     rng = np.random.default_rng([seed, 1])
     return ring(rng) if several_rooms else one_room(rng)
+
+
+def room_about(extent: Array, ceiling: float, seed: int) -> Plan:
+    """A single room in which a way of ``extent`` (2,) m and what stands along the walls have their places.
+
+    It is ``ceiling`` m high or more. Nobody walks there.
+    """
+    usual = make_plan(False, seed)
+    room, half = usual.rooms[0], extent / 2 + ROUTE_CLEAR - ZONE_CLEAR
+    size = np.maximum(room.high, 2 * (half + BESIDE))
+    middle = size / 2
+    grown = Room(room.low, size, max(room.height, ceiling), room.kind)
+    return Plan((grown,), (), (), np.stack([middle - half, middle + half]), None)
 
 
 def one_room(rng: np.random.Generator) -> Plan:

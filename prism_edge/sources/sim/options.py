@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from prism_edge.config import limits, one_of
+from prism_edge.config import limits, one_of, text
 from prism_edge.errors import SourceError
 from prism_edge.sources.address import parse_options
 
@@ -34,6 +34,7 @@ class Options:
     blur: float = limits(1.0, 0.0, 10.0, "exposure time that smears motion, times 8 ms; 0: none")
     exposure: float = limits(1.0, 0.0, 3.0, "changes of exposure, times a fifth of a stop and more; 0: none")
     readout: float = limits(0.0, -100.0, 100.0, "ms from the first row to the last; 0: all at once")
+    follow: str = text("", "a TUM file (metres, z up, camera optical) whose way the camera goes, in a room")
 
     @property
     def several_rooms(self) -> bool:
@@ -57,6 +58,10 @@ def parse(uri: str) -> Options:
     if kind not in KINDS:
         raise SourceError(f"{uri}: no simulated world is called {kind!r}; there are {', '.join(KINDS)}")
     values = {"kind": kind} | parse_options(uri, query, Options, without=("kind",))
+    if "follow" in values and kind != "room":
+        raise SourceError(f"{uri}: follow leads through a room, not through {kind}; use room")
+    if "follow" in values and ("path" in values or "actors" in values):
+        raise SourceError(f"{uri}: follow is the whole way, with nobody in it; leave out path and actors")
     if kind == "static" and values.setdefault("path", STILL) != STILL:
         raise SourceError(f"{uri}: the camera of static stands still; use room for path={values['path']}")
     if kind == STREET and values.setdefault("path", DRIVE) != DRIVE:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +15,8 @@ from prism_edge.sources.base import Image, Slot, Source
 from prism_edge.sources.sim import streets
 from prism_edge.sources.sim.actors import Walker, walkers_at
 from prism_edge.sources.sim.effects import Sensor
-from prism_edge.sources.sim.floorplan import Plan, make_plan
+from prism_edge.sources.sim.floorplan import Plan, make_plan, room_about
+from prism_edge.sources.sim.followed import Followed
 from prism_edge.sources.sim.options import STREET, Options, parse
 from prism_edge.sources.sim.paths import (
     DRIVEN_OVERLAP,
@@ -46,7 +48,8 @@ class SimSource(Source):
         """Raises SourceError where the address is wrong."""
         self.options: Options = parse(uri)
         o = self.options
-        self.name = f"simulated {o.kind}, seed {o.seed}, {o.path}, {o.width}x{o.height}"
+        way = Path(o.follow).name if o.follow else o.path
+        self.name = f"simulated {o.kind}, seed {o.seed}, {way}, {o.width}x{o.height}"
         centre = (o.width - 1) / 2, (o.height - 1) / 2
         try:
             self.camera = Camera(o.width, o.height, o.focal_length, o.focal_length, *centre)
@@ -55,8 +58,7 @@ class SimSource(Source):
         self.camera_origin = "the simulator's own"
         self.period_ns = at_rate(1, o.rate)
         self._outdoors = o.kind == STREET
-        self.plan: Plan = streets.make_plan(o.seed) if self._outdoors else make_plan(o.several_rooms, o.seed)
-        self.path: CameraPath = make_path(self.plan, o.path, o.speed, o.seed)
+        self.plan, self.path = _plan_and_path(o)
         self.frame_count: int = o.frames or self._usual_frames()
         self._next = 0
         self._is_open = False
@@ -65,6 +67,8 @@ class SimSource(Source):
         self._sensor: Sensor | None = None
 
     def _usual_frames(self) -> int:
+        if isinstance(self.path, Followed):
+            return int(self.path.length_s * self.options.rate) + 1
         lap = lap_length(self.path)
         if self.plan.route is None or not lap:
             return _USUAL_FRAMES
@@ -148,3 +152,15 @@ class SimSource(Source):
         if not self._is_open or self._renderer is None or self._sensor is None:
             raise SourceError(f"{self.name} is not open")
         return self._renderer, self._sensor
+
+
+def _plan_and_path(options: Options) -> tuple[Plan, CameraPath]:
+    if options.follow:
+        way = Followed(Path(options.follow), options.speed)
+        plan = room_about((way.high - way.low)[:2], way.ceiling, options.seed)
+        assert plan.zone is not None
+        way.place(plan.zone.mean(axis=0))
+        return plan, way
+    outdoors = options.kind == STREET
+    plan = streets.make_plan(options.seed) if outdoors else make_plan(options.several_rooms, options.seed)
+    return plan, make_path(plan, options.path, options.speed, options.seed)

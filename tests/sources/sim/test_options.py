@@ -73,6 +73,11 @@ def test_focal_length_follows_the_width() -> None:
         ("sim:street?speed=20.5", "speed"),
         ("sim:loop?speed=5.1", "speed"),
         ("sim:room?seed=1?frames=3", "seed"),
+        ("sim:loop?follow=way.tum", "use room"),
+        ("sim:street?follow=way.tum", "use room"),
+        ("sim:room?follow=way.tum&path=handheld", "leave out path"),
+        ("sim:room?follow=way.tum&actors=1", "leave out path and actors"),
+        ("sim:room?follow=", "no value"),
         ("sim:room?&", "''"),
     ],
 )
