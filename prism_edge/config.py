@@ -156,7 +156,7 @@ class CovarianceConfig:
         20.0, 0.0, 1000.0, "and what the camera moves in so long: a pose may be that of a moment aside"
     )
     drift_of_motion: float = limits(
-        0.018, 0.0, 1.0, "drift of position in a second, as a share of the way in it"
+        0.02, 0.0, 1.0, "drift of position in a second, as a share of the way in it"
     )
     drift_per_sqrt_m: float = limits(
         0.002, 0.0, 1.0, "and metres per square root of a metre travelled, however slowly"
