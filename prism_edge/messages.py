@@ -71,6 +71,7 @@ class Frame:
     camera_model: str
     camera: F64 = array("float64", -1)  # width height fx fy cx cy, then distortion
     image: U8 = array("uint8", -1, -1)
+    readout_ms: float = 0.0  # of a rolling shutter, as the camera's file says
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ import argparse
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -63,7 +64,7 @@ def main(arguments: list[str] | None = None) -> int:
         print("measure_readout: error: the recording does not tell: its camera must turn", file=sys.stderr)
         return 1
     said, sigma = found[0], math.hypot(found[1], BENT_MS)
-    print(f"rows are read over {said:.0f} ms (sigma {sigma:.0f}): tracking.readout_ms={said:.0f}")
+    print(f"rows are read over {said:.0f} ms (sigma {sigma:.0f}): readout_ms: {said:.0f} in the camera file")
     return 0
 
 
@@ -112,7 +113,8 @@ def left_over(source_config: SourceConfig, network: DepthNetwork, said_ms: float
                 continue
             packed, colour = pack(image.pixels)
             frame = PackedImage(colour, source.camera.to_array(), packed)
-            tracker.process(image.index, image.stamp_ns, grey(frame), source.camera)
+            # What a camera file says already is what is asked.
+            tracker.process(image.index, image.stamp_ns, grey(frame), replace(source.camera, readout_ms=0.0))
             _hear(tracker, fit)
             keyframe = tracker.maybe_keyframe()
             tracker.map_keyframe()

@@ -20,7 +20,7 @@ from prism_edge.sources.open import AUTO, find_listing
 from prism_edge.sources.sim import is_simulated
 from prism_edge.sources.truth import truth_file
 
-_NUMBERS = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion")
+_NUMBERS = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion", "readout_ms")
 
 
 @dataclass(frozen=True)

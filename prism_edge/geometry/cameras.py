@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -16,6 +16,7 @@ FISHEYE = "fisheye"
 _COEFFICIENTS = {PINHOLE: (0, 4, 5, 8), FISHEYE: (0, 4)}
 MOST_BENT = 0.3  # of k1: two cameras that differ by more are two
 SHORTEST, LONGEST = 0.1, 20.0  # focal lengths, in image widths: what fisheyes and telescopes have
+LONGEST_READOUT_MS = 100.0
 MOST_STRETCHED = 2.0  # fx / fy, or the other way round: pixels of interlaced images
 _ITERATIONS = 20
 _SUBSTITUTIONS = 5
@@ -26,7 +27,9 @@ class Camera:
     """Intrinsics of one camera, in pixels of its image; pixel centres are at whole numbers.
 
     ``distortion`` is k1 k2 p1 p2 [k3 [k4 k5 k6]] (pinhole, OpenCV's order) or k1..k4 (fisheye); empty
-    means none. Raises ConfigError where a value can't be a camera's.
+    means none. ``readout_ms`` is how long a rolling shutter takes from the first row to the last, below 0
+    where the last is read first; two cameras that differ by nothing else are the same, and arrays and
+    messages of keyframes don't have it. Raises ConfigError where a value can't be a camera's.
     """
 
     width: int
@@ -37,6 +40,7 @@ class Camera:
     cy: float
     model: str = PINHOLE
     distortion: tuple[float, ...] = ()
+    readout_ms: float = field(default=0.0, compare=False)
 
     def __post_init__(self) -> None:
         if self.model not in _COEFFICIENTS:
@@ -49,6 +53,9 @@ class Camera:
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(map(math.isfinite, values)):
             raise ConfigError("camera intrinsics must be finite numbers")
+        if not abs(self.readout_ms) <= LONGEST_READOUT_MS:
+            most = f"{-LONGEST_READOUT_MS:g} to {LONGEST_READOUT_MS:g}"
+            raise ConfigError(f"readout_ms: expected {most}, found {self.readout_ms:g}")
         if self.fx <= 0 or self.fy <= 0:
             raise ConfigError(f"focal lengths must be above zero (fx {self.fx:g}, fy {self.fy:g})")
         if self.width <= 0 or self.height <= 0:

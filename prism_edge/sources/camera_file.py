@@ -14,7 +14,7 @@ from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
 
 _OWN_REQUIRED = ("width", "height", "fx", "fy", "cx", "cy")
-_OWN_KEYS = {*_OWN_REQUIRED, "model", "distortion"}
+_OWN_KEYS = {*_OWN_REQUIRED, "model", "distortion", "readout_ms"}
 _ROS_REQUIRED = ("image_width", "image_height", "camera_matrix", "distortion_coefficients")
 _ROS_KEYS = {*_ROS_REQUIRED, "camera_name", "distortion_model", "rectification_matrix", "projection_matrix"}
 # What the calibration that comes with OpenCV as a sample writes besides: how it was done, not what was found.
@@ -101,7 +101,9 @@ def _own(tree: dict[Any, Any]) -> Camera:
         raise ConfigError(f"model: {model!r} is not known (use {PINHOLE} or {FISHEYE})")
     fx, fy, cx, cy = (_number(key, tree[key]) for key in ("fx", "fy", "cx", "cy"))
     distortion = _numbers("distortion", tree.get("distortion") or [])
-    return Camera(_size(tree, "width"), _size(tree, "height"), fx, fy, cx, cy, model, distortion)
+    readout_ms = _number("readout_ms", tree.get("readout_ms", 0.0))
+    size = _size(tree, "width"), _size(tree, "height")
+    return Camera(*size, fx, fy, cx, cy, model, distortion, readout_ms)
 
 
 def _ros(tree: dict[Any, Any]) -> Camera:

@@ -24,8 +24,11 @@ class RollingShutter:
     """A camera's readout; does nothing to what a global shutter sees."""
 
     def __init__(self, readout_ms: float) -> None:
-        """``readout_ms``: from the first row to the last; below 0 where the last is read first."""
-        self._readout_s = 1e-3 * readout_ms
+        """``readout_ms``: from the first row to the last; below 0 where the last is read first.
+
+        0: as each frame's camera says.
+        """
+        self._said_ms, self._readout_s = readout_ms, 1e-3 * readout_ms
         self._before: tuple[int, Features] | None = None  # stamp and keypoints as taken
         self._now: tuple[int, Features] | None = None
 
@@ -56,8 +59,9 @@ class RollingShutter:
         seen = self.in_the_middle(raw, frame.camera, twist, depth)
         return frame if seen is raw else frames.seen_again(world, frame, seen)
 
-    def saw(self, stamp_ns: int, features: Features) -> None:
-        """A frame has come, with keypoints as they were taken."""
+    def saw(self, stamp_ns: int, features: Features, readout_ms: float = 0.0) -> None:
+        """A frame has come, with keypoints as they were taken; ``readout_ms`` is what its camera says."""
+        self._readout_s = 1e-3 * (self._said_ms or readout_ms)
         if self._readout_s:
             self._before, self._now = self._now, (stamp_ns, features)
 

@@ -88,13 +88,12 @@ class Tracker:
 
         :meth:`maybe_keyframe` comes after, so that a pose need not wait for the mapping.
         """
-        if self._lens is not None and self._lens.like(camera):
-            camera = self._lens
-        features = self._extractor.extract(grey, camera)
-        self._shutter.saw(stamp_ns, features)
+        lens = self._lens if self._lens is not None and self._lens.like(camera) else camera
+        features = self._extractor.extract(grey, lens)
+        self._shutter.saw(stamp_ns, features, camera.readout_ms)
         self._fresh = None  # an older frame that nobody judged
         follow = self._continue if self.world.keyframes else self._begin
-        self._result = follow(index, stamp_ns, camera, features)
+        self._result = follow(index, stamp_ns, lens, features)
         return self._result
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ class FrameCamera:
         """The frame's camera; None where no camera takes such a frame."""
         try:
             camera = Camera.from_array(frame.camera_model, frame.camera)
+            camera = replace(camera, readout_ms=frame.readout_ms)
             size = camera.height, camera.width
             if grey(frame).shape != size:
                 problem = "its image is smaller than its camera says"

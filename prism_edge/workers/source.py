@@ -227,6 +227,7 @@ class SourceWorker:
             camera_model=self._source.camera.model,
             camera=self._camera,
             image=image,
+            readout_ms=self._source.camera.readout_ms,
         )
         self._bus.publish("frame", frame)
         true_pose = self._source.true_pose(item.index)

@@ -88,7 +88,7 @@ def test_an_estimated_camera_is_what_the_daemon_says(tmp_path: Path) -> None:
             log.write_text(written)
         assert found.after(log).camera == {
             "origin": "auto",
-            **dict.fromkeys(("model", "width", "height", "fx", "fy", "cx", "cy", "distortion")),
+            **dict.fromkeys(("model", "width", "height", "fx", "fy", "cx", "cy", "distortion", "readout_ms")),
         }
     log.write_text("source: folder x; camera: as net sees it in 5 images: f 500.0, 501.0\nmore\n")
     after = found.after(log).camera

@@ -88,6 +88,9 @@ def test_own_format() -> None:
     assert with_distortion.distortion == (0.1, -0.2, 1e-8, -3e-4)
     fisheye = parse_camera(OWN.replace("pinhole", "fisheye") + "distortion: [0.1, 0, 0, 0]\n")
     assert fisheye.model == "fisheye"
+    assert parse_camera(OWN).readout_ms == 0.0
+    for readout_ms in (26, -12.5, 100):
+        assert parse_camera(f"{OWN}readout_ms: {readout_ms}\n").readout_ms == readout_ms
 
 
 def test_ros_camera_info() -> None:
@@ -237,6 +240,11 @@ def test_there_are_examples() -> None:
         (OWN + "distortion: 0.1\n", ["distortion", "list"]),
         (OWN + "distortion: [0.1, a, 0, 0]\n", ["distortion", "'a'"]),
         (OWN + "fx: 500\n", ["fx", "twice"]),
+        (OWN + "readout_ms: 100.5\n", ["readout_ms", "-100 to 100"]),
+        (OWN + "readout_ms: -101\n", ["readout_ms", "-100 to 100"]),
+        (OWN + "readout_ms: .nan\n", ["readout_ms", "finite"]),
+        (OWN + "readout_ms: 26 ms\n", ["readout_ms", "26 ms"]),
+        (ROS + "readout_ms: 26\n", ["readout_ms", "not known"]),
         (OWN.replace("fx: 525.0", "fx: [525.0"), ["YAML", "line"]),
         (OWN + "a: !!python/object/apply:os.getcwd []\n", ["YAML"]),
         (OWN + "? [a, b]\n: 1\n", ["YAML"]),
@@ -302,7 +310,7 @@ anything = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
     max_leaves=8,
 )
-KNOWN = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion")
+KNOWN = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion", "readout_ms")
 KNOWN_TO_ROS = ("image_width", "image_height", "camera_matrix", "distortion_model", "distortion_coefficients")
 KNOWN_OF_INFO = ("d", "k", "K", "binning_x", "roi")
 keys = st.sampled_from([*KNOWN, *KNOWN_TO_ROS, *KNOWN_OF_INFO, "data"])

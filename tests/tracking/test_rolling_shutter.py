@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from prism_edge.config import TrackingConfig
-from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse, rotation_angle, se3_exp, transform
 from prism_edge.sources.sim import SimSource
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.rolling_shutter import RollingShutter
 from prism_edge.tracking.tracker import Tracker
+from tests.synthetic.messages import map_update
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 READOUT_MS, DEPTH = 26.0, 2.0
@@ -134,6 +137,49 @@ def test_a_global_shutter_begins_with_its_first_frame() -> None:
     shutter.saw(0, found)
     assert shutter.may_begin
     assert shutter.without_map(found, CAMERA) is found
+
+
+def test_the_camera_says_the_readout_unless_it_is_set() -> None:
+    found, twist = features(CAMERA.project(wall(0))), np.array([0, 0, 0, 0.1, 0.5, 0])
+
+    def moved(set_ms: float, camera_ms: float) -> Array:
+        shutter = RollingShutter(set_ms)
+        shutter.saw(0, found, camera_ms)
+        return shutter.in_the_middle(found, CAMERA, twist, DEPTH).pixels
+
+    by_hand = RollingShutter(READOUT_MS).in_the_middle(found, CAMERA, twist, DEPTH).pixels
+    assert np.array_equal(moved(0.0, READOUT_MS), by_hand)
+    assert np.array_equal(moved(READOUT_MS, 0.0), by_hand)
+    assert np.array_equal(moved(READOUT_MS, -5.0), by_hand)
+    assert np.array_equal(moved(0.0, 0.0), found.pixels)
+    assert not np.allclose(by_hand, found.pixels, atol=0.5)
+
+
+@pytest.mark.parametrize("lens", [0.0, 0.02])
+def test_a_tracker_goes_by_the_camera_of_the_image_whatever_lens_is_found(lens: float) -> None:
+    """The same path, to the bit, whether the camera or the configuration says it."""
+
+    def path(set_ms: float, camera_ms: float) -> Array:
+        tracker = Tracker(TrackingConfig(readout_ms=set_ms))
+        with SimSource("sim:room?seed=3&speed=1.2&readout=40&width=320&height=240&frames=14") as source:
+            camera = replace(source.camera, readout_ms=camera_ms)
+            for index in range(source.frame_count):
+                image = source.read()
+                assert image is not None
+                grey = image.pixels.mean(axis=2).astype(np.uint8)
+                result = tracker.process(index, image.stamp_ns, grey, camera)
+                keyframe = tracker.maybe_keyframe()
+                tracker.map_keyframe()
+                if keyframe is not None:
+                    tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
+                if index == 6 and lens:
+                    found = Camera.from_array(PINHOLE, camera.bent(lens).to_array())
+                    tracker.apply_update(map_update(0, camera=found.to_array()))
+        assert result.world_from_camera is not None
+        return result.world_from_camera
+
+    assert np.array_equal(path(0.0, 40.0), path(40.0, 0.0))
+    assert not np.array_equal(path(0.0, 40.0), path(0.0, 0.0))
 
 
 def turn_errors(readout_ms: float, way: str = "seed=3&speed=1.2") -> Array:

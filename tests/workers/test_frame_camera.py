@@ -1,4 +1,4 @@
-"""Frames whose camera is masked: what is hidden, and images that the mask does not fit."""
+"""Frames and the camera they say: masks, images that a mask does not fit, a readout."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import Config, SourceConfig
+from prism_edge.workers.frame_camera import FrameCamera
 from tests.workers.tracker_bench import CONFIG, frame, positions, run, true_position
 
 
@@ -32,3 +33,18 @@ def test_images_of_another_size_than_the_mask_are_passed_over(bus, world, tmp_pa
     assert bus.pulse.values["malformed"] == "3"
     assert "the mask is for images of another size" in caplog.text
     assert [t.published for t in bus.of("tracked")] == [False] * 3
+
+
+@pytest.mark.parametrize("said", [0.0, 26.0, -9.5])
+def test_a_frame_says_how_long_its_rows_are_read(bus, said):
+    camera = FrameCamera(bus.pulse, "").of(replace(frame(0), readout_ms=said))
+    assert camera is not None
+    assert camera.readout_ms == said
+    assert camera.bent(0.1).readout_ms == said  # whatever lens is found
+
+
+@pytest.mark.parametrize("said", [np.nan, 101.0, -np.inf])
+def test_a_readout_that_is_none_is_no_camera_s(bus, caplog, said):
+    assert FrameCamera(bus.pulse, "").of(replace(frame(0), readout_ms=said)) is None
+    assert bus.pulse.values["malformed"] == "1"
+    assert "readout_ms" in caplog.text
