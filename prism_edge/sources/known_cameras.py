@@ -7,10 +7,15 @@ from pathlib import Path
 
 from prism_edge.geometry.cameras import Camera
 
+# Of a Kinect, as measured with tools/measure_readout.py on another dataset's (docs/CAMERAS.md).
+_KINECT_MS = 23.0
 
-def _vga(matrix: tuple[float, float, float, float], distortion: tuple[float, ...] = ()) -> Camera:
+
+def _vga(
+    matrix: tuple[float, float, float, float], distortion: tuple[float, ...] = (), readout_ms: float = 0.0
+) -> Camera:
     """A 640x480 camera of fx fy cx cy."""
-    return Camera(640, 480, *matrix, distortion=distortion)
+    return Camera(640, 480, *matrix, distortion=distortion, readout_ms=readout_ms)
 
 
 # A part of the folder's name -> what it is, and its colour camera. The first that fits counts.
@@ -20,6 +25,7 @@ BY_NAME = {
         _vga(
             (517.306408, 516.469215, 318.643040, 255.313989),
             (0.262383, -0.953104, -0.005358, 0.002628, 1.163314),
+            _KINECT_MS,
         ),
     ),
     "freiburg2": (
@@ -27,6 +33,7 @@ BY_NAME = {
         _vga(
             (520.908620, 521.007327, 325.141442, 249.701764),
             (0.231222, -0.784899, -0.003257, -0.000105, 0.917205),
+            _KINECT_MS,
         ),
     ),
     "freiburg3": ("TUM freiburg3 colour calibration", _vga((535.4, 539.2, 320.1, 247.6))),

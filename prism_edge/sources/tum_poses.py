@@ -1,4 +1,7 @@
-"""Poses as TUM files have them, ground truth or estimates, for the scorer alone: one set of rules for all."""
+"""Poses as TUM files have them: one set of rules for all.
+
+Ground truth and estimates for the scorer, and the way that a simulated camera follows; none else reads them.
+"""
 
 from __future__ import annotations
 

@@ -37,6 +37,8 @@ def test_published_intrinsics_go_by_the_name(tmp_path: Path, name: str, fx: floa
         source = opened(folder)
         assert (source.camera.width, source.camera.height, source.camera.fx) == (640, 480, fx)
         assert len(source.camera.distortion) == coefficients
+        of_a_kinect = fx in (517.306408, 520.908620)
+        assert source.camera.readout_ms == (23.0 if of_a_kinect else 0.0)
 
 
 @pytest.mark.parametrize("name", ["bonner_weg", "sfr1", "fr10", "afr2b"])
