@@ -116,6 +116,7 @@ def copy_rest(recording: Recording, out: Path) -> None:
         shutil.copyfile(path, out / path.name)
     c = recording.camera
     camera = f"width: {c.width}\nheight: {c.height}\nfx: {c.fx}\nfy: {c.fy}\ncx: {c.cx}\ncy: {c.cy}\n"
+    camera += f"readout_ms: {c.readout_ms}\n"
     (out / "camera.yaml").write_text(camera)
 
 

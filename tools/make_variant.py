@@ -75,8 +75,10 @@ class Variant:
         return pixels
 
     def camera(self, taken: Camera) -> Camera:
-        """The camera that takes these images."""
-        return replace(taken, cx=taken.width - 1.0 - taken.cx) if self.mirrored else taken
+        """The camera that takes these images; time that goes both ways leaves no order of its rows."""
+        order = 0.0 if self.ways > 1 else -1.0 if self.backwards else 1.0
+        cx = taken.width - 1.0 - taken.cx if self.mirrored else taken.cx
+        return replace(taken, cx=cx, readout_ms=order * taken.readout_ms)
 
 
 def bonnet(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -14,9 +14,11 @@ from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import from_rt, inverse, so3_exp, transform
 from prism_edge.sources import open_source
+from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.truth import read_truth
 from tests.synthetic.sequence import write_sequence
 from tools import make_variant
+from tools.make_kidnapping import describe
 from tools.make_variant import MIRROR, Variant, write
 
 
@@ -67,6 +69,21 @@ def test_there_and_back_turns_at_the_ends(tmp_path, backwards):
         assert pose == pytest.approx(poses[i], abs=1e-6)
     assert np.diff(new_stamps) == pytest.approx(np.full(9, stamps[1] - stamps[0]), abs=2000)  # microseconds
     assert len(read_tum(out / "reference.tum").poses) == 10
+
+
+@pytest.mark.parametrize(
+    ("variant", "order"),
+    [
+        (Variant(), 1.0),
+        (Variant(mirrored=True), 1.0),
+        (Variant(backwards=True), -1.0),
+        (Variant(ways=2), 0.0),
+    ],
+)
+def test_rows_are_read_in_the_order_of_time(tmp_path, variant, order):
+    taken = Camera(64, 48, 60.0, 60.0, 30.0, 23.0, readout_ms=26.0)
+    describe(variant.camera(taken), tmp_path / "camera.yaml")
+    assert read_camera(tmp_path / "camera.yaml").readout_ms == 26.0 * order
 
 
 def test_a_mirrored_camera_sees_a_mirrored_world():
