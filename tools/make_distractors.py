@@ -35,6 +35,7 @@ from prism_edge.sources.bonn import holds_markers  # noqa: E402
 from tools.distractors.plan import MOST_COVERED, plan  # noqa: E402
 from tools.distractors.recording import Recording, empty  # noqa: E402
 from tools.distractors.solids import Distractor, draw, texture  # noqa: E402
+from tools.make_kidnapping import describe  # noqa: E402
 from tools.true_poses import own_truth  # noqa: E402
 
 Array = NDArray[np.float64]
@@ -114,10 +115,7 @@ def copy_rest(recording: Recording, out: Path) -> None:
         write_tum(out / "groundtruth.txt", truth)
     for path in sorted(recording.folder.glob("*.pose.txt")):
         shutil.copyfile(path, out / path.name)
-    c = recording.camera
-    camera = f"width: {c.width}\nheight: {c.height}\nfx: {c.fx}\nfy: {c.fy}\ncx: {c.cx}\ncy: {c.cy}\n"
-    camera += f"readout_ms: {c.readout_ms}\n"
-    (out / "camera.yaml").write_text(camera)
+    describe(recording.camera, out / "camera.yaml")
 
 
 def main(arguments: list[str] | None = None) -> int:

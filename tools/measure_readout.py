@@ -28,6 +28,7 @@ from prism_edge.config import DepthConfig, SourceConfig, TrackingConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import checked
 from prism_edge.errors import ConfigError, PrismError
+from prism_edge.geometry.cameras import LONGEST_READOUT_MS
 from prism_edge.geometry.poses import Array, inverse, transform
 from prism_edge.sources.base import Image
 from prism_edge.sources.open import open_source
@@ -35,7 +36,6 @@ from prism_edge.sources.sim import is_simulated
 from prism_edge.tracking.tracker import Tracker
 from prism_edge.workers.tracker import SEED_DEPTH_SIGMA
 
-LONGEST_MS = 100.0  # what tracking.readout_ms takes
 STEP_MS, LEAST_RUNS = 10.0, 5
 CLEAR = 3.0  # sigmas of the line's slope that a recording tells with
 BENT_MS = 5.0  # what a map that bends, alike each time, makes of it: by simulated rooms (docs/CAMERAS.md)
@@ -76,7 +76,7 @@ def search(left_over: Callable[[float], tuple[float, float]]) -> tuple[float, fl
     """
     tried: list[tuple[float, float, float]] = []  # readout said, what was left, its sigma
     said, step = 0.0, STEP_MS
-    while abs(said) <= LONGEST_MS:
+    while abs(said) <= LONGEST_READOUT_MS:
         left, sigma = left_over(said)
         if not math.isfinite(left):
             return None
@@ -107,14 +107,14 @@ def left_over(source_config: SourceConfig, network: DepthNetwork, said_ms: float
     tracker, fit = Tracker(TrackingConfig(readout_ms=said_ms)), ReadoutFit()
     sigma = float(np.hypot(SEED_DEPTH_SIGMA, network.bias_sigma))
     with open_source(source_config) as source:
+        camera = replace(source.camera, readout_ms=0.0)  # what its file says already is what is asked
         while source.peek() is not None:
             image = source.read()
             if not isinstance(image, Image):
                 continue
             packed, colour = pack(image.pixels)
             frame = PackedImage(colour, source.camera.to_array(), packed)
-            # What a camera file says already is what is asked.
-            tracker.process(image.index, image.stamp_ns, grey(frame), replace(source.camera, readout_ms=0.0))
+            tracker.process(image.index, image.stamp_ns, grey(frame), camera)
             _hear(tracker, fit)
             keyframe = tracker.maybe_keyframe()
             tracker.map_keyframe()

@@ -27,7 +27,7 @@ _NUMBERS = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion", "r
 class Played:
     """For metrics.json; None where nothing is known."""
 
-    camera: dict[str, Any] | None = None  # origin, model, width height fx fy cx cy (pixels), distortion
+    camera: dict[str, Any] | None = None  # `origin` and _NUMBERS
     layout: str | None = None
     truth_file: str | None = None  # or the folder of many
     guessed: bool = False  # the camera

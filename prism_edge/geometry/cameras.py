@@ -95,15 +95,18 @@ class Camera:
         )
 
     @classmethod
-    def from_array(cls, model: str, values: Array) -> Camera:
-        """The camera that :meth:`to_array` described; raises ConfigError where no camera is like that."""
+    def from_array(cls, model: str, values: Array, readout_ms: float = 0.0) -> Camera:
+        """The camera that :meth:`to_array` described, and its readout.
+
+        Raises ConfigError where no camera is like that.
+        """
         numbers = [float(v) for v in values]
         if len(numbers) < 6 or not all(map(math.isfinite, numbers)):
             raise ConfigError("a camera takes at least six finite numbers: width height fx fy cx cy")
         width, height, fx, fy, cx, cy, *distortion = numbers
         if not (width.is_integer() and height.is_integer()):
             raise ConfigError(f"image size must be whole numbers ({width:g}x{height:g})")
-        return cls(int(width), int(height), fx, fy, cx, cy, model, tuple(distortion))
+        return cls(int(width), int(height), fx, fy, cx, cy, model, tuple(distortion), readout_ms)
 
     def ideal(self) -> Camera:
         """The distortion-free pinhole with the same matrix: what undistorted pixels are seen by."""

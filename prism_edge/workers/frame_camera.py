@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +32,7 @@ class FrameCamera:
     def of(self, frame: Frame) -> Camera | None:
         """The frame's camera; None where no camera takes such a frame."""
         try:
-            camera = Camera.from_array(frame.camera_model, frame.camera)
-            camera = replace(camera, readout_ms=frame.readout_ms)
+            camera = Camera.from_array(frame.camera_model, frame.camera, frame.readout_ms)
             size = camera.height, camera.width
             if grey(frame).shape != size:
                 problem = "its image is smaller than its camera says"

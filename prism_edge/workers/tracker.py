@@ -77,9 +77,9 @@ class TrackerWorker:
         if self._camera.shown is not None:
             self._tracker.look_only_at(self._camera.shown)
         self._odometry, self._sight = MetricOdometry(), Sight()
-        own = config.covariance
-        self._publisher = PosePublisher(bus, config.frames, own.refinement, own.moment_ms * 1e-3)
-        self._drift, self._status = Drift(config.covariance), TrackerStatus(bus)
+        errors = config.covariance
+        self._publisher = PosePublisher(bus, config.frames, errors.refinement, errors.moment_ms * 1e-3)
+        self._drift, self._status = Drift(errors), TrackerStatus(bus)
         self._scale = ScaleHere(self._tracker, self._odometry, self._drift)
         self._update_sequence = -1
         self._answers = AnswersDue(bus, self._inboxes, self._peers, config.lockstep)

@@ -12,6 +12,7 @@ from sources import tiny_datasets as tiny
 from sources.opening import opened, refusal
 
 from prism_edge.errors import ConfigError
+from prism_edge.sources.known_cameras import by_name
 
 
 @pytest.mark.parametrize(
@@ -37,8 +38,22 @@ def test_published_intrinsics_go_by_the_name(tmp_path: Path, name: str, fx: floa
         source = opened(folder)
         assert (source.camera.width, source.camera.height, source.camera.fx) == (640, 480, fx)
         assert len(source.camera.distortion) == coefficients
-        of_a_kinect = fx in (517.306408, 520.908620)
-        assert source.camera.readout_ms == (23.0 if of_a_kinect else 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "readout_ms"),
+    [
+        ("rgbd_dataset_freiburg1_desk", 23.0),
+        ("tum-fr2_xyz", 23.0),
+        ("rgbd_dataset_freiburg3_walking_xyz", 0.0),
+        ("rgbd_bonn_balloon", 0.0),
+        ("new_tsukuba", 0.0),
+    ],
+)
+def test_kinects_are_read_row_by_row(tmp_path: Path, name: str, readout_ms: float) -> None:
+    known = by_name(tmp_path / name)
+    assert known is not None
+    assert known[1].readout_ms == readout_ms
 
 
 @pytest.mark.parametrize("name", ["bonner_weg", "sfr1", "fr10", "afr2b"])

@@ -66,7 +66,7 @@ def test_more_is_not_said_than_the_tracker_takes(tool, way: float) -> None:
         return 300.0 * way - readout, 1.0
 
     assert tool.search(left_over)[0] == pytest.approx(300.0 * way)
-    assert said == list(np.arange(0.0, tool.LONGEST_MS + 1.0, tool.STEP_MS))
+    assert said == list(np.arange(0.0, tool.LONGEST_READOUT_MS + 1.0, tool.STEP_MS))
 
 
 def test_a_simulated_camera_s_rows_are_seen(tool) -> None:

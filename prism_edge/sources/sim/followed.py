@@ -11,7 +11,7 @@ from prism_edge.geometry.poses import Array, from_rt, so3_exp, so3_log
 from prism_edge.sources.tum_poses import read_poses
 
 WIDEST, HIGHEST = 20.0, 4.0  # m from one end of a way to the other: what a room can hold
-EYE_LEVEL = 1.4  # m above the floor: the middle of a way's heights, where it isn't higher than it is deep
+EYE_LEVEL = 1.4  # m above the floor: the middle of a way's heights, unless it goes too far up and down
 CLEAR = 0.4  # m between a way and floor or ceiling
 
 

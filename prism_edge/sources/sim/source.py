@@ -11,6 +11,7 @@ from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import F32, I64
+from prism_edge.named_path import named_path
 from prism_edge.sources.base import Image, Slot, Source
 from prism_edge.sources.sim import streets
 from prism_edge.sources.sim.actors import Walker, walkers_at
@@ -156,7 +157,7 @@ class SimSource(Source):
 
 def _plan_and_path(options: Options) -> tuple[Plan, CameraPath]:
     if options.follow:
-        way = Followed(Path(options.follow), options.speed)
+        way = Followed(named_path(options.follow), options.speed)
         plan = room_about((way.high - way.low)[:2], way.ceiling, options.seed)
         assert plan.zone is not None
         way.place(plan.zone.mean(axis=0))

@@ -66,8 +66,7 @@ def test_speed_is_the_mean(tmp_path: Path) -> None:
     places = np.array([fast.pose(t)[:3, 3] for t in times])
     way = float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
     assert way / fast.length_s == pytest.approx(0.8, rel=0.01)
-    share = fast.length_s / usual.length_s
-    assert fast.pose(0.3 * fast.length_s) == pytest.approx(usual.pose(0.3 * usual.length_s)), share
+    assert fast.pose(0.3 * fast.length_s) == pytest.approx(usual.pose(0.3 * usual.length_s))
 
 
 @pytest.mark.parametrize(("wide", "high"), [(0.3, 0.1), (5.0, 0.5), (9.0, 3.9)])
@@ -88,12 +87,16 @@ def test_the_room_is_large_enough(tmp_path: Path, wide: float, high: float) -> N
             assert min(float(source.depth(k).min()) for k in range(source.frame_count)) > 0.2
 
 
-def test_it_is_as_long_as_the_file_unless_frames_are_said(tmp_path: Path) -> None:
+def test_it_is_as_long_as_the_file_unless_frames_are_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     way = a_way()
     file = written(tmp_path / "way.tum", way)
     lasts = way[-1][0] - way[0][0]
     assert SimSource(f"sim:room?follow={file}&rate=20").frame_count == int(lasts * 20) + 1
     assert SimSource(f"sim:room?follow={file}&frames=7").frame_count == 7
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert SimSource("sim:room?follow=~/way.tum&frames=7").frame_count == 7
     assert "way.tum" in SimSource(f"sim:room?follow={file}").name
 
 
