@@ -5,8 +5,11 @@ from __future__ import annotations
 from prism_edge.calibration.solve import Calibration
 
 
-def camera_text(result: Calibration, views: int, source: str, board: str) -> str:
-    """YAML that `prism_edge.sources.camera_file` reads back; comments say what it was made from."""
+def camera_text(result: Calibration, views: int, source: str, board: str, readout_ms: float = 0.0) -> str:
+    """YAML that `prism_edge.sources.camera_file` reads back; comments say what it was made from.
+
+    ``readout_ms`` is a rolling shutter's, which no board shows: 0 where none is known.
+    """
     camera = result.camera
     sigmas = ", ".join(
         f"{name} {value:.2g}" for name, value in zip(("fx", "fy", "cx", "cy"), result.sigmas, strict=True)
@@ -21,5 +24,6 @@ def camera_text(result: Calibration, views: int, source: str, board: str) -> str
         f"height: {camera.height}",
         *(f"{name}: {getattr(camera, name):.6f}" for name in ("fx", "fy", "cx", "cy")),
         f"distortion: [{', '.join(f'{value:.9f}' for value in camera.distortion)}]",
+        *([f"readout_ms: {readout_ms:g}"] if readout_ms else []),
     ]
     return "\n".join(lines) + "\n"

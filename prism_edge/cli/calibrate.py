@@ -105,9 +105,21 @@ def _finish(
     if doubt := verdict.doubt(camera):
         print(f"note: {doubt}")
     _refuse(verdict.of_calibration(views, seen, result))
-    write_whole(out, camera_text(result, len(used), name, args.board).encode())
-    print(f"camera file: {out}")
+    readout_ms = _readout_of(out)
+    write_whole(out, camera_text(result, len(used), name, args.board, readout_ms).encode())
+    kept = f" (with the readout_ms of {readout_ms:g} that it had)" if readout_ms else ""
+    print(f"camera file: {out}{kept}")
     return 0
+
+
+def _readout_of(out: Path) -> float:
+    """The rolling shutter's readout that the camera file to be replaced has: no board shows it."""
+    from prism_edge.sources.camera_file import read_camera
+
+    try:
+        return read_camera(out).readout_ms
+    except ConfigError:  # none, or not a camera file
+        return 0.0
 
 
 def _refuse(problems: list[str]) -> None:

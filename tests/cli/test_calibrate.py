@@ -54,6 +54,20 @@ def test_a_folder_of_images(recording: Path, tmp_path: Path, capsys: pytest.Capt
     assert calibrate(recording, "--board", SPEC, "--out", out, "--overwrite") == 0
 
 
+def test_a_readout_that_the_file_had_stays(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "camera.yaml"
+    out.write_text("{width: 64, height: 48, fx: 50, fy: 50, cx: 32, cy: 24, readout_ms: -17.5}")
+    assert calibrate(recording, "--board", SPEC, "--out", out, "--overwrite") == 0
+    camera = read_camera(out)
+    assert (camera.width, camera.readout_ms) == (640, -17.5)
+    assert "readout_ms of -17.5" in capsys.readouterr().out
+    out.write_text("a diary")  # and what is no camera file has none
+    assert calibrate(recording, "--board", SPEC, "--out", out, "--overwrite") == 0
+    assert read_camera(out).readout_ms == 0.0
+
+
 def test_the_picture_is_no_image_of_the_recording(recording: Path, tmp_path: Path) -> None:
     images = sorted(recording.glob("[0-9]*.png"))
     for image in images:
