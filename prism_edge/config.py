@@ -151,21 +151,21 @@ class TrackingConfig:
 class CovarianceConfig:
     """What published poses say of their errors (fitted on the simulator: docs/COVARIANCE.md)."""
 
-    refinement: float = limits(0.25, 0.01, 100.0, "factor on the covariance that a frame's own points give")
+    refinement: float = limits(1.0, 0.01, 100.0, "factor on the covariance that a frame's own points give")
     moment_ms: float = limits(
         20.0, 0.0, 1000.0, "and what the camera moves in so long: a pose may be that of a moment aside"
     )
     drift_of_motion: float = limits(
-        0.02, 0.0, 1.0, "drift of position in a second, as a share of the way in it"
+        0.08, 0.0, 1.0, "drift of position in a second, as a share of the way in it, at a degree of parallax"
     )
     drift_per_sqrt_m: float = limits(
-        0.002, 0.0, 1.0, "and metres per square root of a metre travelled, however slowly"
+        0.001, 0.0, 1.0, "and metres per square root of a metre travelled, however slowly"
     )
     drift_per_sqrt_rad: float = limits(
-        0.002, 0.0, 1.0, "drift of orientation, radians per square root of a radian turned"
+        0.012, 0.0, 1.0, "drift of orientation, radians per square root of a radian turned, at that, too"
     )
     turn_per_sqrt_m: float = limits(
-        0.003, 0.0, 1.0, "and radians per square root of a metre travelled"
+        0.001, 0.0, 1.0, "and radians per square root of a metre travelled"
     )
 
 

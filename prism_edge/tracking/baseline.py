@@ -1,7 +1,8 @@
 """Before two views have had parallax, nothing but a network's depth says how far the camera has moved.
 
-A map begins from one view's depth. A camera that only turns sees no point from a second side: its orientation
-is measured, its translation rests on depths that nothing has confirmed, and a pose says so.
+A map begins from one view's depth. A camera that only turns sees no point from a second side: its
+orientation is measured, its translation rests on depths that nothing has confirmed, and a pose says so. And
+ever after, the wider apart a map's points were seen from, the less it is out of shape.
 """
 
 from __future__ import annotations
@@ -10,11 +11,13 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.local_map import LocalMap
-from prism_edge.tracking.point_table import Index
+from prism_edge.tracking.point_table import Index, PointTable
 
 PARALLAX_DEG = 1.0  # as the first two views must have (initialisation.py)
 ENOUGH = 20  # matched points with that
 UNOBSERVED = 0.35  # of the scene's depth: what is moved by twice as much shows, whatever the depths are
+BEST = 0.25  # of the matched points: what the map's shape rests on
+LEAST_PARALLAX_DEG = 0.5  # below it depths are the network's, and no worse for less
 
 
 def unobserved_translation(world: LocalMap, world_from_camera: Array, rows: Index) -> float:
@@ -32,3 +35,14 @@ def unobserved_translation(world: LocalMap, world_from_camera: Array, rows: Inde
     offset = world.points.position[rows] - world_from_camera[:3, 3]
     depth = float(np.median(offset @ world_from_camera[:3, 2])) if len(rows) else 1.0
     return UNOBSERVED * abs(depth)
+
+
+def best_parallax(table: PointTable, rows: Index) -> float:
+    """Parallax, degrees, under which the BEST of the points in ``rows`` were placed, or more.
+
+    By it a map's shape goes: a point's relative depth is as wrong as its rays' angles are for their parallax.
+    """
+    if len(rows) == 0:
+        return LEAST_PARALLAX_DEG
+    rank = int((1.0 - BEST) * (len(rows) - 1))
+    return max(float(np.partition(table.parallax_deg[rows], rank)[rank]), LEAST_PARALLAX_DEG)

@@ -2,11 +2,12 @@
 
 Between two places that share points the map's error grows like a random walk. Its variance grows by
 ``drift_per_sqrt_m``^2 for each metre, and by what a local map is out of shape: a second's motion is off by a
-share of its way, and the next second's by another. That share is ``drift_of_motion``, and beside it what
-keyframes show of the map's scale here. Of rotation it grows by ``drift_per_sqrt_rad``^2 for each radian
-turned and ``turn_per_sqrt_m``^2 for each metre. The whole walk is what `odom` has. In the map a keyframe that
-sees known points drifted little more than its neighbours: its drift is that of the shortest way through
-keyframes that share points, from the first one.
+share of its way, and the next second's by another. That share is ``drift_of_motion`` where the points that
+carry the frame were placed under a degree of parallax, less in proportion where under more, and beside it
+what keyframes show of the map's scale here. Of rotation it grows by ``drift_per_sqrt_rad``^2, by parallax as
+well, for each radian turned and ``turn_per_sqrt_m``^2 for each metre. The whole walk is what `odom` has. In
+the map a keyframe that sees known points drifted little more than its neighbours: its drift is that of the
+shortest way through keyframes that share points, from the first one.
 
 Way and turning are summed from frame to frame, but from one place that the camera has clearly left to the
 next to no more than MOST_DETOUR times what lies between: a camera that stands trembles, and goes nowhere.
@@ -76,6 +77,7 @@ class Drift:
         self._speed = self._turn = 0.0  # metres and radians a second
         self._stamp_ns: int | None = None
         self.local_sigma = 0.0  # of the log scale here about the published one, as last heard
+        self._parallax_deg = 1.0  # of what the last frame saw
         self.total = self.here = NO_DRIFT
         self._travelled = self._travelled_at_anchor = 0.0
         self._at_anchor, self._since_anchor = NO_DRIFT, np.eye(4)
@@ -114,6 +116,7 @@ class Drift:
 
         ``depth`` is the scene's, in map units: beside it the camera has clearly moved or has not.
         """
+        self._parallax_deg = result.parallax_deg
         if result.world_from_camera is not None and before is not None:
             motion = inverse(before) @ result.world_from_camera
             self._pace(motion, log_scale, stamp_ns)
@@ -173,9 +176,10 @@ class Drift:
     def _walk(self, way: float, angle: float, log_scale: float) -> Walk:
         """What is added over a way (map units) and a turn (rad)."""
         c, way = self._config, math.exp(log_scale) * way
-        share2 = c.drift_of_motion**2 + self.local_sigma**2
+        share2 = (c.drift_of_motion / self._parallax_deg) ** 2 + self.local_sigma**2
         per_m = c.drift_per_sqrt_m**2 + share2 * max(COHERENT_S * self._speed, min(way, COHERENT_M))
-        return Walk(per_m * way, c.drift_per_sqrt_rad**2 * angle + c.turn_per_sqrt_m**2 * way)
+        per_rad = (c.drift_per_sqrt_rad / self._parallax_deg) ** 2
+        return Walk(per_m * way, per_rad * angle + c.turn_per_sqrt_m**2 * way)
 
     def _go(self, motion: Array, log_scale: float, depth: float) -> None:
         """Take a frame's motion into the way."""

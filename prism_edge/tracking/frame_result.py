@@ -26,6 +26,7 @@ class FrameResult:
     matched: int
     in_map: bool = True  # False: tracked in a part of the map whose place in it is not known yet
     unobserved: float = 0.0  # standard deviation of the position beside the covariance (baseline.py)
+    parallax_deg: float = 1.0  # that the best of its points were placed under (baseline.py)
 
 
 def nothing(odometry: str) -> FrameResult:
@@ -38,4 +39,4 @@ def beside(reference: LocalKeyframe, frame: TrackedFrame, in_map: bool) -> Frame
     pose, odometry = frame.world_from_camera, OK if frame.matched >= DEGRADED_MATCHES else DEGRADED
     offset = inverse(reference.world_from_camera) @ pose
     said = odometry, pose, frame.covariance, reference.id, offset, frame.matched, in_map
-    return FrameResult(*said, unobserved=frame.unobserved)
+    return FrameResult(*said, unobserved=frame.unobserved, parallax_deg=frame.parallax_deg)

@@ -9,7 +9,7 @@ import numpy as np
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
-from prism_edge.tracking.baseline import unobserved_translation
+from prism_edge.tracking.baseline import best_parallax, unobserved_translation
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
@@ -48,6 +48,7 @@ class TrackedFrame:
     covariance: Array  # (6, 6), translation first, camera frame, map units
     matched: int
     unobserved: float = 0.0  # standard deviation of the position beside the covariance, map units
+    parallax_deg: float = 1.0  # that its best points were placed under (baseline.py)
 
     @classmethod
     def of_keyframe(cls, keyframe: LocalKeyframe, matched: int) -> TrackedFrame:
@@ -139,15 +140,16 @@ class FrameTracker:
         rows = world.points.rows(points[keypoints])
         world.points.found[rows[estimate.inliers]] += 1
         points[keypoints[~estimate.inliers]] = -1
-        matched = int(estimate.inliers.sum())
+        rows = rows[estimate.inliers]
         return TrackedFrame(
             camera,
             features,
             estimate.world_from_camera,
             points,
             estimate.covariance,
-            matched,
-            unobserved_translation(world, estimate.world_from_camera, rows[estimate.inliers]),
+            len(rows),
+            unobserved_translation(world, estimate.world_from_camera, rows),
+            best_parallax(world.points, rows),
         )
 
     def placed_anew(self, world: LocalMap, frame: TrackedFrame, pose: Array, points: Ids) -> TrackedFrame:
@@ -161,6 +163,7 @@ class FrameTracker:
         return replace(
             frame, world_from_camera=pose, points=points, matched=len(keypoints),
             covariance=estimate.covariance, unobserved=unobserved,
+            parallax_deg=best_parallax(world.points, rows),
         )
 
     def seen_again(self, world: LocalMap, frame: TrackedFrame, features: Features) -> TrackedFrame:

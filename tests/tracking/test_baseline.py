@@ -10,6 +10,8 @@ import pytest
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, so3_exp
 from prism_edge.messages import OK
+from prism_edge.tracking.baseline import LEAST_PARALLAX_DEG, best_parallax
+from prism_edge.tracking.point_table import PointTable
 from prism_edge.tracking.tracker import FrameResult, Tracker
 from tests.synthetic.render import Renderer
 from tests.synthetic.scene import furnished_room, hand_held_path
@@ -67,11 +69,13 @@ def test_while_it_turns_orientation_goes_out_and_translation_counts_as_unobserve
         assert rotation_angle(error[:3, :3]) < np.radians(0.5)
         assert sigma(result)[1] < np.radians(1.0)
         assert sigma(result)[0] > 0.25 * depth
+        assert result.parallax_deg == LEAST_PARALLAX_DEG
     # The second keyframe waited while the first view was in sight; then the map went on without parallax.
     assert any(0 < i < TURNING for i in keyframes)
     # The first baseline ends it, for good.
     observed = [sigma(r)[0] < 0.1 for r in results[TURNING:]]
     assert observed[-1]
+    assert results[-1].parallax_deg > 1.5, "a baseline of half a metre"
     first = observed.index(True)
     assert all(observed[first:])
     assert first > 0
@@ -89,3 +93,14 @@ def test_without_two_views_the_second_keyframe_waits_for_nothing(film):
     waiting, at_once = (play(film[:TURNING], replace(config, two_views=both))[1] for both in (True, False))
     assert len(at_once) > 1
     assert at_once[1] < min(waiting[1:], default=TURNING)
+
+
+def test_a_quarter_of_the_points_say_from_how_wide_apart_the_map_was_seen():
+    rng, table = np.random.default_rng(3), PointTable()
+    table.add(400, parallax_deg=rng.uniform(0.0, 9.0, 400))
+    rows = rng.permutation(400)[:101]
+    least = best_parallax(table, rows)
+    assert np.count_nonzero(table.parallax_deg[rows] >= least) == 26
+    table.parallax_deg[:] = 0.01
+    for few in (rows, rows[:1], rows[:0]):
+        assert best_parallax(table, few) == LEAST_PARALLAX_DEG

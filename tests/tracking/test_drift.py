@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -211,6 +212,24 @@ def test_what_keyframes_show_of_the_scale_here_is_added_to_the_share():
     drift.local_sigma = 0.12
     driven(drift, 0.5, 1.0)
     assert drift.total.sigmas()[0] == pytest.approx(0.13 * 0.5)
+
+
+def test_what_was_seen_from_wider_apart_is_less_out_of_shape():
+    config = CovarianceConfig(
+        drift_of_motion=0.05, drift_per_sqrt_m=0.0, drift_per_sqrt_rad=0.01, turn_per_sqrt_m=0.0
+    )
+    for parallax_deg in (0.5, 4.0):
+        drift, before = Drift(config), None
+        for k in range(11):
+            pose = from_rt(so3_exp(np.array([0, 0.02 * k, 0])), np.array([0, 0, 0.05 * k]))
+            seen = replace(result(pose), parallax_deg=parallax_deg)
+            drift.advance(before, seen, 0.0, 100_000_000 * k)
+            before = pose
+        metres, radians = drift.total.sigmas()
+        assert metres == pytest.approx(0.05 / parallax_deg * 0.5)
+        assert radians == pytest.approx(0.01 / parallax_deg * np.sqrt(0.2))
+    drift.advance(None, replace(result(pose_at(0.5), 7, pose_at(0.5)), parallax_deg=2.0), 0.0, 1_100_000_000)
+    assert drift.here.sigmas()[0] == pytest.approx(0.05 / 2.0 * 0.5), "by what is seen now"
 
 
 def test_a_place_is_no_surer_for_standing_there():
