@@ -67,7 +67,7 @@ def take_over(
     """Do to the map, its parts and the last frame what the backend did; True where points became others."""
     motion = apply_correction(
         world, update.based_on, update.keyframes, update.poses,
-        update.points, update.positions, update.parallax_deg, scale_factors, update.everything,
+        update.points, update.positions, update.parallax_deg, scale_factors, update.everything, parts,
     )
     world.weigh(update.points, update.weights)
     world.drop_observations(update.dropped_keyframes, update.dropped_points)
@@ -94,6 +94,7 @@ def apply_correction(
     parallax_deg: NDArray[np.float32],
     scale_factors: Array,
     everything: bool = False,
+    parts: Parts | None = None,
 ) -> Array:
     """Move keyframes and points to where the backend put them.
 
@@ -101,8 +102,9 @@ def apply_correction(
     with the next newer one. A keyframe newer than ``based_on``, which the backend had not seen, is fitted to
     what it observes of corrected points and of those that others took along, and takes its own along. So is,
     where ``everything`` that the backend has is named, an older one that is not: it has never heard of that
-    (but of those before the first that it has, nothing says where they belong).
-    Returns the rigid motion (4, 4) of the newest keyframe, new world from old.
+    (but of those before the first that it has, nothing says where they belong). ``parts`` are those of before
+    (all one if None): a part may be moved by metres, and takes nothing of another along.
+    Returns the rigid motion (4, 4) of the newest keyframe of the camera's part, new world from old.
     """
     index = {int(k): i for i, k in enumerate(keyframe_ids)}
     world.heard = max(world.heard, based_on)
@@ -127,8 +129,9 @@ def apply_correction(
     along = motions[owner[mine]]
     turned = np.einsum("nij,nj->ni", along[:, :3, :3], table.position[mine])
     table.position[mine] = turned + along[:, :3, 3]
-    told = np.flatnonzero(placed)
-    motion = motions[told[-1]] if len(told) else np.eye(4)
+    parts = parts or Parts()
+    part = [parts.of(keyframe.id) for keyframe in keyframes]
+    moved = {part[row]: motions[row] for row in np.flatnonzero(placed)}  # of each part's newest
     unheard = _unheard(keyframes, placed, based_on) if everything else np.zeros(len(keyframes), bool)
     for i, keyframe in enumerate(keyframes):
         if placed[i] or (keyframe.id <= based_on and not unheard[i]):
@@ -138,7 +141,7 @@ def apply_correction(
         if unheard[i]:
             start, settled = motions[_beside(keyframes, i, placed)], corrected | placed[owner]
         else:
-            start, settled = motion, corrected | (table.reference != keyframe.id)
+            start, settled = moved.get(part[i], np.eye(4)), corrected | (table.reference != keyframe.id)
         keyframe.world_from_camera = fit(
             world, keyframe.camera, keyframe.features, keyframe.points, start @ old, scale_factors, settled
         )
@@ -148,14 +151,14 @@ def apply_correction(
         if unheard[i]:
             placed[i] = True
         else:
-            motion = motions[i]
+            moved[part[i]] = motions[i]
     if len(rows):
         focal = world.newest().camera.fx
         angle = np.radians(np.maximum(table.parallax_deg[rows], 1e-3))
         table.log_depth_sigma[rows] = np.minimum(
             table.log_depth_sigma[rows], MATCHING_SIGMA_PX / (focal * angle)
         )
-    return motion
+    return moved.get(parts.current, np.eye(4))
 
 
 def _owners(references: Ids, keyframes: list[int]) -> Index:

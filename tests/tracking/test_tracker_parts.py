@@ -121,6 +121,28 @@ def test_a_loop_between_the_parts_brings_the_camera_home():
     assert np.abs(se3_log(off)).max() < 0.02
 
 
+@pytest.mark.parametrize("motion", [pose_at(3.0, 0.5, -1.0, 0.2, 1.6, -0.1), pose_at(0, 0, 0, 0, 3.1, 0)])
+def test_a_part_that_is_joined_late_takes_nothing_along_of_where_the_camera_is_by_then(motion):
+    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.4))), other_room()
+    run.play(range(30))
+    for i in range(30, 42):
+        run.feed(0, BLACK, at=i)
+    visit(run, room, at=42)
+    assert not run.results[101].in_map
+    for i in range(102, 114):
+        run.feed(0, BLACK, at=i)
+    assert run.until_found([(12 + i, None) for i in range(12)], at=114).in_map
+    tracker = run.tracker
+    before = tracker.last_pose().copy()
+    keyframes = tracker.world.keyframes
+    home = {k: f.world_from_camera.copy() for k, f in keyframes.items() if tracker.parts.of(k) == HOME}
+    assert any(run.keyframes[k] > 113 for k in home), "one that the backend had not heard of"
+    bring_home(run, motion)
+    for k, pose in home.items():
+        assert np.abs(se3_log(inverse(pose) @ keyframes[k].world_from_camera)).max() < 0.01
+    assert np.abs(se3_log(inverse(before) @ tracker.last_pose())).max() < 0.01, "else odom would jump"
+
+
 def test_what_a_part_had_mapped_is_found_again_once_it_is_home():
     """Points know from where, and from how far, they were seen: that is otherwise since."""
     shares = []
