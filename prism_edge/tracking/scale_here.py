@@ -6,6 +6,8 @@ unit, keeps the error that was known then. The errors are taken as one, as a net
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from prism_edge.geometry.poses import Array
@@ -13,6 +15,8 @@ from prism_edge.messages import HOME, Scale
 from prism_edge.tracking.drift import Drift
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import Tracker
+
+Told: TypeAlias = tuple[float, float, float]  # log scale, its sigma, local sigma
 
 UNKNOWN_SCALE_SIGMA = 1.0
 MOST = 64  # parts besides home and the present one: what can't be tracked begins one every few seconds
@@ -25,7 +29,7 @@ class ScaleHere:
         self._tracker, self._odometry, self._drift = tracker, odometry, drift
         self.sigma = UNKNOWN_SCALE_SIGMA  # of the log scale
         self._epoch, self._part = tracker.epoch, HOME
-        self._told: dict[int, Scale] = {}  # the last of each part
+        self._told: dict[int, Told] = {}  # the last of each part
         self._error, self._since = np.zeros(3), np.zeros(3)
 
     @property
@@ -33,21 +37,22 @@ class ScaleHere:
         """Standard deviation of `odom`'s position that scale makes, along its one direction (3), metres."""
         return np.asarray(self._error + self.sigma * (self._odometry.odom_from_camera[:3, 3] - self._since))
 
-    def begin(self, sigma: float = UNKNOWN_SCALE_SIGMA) -> None:
-        """Another map, with another unit."""
+    def begin(self, sigma: float | None = None) -> None:
+        """Another map, with another unit; ``sigma`` is of the scale that the tracker has of it, if any."""
         self._epoch, self._part = self._tracker.epoch, self._tracker.parts.current
-        self._told = {}
-        self._change_unit(sigma)
+        # Who comes home from a part has that of home again, though nothing was said of it since.
+        self._told = {} if sigma is None else {HOME: (self._tracker.log_scale, sigma, 0.0)}
+        self._change_unit(UNKNOWN_SCALE_SIGMA if sigma is None else sigma)
 
     def hear(self, scale: Scale) -> None:
         """Something was said of this map; for a part that nothing was said of yet it holds as well."""
         self._told.pop(scale.part, None)
-        self._told[scale.part] = scale
+        self._told[scale.part] = scale.log_scale, scale.sigma, scale.local_sigma
         others = [part for part in self._told if part not in (HOME, self._part)]
         if len(others) > MOST:
             del self._told[others[0]]  # nothing was said of it for longest
         if scale.part == self._part or self._part not in self._told:
-            self._apply(scale)
+            self._apply(self._told[scale.part])
             self.sigma = scale.sigma
 
     def enter(self) -> None:
@@ -58,12 +63,12 @@ class ScaleHere:
             return
         self._part = self._tracker.parts.current
         told = self._told.get(self._part)
-        self._change_unit(self.sigma if told is None else told.sigma)
+        self._change_unit(self.sigma if told is None else told[1])
         if told is not None:
             self._apply(told)
 
-    def _apply(self, scale: Scale) -> None:
-        self._tracker.log_scale, self._drift.local_sigma = scale.log_scale, scale.local_sigma
+    def _apply(self, told: Told) -> None:
+        self._tracker.log_scale, _, self._drift.local_sigma = told
 
     def _change_unit(self, sigma: float) -> None:
         self._error, self._since = self.odom_error, self._odometry.odom_from_camera[:3, 3].copy()

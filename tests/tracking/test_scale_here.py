@@ -69,6 +69,19 @@ def test_each_part_has_what_was_said_of_it_last(camera):
     assert camera.known == (0.4, 0.16, 0.0)
 
 
+def test_home_keeps_the_scale_that_a_map_was_taken_over_with(camera):
+    camera.tracker.epoch, camera.tracker.log_scale = 1000, 0.2
+    camera.scale.begin(0.05)
+    camera.enter(60)
+    assert camera.known == (0.2, 0.05, 0.0), "nothing else is known of it yet"
+    camera.hear(0.45, 0.12, part=60)
+    camera.enter(HOME)
+    assert camera.known == (0.2, 0.05, 0.0)
+    camera.scale.begin()  # a new map, of which nothing is known
+    camera.hear(0.3, 0.1, part=70)
+    assert camera.known == (0.3, 0.1, 0.0)
+
+
 def test_of_parts_without_end_home_the_present_one_and_the_last_told_are_known(camera, monkeypatch):
     monkeypatch.setattr(scale_here, "MOST", 3)
     camera.hear(0.1, 0.12)
