@@ -156,13 +156,13 @@ class CovarianceConfig:
         20.0, 0.0, 1000.0, "and what the camera moves in so long: a pose may be that of a moment aside"
     )
     drift_of_motion: float = limits(
-        0.08, 0.0, 1.0, "drift of position in a second, as a share of the way in it, at a degree of parallax"
+        0.07, 0.0, 1.0, "drift of position in a second, as a share of the way in it, at a degree of parallax"
     )
     drift_per_sqrt_m: float = limits(
         0.001, 0.0, 1.0, "and metres per square root of a metre travelled, however slowly"
     )
     drift_per_sqrt_rad: float = limits(
-        0.012, 0.0, 1.0, "drift of orientation, radians per square root of a radian turned, at that, too"
+        0.01, 0.0, 1.0, "drift of orientation, radians per square root of a radian turned, at that, too"
     )
     turn_per_sqrt_m: float = limits(
         0.001, 0.0, 1.0, "and radians per square root of a metre travelled"

@@ -14,6 +14,8 @@ from prism_edge.messages import HOME
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.point_table import Ids
 
+CULLED = 256  # keyframes whose part is still known: a loop may be on its way that one of them closed
+
 
 class Parts:
     """Which part each keyframe belongs to, and which one the camera is tracked in."""
@@ -21,6 +23,7 @@ class Parts:
     def __init__(self) -> None:
         self.current = HOME
         self._of: dict[int, int] = {}  # keyframes that are not at home
+        self._culled: dict[int, int] = {}  # the same of the last that have left the map
         self._joined: list[tuple[int, int, float, float]] = []  # what nobody has been told of
 
     @classmethod
@@ -41,6 +44,7 @@ class Parts:
 
     def add(self, keyframe: int) -> None:
         """A new keyframe belongs to the part the camera is tracked in."""
+        self._culled.pop(keyframe, None)  # numbers of what never came to be are given again
         if self.current != HOME:
             self._of[keyframe] = self.current
 
@@ -52,7 +56,11 @@ class Parts:
     def forget(self, keyframes: list[int]) -> None:
         """Keyframes that have left the map."""
         for keyframe in keyframes:
-            self._of.pop(keyframe, None)
+            part = self._of.pop(keyframe, HOME)
+            if part != HOME:
+                self._culled[keyframe] = part
+        while len(self._culled) > CULLED:
+            del self._culled[next(iter(self._culled))]
 
     def enter(self, world: LocalMap, points: Ids) -> None:
         """The camera was found by these points: their part is where it is."""
@@ -67,16 +75,17 @@ class Parts:
 
         ``units`` (2,), where they are known: log of the newer one's unit in the older one's, and its sigma.
         """
-        old, new = sorted((self.of(one), self.of(other)))
+        old, new = sorted(self._of.get(end, self._culled.get(end, HOME)) for end in (one, other))
         if old == new:
             return False
         if units is not None and len(units):
             self._joined.append((new, old, *units.tolist()))
-        for keyframe in [k for k, part in self._of.items() if part == new]:
-            if old == HOME:
-                del self._of[keyframe]
-            else:
-                self._of[keyframe] = old
+        for of in (self._of, self._culled):
+            for keyframe in [k for k, part in of.items() if part == new]:
+                if old == HOME:
+                    del of[keyframe]
+                else:
+                    of[keyframe] = old
         if self.current == new:
             self.current = old
         return True

@@ -275,12 +275,12 @@ class TrackerWorker:
                 apply[topic](message)
 
     def _apply_depth(self, message: Depth) -> None:
-        if message.epoch == self._tracker.epoch:
-            self._tracker.recognise(message.keyframe, message.descriptor, message.model)
-        if message.keyframe >= 0:
-            self._status.metres.depth(message.keyframe, message.valid, message.reason)
-        if message.keyframe < 0 or message.epoch != self._tracker.epoch:
+        if message.epoch != self._tracker.epoch:
             return
+        self._tracker.recognise(message.keyframe, message.descriptor, message.model)
+        if message.keyframe < 0:
+            return
+        self._status.metres.depth(message.keyframe, message.valid, message.reason)
         if not message.valid:
             self._tracker.add_no_depth(message.keyframe)
             return
@@ -373,7 +373,8 @@ class TrackerWorker:
             "scale_sigma": f"{self._scale.sigma:.4f}",
             "dropped": self._dropped,
         }
-        self._status.show(odometry, self._tracker.parts.at_home, self._localise_only, stamp_ns, values)
+        epoch, at_home = self._tracker.epoch, self._tracker.parts.at_home
+        self._status.show(epoch, odometry, at_home, self._localise_only, stamp_ns, values)
 
 
 def _tracking(config: Config) -> TrackingConfig:

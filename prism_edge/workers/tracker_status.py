@@ -17,7 +17,7 @@ class TrackerStatus:
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
-        self.metres = DepthWatch()
+        self.metres, self._epoch = DepthWatch(), -1
         self._shown: tuple[str, int, str] | None = None
         self._happened, self._happened_until_ns = "", 0  # to the map, and until when we say so
 
@@ -26,9 +26,15 @@ class TrackerStatus:
         self._happened, self._happened_until_ns = word, now_ns + _SAID_NS
 
     def show(
-        self, odometry: str, at_home: bool, localise_only: bool, stamp_ns: int, values: dict[str, object]
+        self, epoch: int, odometry: str, at_home: bool, localise_only: bool, stamp_ns: int,
+        values: dict[str, object],
     ) -> None:
-        """``at_home``: its place in the map is known. Without metres it is degraded, well as it may track."""
+        """``at_home``: its place in the map is known. Without metres it is degraded, well as it may track.
+
+        Another ``epoch`` is another map, whose metres nobody has found fault with yet.
+        """
+        if epoch != self._epoch:
+            self.metres, self._epoch = DepthWatch(), epoch
         trouble = self.metres.trouble(stamp_ns)
         odometry = DEGRADED if trouble and odometry == OK else odometry
         state = LOCALISED if localise_only else BUILDING

@@ -73,6 +73,21 @@ def test_what_has_left_the_map_is_forgotten():
     assert parts.newest(world).id == 1, "of the map, where the part has none left"
 
 
+def test_a_loop_of_a_keyframe_that_has_just_left_the_map_joins_its_part():
+    parts = Parts()
+    for first in (60, 70):
+        parts.begin(first)
+        parts.add(first + 1)
+        parts.forget([first + 1])
+    assert parts.merge(61, 3, np.array([0.1, 0.01]))
+    assert (parts.of(60), parts.of(70), parts.at_home) == (HOME, 70, False)
+    assert parts.take_joined() == [(60, HOME, 0.1, 0.01)]
+    assert not parts.merge(61, 3), "it is at home by now"
+    parts.current = HOME
+    parts.add(71)  # the number is given again
+    assert not parts.merge(71, 3)
+
+
 def test_a_part_of_one_keyframe_is_alone_unless_the_camera_is_there():
     parts = Parts.given({3: 3, 5: 5, 6: 5})
     assert parts.alone() == {3}

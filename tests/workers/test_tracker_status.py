@@ -1,0 +1,25 @@
+"""What `status` says of a map whose metres are doubtful, and of the next one."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+from prism_edge.messages import DEGRADED, OK
+from prism_edge.workers.tracker_status import TrackerStatus
+
+
+def test_a_new_map_is_not_degraded_for_the_metres_of_the_one_before():
+    bus = SimpleNamespace(publish=lambda topic, message: None, pulse=SimpleNamespace(values={}))
+    status = TrackerStatus(bus)
+
+    def said(epoch: int, stamp_ns: int) -> tuple[str, str]:
+        status.show(epoch, OK, True, False, stamp_ns, {})
+        return bus.pulse.values["odometry"], bus.pulse.values["depth"]
+
+    assert said(0, 0) == (OK, "ok")
+    for keyframe in range(5):
+        status.metres.scale(keyframe, 0.8, accepted=False)
+    assert said(0, 10**9) == (DEGRADED, "depth contradicts the scale")
+    assert said(1, 2 * 10**9) == (OK, "ok")
+    status.metres.depth(7, False, "dark")
+    assert said(1, 3 * 10**9) == (DEGRADED, "no usable depth: dark")
