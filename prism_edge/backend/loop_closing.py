@@ -158,6 +158,8 @@ class LoopCloser:
         world = self._world
         query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
         joined = self._connected(loop)
+        # As it was measured: what the loop moves may take the candidate along.
+        relative = inverse(candidate.world_from_camera) @ loop.world_from_query
         units = None
         if not joined or not self._slight(loop, query):
             found = pose_graph.spread(world, loop, self._pairs(), joined)
@@ -166,7 +168,6 @@ class LoopCloser:
             moved, log_unit = found
             units = None if log_unit is None else (log_unit, loop.log_scale_sigma)
             pose_graph.apply(world, moved)
-        relative = inverse(candidate.world_from_camera) @ loop.world_from_query
         ends = loop.query, loop.candidate, query.index, candidate.index
         self.accepted.append(Accepted(*ends, relative, loop.inliers, units))
         if len(self.accepted) > MOST_ACCEPTED:

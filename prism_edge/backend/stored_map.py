@@ -147,7 +147,9 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     for start, k in zip(starts.tolist(), keyframes, strict=False):
         for point, keypoint in k.observed.items():
-            seen[start + keypoint] = point
+            # A star that ran off would make the whole map one that nobody reads.
+            if np.abs(world.points[point].position).max() < FARTHEST:
+                seen[start + keypoint] = point
     kept = np.unique(seen[seen >= 0]).tolist()
     places = [k.id for k in keyframes if k.id in index]
     descriptors = [index.get(k) for k in places]

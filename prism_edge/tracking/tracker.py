@@ -102,7 +102,7 @@ class Tracker:
         result, pose = self._result, self.last_pose()
         if result is None or result.world_from_camera is None or pose is None:
             return result
-        return replace(result, world_from_camera=pose)
+        return replace(result, world_from_camera=pose, in_map=self.parts.at_home)
 
     @property
     def depth(self) -> float:
@@ -160,7 +160,7 @@ class Tracker:
         if self._waiting is not None:
             if not self._first.gives_way(stamp_ns):
                 return
-            self._give_up_waiting()
+            self.give_up_waiting()
         looked_s, patience_s = self._looked_ns * 1e-9, self._config.submap_after_s
         last = self.last_pose()
         pose = self.world.newest().world_from_camera if last is None else last
@@ -184,14 +184,15 @@ class Tracker:
         began, seen = self._began_at, self._seen_at
         return math.inf if began is None or seen is None else (seen - began) * 1e-9
 
-    def _give_up_waiting(self) -> None:
+    def give_up_waiting(self) -> None:
+        """Forget the part that waits for its first depth, if any."""
         if self._waiting is not None and self._waiting.id in self.world.keyframes:
             take_out(self.world, self.parts, self.places, self._waiting)
         self._waiting = None
 
     def _settle(self, frame: TrackedFrame) -> None:
         """The camera was lost and is found."""
-        self._give_up_waiting()
+        self.give_up_waiting()
         self.parts.enter(self.world, frame.points[frame.points >= 0])
         self._lost = self.wants_probe = False
         self._at.leave()

@@ -356,6 +356,8 @@ class TrackerWorker:
         if wanted and not self._tracker.initialised:
             return Reply(False, "there is no map to localise in yet")
         self._localise_only, self._tracker.may_map = wanted, not wanted
+        if wanted:
+            self._tracker.give_up_waiting()  # its part could never grow
         last = self._tracker.last_result
         self._show_now(LOST if last is None else last.odometry)
         return Reply(True, "the map stays as it is" if wanted else "the map is built on")

@@ -93,6 +93,15 @@ def test_each_loop_says_where_the_query_is_from_its_candidate(closed):
         assert loop.inliers >= CONFIG.loop_inliers
 
 
+def test_what_a_loop_measured_is_said_also_where_it_moves_its_candidate():
+    ring = Ring(drift=2.0 * DRIFT, stretch=1.01)
+    accepted = walk(ring, 46).loops.accepted
+    assert accepted
+    for loop in accepted:
+        true = inverse(ring.true[loop.candidate]) @ ring.true[loop.query]
+        assert rotation_angle(true[:3, :3].T @ loop.candidate_from_query[:3, :3]) < np.radians(0.4)
+
+
 def test_double_points_become_one_and_the_tracker_is_told(closed):
     ring, mapper, _ = closed
     last = mapper.loops.accepted[-1]

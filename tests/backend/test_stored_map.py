@@ -89,6 +89,15 @@ def test_every_part_of_the_map_comes_back() -> None:
     assert 3 not in places
 
 
+def test_a_point_that_ran_off_stays_behind() -> None:
+    world, index = example()
+    far = next(iter(world.points))
+    world.points[far].position = np.array([0.0, -3e9, 1.0])
+    again, _ = from_arrays(*map_file.unpack(map_file.pack(*to_arrays(world, index))), max_carried=100)
+    assert again.points.keys() == world.points.keys() - {far}
+    assert not any(far in keyframe.observed for keyframe in again.keyframes.values())
+
+
 def test_what_comes_back_is_optimised_alike() -> None:
     config = BackendConfig()
     solved = []

@@ -115,6 +115,7 @@ def test_a_loop_between_the_parts_brings_the_camera_home():
     part = run.tracker.parts.current
     bring_home(run, motion, size=1.0)
     assert run.tracker.parts.take_joined() == [(part, HOME, 0.0, 0.01)]
+    assert run.tracker.last_result.in_map, "also for exact copies of that image"
     after = run.feed(0, room[-1][0], at=72)
     assert after.in_map
     off = inverse(motion @ last.world_from_camera) @ after.world_from_camera
@@ -178,6 +179,21 @@ def test_without_depth_no_part_is_begun_in_vain():
     assert found.in_map
     assert waiting not in run.tracker.world.keyframes
     assert run.tracker.add_depth(waiting, footage().depths[0], IDENTITY, 0.1) == 0
+    check(run.tracker.world)
+
+
+def test_a_part_that_is_given_up_does_not_begin_once_its_depth_comes():
+    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3))), other_room(30)
+    run.play(range(30))
+    for i in range(30, 42):
+        run.feed(0, BLACK, at=i)
+    for i, (image, _, _) in enumerate(room):
+        run.feed(0, image, at=42 + i)
+    waiting = max(run.tracker.world.keyframes)
+    run.tracker.may_map = False
+    run.tracker.give_up_waiting()
+    assert run.tracker.add_depth(waiting, room[0][1], IDENTITY, 0.1) == 0
+    assert run.feed(0, room[-1][0], at=72).odometry == LOST
     check(run.tracker.world)
 
 

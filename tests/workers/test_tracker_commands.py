@@ -6,6 +6,7 @@ import itertools
 
 import pytest
 
+from prism_edge.tracking.tracker import Tracker
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import frame, run
 
@@ -57,6 +58,17 @@ def test_localise_only_makes_no_keyframes_until_told_to(bus: ListBus) -> None:
     words = [m.status[0].message for m in bus.of("status")]
     assert any(word.endswith("localised") for word in words)
     assert words[-1].endswith("building")
+
+
+@pytest.mark.usefixtures("world")
+def test_a_part_that_waits_for_depth_is_given_up_where_nothing_more_is_mapped(
+    bus: ListBus, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given_up: list[bool] = []
+    monkeypatch.setattr(Tracker, "give_up_waiting", lambda tracker: given_up.append(tracker.may_map))
+    when_frames_left(bus, 10, "localise_only", "on")
+    run(bus, [frame(i) for i in range(30)])
+    assert False in given_up
 
 
 def test_there_must_be_a_map_to_localise_in(bus: ListBus) -> None:
