@@ -132,9 +132,10 @@ def summary(runs: Iterable[tuple[Draw, Metrics | None]]) -> list[str]:
         final = geometric_mean(100.0 * m["final"]["ate_sim3_m"] for m in chosen)
         nees = [m["nees_1s"] for m in chosen if m.get("nees_1s")]
         honest = f"NEES mean {fmean(nees):.2f}, geometric {geometric_mean(nees):.2f}, " if nees else ""
+        least = min(m["coverage"] for m in chosen)
         lines.append(
-            f"- indoors, {label}, {len(chosen)} runs: "
-            f"least coverage {min(m['coverage'] for m in chosen):.3f}, Sim(3) live {live:.1f}, final {final:.1f} cm (geometric means); {honest}"
+            f"- indoors, {label}, {len(chosen)} runs: least coverage {least:.3f}, "
+            f"Sim(3) live {live:.1f}, final {final:.1f} cm (geometric means); {honest}"
             f"above 2 {sum(n > 2.0 for n in nees)}, below 0.5 {sum(n < 0.5 for n in nees)}"
         )
     return lines
