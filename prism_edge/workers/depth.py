@@ -17,6 +17,7 @@ from prism_edge.config import Config
 from prism_edge.depth import DepthNetwork
 from prism_edge.depth.plausible import range_of
 from prism_edge.depth.prediction import no_confidence, no_descriptor
+from prism_edge.errors import first_line
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
 from prism_edge.processes import processes_for
@@ -169,8 +170,8 @@ def answer(network: DepthNetwork | SensorNetwork | None, image: KeyframeImage) -
         else:
             prediction = network.infer(rgb(image), camera)
     except Exception as error:  # native code and foreign graphs raise anything; tracking goes on
-        line = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
-        return _without(image, network.identity, network.bias_sigma, f"inference failed: {line}")
+        failed = f"inference failed: {first_line(error, 200)}"
+        return _without(image, network.identity, network.bias_sigma, failed)
     return Depth(
         keyframe=image.keyframe,
         index=image.index,
