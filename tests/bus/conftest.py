@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import socket
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,14 +10,8 @@ import pytest
 import zenoh
 
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config
-
-
-def free_endpoint() -> str:
-    """An endpoint on loopback that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture

@@ -18,10 +18,10 @@ from prism_edge.bus.commands import Reply, send
 from prism_edge.bus.keys import alive_key, check_loopback, key, ready_key
 from prism_edge.bus.links import open_session
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, NetworkConfig
 from prism_edge.errors import BusError, ConfigError
 from prism_edge.topics import COMMANDS, TOPICS
-from tests.bus.conftest import free_endpoint
 
 MAKE = Path(__file__).resolve().parents[2] / "deploy" / "make_certificates.sh"
 STATUS = ros.diagnostics(1, [("tracking", 0, "ok building", {})])

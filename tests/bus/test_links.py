@@ -14,10 +14,10 @@ import zenoh
 
 from prism_edge.bus import links
 from prism_edge.bus.links import encoding, on_this_host, open_session, quality
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, NetworkConfig
 from prism_edge.errors import BusError
 from prism_edge.topics import TOPICS
-from tests.bus.conftest import free_endpoint
 
 
 def test_an_endpoint_in_use_is_named(config):

@@ -16,13 +16,13 @@ import pytest
 
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.cli.main import main
 from prism_edge.cli.watch import Listener
 from prism_edge.config import BusConfig, Config, FramesConfig
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.mount import base_from_camera, looking
 from prism_edge.messages import Tracked
-from tests.bus.conftest import free_endpoint
 
 MS = 1_000_000
 COVARIANCE = np.diag([0.01, 0.01, 0.02, 0, 0, 0])

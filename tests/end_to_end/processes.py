@@ -18,18 +18,13 @@ from typing import Any, Self
 import psutil
 
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 CLI = (sys.executable, "-m", "prism_edge.cli")
 DEADLINE_S = 30.0
 MARK = "PRISM_EDGE_TEST"
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = DEADLINE_S) -> Any:

@@ -9,14 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.end_to_end.processes import (
-    DEADLINE_S,
-    Daemon,
-    free_endpoint,
-    port_is_free,
-    prism_edge,
-    wait_until,
-)
+from prism_edge.bus.vacancy import free_endpoint
+from tests.end_to_end.processes import DEADLINE_S, Daemon, port_is_free, prism_edge, wait_until
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from prism_edge.errors import EvaluationError
-from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, DaemonError, free_endpoint, last_error
+from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, DaemonError, last_error
 
 # Starts a child of its own, says both process ids, and ignores requests to end.
 STUBBORN = """
@@ -120,13 +120,6 @@ def test_the_last_error_line_is_found_among_log_lines(tmp_path: Path) -> None:
     errors = b"prism-edge: error: first\nprism-edge source: error: second: x\n"
     log.write_bytes(b"\xff\xfe noise\n" + errors + b"INFO bye\n\n")
     assert last_error(log) == "second: x"
-
-
-def test_free_endpoints_differ_and_are_loopback() -> None:
-    first, second = free_endpoint(), free_endpoint()
-    assert first.startswith("tcp/127.0.0.1:")
-    assert int(first.rpartition(":")[2]) > 0
-    assert second.startswith("tcp/127.0.0.1:")
 
 
 def test_the_daemon_is_this_package_whatever_lies_in_the_folder(tmp_path: Path) -> None:

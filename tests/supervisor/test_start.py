@@ -11,9 +11,9 @@ from pathlib import Path
 import psutil
 import pytest
 
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
 from prism_edge.config_file import dump
-from prism_edge.evaluation.daemon import free_endpoint
 from prism_edge.processes import PROCESSES
 from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.start import can_fork, spawn_worker

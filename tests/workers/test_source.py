@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import socket
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +14,7 @@ from sources import tiny_datasets as tiny
 
 from prism_edge.bus.pack import grey, pack, rgb
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, DepthConfig
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.messages import Acknowledged, EndOfStream, Frame, Tracked
@@ -323,16 +323,9 @@ def test_log_and_health_say_that_the_intrinsics_look_like_another_images(
     assert caplog.text.count(doubt) == 1
 
 
-@pytest.fixture
-def unused_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
-def test_over_the_real_bus(tmp_path: Path, unused_endpoint: str) -> None:
+def test_over_the_real_bus(tmp_path: Path) -> None:
     config = settings(tiny.write_tum(tmp_path, count=8), "lockstep", peers_s=DEADLINE_S)
-    config = replace(config, bus=BusConfig(endpoint=unused_endpoint))
+    config = replace(config, bus=BusConfig(free_endpoint()))
 
     def work(stop: Recorder) -> None:
         with Bus.open(config, "source") as bus:
