@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -18,19 +16,6 @@ from prism_edge.config import BusConfig, Config
 def config() -> Config:
     """Defaults, with a listener that nobody else uses and quick retries."""
     return replace(Config(), bus=BusConfig(endpoint=free_endpoint(), retry_ms=50))
-
-
-@pytest.fixture
-def eventually() -> Callable[..., None]:
-    """Waits for a condition, with a deadline."""
-
-    def wait(condition: Callable[[], object], timeout_s: float = 30.0) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < deadline, "it didn't happen in time"
-            time.sleep(0.01)
-
-    return wait
 
 
 @pytest.fixture

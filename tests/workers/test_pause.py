@@ -14,6 +14,7 @@ from prism_edge.sources import open_source
 from prism_edge.workers import pause as module
 from prism_edge.workers.pause import Pause
 from prism_edge.workers.source import SourceWorker
+from tests.waiting import until
 from tests.workers.list_bus import ListBus
 from tests.workers.source_bench import Recorder, running, settings
 
@@ -78,10 +79,7 @@ def test_a_recording_goes_on_where_it_was_and_skips_nothing(tmp_path: Path) -> N
             SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
 
     with running(work) as bus:
-        end = time.monotonic() + 30
-        while "paused by command" not in bus.pulse.values.get("warning", ""):
-            assert time.monotonic() < end
-            time.sleep(0.01)
+        until(lambda: "paused by command" in bus.pulse.values.get("warning", ""), "it says that it pauses")
         time.sleep(0.3)  # several periods of the recording: nothing may come out of them
         assert bus.published.empty()
         bus.desk.ask("pause", "off")

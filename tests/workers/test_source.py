@@ -21,7 +21,8 @@ from prism_edge.messages import Acknowledged, EndOfStream, Frame, Tracked
 from prism_edge.sources import open_source
 from prism_edge.workers.source import SourceWorker, main
 from tests.synthetic.scene import block_texture
-from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, undisturbed, wait_for
+from tests.waiting import until
+from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, undisturbed
 
 
 def test_realtime_plays_everything_and_ends(tmp_path: Path) -> None:
@@ -180,7 +181,7 @@ def test_lockstep_goes_on_without_who_has_died(tmp_path: Path, caplog: pytest.Lo
 
 def test_the_first_frame_waits_for_the_others(tmp_path: Path) -> None:
     with playing(settings(tiny.write_tum(tmp_path), "lockstep", peers_s=600.0)) as bus:
-        wait_for(lambda: "ready" in bus.states)
+        until(lambda: "ready" in bus.states)
         bus.say("ready", "backend")
         with pytest.raises(queue.Empty):
             bus.published.get(timeout=0.3)
@@ -215,7 +216,7 @@ def test_stopping_ends_every_wait(tmp_path: Path) -> None:
         waiting_for_a_late_image,
     ):
         with playing(config) as bus:
-            wait_for(lambda bus=bus: "ready" in bus.states)
+            until(lambda bus=bus: "ready" in bus.states)
         assert "ended" not in bus.states
 
 
@@ -318,7 +319,7 @@ def test_log_and_health_say_that_the_intrinsics_look_like_another_images(
     (folder / "camera.yaml").write_text(tiny.CAMERA.replace("cx: 31.5", "cx: 62.5"))
     doubt = "camera: cx 62.5 of a 64-wide image: are these intrinsics of a larger image?"
     with playing(settings(folder)) as bus:
-        wait_for(lambda: "warning" in bus.pulse.values)
+        until(lambda: "warning" in bus.pulse.values)
         assert bus.pulse.values["warning"] == doubt
     assert caplog.text.count(doubt) == 1
 
