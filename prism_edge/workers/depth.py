@@ -20,7 +20,7 @@ from prism_edge.depth.prediction import no_confidence, no_descriptor
 from prism_edge.errors import first_line
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
-from prism_edge.processes import processes_for
+from prism_edge.processes import peers_of
 from prism_edge.workers.sensor_network import SensorNetwork, open_depth
 
 log = logging.getLogger("prism_edge.depth")
@@ -40,7 +40,7 @@ class DepthWorker:
         """Loads and warms up the network. Raises ModelError where it can't be run."""
         self._bus = bus
         self._patience_s = patience_s
-        self._peers = {process.name for process in processes_for(config)} - {"depth"}
+        self._peers = peers_of(config, "depth")
         shown = {"model": "none", "provider": "none", "inference_ms": "-", "inference_ms_median": "-"}
         bus.pulse.values.update(shown, **dict.fromkeys(("queue", "keyframes", "dropped", "invalid"), "0"))
         # Subscribed first: what comes while the network loads is waiting when it is ready.
