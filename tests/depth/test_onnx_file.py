@@ -46,7 +46,9 @@ def test_what_a_file_says_of_itself_is_read_as_onnx_reads_it(tmp_path: Path):
 
 @pytest.mark.realdata
 def test_real_files_are_read_as_onnx_reads_them(shared: Path):
-    for path in sorted((shared / "models").glob("*.onnx")):
+    files = sorted((shared / "models").glob("*.onnx"))
+    assert files
+    for path in files:
         outline = read_outline(memoryview(path.read_bytes()), path.name)
         truth = onnx.load(path)
         assert outline.opsets == {item.domain: item.version for item in truth.opset_import}
