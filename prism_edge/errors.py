@@ -72,6 +72,11 @@ def in_words(error: PrismError | OSError) -> str:
     return file + (error.strerror or str(error) or type(error).__name__)
 
 
+def first_line(error: BaseException, limit: int | None = None) -> str:
+    """An exception's first line, or its type where it says nothing; of ``limit`` characters at most."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0][:limit]
+
+
 def report(error: Exception) -> int:
     """Says on stderr what ended the program, in one line where a user can mend it; returns the exit code."""
     if isinstance(error, PrismError):

@@ -39,3 +39,8 @@ def processes_for(config: Config) -> tuple[Process, ...]:
     depth and scale run only where a depth network is configured.
     """
     return tuple(p for p in PROCESSES.values() if config.depth.network or p.name not in _NEED_DEPTH)
+
+
+def peers_of(config: Config, name: str) -> set[str]:
+    """Names of the processes that run beside this one."""
+    return {process.name for process in processes_for(config)} - {name}

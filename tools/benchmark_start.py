@@ -22,9 +22,9 @@ import psutil
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig, StateConfig
 from prism_edge.config_file import dump, load
-from prism_edge.evaluation.daemon import free_endpoint
 from prism_edge.evaluation.resources import pss_mb
 
 WAYS = ("forks", "programs")

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import socket
 import statistics
 import subprocess
 import sys
@@ -36,6 +35,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.pack import pack
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, DepthConfig
 from prism_edge.config_file import dump
 from prism_edge.depth import OnnxNetwork, locate, open_onnx
@@ -206,10 +206,7 @@ def now_and_then(worker: Worker, keyframes: int) -> tuple[float, float]:
 @contextmanager
 def running_worker(depth: DepthConfig) -> Iterator[Worker]:
     """A worker process that answers, until the block ends. Raises ModelError where none comes to answer."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    config = Config(robot="benchmark", bus=BusConfig(endpoint=endpoint), depth=depth)
+    config = Config(robot="benchmark", bus=BusConfig(free_endpoint()), depth=depth)
     with tempfile.TemporaryDirectory() as folder, Bus.open(config, "supervisor", listen=True) as bus:
         file = Path(folder) / "config.yaml"
         file.write_text(dump(config), encoding="utf-8")

@@ -29,7 +29,7 @@ from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.inner_tensor import GEM, GEM_FLOOR, GEM_POWER, GRID, MAX, POOLINGS, TOKEN, halves
 from prism_edge.depth.vetting import vet
-from prism_edge.errors import ModelError, PrismError
+from prism_edge.errors import ModelError, PrismError, first_line
 
 # isort: split
 import onnxruntime  # after prism_edge, which keeps it from reporting to its makers
@@ -73,7 +73,7 @@ def read(path: Path) -> tuple[onnx.ModelProto, ModelCard]:
     try:
         model = onnx.load(str(path))
     except Exception as error:  # protobuf's, onnx's and the file system's, without a common root
-        raise ModelError(f"{path}: no ONNX model ({str(error).splitlines()[0][:100]})") from None
+        raise ModelError(f"{path}: no ONNX model ({first_line(error, 100)})") from None
     card = card_of(path, vetted)
     _fix_input(model, card)
     return model, card
@@ -263,7 +263,7 @@ def _compare(source: Path, out: Path, card: ModelCard) -> None:
             name = card.input_name or session.get_inputs()[0].name
             answers.append(session.run(outputs, {name: image.astype(np.float32)}))
         except Exception as error:  # onnxruntime's exceptions have no common root
-            raise ModelError(f"{path.name}: does not run ({str(error).splitlines()[0][:100]})") from None
+            raise ModelError(f"{path.name}: does not run ({first_line(error, 100)})") from None
     if not np.array_equal(answers[0][0], answers[1][0], equal_nan=True):
         raise ModelError(f"{out.name}: its depth would not be that of {source.name}; choose another layer")
     norm = float(np.linalg.norm(answers[1][1]))

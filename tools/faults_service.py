@@ -26,9 +26,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig, StateConfig
 from prism_edge.config_file import dump
-from prism_edge.evaluation.daemon import free_endpoint
 from prism_edge.evaluation.resources import pss_mb
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import Keyframe

@@ -30,9 +30,9 @@ import zenoh
 
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, NetworkConfig
 from prism_edge.config_file import dump
-from prism_edge.evaluation.daemon import free_endpoint
 from tools.faults_service import (
     ROOT,
     Room,

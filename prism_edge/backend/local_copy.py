@@ -7,7 +7,7 @@ import numpy as np
 from prism_edge.backend.global_map import LONG_AGO, GlobalKeyframe, GlobalMap
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.local_map import LEAST_SHARED, NO_POINT, LocalKeyframe, LocalMap
-from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
+from prism_edge.tracking.mapping import depth_sigma
 from prism_edge.tracking.point_table import Ids
 
 NEIGHBOURS = 20
@@ -29,7 +29,7 @@ def local_copy(world: GlobalMap) -> LocalMap:
         focal = np.array([world.keyframes[k].camera.fx for k in first])
         angle = np.radians(parallax)
         with np.errstate(divide="ignore"):
-            sigma = np.where(angle > 0.0, MATCHING_SIGMA_PX / (focal * angle), SEEDED_SIGMA)
+            sigma = np.where(angle > 0.0, depth_sigma(focal, angle), SEEDED_SIGMA)
         copy.points.restore(
             ids,
             position=positions,

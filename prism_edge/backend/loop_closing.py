@@ -16,6 +16,7 @@ from prism_edge.backend.lens import Lens, LensWatch, common, radial
 from prism_edge.backend.loops import Loop, Surroundings, median_depth, plausible, verify
 from prism_edge.backend.places import candidates, half_known
 from prism_edge.config import BackendConfig
+from prism_edge.errors import first_line
 from prism_edge.geometry.poses import Array, inverse, rotation_angle
 from prism_edge.messages import F32
 from prism_edge.tracking.place_index import PlaceIndex
@@ -296,7 +297,7 @@ class LoopCloser:
                 self._world, self._config, units_per_metre, self._use_depth, parts, said
             )
         except RuntimeError as error:
-            log.warning("no global adjustment: %s", str(error).splitlines()[0][:200])
+            log.warning("no global adjustment: %s", first_line(error, 200))
             if self._finds_lens:
                 self._lens.looked(self._world)
 

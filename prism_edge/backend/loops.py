@@ -17,9 +17,10 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.field_of_view import in_image
-from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, rotation_angle, scaled, transform
+from prism_edge.geometry.poses import Array, inverse, normalised, rotation_angle, scaled, transform
 from prism_edge.tracking.depth_alignment import robust_sigma
 from prism_edge.tracking.matching import match_corners, match_projected
+from prism_edge.tracking.perspective_pose import perspective_pose
 from prism_edge.tracking.pose_refinement import refine_pose
 
 Index = NDArray[np.intp]
@@ -212,33 +213,19 @@ def _first_pose(
             threshold=EPIPOLAR_PX,
             maxIters=EPIPOLAR_TRIES,
         )
-        if essential is None or mask is None or mask.sum() < MIN_EPIPOLAR:
-            return None
-        fits = mask.ravel().astype(bool)
-        point_of = {keypoint: point for point, keypoint in there.observed.items()}
-        pairs = [
-            (i, point_of[j])
-            for i, j in zip(mine[fits].tolist(), its[fits].tolist(), strict=True)
-            if j in point_of
-        ]
-        if len(pairs) < MIN_PNP:
-            return None
-        found, rotation, translation, inliers = cv2.solvePnPRansac(
-            np.array([world.points[p].position for _, p in pairs]),
-            here.pixels[[i for i, _ in pairs]],
-            calibration,
-            None,
-            iterationsCount=200,
-            reprojectionError=PNP_PX,
-            confidence=0.999,
-            flags=cv2.SOLVEPNP_EPNP,
-        )
     except cv2.error:
         return None  # degenerate: all on one spot, say
-    if not found or inliers is None or len(inliers) < MIN_PNP:
+    if essential is None or mask is None or mask.sum() < MIN_EPIPOLAR:
         return None
-    camera_from_world = from_rt(cv2.Rodrigues(rotation)[0], np.ravel(translation))
-    return inverse(camera_from_world) if np.isfinite(camera_from_world).all() else None
+    fits = mask.ravel().astype(bool)
+    point_of = {keypoint: point for point, keypoint in there.observed.items()}
+    matches = zip(mine[fits].tolist(), its[fits].tolist(), strict=True)
+    pairs = [(i, point_of[j]) for i, j in matches if j in point_of]
+    if len(pairs) < MIN_PNP:
+        return None
+    positions = np.array([world.points[p].position for _, p in pairs])
+    pixels = here.pixels[[i for i, _ in pairs]]
+    return perspective_pose(positions, pixels, calibration, PNP_PX, 0.999, MIN_PNP)
 
 
 def _unit_ratio(world: GlobalMap, here: GlobalKeyframe, found: Found) -> tuple[float, float]:

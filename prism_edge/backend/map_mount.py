@@ -11,7 +11,7 @@ import numpy as np
 
 from prism_edge.backend.map_file import Info
 from prism_edge.errors import MapError
-from prism_edge.geometry.poses import Array
+from prism_edge.geometry.poses import Array, are_rotations
 
 FIELD = "base_from_camera"
 FARTHEST_M = 1e4  # no robot is so large
@@ -60,6 +60,4 @@ def _numbers(told: Any) -> Array | None:
 def _is_rigid(mount: Array) -> bool:
     if not (np.abs(mount) <= FARTHEST_M).all():  # which no NaN is
         return False
-    rotation = mount[:3, :3]
-    turns = np.abs(rotation @ rotation.T - np.eye(3)).max() <= RIGID and np.linalg.det(rotation) > 0.0
-    return bool(turns and (mount[3] == (0.0, 0.0, 0.0, 1.0)).all())
+    return are_rotations(mount[:3, :3], RIGID) and bool((mount[3] == (0.0, 0.0, 0.0, 1.0)).all())

@@ -48,7 +48,7 @@ from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.map_stamps import stamps_info, stamps_of
 from prism_edge.errors import ConfigError, MapError
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.poses import normalised
+from prism_edge.geometry.poses import are_rotations, normalised
 from prism_edge.messages import LARGEST_ID
 from prism_edge.tracking.features import Features, grid
 from prism_edge.tracking.place_index import PlaceIndex
@@ -334,10 +334,7 @@ def _rigid(poses: NDArray[np.float64]) -> bool:
     """Whether matrices (n, 4, 4) are rotations and finite shifts."""
     if not _between(poses, -FARTHEST, FARTHEST):
         return False
-    rotations = poses[:, :3, :3]
-    products = rotations @ rotations.transpose(0, 2, 1)
-    last = (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all()
-    return bool((np.abs(products - np.eye(3)) < 1e-3).all() and (np.linalg.det(rotations) > 0).all() and last)
+    return are_rotations(poses[:, :3, :3], 1e-3) and bool((poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all())
 
 
 def _cameras(info: Info, rows: NDArray[np.int64]) -> list[Camera]:

@@ -15,7 +15,7 @@ from prism_edge.bus.access import access_control, tls
 from prism_edge.bus.keys import address_of, check_endpoint, protocol_of
 from prism_edge.bus.leftovers import sweep
 from prism_edge.config import BusConfig, NetworkConfig
-from prism_edge.errors import BusError
+from prism_edge.errors import BusError, first_line
 from prism_edge.topics import TOPICS, Topic
 
 _DIRECT = "tcp/127.0.0.1:0"
@@ -66,7 +66,7 @@ def open_session(
         setting, failed = "bus.endpoint", endpoint
         if listen and _is_of(str(error), network.endpoint):
             setting, failed = "network.endpoint", network.endpoint
-        raise BusError(f"{setting}: {_why_not(failed, str(error))}") from None
+        raise BusError(f"{setting}: {_why_not(failed, error)}") from None
 
 
 def _direct(endpoint: str) -> str:
@@ -126,14 +126,15 @@ def _is_of(error: str, endpoint: str) -> bool:
     return bool(address) and re.search(rf"(?<![\w.]){address}(?!\d)", error) is not None
 
 
-def _why_not(endpoint: str, error: str) -> str:
+def _why_not(endpoint: str, error: Exception) -> str:
+    said = str(error)
     # The last is a socket's, which Zenoh holds by a lock beside it.
-    if "in use" in error or "os error 98" in error or "Unable to acquire lock" in error:
+    if "in use" in said or "os error 98" in said or "Unable to acquire lock" in said:
         return f"{endpoint} is in use already; is another prism-edge running?"
-    if "Unable to connect" in error:
+    if "Unable to connect" in said:
         return f"nobody answers at {endpoint}; is prism-edge running there?"
     # without the place in Zenoh's own source
-    reason = re.sub(r" at /\S+\.rs:\d+\.?\]?", "", error.splitlines()[0])
+    reason = re.sub(r" at /\S+\.rs:\d+\.?\]?", "", first_line(error))
     return f"can't open {endpoint}: {reason[:160]}"
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.bus.ros_types import SCALE, type_store
-from prism_edge.errors import BusError
+from prism_edge.errors import BusError, first_line
 from prism_edge.geometry.poses import from_rt, quaternion_from_rotation, rotation_from_quaternion
 
 Array = NDArray[np.float64]
@@ -165,7 +165,7 @@ def serialise(type_name: str, message: Any) -> bytes:
     try:
         return bytes(_store.serialize_cdr(message, type_name))
     except Exception as error:  # the generated code raises whatever a wrong value leads to
-        raise BusError(f"can't send {type_name}: {_line(error)}") from None
+        raise BusError(f"can't send {type_name}: {first_line(error, 160)}") from None
 
 
 def deserialise(type_name: str, data: bytes) -> Any:
@@ -173,11 +173,7 @@ def deserialise(type_name: str, data: bytes) -> Any:
     try:
         return _store.deserialize_cdr(data, type_name)
     except Exception as error:  # the generated code raises whatever damaged bytes lead to
-        raise BusError(f"malformed {type_name} message: {_line(error)}") from None
-
-
-def _line(error: Exception) -> str:
-    return (str(error) or type(error).__name__).splitlines()[0][:160]
+        raise BusError(f"malformed {type_name} message: {first_line(error, 160)}") from None
 
 
 def _header(stamp: int, frame_id: str) -> Any:

@@ -1,4 +1,4 @@
-"""Whether an endpoint of this host is free to be listened on, asked without Zenoh (which starts threads)."""
+"""Endpoints of this host that are free to be listened on, asked without Zenoh (which starts threads)."""
 
 from __future__ import annotations
 
@@ -17,6 +17,13 @@ def can_listen(endpoint: str) -> bool:
         return protocol == "tcp" and port.isdigit() and _port_is_free(host, int(port))
     except (OSError, OverflowError):  # the latter of a number that is no port
         return False
+
+
+def free_endpoint() -> str:
+    """A TCP endpoint on loopback that nobody listens on now. Raises OSError where no port is left."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def _port_is_free(host: str, port: int) -> bool:

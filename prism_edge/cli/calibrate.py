@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prism_edge.cli.whole_file import check_writable, write_whole
+from prism_edge.cli.whole_file import check_writable, put_whole
 from prism_edge.config import SourceConfig
 from prism_edge.errors import CalibrationError, ConfigError
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE
@@ -91,7 +91,7 @@ def _finish(
     _refuse(verdict.of_views(views, seen, width, height))
     result = calibrate(board, views, width, height, args.model)
     encoded = cv2.imencode(".png", coverage.draw(views, [gathered.outlines[k] for k in chosen], result))[1]
-    write_whole(picture, encoded.tobytes())  # also of what is refused: it shows why
+    put_whole(picture, encoded.tobytes())  # also of what is refused: it shows why
     camera, used = result.camera, [views[k] for k in result.used]
     print(f"board found in {seen} of {gathered.looked} images, {len(used)} different views used")
     print(f"reprojection error {result.rms:.3f} pixels (rms)")
@@ -106,7 +106,7 @@ def _finish(
         print(f"note: {doubt}")
     _refuse(verdict.of_calibration(views, seen, result))
     readout_ms = _readout_of(out)
-    write_whole(out, camera_text(result, len(used), name, args.board, readout_ms).encode())
+    put_whole(out, camera_text(result, len(used), name, args.board, readout_ms).encode())
     kept = f" (with the readout_ms of {readout_ms:g} that it had)" if readout_ms else ""
     print(f"camera file: {out}{kept}")
     return 0

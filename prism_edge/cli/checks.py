@@ -10,7 +10,6 @@ import os
 import platform
 import resource
 import shutil
-import socket
 import tempfile
 import threading
 import time
@@ -161,6 +160,8 @@ def check_certificates(config: Config) -> Iterator[Finding]:
 
 def _round_trip(zenoh: Any) -> float | None:
     """Seconds from put to arrival between two sessions over loopback TCP; None if it did not arrive."""
+    from prism_edge.bus.vacancy import free_endpoint
+
     def settings(**entries: Any) -> Any:
         config = zenoh.Config()
         config.insert_json5("scouting/multicast/enabled", "false")
@@ -168,9 +169,7 @@ def _round_trip(zenoh: Any) -> float | None:
             config.insert_json5(key.replace("__", "/"), json.dumps(value))
         return config
 
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    endpoint = free_endpoint()
     arrived = threading.Event()
     listening = settings(mode="peer", listen__endpoints=[endpoint])
     connecting = settings(mode="client", connect__endpoints=[endpoint])

@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prism_edge.cli.whole_file import check_writable, write_whole
+from prism_edge.cli.whole_file import check_writable, put_whole
 from prism_edge.config import SourceConfig
 from prism_edge.errors import CalibrationError, ConfigError, SourceError
 
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     if not own.any():
         print("nothing stays as it is: this camera needs no mask")
         return 0
-    write_whole(out, cv2.imencode(".png", np.where(own, 0, 255).astype(np.uint8))[1].tobytes())
+    put_whole(out, cv2.imencode(".png", np.where(own, 0, 255).astype(np.uint8))[1].tobytes())
     print(f"{100.0 * own.mean():.1f} % of the image never moves ({_where(own)})")
     print(f"mask: {out}")
     return 0

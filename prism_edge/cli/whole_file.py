@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from prism_edge.errors import CalibrationError, ConfigError
+from prism_edge.errors import ConfigError
 
 
 def check_writable(path: Path, overwrite: bool) -> None:
@@ -22,14 +22,6 @@ def check_writable(path: Path, overwrite: bool) -> None:
         temporary.unlink()
     except OSError as error:
         raise ConfigError(f"{path} can't be written ({error.strerror})") from None
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """All or nothing, as :func:`put_whole`. Raises CalibrationError."""
-    try:
-        put_whole(path, data)
-    except OSError as error:
-        raise CalibrationError(f"{path} can't be written ({error.strerror})") from None
 
 
 def put_whole(path: Path, data: bytes) -> None:

@@ -14,7 +14,7 @@ from prism_edge.errors import ModelError
 Bytes = memoryview
 
 # onnx.proto: message and field.
-_MODEL_IR, _MODEL_GRAPH, _MODEL_OPSET, _MODEL_PROPS = 1, 7, 8, 14
+_MODEL_GRAPH, _MODEL_OPSET, _MODEL_PROPS = 7, 8, 14
 _MODEL_TRAINING, _MODEL_FUNCTIONS = 20, 25
 _GRAPH_NODE, _GRAPH_INITIALIZER, _GRAPH_SPARSE = 1, 5, 15
 _NODE_OPERATOR, _NODE_ATTRIBUTE = 4, 5
@@ -36,7 +36,6 @@ LONGEST_TEXT = 65_536  # bytes
 class External:
     """A tensor whose values lie in another file."""
 
-    tensor: str
     location: str  # as the file has it
     offset: int
     length: int  # bytes; 0: to the end of that file
@@ -46,7 +45,6 @@ class External:
 class Outline:
     """What a file says of itself and refers to."""
 
-    ir_version: int = 0
     has_graph: bool = False
     opsets: dict[str, int] = field(default_factory=dict)  # domain ("" is ONNX's own): version
     metadata: dict[str, str] = field(default_factory=dict)  # without values longer than LONGEST_TEXT
@@ -75,9 +73,7 @@ def read_outline(content: Bytes, name: str) -> Outline:
 
 
 def _model_field(outline: Outline, number: int, value: int | Bytes) -> None:
-    if number == _MODEL_IR:
-        outline.ir_version = _integer(value)
-    elif number == _MODEL_GRAPH:
+    if number == _MODEL_GRAPH:
         outline.has_graph = True
         _walk_graph(outline, _message(value), 0)
     elif number == _MODEL_OPSET:
@@ -152,7 +148,7 @@ def _walk_tensor(outline: Outline, tensor: Bytes) -> None:
             told[key] = _text(parts.get(_ENTRY_VALUE, b""))
     if external:
         offset, length = _whole(told.get("offset", "")), _whole(told.get("length", ""))
-        outline.external.append(External(name, told.get("location", ""), offset, length))
+        outline.external.append(External(told.get("location", ""), offset, length))
 
 
 def _fields(content: Bytes) -> Iterator[tuple[int, int | Bytes]]:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from prism_edge.depth.contract import RELATIVE
 from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor, normalised
-from prism_edge.depth.providers import first_line
+from prism_edge.depth.providers import native_line
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -146,7 +146,7 @@ class PairedNetwork:
             raw, _ = self._relative.raw(rgb)
         except Exception as error:  # native code raises anything, and the metric answer is there
             parts = self._relative.name, self._metric.name
-            log.warning("%s fails, %s stands alone: %s", *parts, first_line(error))
+            log.warning("%s fails, %s stands alone: %s", *parts, native_line(error))
             self.counters["unpaired"] += metric.valid
             descriptor = no_descriptor() if own else metric.descriptor
             return replace(metric, confidence=no_confidence(), descriptor=descriptor)

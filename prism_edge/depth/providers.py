@@ -24,7 +24,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth.folders import cache_home
 from prism_edge.depth.inner_tensor import with_output
 from prism_edge.depth.vetting import Vetted
-from prism_edge.errors import ModelError
+from prism_edge.errors import ModelError, first_line
 from prism_edge.named_path import named_path
 
 log = logging.getLogger("prism_edge.depth")
@@ -147,7 +147,7 @@ def _first_that_starts(
             started = _start(path, config, wanted[index:], content)
             why = "" if started.provider == name else "it did not start, or took none of the network"
         except Exception as error:  # onnxruntime's exceptions have no common root of their own
-            why = first_line(error)
+            why = native_line(error)
         if started is not None and not why:
             return started
         if name == CPU:  # what the CPU can't load is no network
@@ -264,9 +264,9 @@ def _words(names: Sequence[str] | set[str]) -> str:
     return ", ".join(short_name(name) for name in sorted(names))
 
 
-def first_line(error: Exception) -> str:
+def native_line(error: Exception) -> str:
     """An exception of native code in one line, without what onnxruntime says first."""
-    line = " ".join((str(error).strip() or type(error).__name__).splitlines()[0].split())
+    line = " ".join(first_line(error).split())
     for pattern, instead in _PREAMBLES:
         line = pattern.sub(instead, line)
     return line[:200]

@@ -26,7 +26,7 @@ from prism_edge.depth.prediction import (
     no_confidence,
     no_descriptor,
 )
-from prism_edge.depth.providers import first_line, start
+from prism_edge.depth.providers import native_line, start
 from prism_edge.depth.registry import File
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
@@ -116,7 +116,7 @@ class OnnxNetwork:
         try:
             values = self._session.run(list(wanted.values()), {self._input: image})
         except Exception as error:  # whatever a foreign graph makes onnxruntime raise
-            raise ModelError(f"{self.path.name}: an inference failed ({first_line(error)})") from None
+            raise ModelError(f"{self.path.name}: an inference failed ({native_line(error)})") from None
         for (role, output), value in zip(wanted.items(), values, strict=True):
             shape = list(value.shape)
             is_right = value.size == 9 and shape[-2:] == [3, 3]
@@ -189,7 +189,7 @@ class OnnxNetwork:
         except ModelError as error:
             raise ModelError(f"{self.path.name}: {error}") from None
         except Exception as error:  # whatever a foreign graph makes onnxruntime raise
-            raise ModelError(f"{self.path.name}: the first inference failed ({first_line(error)})") from None
+            raise ModelError(f"{self.path.name}: the first inference failed ({native_line(error)})") from None
         if answer.confidence.size and answer.confidence.shape != answer.depth.shape:
             raise ModelError(
                 f"{self.path.name}: confidence is {answer.confidence.shape}, depth {answer.depth.shape}; "

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -107,10 +106,3 @@ def last_error(log: Path) -> str:
         if lines:
             return lines[-1]
     return ""
-
-
-def free_endpoint() -> str:
-    """A loopback endpoint that nobody listens on at the moment."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"

@@ -13,10 +13,11 @@ from typing import Any
 
 from prism_edge.bus.keys import check_endpoint, check_robot_name
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import WITHOUT_NETWORK, BusConfig, Config, SourceConfig
 from prism_edge.config_file import dump
 from prism_edge.errors import EvaluationError
-from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, free_endpoint
+from prism_edge.evaluation.daemon import SUPERVISOR, Daemon
 from prism_edge.evaluation.metrics import metrics
 from prism_edge.evaluation.played import played
 from prism_edge.evaluation.progress import Progress

@@ -45,15 +45,13 @@ class Scores:
 UNKNOWN = Scores(0, None, None, None, [None, None], None, None, None, None, [])
 
 
-def score(
-    estimate: Trajectory, truth: Trajectory, split_ns: int | None = None, tolerance_s: float = 0.01
-) -> Scores:
-    """All errors of ``estimate`` against ``truth``, paired by stamp within ``tolerance_s``.
+def score(estimate: Trajectory, truth: Trajectory, split_ns: int | None = None) -> Scores:
+    """All errors of ``estimate`` against ``truth``, paired by stamp.
 
     ``split_ns`` parts the two halves of ``scale_ratio_halves``; by default it is midway in time
     between the first and the last pair.
     """
-    estimate, truth = paired(estimate, truth, tolerance_s)
+    estimate, truth = paired(estimate, truth)
     if not len(truth):
         return UNKNOWN
     if split_ns is None:

@@ -15,6 +15,7 @@ from prism_edge.sources.stamps import write_seconds
 from prism_edge.sources.tum_poses import read_poses
 
 NS = 1_000_000_000
+TOGETHER_NS = NS // 100  # an estimated and a true pose nearer than that are of one moment
 
 
 @dataclass(frozen=True)
@@ -50,30 +51,26 @@ class Trajectory:
         return Trajectory(self.stamps[rows], self.poses[rows])
 
 
-def associate(
-    first: Trajectory, second: Trajectory, tolerance_s: float = 0.01
-) -> tuple[Trajectory, Trajectory]:
+def associate(first: Trajectory, second: Trajectory) -> tuple[Trajectory, Trajectory]:
     """The poses of both that belong together: each of the shorter one with the nearest of the longer.
 
     Of two that are equally long, ``second`` counts as the shorter. Pairs further apart in time than
-    ``tolerance_s`` are left out. All this is evo's nearest-time synchronisation; the two results have equal
+    ``TOGETHER_NS`` are left out. All this is evo's nearest-time synchronisation; the two results have equal
     length, possibly zero.
     """
     if len(second) > len(first):
-        longer, shorter = _nearest(second, first, tolerance_s)
+        longer, shorter = _nearest(second, first)
         return shorter, longer
-    return _nearest(first, second, tolerance_s)
+    return _nearest(first, second)
 
 
-def paired(
-    estimate: Trajectory, truth: Trajectory, tolerance_s: float = 0.01
-) -> tuple[Trajectory, Trajectory]:
+def paired(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Trajectory]:
     """As `associate`, but that each estimated pose counts once, with the true one nearest to it.
 
     evo's shorter list leads. Dense truth of a part of the run is such a one, and has several poses within the
     tolerance of each frame: the frame would count with each, and be judged against where it was 10 ms off.
     """
-    mine, his = associate(estimate, truth, tolerance_s)
+    mine, his = associate(estimate, truth)
     if len(truth) > len(estimate) or not len(mine):
         return mine, his
     order = np.lexsort((np.abs(his.stamps - mine.stamps), mine.stamps))
@@ -82,12 +79,12 @@ def paired(
     return mine.at(rows), his.at(rows)
 
 
-def _nearest(longer: Trajectory, shorter: Trajectory, tolerance_s: float) -> tuple[Trajectory, Trajectory]:
+def _nearest(longer: Trajectory, shorter: Trajectory) -> tuple[Trajectory, Trajectory]:
     if not len(shorter):
         return longer.at(np.zeros(0, dtype=np.intp)), shorter
     nearest = nearest_rows(longer.stamps, shorter.stamps)
     gap = np.abs(longer.stamps[nearest] - shorter.stamps)
-    near = np.flatnonzero(gap <= round(tolerance_s * NS))
+    near = np.flatnonzero(gap <= TOGETHER_NS)
     return longer.at(nearest[near]), shorter.at(near)
 
 
@@ -98,12 +95,12 @@ def nearest_rows(stamps: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArra
     return np.where(np.abs(stamps[after] - wanted) < np.abs(stamps[before] - wanted), after, before)
 
 
-def path_length(stamps: NDArray[np.int64], truth: Trajectory, tolerance_s: float = 0.01) -> float | None:
+def path_length(stamps: NDArray[np.int64], truth: Trajectory) -> float | None:
     """Metres of the true way over poses at ``stamps`` (n,), ascending; None where fewer than two have one."""
     if not len(truth):
         return None
     nearest = nearest_rows(truth.stamps, stamps)
-    near = np.abs(truth.stamps[nearest] - stamps) <= round(tolerance_s * NS)
+    near = np.abs(truth.stamps[nearest] - stamps) <= TOGETHER_NS
     way = truth.positions[nearest[near]]
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum()) if len(way) > 1 else None
 

@@ -168,6 +168,13 @@ def rotation_from_quaternion(quaternion: Array) -> Array:
     )
 
 
+def are_rotations(matrices: Array, tolerance: float) -> bool:
+    """Whether R R^T of each (..., 3, 3) is the identity, elements to ``tolerance``, and none reflects."""
+    products = matrices @ np.swapaxes(matrices, -1, -2)
+    square = (np.abs(products - _IDENTITY) <= tolerance).all()  # which no NaN is
+    return bool(square and (np.linalg.det(matrices) > 0.0).all())
+
+
 def rotation_angle(rotation: Array) -> float:
     """Angle (rad) in [0, pi] of a rotation matrix (3, 3)."""
     return float(np.linalg.norm(so3_log(rotation)))

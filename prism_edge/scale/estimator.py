@@ -16,7 +16,7 @@ from prism_edge.scale.gate import Floats
 from prism_edge.scale.gate_keyframes import KeyframeGate
 from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
 from prism_edge.scale.parts import PartScales
-from prism_edge.scale.samples import sample
+from prism_edge.scale.samples import samples_of
 from prism_edge.scale.spread import USUAL_BIAS
 
 LEAST_TRUST = 0.05  # of a sample's weight: points of which nothing good is known still say something
@@ -181,15 +181,7 @@ class ScaleEstimator:
         c = self._config
         if not np.isfinite(depth.image_to_depth).all():
             return None
-        samples = sample(
-            camera,
-            keyframe.pixels,
-            keyframe.depths,
-            keyframe.parallax_deg,
-            depth.depth,
-            depth.image_to_depth,
-            c.min_parallax_deg,
-        )
+        samples = samples_of(keyframe, depth, camera, c.min_parallax_deg)
         if not self._least_squares:
             return plain_mean(samples.log_ratios, c.point_sigma, c.frame_sigma, c.min_points)
         return weighted_least_squares(

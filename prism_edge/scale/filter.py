@@ -23,6 +23,7 @@ from collections import deque
 import numpy as np
 
 from prism_edge.config import ScaleConfig
+from prism_edge.geometry.poses import Array
 from prism_edge.scale.least_squares import Observation
 from prism_edge.scale.spread import FrameSpread
 
@@ -30,6 +31,7 @@ from prism_edge.scale.spread import FrameSpread
 # at least the first number of them and at most the second.
 REOPEN_AFTER = (5, 30)
 _LEAST_VARIANCE = 1e-12  # float32 depths know no better; keeps the update from dividing 0 by 0
+_OF_X, _OF_BOTH = np.array([1.0, 0.0]), np.ones(2)  # what is observed of the state: x, or x + f
 _LATE_S = 300.0  # the longest that a depth may come late by: a queue's worth of keyframes
 _MAX_LOG = 20.0  # e^20 metres a unit: beyond any map
 
@@ -45,7 +47,6 @@ class ScaleFilter:
         self._config = config
         self._kalman = kalman
         self.accepted = 0  # observations
-        self.rejected = 0
         self._support = 0  # observations that the present belief rests on
         self._unit_fixed = self._taken_over = False
         self._contradicting: deque[float] = deque(maxlen=REOPEN_AFTER[1])
@@ -171,25 +172,17 @@ class ScaleFilter:
             return came
         first, last = sorted((copy.deepcopy(self), came), key=lambda known: known._time_s or 0.0)
         first.predict(last._time_s or 0.0, first._travelled)
-        last._know(first.log_scale, first.sigma**2)
+        last._correct(_OF_X, first.log_scale - last.log_scale, first.sigma**2, _LEAST_VARIANCE)
         last._spread = max(self._spread, came._spread, key=lambda spread: spread.weight)
-        last.accepted, last.rejected = self.accepted + other.accepted, self.rejected + other.rejected
+        last.accepted = self.accepted + other.accepted
         last._support = self._support + other._support
         return last
-
-    def _know(self, log_scale: float, variance: float) -> None:
-        """Take in what somebody else knows of x."""
-        gain = self._covariance[:, 0] / (self._covariance[0, 0] + variance + _LEAST_VARIANCE)
-        keep = np.eye(2) - np.outer(gain, [1.0, 0.0])
-        self._state = self._state + gain * (log_scale - self._state[0])
-        self._covariance = keep @ self._covariance @ keep.T + variance * np.outer(gain, gain)
 
     def update(self, observation: Observation) -> bool:
         """Takes in a keyframe's observation; False where it was refused as an outlier."""
         z = observation.log_scale
         variance = observation.point_variance + observation.excess_variance + _LEAST_VARIANCE
         if not (math.isfinite(z) and math.isfinite(variance) and abs(z) <= _MAX_LOG and variance >= 0.0):
-            self.rejected += 1
             return False
         if not self._kalman:
             self._state = np.array([z, 0.0])
@@ -200,19 +193,19 @@ class ScaleFilter:
         expected = float(self._covariance.sum()) + variance
         outlier = innovation**2 > self._config.gate_sigmas**2 * expected
         if outlier and not self._reopen(z, innovation, variance):
-            self.rejected += 1
             return False
         self._contradicting.clear()
-        self._correct(innovation, variance)
+        self._correct(_OF_BOTH, innovation, variance)
         self._spread.take(z - self.log_scale, self.learned_sigma, 1.0 - self.correlation(self._elapsed_s))
         self._elapsed_s = 0.0
         self.accepted += 1
         self._support += 1
         return True
 
-    def _correct(self, innovation: float, variance: float) -> None:
-        sensitivity = np.ones(2)
-        gain = self._covariance @ sensitivity / (float(self._covariance.sum()) + variance)
+    def _correct(self, sensitivity: Array, innovation: float, variance: float, floor: float = 0.0) -> None:
+        """Take in a sum of the states that ``sensitivity`` (2,) has 1 at; ``floor`` is of the gain alone."""
+        expected = float((self._covariance * np.outer(sensitivity, sensitivity)).sum()) + variance + floor
+        gain = self._covariance @ sensitivity / expected
         keep = np.eye(2) - np.outer(gain, sensitivity)
         self._state = self._state + gain * innovation
         # Joseph's form: stays symmetric and positive under rounding

@@ -11,9 +11,10 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import Depth, Keyframe
 from prism_edge.scale.gate import DepthView, Floats, Gate, Gated, GateParameters, image_pixels
-from prism_edge.scale.samples import sample
+from prism_edge.scale.samples import samples_of
 
 MIN_ALIGNED = 15  # triangulated points that make a depth map's own scale better than the filter's
+_MIN_PARALLAX_DEG = 1.0  # of those; whatever the filter's own samples are held to
 
 
 class KeyframeGate:
@@ -91,15 +92,7 @@ def usable(depth: Depth) -> bool:
 
 
 def _own_log_scale(keyframe: Keyframe, depth: Depth, camera: Camera, log_scale: float) -> float:
-    samples = sample(
-        camera,
-        keyframe.pixels,
-        keyframe.depths,
-        keyframe.parallax_deg,
-        depth.depth,
-        depth.image_to_depth,
-        1.0,
-    )
+    samples = samples_of(keyframe, depth, camera, _MIN_PARALLAX_DEG)
     ratios = samples.log_ratios[np.isfinite(samples.log_ratios)]
     own = float(np.median(ratios)) if len(ratios) >= MIN_ALIGNED else log_scale
     return float(np.clip(own, -20.0, 20.0))

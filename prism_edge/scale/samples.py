@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
+from prism_edge.messages import Depth, Keyframe
 
 Floats = NDArray[np.floating[Any]]
 
@@ -72,6 +73,19 @@ def depth_at(
     values[inside] = np.where(sound, (corners * weights).sum(axis=1), 0.0)
     counts[inside] = sound
     return values, counts
+
+
+def samples_of(keyframe: Keyframe, depth: Depth, camera: Camera, min_parallax_deg: float) -> Samples:
+    """:func:`sample` of a keyframe of this camera and the network's answer to it, as they were sent."""
+    return sample(
+        camera,
+        keyframe.pixels,
+        keyframe.depths,
+        keyframe.parallax_deg,
+        depth.depth,
+        depth.image_to_depth,
+        min_parallax_deg,
+    )
 
 
 def sample(

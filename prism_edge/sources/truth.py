@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from prism_edge.errors import SourceError
-from prism_edge.geometry.poses import Array, from_rt
+from prism_edge.geometry.poses import Array, are_rotations, from_rt
 from prism_edge.messages import F64, I64
 from prism_edge.named_path import named_path
 from prism_edge.sources.bonn import camera_from_markers, holds_markers
@@ -119,6 +119,6 @@ def _numbers(words: list[str], count: int, where: str, finite: bool = True) -> l
 def _pose(numbers: list[float], where: str) -> Array:
     upper = np.array(numbers).reshape(3, 4)
     rotation = upper[:, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROTATION_TOLERANCE or np.linalg.det(rotation) < 0:
+    if not are_rotations(rotation, _ROTATION_TOLERANCE):
         raise SourceError(f"{where}: its rotation is none")
     return from_rt(rotation, upper[:, 3])

@@ -52,7 +52,7 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
     rows = table.rows(ids[good])
     table.position[rows] = transform(first.world_from_camera, views.points[good])
     table.parallax_deg[rows] = np.degrees(views.parallax[good])
-    sigma = mapping.MATCHING_SIGMA_PX / (frame.camera.fx * np.maximum(views.parallax[good], 1e-4))
+    sigma = mapping.depth_sigma(frame.camera.fx, np.maximum(views.parallax[good], 1e-4))
     table.log_depth_sigma[rows] = np.minimum(sigma, 2.0)
     world.changes.new_points.append(table.ids[rows])
     frame.points[:] = NO_POINT

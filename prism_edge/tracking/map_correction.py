@@ -15,7 +15,7 @@ from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
-from prism_edge.tracking.mapping import MATCHING_SIGMA_PX, merge
+from prism_edge.tracking.mapping import depth_sigma, merge
 from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.pose_refinement import refine_pose
 from prism_edge.tracking.submaps import Parts
@@ -153,11 +153,9 @@ def apply_correction(
         else:
             moved[part[i]] = motions[i]
     if len(rows):
-        focal = world.newest().camera.fx
         angle = np.radians(np.maximum(table.parallax_deg[rows], 1e-3))
-        table.log_depth_sigma[rows] = np.minimum(
-            table.log_depth_sigma[rows], MATCHING_SIGMA_PX / (focal * angle)
-        )
+        sigma = depth_sigma(world.newest().camera.fx, angle)
+        table.log_depth_sigma[rows] = np.minimum(table.log_depth_sigma[rows], sigma)
     return moved.get(parts.current, np.eye(4))
 
 

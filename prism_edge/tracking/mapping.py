@@ -23,6 +23,11 @@ MATCHING_SIGMA_PX = 1.4  # of a disparity: two keypoints of one pixel each
 NEIGHBOURS, SHARING, TRIANGULATING = 10, 10, 4  # covisible keyframes, best first
 
 
+def depth_sigma(focal: float | Array, parallax: Array) -> Array:
+    """Sigma of log depth of points seen under a parallax (rad) by a camera of this focal length (pixels)."""
+    return MATCHING_SIGMA_PX / (focal * parallax)
+
+
 def introduce(world: LocalMap, keyframe: LocalKeyframe) -> None:
     """A keyframe that has just come into the map learns of its neighbours, and they of it."""
     neighbours = world.covisible(keyframe, NEIGHBOURS)
@@ -93,7 +98,7 @@ def triangulating(
         a, b, parallax = a[good], b[good], parallax[good]
         if len(a) == 0:
             continue
-        sigma = MATCHING_SIGMA_PX / (keyframe.camera.fx * parallax)
+        sigma = depth_sigma(keyframe.camera.fx, parallax)
         ids = world.add_points(keyframe, a, points[good], sigma, np.degrees(parallax))
         for point, row, keypoint in zip(ids, world.points.rows(ids), b, strict=True):
             world.add_observation(int(point), int(row), other, int(keypoint))
@@ -147,7 +152,7 @@ def mature(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> in
         fresh = table.parallax_deg[chosen] < 2.0
         table.position[chosen[fresh]] = points[good][fresh]
         table.parallax_deg[chosen] = np.degrees(parallax[good])
-        table.log_depth_sigma[chosen] = MATCHING_SIGMA_PX / (keyframe.camera.fx * parallax[good])
+        table.log_depth_sigma[chosen] = depth_sigma(keyframe.camera.fx, parallax[good])
         world.changes.new_points.append(table.ids[chosen[fresh]])
         improved += len(chosen)
     return improved

@@ -6,15 +6,16 @@ import cv2
 import numpy as np
 
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.poses import Array, from_rt, inverse
+from prism_edge.geometry.poses import Array
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import hamming
+from prism_edge.tracking.perspective_pose import perspective_pose
 from prism_edge.tracking.point_table import Ids
 
 MAX_DISTANCE = 60
-MIN_INLIERS = 15
+MIN_INLIERS, PNP_PX = 15, 6.0
 SUDDEN = 0.5  # of the previous frame's matches
 CLEARLY = 1.1  # times as many
 
@@ -43,23 +44,8 @@ def locate(
     if len(ids) < MIN_INLIERS:
         return None
     cv2.setRNGSeed(seed)
-    try:
-        found, rotation, translation, inliers = cv2.solvePnPRansac(
-            world.points.position[world.points.rows(ids)],
-            features.pixels[keypoints],
-            camera.matrix,
-            None,
-            iterationsCount=200,
-            reprojectionError=6.0,
-            confidence=0.99,
-            flags=cv2.SOLVEPNP_EPNP,
-        )
-    except cv2.error:
-        return None  # degenerate points; the next frame may do better
-    if not found or inliers is None or len(inliers) < MIN_INLIERS:
-        return None
-    pose = from_rt(cv2.Rodrigues(rotation)[0], translation.ravel())
-    return inverse(pose) if np.all(np.isfinite(pose)) else None
+    positions = world.points.position[world.points.rows(ids)]
+    return perspective_pose(positions, features.pixels[keypoints], camera.matrix, PNP_PX, 0.99, MIN_INLIERS)
 
 
 def recover(

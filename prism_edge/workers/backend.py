@@ -29,7 +29,7 @@ from prism_edge.messages import (
     Tracked,
     WholeMap,
 )
-from prism_edge.processes import processes_for
+from prism_edge.processes import peers_of
 from prism_edge.workers.handover import Handover
 from prism_edge.workers.map_keeper import MapKeeper
 from prism_edge.workers.map_snapshot import snapshot
@@ -50,7 +50,7 @@ class BackendWorker:
 
     def __init__(self, config: Config, bus: Bus) -> None:
         self._bus = bus
-        self._peers = {process.name for process in processes_for(config)} - {"backend"}
+        self._peers = peers_of(config, "backend")
         self._use_depth = "depth_factor" not in config.ablate and "depth" in self._peers
         self._close_loops = config.backend.loops and "loop" not in config.ablate
         self._keyframes = bus.queue("keyframe", 64)

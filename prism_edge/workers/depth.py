@@ -17,9 +17,10 @@ from prism_edge.config import Config
 from prism_edge.depth import DepthNetwork
 from prism_edge.depth.plausible import range_of
 from prism_edge.depth.prediction import no_confidence, no_descriptor
+from prism_edge.errors import first_line
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
-from prism_edge.processes import processes_for
+from prism_edge.processes import peers_of
 from prism_edge.workers.sensor_network import SensorNetwork, open_depth
 
 log = logging.getLogger("prism_edge.depth")
@@ -39,7 +40,7 @@ class DepthWorker:
         """Loads and warms up the network. Raises ModelError where it can't be run."""
         self._bus = bus
         self._patience_s = patience_s
-        self._peers = {process.name for process in processes_for(config)} - {"depth"}
+        self._peers = peers_of(config, "depth")
         shown = {"model": "none", "provider": "none", "inference_ms": "-", "inference_ms_median": "-"}
         bus.pulse.values.update(shown, **dict.fromkeys(("queue", "keyframes", "dropped", "invalid"), "0"))
         # Subscribed first: what comes while the network loads is waiting when it is ready.
@@ -169,8 +170,8 @@ def answer(network: DepthNetwork | SensorNetwork | None, image: KeyframeImage) -
         else:
             prediction = network.infer(rgb(image), camera)
     except Exception as error:  # native code and foreign graphs raise anything; tracking goes on
-        line = (str(error).strip() or type(error).__name__).splitlines()[0][:200]
-        return _without(image, network.identity, network.bias_sigma, f"inference failed: {line}")
+        failed = f"inference failed: {first_line(error, 200)}"
+        return _without(image, network.identity, network.bias_sigma, failed)
     return Depth(
         keyframe=image.keyframe,
         index=image.index,

@@ -12,7 +12,7 @@ from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
 from prism_edge.messages import Acknowledged, Depth, Keyframe, MapLoaded, Scale, Tracked
-from prism_edge.processes import processes_for
+from prism_edge.processes import peers_of
 from prism_edge.scale.estimator import ScaleEstimator
 from prism_edge.scale.rendezvous import Rendezvous
 
@@ -32,7 +32,7 @@ class ScaleWorker:
     def __init__(self, config: Config, bus: Bus, patience_s: float = _PATIENCE_S) -> None:
         self._bus = bus
         self._patience_s = patience_s
-        self._peers = {process.name for process in processes_for(config)} - {"scale"}
+        self._peers = peers_of(config, "scale")
         self._map_frame = config.frames.map
         self._keyframes = bus.queue("keyframe", 64)
         self._depths = bus.queue("depth", 64)

@@ -16,7 +16,7 @@ from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.messages import EndOfStream, Frame
 from prism_edge.named_path import named_path
-from prism_edge.processes import processes_for
+from prism_edge.processes import peers_of
 from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
 from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.live.camera import LiveCamera
@@ -46,7 +46,7 @@ class SourceWorker:
     def __init__(self, config: Config, bus: Bus, source: Source, patience_s: float = _PATIENCE_S) -> None:
         """``source`` is open."""
         self._config, self._bus, self._source = config, bus, source
-        self._peers = {process.name for process in processes_for(config)} - {"source"}
+        self._peers = peers_of(config, "source")
         # Subscribed before we are ready: the others answer the first frame at once.
         self._gatekeeper = Gatekeeper(bus, self._peers, patience_s) if config.is_lockstep else None
         self._pause = Pause(bus)

@@ -34,7 +34,7 @@ from prism_edge.messages import (
     WholeMap,
     probe_of,
 )
-from prism_edge.processes import processes_for
+from prism_edge.processes import peers_of
 from prism_edge.tracking.announcement import keyframe_message, picture_message
 from prism_edge.tracking.drift import Drift
 from prism_edge.tracking.local_map import LocalKeyframe
@@ -65,7 +65,7 @@ class TrackerWorker:
     def __init__(self, config: Config, bus: Bus) -> None:
         self._bus = bus
         self._lockstep = config.is_lockstep
-        self._peers = {process.name for process in processes_for(config)} - {"tracker"}
+        self._peers = peers_of(config, "tracker")
         self._frames = bus.queue("frame", 64) if self._lockstep else bus.latest("frame")
         # In real time these are taken in while there is no frame to track: none need wait for them.
         other = None if self._lockstep else self._frames

@@ -81,7 +81,9 @@ def test_a_late_return_has_the_whole_way_round_to_drift():
 
 def test_each_loop_says_where_the_query_is_from_its_candidate(closed):
     ring, mapper, _ = closed
-    for loop in mapper.loops.accepted:
+    accepted = mapper.loops.accepted
+    assert accepted
+    for loop in accepted:
         true = inverse(ring.true[loop.candidate]) @ ring.true[loop.query]
         # In the map's own unit, which has drifted by a tenth.
         found = loop.candidate_from_query[:3, 3]

@@ -2,42 +2,20 @@
 
 from __future__ import annotations
 
-import socket
-import time
-from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 import zenoh
 
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config
-
-
-def free_endpoint() -> str:
-    """An endpoint on loopback that nobody listens on."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 @pytest.fixture
 def config() -> Config:
     """Defaults, with a listener that nobody else uses and quick retries."""
     return replace(Config(), bus=BusConfig(endpoint=free_endpoint(), retry_ms=50))
-
-
-@pytest.fixture
-def eventually() -> Callable[..., None]:
-    """Waits for a condition, with a deadline."""
-
-    def wait(condition: Callable[[], object], timeout_s: float = 30.0) -> None:
-        deadline = time.monotonic() + timeout_s
-        while not condition():
-            assert time.monotonic() < deadline, "it didn't happen in time"
-            time.sleep(0.01)
-
-    return wait
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,10 +18,11 @@ from prism_edge.bus.commands import Reply, send
 from prism_edge.bus.keys import alive_key, check_loopback, key, ready_key
 from prism_edge.bus.links import open_session
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, NetworkConfig
 from prism_edge.errors import BusError, ConfigError
 from prism_edge.topics import COMMANDS, TOPICS
-from tests.bus.conftest import free_endpoint
+from tests.waiting import until
 
 MAKE = Path(__file__).resolve().parents[2] / "deploy" / "make_certificates.sh"
 STATUS = ros.diagnostics(1, [("tracking", 0, "ok building", {})])
@@ -116,12 +117,10 @@ class TestByCertificate:
             assert "prism/robot/alive/tracker" in tokens
 
     @pytest.mark.parametrize("several", ["prism/robot/*", "prism/*/*", "prism/*/status"])
-    def test_several_topics_at_once_are_read_as_each_is(
-        self, robot: Config, lab: Path, several: str, eventually: Callable[..., None]
-    ) -> None:
+    def test_several_topics_at_once_are_read_as_each_is(self, robot: Config, lab: Path, several: str) -> None:
         with client(robot, shown(lab, "viewer")) as session:
             with session.declare_subscriber(several, zenoh.handlers.RingChannel(256)) as subscriber:
-                eventually(lambda: subscriber.handler.try_recv() is not None)
+                until(lambda: subscriber.handler.try_recv() is not None)
             last = {str(r.ok.key_expr) for r in session.get(several, timeout=10) if r.ok}
             assert "prism/robot/status" in last
             assert not [key for key in last if key.count("/") > 2]

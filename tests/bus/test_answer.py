@@ -7,6 +7,7 @@ import threading
 from prism_edge import messages as m
 from prism_edge.bus.codec import pack
 from tests.bus.examples import end, linked
+from tests.waiting import until
 
 
 def test_a_latched_topic_answers_with_its_last_value(join, outside):
@@ -21,7 +22,7 @@ def test_a_latched_topic_answers_with_its_last_value(join, outside):
     assert [reply.ok.payload.to_bytes() for reply in replies] == [pack(end(4))]
 
 
-def test_what_nobody_hears_is_made_when_it_is_asked_for(join, eventually):
+def test_what_nobody_hears_is_made_when_it_is_asked_for(join):
     join("supervisor", listen=True)
     source, tracker = join("source"), join("tracker")
     linked(source, tracker)
@@ -37,7 +38,7 @@ def test_what_nobody_hears_is_made_when_it_is_asked_for(join, eventually):
     assert tracker.ask("end", 5.0) == end(4)
     assert made == [4]
     inbox = tracker.queue("end")
-    eventually(lambda: source.publish_if_heard("end", lambda: make(5)) or end(5) in inbox.drain())
+    until(lambda: source.publish_if_heard("end", lambda: make(5)) or end(5) in inbox.drain())
     assert tracker.ask("end", 5.0) == end(5)
     source.close()
     source.publish_if_heard("end", lambda: make(6))

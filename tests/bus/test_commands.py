@@ -26,6 +26,7 @@ from prism_edge.bus.links import open_session
 from prism_edge.bus.session import Bus
 from prism_edge.errors import BusError, SourceError
 from prism_edge.topics import COMMANDS, Command
+from tests.waiting import until
 
 PAUSE, INFO = COMMANDS["pause"], COMMANDS["info"]
 NEEDS = Command("keep", "backend", "keeps", "a name")
@@ -99,7 +100,7 @@ def test_what_reads_by_wildcard_commands_nothing_and_is_not_left_waiting(session
     assert served == ["off"]
 
 
-def test_a_command_to_all_robots_is_done_and_answered_by_each(config, session, served, eventually):
+def test_a_command_to_all_robots_is_done_and_answered_by_each(config, session, served):
     done = threading.Event()
 
     def serve(desk):
@@ -119,7 +120,7 @@ def test_a_command_to_all_robots_is_done_and_answered_by_each(config, session, s
         thread = threading.Thread(target=serve, args=(desk,))
         thread.start()
         try:
-            eventually(lambda: len(answers()) == 2)
+            until(lambda: len(answers()) == 2)
             said = {"prism/robot/command/pause": "said on", "prism/second/command/pause": "second stands"}
             assert answers() == said
         finally:
@@ -132,7 +133,7 @@ def test_nobody_who_answers_is_an_error(session):
         send(session, "other", PAUSE, "on", 0.3)
 
 
-def test_only_who_waited_says_how_long(config, session, eventually):
+def test_only_who_waited_says_how_long(config, session):
     def said(robot, timeout_s):
         with (
             open_session(config.bus, listen=False, client=True) as asker,
@@ -143,7 +144,7 @@ def test_only_who_waited_says_how_long(config, session, eventually):
 
     assert said("other", 60).startswith("pause: no answer; is")
     with session.declare_queryable("prism/mute/command/pause", zenoh.handlers.FifoChannel(1000)):
-        eventually(lambda: said("mute", 0.3).startswith("pause: no answer in 0.3 s; is"))
+        until(lambda: said("mute", 0.3).startswith("pause: no answer in 0.3 s; is"))
 
 
 @pytest.mark.parametrize(

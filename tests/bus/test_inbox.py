@@ -10,6 +10,7 @@ import pytest
 import zenoh
 
 from prism_edge.bus.inbox import Inbox
+from tests.waiting import until
 
 
 class Subscriber:
@@ -64,30 +65,30 @@ def test_a_queue_gives_everything_in_order(open_inbox):
     assert inbox.take() is None
 
 
-def test_the_newest_wins_where_there_is_room_for_one(open_inbox, eventually):
+def test_the_newest_wins_where_there_is_room_for_one(open_inbox):
     subscriber, inbox = open_inbox(1)
     subscriber.put("a", "b", "c")
-    eventually(subscriber.channel.empty)
-    eventually(lambda: inbox._samples and inbox._samples[-1] == "c")
+    until(subscriber.channel.empty)
+    until(lambda: inbox._samples and inbox._samples[-1] == "c")
     assert inbox.take() == "c"
     assert inbox.take() is None
 
 
-def test_a_full_queue_loses_the_oldest_and_says_so(open_inbox, eventually):
+def test_a_full_queue_loses_the_oldest_and_says_so(open_inbox):
     lost = []
     subscriber, inbox = open_inbox(2, overflowed=lambda: lost.append(1))
     subscriber.put("a", "b", "c")
-    eventually(lambda: lost)
+    until(lambda: lost)
     assert inbox.drain() == ["b", "c"]
 
 
-def test_when_a_message_arrived_is_known_whenever_it_is_taken(open_inbox, eventually):
+def test_when_a_message_arrived_is_known_whenever_it_is_taken(open_inbox):
     subscriber, inbox = open_inbox(2)
     subscriber.put("a", "b")
-    eventually(has_arrived(inbox, 2))
+    until(has_arrived(inbox, 2))
     then = time.monotonic_ns()
     subscriber.put("c")
-    eventually(lambda: "c" in inbox._samples)
+    until(lambda: "c" in inbox._samples)
     now = time.monotonic_ns()
     assert inbox.take() == "b"
     assert 0 < inbox.arrived_ns <= then
@@ -95,19 +96,19 @@ def test_when_a_message_arrived_is_known_whenever_it_is_taken(open_inbox, eventu
     assert then <= inbox.arrived_ns <= now
 
 
-def test_drain_takes_all(open_inbox, eventually):
+def test_drain_takes_all(open_inbox):
     subscriber, inbox = open_inbox(10)
     subscriber.put("a", "b")
-    eventually(has_arrived(inbox, 2))
+    until(has_arrived(inbox, 2))
     assert inbox.drain() == ["a", "b"]
     assert inbox.drain() == []
 
 
-def test_malformed_messages_are_passed_over(open_inbox, eventually):
+def test_malformed_messages_are_passed_over(open_inbox):
     subscriber, inbox = open_inbox(10, unpack=lambda sample: None if sample == "bad" else sample)
     subscriber.put("bad", "a", "bad", "b", "bad")
     assert inbox.take(5.0) == "a"
-    eventually(has_arrived(inbox, 3))
+    until(has_arrived(inbox, 3))
     assert inbox.drain() == ["b"]
 
 
@@ -132,31 +133,31 @@ def test_a_stopped_bus_ends_the_wait(open_inbox, stopped):
     assert time.monotonic() - start < 30.0
 
 
-def test_a_stopped_bus_gives_nothing_more(open_inbox, stopped, eventually):
+def test_a_stopped_bus_gives_nothing_more(open_inbox, stopped):
     subscriber, inbox = open_inbox(1)
     subscriber.put("a")
-    eventually(has_arrived(inbox, 1))
+    until(has_arrived(inbox, 1))
     stopped.set()
     assert inbox.take(1.0) is None
     assert inbox.drain() == ["a"]
 
 
-def test_what_arrives_elsewhere_ends_a_wait_once(open_inbox, eventually):
+def test_what_arrives_elsewhere_ends_a_wait_once(open_inbox):
     _, waited_for = open_inbox(1)
     elsewhere, other = open_inbox(10, arrived=waited_for.rouse)
     threading.Timer(0.05, elsewhere.put, ["a"]).start()
     start = time.monotonic()
     assert waited_for.take(60.0) is None
     assert time.monotonic() - start < 30.0
-    eventually(has_arrived(other, 1))
+    until(has_arrived(other, 1))
     start = time.monotonic()
     assert waited_for.take(0.05) is None  # not again for the same
     assert time.monotonic() - start >= 0.05
 
 
-def test_a_message_comes_before_being_roused(open_inbox, eventually):
+def test_a_message_comes_before_being_roused(open_inbox):
     subscriber, inbox = open_inbox(1)
     subscriber.put("a")
-    eventually(has_arrived(inbox, 1))
+    until(has_arrived(inbox, 1))
     inbox.rouse()
     assert inbox.take(5.0) == "a"

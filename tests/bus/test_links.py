@@ -14,10 +14,11 @@ import zenoh
 
 from prism_edge.bus import links
 from prism_edge.bus.links import encoding, on_this_host, open_session, quality
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, NetworkConfig
 from prism_edge.errors import BusError
 from prism_edge.topics import TOPICS
-from tests.bus.conftest import free_endpoint
+from tests.waiting import until
 
 
 def test_an_endpoint_in_use_is_named(config):
@@ -81,20 +82,20 @@ def test_this_host_is_told_from_others(endpoint, here):
     assert on_this_host(endpoint) is here
 
 
-def test_behind_a_socket_in_a_private_folder_nothing_listens_on_loopback(tmp_path, eventually):
+def test_behind_a_socket_in_a_private_folder_nothing_listens_on_loopback(tmp_path):
     config = BusConfig(endpoint=f"unixsock-stream/{tmp_path}/bus")
     heard: list[bytes] = []
     with open_session(config, listen=False) as speaker, open_session(config, listen=False) as hearer:
         subscriber = hearer.declare_subscriber("said", lambda sample: heard.append(sample.payload.to_bytes()))
         with open_session(config, listen=True):
-            eventually(lambda: len(list(hearer.info.peers_zid())) == 2)
+            until(lambda: len(list(hearer.info.peers_zid())) == 2)
             states = [connection.status for connection in psutil.Process().net_connections("inet")]
             assert psutil.CONN_LISTEN not in states
         # The listener has gone: what is heard now came by the link that the two have with each other.
         publisher = speaker.declare_publisher("said")
-        eventually(lambda: publisher.matching_status.matching)
+        until(lambda: publisher.matching_status.matching)
         publisher.put(b"direct")
-        eventually(lambda: heard == [b"direct"])
+        until(lambda: heard == [b"direct"])
         subscriber.undeclare()
     assert list(tmp_path.iterdir()) == []
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from prism_edge.bus.lockstep import Gatekeeper, Ledger
 from prism_edge.bus.session import Bus
 from prism_edge.messages import Acknowledged
+from tests.waiting import until
 
 
 def test_everybody_is_missing_until_they_say_so():
@@ -63,13 +64,13 @@ def test_the_gate_opens_when_all_have_acknowledged(buses):
     assert gate.wait(2) == set()
 
 
-def test_patience_ends_and_names_who_is_missing(buses, eventually):
+def test_patience_ends_and_names_who_is_missing(buses):
     source, tracker = buses
     gate = Gatekeeper(source, ["tracker", "depth"], patience_s=0.5)
     source.pulse.ready()
     assert tracker.await_ready(["source"], 30.0) == set()
     tracker.publish("acknowledged", Acknowledged("tracker", 0))
-    eventually(lambda: gate._inbox._samples)  # the patience is for who says nothing, not for the link
+    until(lambda: gate._inbox._samples)  # the patience is for who says nothing, not for the link
     assert gate.wait(0) == {"depth"}
 
 

@@ -10,6 +10,7 @@ import pytest
 from prism_edge.bus import pulse as module
 from prism_edge.bus.pulse import Pulse
 from prism_edge.errors import BusError
+from tests.waiting import until
 
 
 @pytest.fixture
@@ -36,26 +37,26 @@ def pulse(sent, announced):
     pulse.close()
 
 
-def test_a_process_begins_by_starting(pulse, sent, eventually):
-    eventually(lambda: sent)
+def test_a_process_begins_by_starting(pulse, sent):
+    until(lambda: sent)
     assert (sent[0].process, sent[0].pid, sent[0].state) == ("depth", os.getpid(), "starting")
 
 
-def test_it_beats_on_without_being_asked(pulse, sent, eventually):
-    eventually(lambda: len(sent) >= 3)
+def test_it_beats_on_without_being_asked(pulse, sent):
+    until(lambda: len(sent) >= 3)
     assert sent[2].monotonic_ns > sent[1].monotonic_ns > sent[0].monotonic_ns
 
 
-def test_ready_is_announced_once_and_said_at_once(between_beats, pulse, sent, announced, eventually):
+def test_ready_is_announced_once_and_said_at_once(between_beats, pulse, sent, announced):
     pulse.ready()
     pulse.ready()
     assert announced == ["ready"]
-    eventually(lambda: sent and sent[-1].state == "ready")
+    until(lambda: sent and sent[-1].state == "ready")
 
 
-def test_ended_is_said_at_once_and_not_again_until_there_is_more(between_beats, pulse, sent, eventually):
+def test_ended_is_said_at_once_and_not_again_until_there_is_more(between_beats, pulse, sent):
     pulse.ended()
-    eventually(lambda: sent and sent[-1].state == "ended")
+    until(lambda: sent and sent[-1].state == "ended")
     since = pulse._doing
     pulse.ended()
     assert pulse._doing is since
@@ -75,10 +76,10 @@ def test_an_activity_carries_its_start_and_budget(pulse):
     assert (pulse.beat().state, pulse.beat().activity) == ("idle", "")
 
 
-def test_long_work_is_said_before_it_begins(between_beats, pulse, sent, eventually):
-    eventually(lambda: sent)
+def test_long_work_is_said_before_it_begins(between_beats, pulse, sent):
+    until(lambda: sent)
     pulse.ready()
-    eventually(lambda: sent[-1].state == "ready")
+    until(lambda: sent[-1].state == "ready")
     pulse.working("tracking", 5.0)
     pulse.idle()
     pulse.working("a global adjustment", 20.0)
@@ -105,7 +106,7 @@ def test_counters(pulse):
     assert pulse.values == {"malformed": "2"}
 
 
-def test_a_beat_that_can_not_be_sent_does_not_end_the_thread(eventually):
+def test_a_beat_that_can_not_be_sent_does_not_end_the_thread():
     calls = []
 
     def fail(beat):
@@ -113,7 +114,7 @@ def test_a_beat_that_can_not_be_sent_does_not_end_the_thread(eventually):
         raise BusError("no")
 
     pulse = Pulse("depth", fail, lambda: None)
-    eventually(lambda: len(calls) >= 2)
+    until(lambda: len(calls) >= 2)
     pulse.close()
 
 

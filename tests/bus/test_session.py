@@ -19,6 +19,7 @@ from prism_edge.bus.codec import pack
 from prism_edge.bus.session import Bus
 from prism_edge.errors import BusError, ConfigError
 from tests.bus.examples import end, frame, linked, same, tracked
+from tests.waiting import until
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -114,7 +115,7 @@ def test_direct_messages_do_not_pass_through_the_supervisor(join):
     assert not list(tracker._session.info.routers_zid())
 
 
-def test_an_outside_client_gets_public_topics_late_or_early(join, outside, eventually):
+def test_an_outside_client_gets_public_topics_late_or_early(join, outside):
     join("supervisor", listen=True)
     early = outside().declare_subscriber("prism/*/odom")
     tracker = join("tracker")
@@ -125,17 +126,17 @@ def test_an_outside_client_gets_public_topics_late_or_early(join, outside, event
         tracker.publish("odom", message)
         return subscriber.try_recv()
 
-    eventually(lambda: received(early))
+    until(lambda: received(early))
     late = outside().declare_subscriber("prism/robot/odom")
     samples = []
-    eventually(lambda: samples.append(received(late)) or samples[-1])
+    until(lambda: samples.append(received(late)) or samples[-1])
     sample = samples[-1]
     assert str(sample.encoding) == "application/cdr;nav_msgs/msg/Odometry"
     assert sample.priority == zenoh.Priority.REAL_TIME
     assert ros.deserialise(ros.ODOMETRY, sample.payload.to_bytes()).child_frame_id == "base_link"
 
 
-def test_a_process_is_alive_for_an_outside_client_until_it_ends(join, outside, eventually):
+def test_a_process_is_alive_for_an_outside_client_until_it_ends(join, outside):
     join("supervisor", listen=True)
     depth = join("depth")
     client = outside()
@@ -144,9 +145,9 @@ def test_a_process_is_alive_for_an_outside_client_until_it_ends(join, outside, e
         replies = client.liveliness().get("prism/robot/alive/*", timeout=5.0)
         return {str(reply.ok.key_expr).rsplit("/", 1)[1] for reply in replies}
 
-    eventually(lambda: alive() == {"supervisor", "depth"})
+    until(lambda: alive() == {"supervisor", "depth"})
     depth.close()
-    eventually(lambda: alive() == {"supervisor"})
+    until(lambda: alive() == {"supervisor"})
 
 
 def test_a_session_on_another_host_is_relayed(join, monkeypatch):
@@ -283,7 +284,7 @@ def test_a_process_ends_with_its_queryables_and_threads(join, config, how):
     process.stdout.close()
 
 
-def test_a_killed_process_is_noticed_and_its_successor_is_linked(join, config, eventually):
+def test_a_killed_process_is_noticed_and_its_successor_is_linked(join, config):
     join("supervisor", listen=True)
     tracker = join("tracker")
     for _ in range(2):
@@ -293,7 +294,7 @@ def test_a_killed_process_is_noticed_and_its_successor_is_linked(join, config, e
         process.send_signal(signal.SIGKILL)
         process.wait()
         process.stdout.close()
-        eventually(lambda: tracker.await_ready(["source"], 0.02) == {"source"})
+        until(lambda: tracker.await_ready(["source"], 0.02) == {"source"})
 
 
 def test_a_receiver_that_hangs_does_not_hold_up_the_publisher(join, config):

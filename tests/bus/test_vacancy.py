@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from prism_edge.bus.links import open_session
-from prism_edge.bus.vacancy import can_listen
+from prism_edge.bus.vacancy import can_listen, free_endpoint
 from prism_edge.config import BusConfig
-from tests.bus.conftest import free_endpoint
 
 _LISTEN_AND_DIE = (
     "import os, signal, sys\n"
@@ -31,6 +30,13 @@ def test_an_endpoint_is_free_until_it_is_listened_on_and_after(tmp_path: Path, p
     assert can_listen(endpoint)
     with open_session(BusConfig(endpoint=endpoint), listen=True):
         assert not can_listen(endpoint)
+    assert can_listen(endpoint)
+
+
+def test_a_free_endpoint_is_one_of_loopback_that_can_be_listened_on() -> None:
+    endpoint = free_endpoint()
+    assert endpoint.startswith("tcp/127.0.0.1:")
+    assert int(endpoint.rpartition(":")[2]) > 0
     assert can_listen(endpoint)
 
 

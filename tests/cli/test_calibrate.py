@@ -164,13 +164,15 @@ def test_what_can_not_be_meant(
 
 
 def test_a_result_that_can_not_be_written(
-    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(self: Path, data: bytes) -> int:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    assert calibrate(recording, "--board", SPEC, "--out", tmp_path / "c.yaml") == 9
+    picture = tmp_path / "c.coverage.png"
+    said = refused(capsys, 74, recording, "--board", SPEC, "--out", tmp_path / "c.yaml")
+    assert f"{picture}: No space left on device" in said
     assert list(tmp_path.iterdir()) == []
 
 

@@ -13,10 +13,10 @@ import pytest
 from prism_edge.bus import links
 from prism_edge.bus.commands import Reply
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.cli.main import main
 from prism_edge.config import BusConfig, Config
 from prism_edge.errors import BusError
-from tests.bus.conftest import free_endpoint
 
 
 @contextmanager

@@ -51,6 +51,20 @@ def test_the_robot_is_black_in_the_mask(tmp_path: Path, capsys: pytest.CaptureFi
     assert mask(recording, "--out", out, "--overwrite") == 0
 
 
+def test_on_a_full_disk_no_file_is_left(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def full(self: Path, data: bytes) -> int:
+        raise OSError(28, "No space left on device")
+
+    recording = film(tmp_path / "film", 40)
+    monkeypatch.setattr(Path, "write_bytes", full)
+    assert mask(recording, "--out", tmp_path / "mask.png") == 74
+    said = f"prism-edge: error: {tmp_path / 'mask.png'}: No space left on device\n"
+    assert capsys.readouterr().err == said
+    assert list(tmp_path.iterdir()) == [recording]
+
+
 def test_a_camera_without_a_robot_in_view_needs_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -16,13 +16,14 @@ import pytest
 
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.cli.main import main
 from prism_edge.cli.watch import Listener
 from prism_edge.config import BusConfig, Config, FramesConfig
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.mount import base_from_camera, looking
 from prism_edge.messages import Tracked
-from tests.bus.conftest import free_endpoint
+from tests.waiting import until
 
 MS = 1_000_000
 COVARIANCE = np.diag([0.01, 0.01, 0.02, 0, 0, 0])
@@ -120,9 +121,12 @@ def test_what_waits_counts_from_when_it_came() -> None:
     config = Config(robot="fake", bus=BusConfig(free_endpoint(), retry_ms=50))
     with Bus.open(config, "tracker", listen=True) as tracker, Bus.open(config, "watch") as bus:
         listener = Listener(bus, config)
-        while not listener._poses._samples:
+
+        def came() -> bool:
             tracker.publish("pose", ros.pose_with_covariance(MS, "map", np.eye(4), COVARIANCE))
-            time.sleep(0.01)
+            return bool(listener._poses._samples)
+
+        until(came, "a pose")
         came_before_s = time.monotonic()
         assert next(listener.poses(1))
         assert listener.view._arrivals[0] <= came_before_s

@@ -50,7 +50,9 @@ def test_every_path_of_the_configuration_is_in_the_container() -> None:
 
 
 def test_folders_of_the_host_are_read_only() -> None:
-    assert all(volume.endswith(":ro") for volume in daemon()["volumes"] if volume[0] in "./")
+    folders = [volume for volume in daemon()["volumes"] if volume[0] in "./"]
+    assert folders
+    assert all(volume.endswith(":ro") for volume in folders)
 
 
 def test_the_shipped_configuration_lacks_nothing_but_a_camera_file(

@@ -38,7 +38,6 @@ def test_what_a_file_says_of_itself_is_read_as_onnx_reads_it(tmp_path: Path):
     path = write_tiny_network(tmp_path / "net.onnx", TinyNetwork(confidence=True, descriptor=True))
     outline = read_outline(memoryview(path.read_bytes()), "net.onnx")
     truth = onnx.load(path)
-    assert outline.ir_version == truth.ir_version
     assert outline.opsets == {item.domain: item.version for item in truth.opset_import}
     assert outline.metadata == {item.key: item.value for item in truth.metadata_props}
     assert outline.operators == {node.op_type for node in truth.graph.node}
@@ -47,7 +46,9 @@ def test_what_a_file_says_of_itself_is_read_as_onnx_reads_it(tmp_path: Path):
 
 @pytest.mark.realdata
 def test_real_files_are_read_as_onnx_reads_them(shared: Path):
-    for path in sorted((shared / "models").glob("*.onnx")):
+    files = sorted((shared / "models").glob("*.onnx"))
+    assert files
+    for path in files:
         outline = read_outline(memoryview(path.read_bytes()), path.name)
         truth = onnx.load(path)
         assert outline.opsets == {item.domain: item.version for item in truth.opset_import}
@@ -103,7 +104,7 @@ def places() -> dict[str, onnx.ModelProto]:
 
 @pytest.mark.parametrize("place", places())
 def test_external_data_is_found_wherever_a_tensor_can_be(place: str):
-    assert outline_of(places()[place]).external == [External("t", "w.bin", 0, 0)]
+    assert outline_of(places()[place]).external == [External("w.bin", 0, 0)]
 
 
 def test_there_is_no_other_place_for_a_tensor_in_a_file():
@@ -136,7 +137,7 @@ def test_there_is_no_other_place_for_a_tensor_in_a_file():
 
 def test_where_external_data_lies_is_read():
     tensor = external("t", "a/b.bin", offset="4096", length="8")
-    assert outline_of(model_of(initializers=[tensor])).external == [External("t", "a/b.bin", 4096, 8)]
+    assert outline_of(model_of(initializers=[tensor])).external == [External("a/b.bin", 4096, 8)]
 
 
 def twice() -> onnx.ModelProto:
@@ -190,7 +191,7 @@ def test_a_graph_in_two_parts_is_walked_in_both():
     first, second = model_of(), model_of(initializers=[external("t", "w.bin")])
     content = first.SerializeToString() + second.SerializeToString()  # readers merge them
     assert onnx.ModelProto.FromString(content).graph.initializer[0].name == "t"
-    assert read_outline(memoryview(content), "net.onnx").external == [External("t", "w.bin", 0, 0)]
+    assert read_outline(memoryview(content), "net.onnx").external == [External("w.bin", 0, 0)]
 
 
 def test_a_training_graph_is_refused():

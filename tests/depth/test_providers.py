@@ -253,4 +253,4 @@ NODES = "const std::vector<const Node*>&, const std::function<bool(const std::ba
     ],
 )
 def test_an_error_is_one_line_without_onnxruntimes_own_source(said: str, line: str):
-    assert providers.first_line(RuntimeError(said)) == line
+    assert providers.native_line(RuntimeError(said)) == line

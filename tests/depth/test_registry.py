@@ -75,9 +75,10 @@ def test_a_licence_that_forbids_commercial_use_is_known_by_its_name(licence: str
 
 @pytest.mark.realdata
 def test_the_files_at_hand_are_the_registered_ones(shared: Path):
-    for entry in entries():
-        if entry.card and (shared / "models" / entry.file).is_file():
-            assert sha256_of(shared / "models" / entry.file) == entry.card.sha256
+    at_hand = {shared / "models" / entry.file: entry.card.sha256 for entry in entries() if entry.card}
+    at_hand = {file: sha256 for file, sha256 in at_hand.items() if file.is_file()}
+    assert at_hand
+    assert {file: sha256_of(file) for file in at_hand} == at_hand
 
 
 def vetted(sha256: str, metadata: dict[str, str]) -> Vetted:

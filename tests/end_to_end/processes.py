@@ -8,9 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 import uuid
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
@@ -18,27 +16,14 @@ from typing import Any, Self
 import psutil
 
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config
+from tests.waiting import until
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 CLI = (sys.executable, "-m", "prism_edge.cli")
 DEADLINE_S = 30.0
 MARK = "PRISM_EDGE_TEST"
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
-def wait_until(condition: Callable[[], Any], what: str, timeout_s: float = DEADLINE_S) -> Any:
-    """What ``condition`` returns, as soon as that is true."""
-    deadline = time.monotonic() + timeout_s
-    while not (found := condition()):
-        assert time.monotonic() < deadline, f"waited {timeout_s:g} s in vain: {what}"
-        time.sleep(0.01)
-    return found
 
 
 def prism_edge(*arguments: str | Path, timeout_s: float = 60.0) -> subprocess.CompletedProcess[str]:
@@ -84,7 +69,7 @@ class Daemon:
 
     def until_ready(self) -> Self:
         """Returns once every process is ready; remembers them."""
-        wait_until(lambda: "ready after" in self.log or self._popen.poll() is not None, "ready")
+        until(lambda: "ready after" in self.log or self._popen.poll() is not None, "ready")
         assert self._popen.poll() is None, self.log
         root = psutil.Process(self._popen.pid)
         self.family = [root, *root.children(recursive=True)]

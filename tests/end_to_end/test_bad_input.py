@@ -14,8 +14,9 @@ import pytest
 
 from prism_edge.evaluation.trajectory import read_tum
 from tests.end_to_end.conftest import FRAMES, HEIGHT, WIDTH
-from tests.end_to_end.processes import DEADLINE_S, Daemon, prism_edge, rows, wait_until
+from tests.end_to_end.processes import DEADLINE_S, Daemon, prism_edge, rows
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
+from tests.waiting import until
 
 CONFIG, SOURCE, MODEL, BUS = 3, 4, 5, 6  # exit codes, as `prism-edge --help` lists them
 
@@ -168,9 +169,9 @@ def test_a_network_gone_wrong_is_reported_and_counted_and_the_daemon_runs_on(
             said = depth.get("level") == "1" and "no usable depth" in depth["message"]
             return said and int(depth.get("invalid", "0")) > 0
 
-        wait_until(counted, "unusable depth is counted and said")
+        until(counted, "unusable depth is counted and said")
         assert seen[-1]["depth"]["restarts"] == "0"
         scale = bus.ask("scale", DEADLINE_S)
         assert scale is None or not scale.metric
-    wait_until(lambda: "has no depth" in running.log, "unusable depth is logged")
+    until(lambda: "has no depth" in running.log, "unusable depth is logged")
     assert not [process for process in running.family if not process.is_running()]

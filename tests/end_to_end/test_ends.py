@@ -9,14 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.end_to_end.processes import (
-    DEADLINE_S,
-    Daemon,
-    free_endpoint,
-    port_is_free,
-    prism_edge,
-    wait_until,
-)
+from prism_edge.bus.vacancy import free_endpoint
+from tests.end_to_end.processes import DEADLINE_S, Daemon, port_is_free, prism_edge
+from tests.waiting import until
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -70,5 +65,5 @@ def test_a_second_daemon_on_the_same_endpoint_says_so_and_leaves_the_first_alone
     assert "Traceback" not in second.stderr
     with first.bus() as bus:
         poses = bus.queue("pose")
-        wait_until(lambda: poses.take(0.1), "poses of the first daemon")
+        until(lambda: poses.take(0.1), "poses of the first daemon")
     assert not [process for process in first.family if not process.is_running()]

@@ -14,7 +14,8 @@ import pytest
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.messages import IDS_A_LIFE
-from tests.end_to_end.processes import Daemon, rows, wait_until
+from tests.end_to_end.processes import Daemon, rows
+from tests.waiting import until
 
 WORKERS = ("depth", "scale", "backend", "tracker", "source")
 SECOND = 1_000_000_000
@@ -47,22 +48,22 @@ class Health:
 def test_a_killed_process_is_started_again_and_poses_go_on(name: str, running: tuple[Daemon, Bus]) -> None:
     daemon, bus = running
     poses, tracked, health = bus.queue("pose", 1024), bus.queue("tracked", 1024), Health(bus)
-    before = wait_until(lambda: poses.take(0.1), "a pose")
-    wait_until(lambda: health.now().get(name, {}).get("state") in ("idle", "working", "ready"), "its health")
+    before = until(lambda: poses.take(0.1), "a pose")
+    until(lambda: health.now().get(name, {}).get("state") in ("idle", "working", "ready"), "its health")
     pid = int(health.now()[name]["pid"])
     os.kill(pid, signal.SIGKILL)
 
-    wait_until(lambda: health.now()[name]["restarts"] == "1", f"{name} is started again")
+    until(lambda: health.now()[name]["restarts"] == "1", f"{name} is started again")
     told = [row[name] for row in health.seen if row[name]["state"] == "restarting"]
     assert told, "its loss was not reported"
     assert told[0]["level"] == "2"
     assert "SIGKILL" in told[0]["message"]
-    wait_until(lambda: health.now()[name]["level"] == "0", f"{name} is well again")
+    until(lambda: health.now()[name]["level"] == "0", f"{name} is well again")
     assert int(health.now()[name]["pid"]) != pid
-    wait_until(lambda: health.now()["supervisor"]["level"] == "0", "all are well again")
+    until(lambda: health.now()["supervisor"]["level"] == "0", "all are well again")
 
     poses.drain()
-    first = ros.stamp_ns(wait_until(lambda: poses.take(0.1), "poses go on"))
+    first = ros.stamp_ns(until(lambda: poses.take(0.1), "poses go on"))
     assert first > ros.stamp_ns(before), "the recording began anew"
     later = []
 
@@ -70,10 +71,10 @@ def test_a_killed_process_is_started_again_and_poses_go_on(name: str, running: t
         later.extend(poses.drain())
         return bool(later) and ros.stamp_ns(later[-1]) > first + 1.5 * SECOND
 
-    wait_until(went_on, "poses a second and a half later")
+    until(went_on, "poses a second and a half later")
     assert np.isfinite([ros.pose_matrix(message.pose.pose) for message in later]).all()
     # Where the machine stood still the camera has jumped, and is looked for.
-    wait_until(lambda: (ticks := tracked.drain()) and ticks[-1].odometry == "ok", "it tracks")
+    until(lambda: (ticks := tracked.drain()) and ticks[-1].odometry == "ok", "it tracks")
     assert "Traceback" not in daemon.log
 
 
@@ -81,13 +82,13 @@ def test_after_all_that_depth_and_corrections_still_reach_the_tracker(running: t
     """Each life numbers keyframes and updates anew; none may be mistaken for an older one's."""
     _, bus = running
     keyframes, updates, scales = bus.queue("keyframe"), bus.queue("map_update"), bus.queue("log_scale")
-    keyframe = wait_until(lambda: keyframes.take(0.1), "a keyframe of the second tracker")
+    keyframe = until(lambda: keyframes.take(0.1), "a keyframe of the second tracker")
     assert keyframe.id >= IDS_A_LIFE
     assert keyframe.epoch == 0, "the map is not the one that the first tracker began"
-    update = wait_until(lambda: updates.take(0.1), "an update of the second backend")
+    update = until(lambda: updates.take(0.1), "an update of the second backend")
     assert update.sequence > IDS_A_LIFE
     assert update.epoch == keyframe.epoch
-    scale = wait_until(lambda: scales.take(0.1), "a scale of the second scale filter")
+    scale = until(lambda: scales.take(0.1), "a scale of the second scale filter")
     assert scale.epoch == keyframe.epoch
     assert scale.accepted
     assert abs(scale.log_scale) < 0.3  # a map that was seeded in metres

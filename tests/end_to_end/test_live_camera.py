@@ -13,7 +13,8 @@ from sources.live.servers import MjpegServer, mjpeg_server
 
 from prism_edge.bus.session import Bus
 from prism_edge.messages import Tracked
-from tests.end_to_end.processes import DEADLINE_S, Daemon, prism_edge, rows, wait_until
+from tests.end_to_end.processes import DEADLINE_S, Daemon, prism_edge, rows
+from tests.waiting import until
 
 pytest.importorskip("av", reason="network cameras need PyAV: pip install 'prism-edge[streams]'")
 
@@ -59,7 +60,7 @@ def next_ok(tracked) -> Tracked:  # type: ignore[no-untyped-def]
             found.append(item)
         return bool(found)
 
-    wait_until(seen, "a pose", 60.0)
+    until(seen, "a pose", deadline_s=60.0)
     return found[0]
 
 
@@ -74,20 +75,20 @@ def test_a_camera_that_goes_away_and_a_source_that_dies(
             before = next_ok(tracked)
 
             server.ending.set()
-            wait_until(lambda: source_row(health).get("camera", "").startswith("reconnecting"), "its loss")
-            wait_until(lambda: "camera: reconnecting" in source_row(health).get("message", ""), "a warning")
+            until(lambda: source_row(health).get("camera", "").startswith("reconnecting"), "its loss")
+            until(lambda: "camera: reconnecting" in source_row(health).get("message", ""), "a warning")
             server.ending.clear()
-            wait_until(lambda: source_row(health).get("camera") == "streaming", "its return")
+            until(lambda: source_row(health).get("camera") == "streaming", "its return")
             after = next_ok(tracked)
             assert after.index > before.index
             assert after.stamp_ns > before.stamp_ns
             assert after.captured_monotonic_ns > before.captured_monotonic_ns
 
-            row = wait_until(lambda: source_row(health), "health")
+            row = until(lambda: source_row(health), "health")
             assert row["restarts"] == "0"
             os.kill(int(row["pid"]), signal.SIGKILL)
-            wait_until(lambda: source_row(health).get("restarts") == "1", "the source is started again")
-            wait_until(lambda: source_row(health).get("camera") == "streaming", "the camera is back")
+            until(lambda: source_row(health).get("restarts") == "1", "the source is started again")
+            until(lambda: source_row(health).get("camera") == "streaming", "the camera is back")
             last = next_ok(tracked)
             assert last.index > after.index
             assert last.stamp_ns > after.stamp_ns
@@ -119,7 +120,7 @@ def test_the_map_of_a_run_that_was_cut_off_is_the_next_ones(
     with Daemon(tmp_path / "first.log", *arguments) as first:
         with first.until_ready().bus() as bus:
             next_ok(bus.queue("tracked", 1024))
-            before = wait_until(lambda: known(bus, 4), "four keyframes")
+            before = until(lambda: known(bus, 4), "four keyframes")
         first.send(signal.SIGKILL)
         first.wait()
         assert not first.leftovers(DEADLINE_S)
@@ -134,11 +135,11 @@ def test_the_map_of_a_run_that_was_cut_off_is_the_next_ones(
                 said.extend(message.status[0].message for message in status.drain())
                 return any(word.endswith(" recovered") for word in said)
 
-            wait_until(recovered, "the camera is found in the map")
-            assert before <= wait_until(lambda: known(bus, 4), "its map")
+            until(recovered, "the camera is found in the map")
+            assert before <= until(lambda: known(bus, 4), "its map")
             assert next_ok(tracked).odometry == "ok"
             health = bus.queue("health", 64)
-            row = wait_until(lambda: process_row(health, "backend"), "health")
+            row = until(lambda: process_row(health, "backend"), "health")
             assert row["recovered"].endswith("keyframes of an earlier run")
         assert "going on in its map" in second.log
         assert "Traceback" not in second.log
@@ -148,7 +149,7 @@ def test_the_map_of_a_run_that_was_cut_off_is_the_next_ones(
 
     with Daemon(tmp_path / "third.log", *arguments) as third, third.until_ready().bus() as bus:
         health = bus.queue("health", 64)
-        row = wait_until(lambda: process_row(health, "backend"), "health")
+        row = until(lambda: process_row(health, "backend"), "health")
         assert "recovered" not in row, "it goes on in the map of a run that had ended"
         assert "going on in its map" not in third.log
 

@@ -14,7 +14,8 @@ import zenoh
 from prism_edge.bus import ros
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.topics import TOPICS
-from tests.end_to_end.processes import DEADLINE_S, Daemon, prism_edge, rows, wait_until
+from tests.end_to_end.processes import DEADLINE_S, Daemon, prism_edge, rows
+from tests.waiting import until
 
 
 @pytest.fixture(scope="module")
@@ -30,7 +31,7 @@ def running(
             poses = bus.queue("pose", 1024)
             # A frame's status is told after its pose: with the second pose that of the first is out.
             for which in ("a pose", "another pose"):
-                wait_until(lambda: poses.take(0.1), which)
+                until(lambda: poses.take(0.1), which)
         yield daemon
 
 
@@ -51,8 +52,8 @@ def test_a_late_joiner_is_told_the_last_value(topic: str, session: zenoh.Session
         return str(ros.deserialise(ros.DIAGNOSTICS, answers()[0].payload.to_bytes()).status[0].message)
 
     if topic == "status":  # where the machine stood still the camera has jumped, and is looked for
-        wait_until(lambda: state() in ("ok building", "degraded building"), "it tracks")
-    replies = wait_until(answers, "an answer")  # a scale that is known is said a moment later
+        until(lambda: state() in ("ok building", "degraded building"), "it tracks")
+    replies = until(answers, "an answer")  # a scale that is known is said a moment later
     assert len(replies) == 1
     kind = TOPICS[topic].type
     assert isinstance(kind, str)
@@ -82,7 +83,7 @@ def test_pose_odom_and_tf_of_a_frame_say_the_same(running: Daemon) -> None:
                     heard[name][ros.stamp_ns(stamped)] = message
             return sorted(set.intersection(*(set(messages) for messages in heard.values())))
 
-        stamps = wait_until(lambda: found if len(found := together()) >= 10 else None, "ten frames")
+        stamps = until(lambda: found if len(found := together()) >= 10 else None, "ten frames")
     for stamp in stamps:
         pose = ros.pose_matrix(heard["pose"][stamp].pose.pose)
         odom = ros.pose_matrix(heard["odom"][stamp].pose.pose)

@@ -6,15 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import psutil
 import pytest
 
 from prism_edge.errors import EvaluationError
-from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, DaemonError, free_endpoint, last_error
+from prism_edge.evaluation.daemon import SUPERVISOR, Daemon, DaemonError, last_error
+from tests.waiting import until
 
 # Starts a child of its own, says both process ids, and ignores requests to end.
 STUBBORN = """
@@ -24,13 +23,6 @@ inner = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"],
 print(os.getpid(), inner.pid, flush=True)
 time.sleep(600)
 """
-
-
-def wait_for(condition: Callable[[], object], seconds: float = 20.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "waited too long"
-        time.sleep(0.01)
 
 
 def alive(pid: int) -> bool:
@@ -52,7 +44,7 @@ def test_a_daemon_that_refuses_is_quoted_with_its_exit_code(tmp_path: Path) -> N
     )
     message = r"^no such model: x\.onnx$"
     with daemon(tmp_path, code) as one, pytest.raises(DaemonError, match=message) as caught:
-        wait_for(lambda: one.check())
+        until(lambda: one.check())
     assert caught.value.exit_code == 5
 
 
@@ -60,14 +52,14 @@ def test_a_daemon_that_ends_without_a_word_is_an_error_too(tmp_path: Path) -> No
     codes = {"": "ended by itself", "print('bye')": "^bye$", "import os; os.abort()": "ended by itself"}
     for code, message in codes.items():
         with daemon(tmp_path, code) as one, pytest.raises(DaemonError, match=message) as caught:
-            wait_for(lambda one=one: one.check())
+            until(lambda one=one: one.check())
         assert caught.value.exit_code == EvaluationError.exit_code
 
 
 def test_nothing_is_left_of_a_daemon_that_will_not_end(tmp_path: Path) -> None:
     with daemon(tmp_path, STUBBORN) as one:
         one.check()
-        wait_for(lambda: len((tmp_path / "log").read_text().split()) == 2)
+        until(lambda: len((tmp_path / "log").read_text().split()) == 2)
         pids = [int(word) for word in (tmp_path / "log").read_text().split()]
         assert all(alive(pid) for pid in pids)
         assert pids[0] == one.pid
@@ -80,7 +72,7 @@ def test_a_daemon_that_ends_when_asked_is_not_killed(tmp_path: Path) -> None:
         "print('up', flush=True); time.sleep(600)"
     )
     with daemon(tmp_path, code, stop_s=20.0):
-        wait_for(lambda: "up" in (tmp_path / "log").read_text())
+        until(lambda: "up" in (tmp_path / "log").read_text())
     assert (tmp_path / "log").read_text().split() == ["up", "done"]
 
 
@@ -104,7 +96,7 @@ time.sleep(600)
     finally:
         os.kill(evaluation.pid, signal.SIGKILL)
         evaluation.communicate()
-    wait_for(lambda: not alive(pid))
+    until(lambda: not alive(pid))
 
 
 def test_what_cannot_be_started_is_an_error(tmp_path: Path) -> None:
@@ -120,13 +112,6 @@ def test_the_last_error_line_is_found_among_log_lines(tmp_path: Path) -> None:
     errors = b"prism-edge: error: first\nprism-edge source: error: second: x\n"
     log.write_bytes(b"\xff\xfe noise\n" + errors + b"INFO bye\n\n")
     assert last_error(log) == "second: x"
-
-
-def test_free_endpoints_differ_and_are_loopback() -> None:
-    first, second = free_endpoint(), free_endpoint()
-    assert first.startswith("tcp/127.0.0.1:")
-    assert int(first.rpartition(":")[2]) > 0
-    assert second.startswith("tcp/127.0.0.1:")
 
 
 def test_the_daemon_is_this_package_whatever_lies_in_the_folder(tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from prism_edge.evaluation.run import evaluate, extent
 from prism_edge.evaluation.scores import score
 from prism_edge.evaluation.trajectory import NS, read_tum
 from prism_edge.sources import open_source, sim
+from tests.waiting import until
 
 FAKE = Path(__file__).with_name("fake_daemon.py")
 ROOT = FAKE.parents[2]
@@ -264,10 +264,7 @@ sys.exit(main(["eval", {str(tiny_sequence)!r}, "--model", "pretended", "--out", 
 """
     evaluation = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.PIPE, text=True)
     started = psutil.Process(evaluation.pid)
-    deadline = time.monotonic() + 30
-    while not _listening(started):
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    until(lambda: _listening(started), "the pretended daemon has a child")
     family = started.children(recursive=True)
     os.kill(evaluation.pid, number)
     _, errors = evaluation.communicate(timeout=30)

@@ -142,7 +142,7 @@ def test_pairs_are_evos(first_ms: np.ndarray, second_ms: np.ndarray) -> None:
     # an offset of 0.3 ms keeps differences off the tolerance and off ties, where rounding of floats decides
     first = random_trajectory(first_ms * 1_000_000)
     second = random_trajectory(second_ms * 1_000_000 + 300_000)
-    ours = associate(first, second, 0.01)
+    ours = associate(first, second)
     as_evo = [PoseTrajectory3D(poses_se3=list(t.poses), timestamps=t.stamps / NS) for t in (first, second)]
     try:
         theirs = sync.associate_trajectories(*as_evo, max_diff=0.01)

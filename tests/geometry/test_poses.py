@@ -131,3 +131,14 @@ def test_normalised_is_a_rotation_near_the_given_matrix(twist: np.ndarray, noise
     assert np.linalg.det(rigid[:3, :3]) == pytest.approx(1.0)
     assert np.abs(rigid - pose).max() < 4 * noise
     np.testing.assert_array_equal(rigid[:3, 3], pose[:3, 3])
+
+
+def test_rotations_are_told_from_what_is_none():
+    turned = np.array([poses.so3_exp(np.array([0.1 * k, -0.4, 0.2])) for k in range(4)])
+    assert poses.are_rotations(turned, 1e-9)
+    assert poses.are_rotations(turned[0], 1e-9)
+    assert poses.are_rotations(turned[:0], 1e-9)
+    assert poses.are_rotations(1.004 * turned, 0.01)
+    for wrong in (1.006 * turned[1], np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan), np.zeros((3, 3))):
+        assert not poses.are_rotations(wrong, 0.01)
+        assert not poses.are_rotations(np.array([turned[0], wrong]), 0.01)

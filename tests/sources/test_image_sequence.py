@@ -16,7 +16,7 @@ from prism_edge.sources import Image, open_source
 from prism_edge.sources import image_sequence as module
 from prism_edge.sources.image_file import ask_for
 from tests.sources.tiny_datasets import CAMERA, picture, write_image, write_tum
-from tests.supervisor.test_child import until
+from tests.waiting import until
 
 needs_hints = pytest.mark.skipif(not hasattr(os, "posix_fadvise"), reason="no hints to the system here")
 
@@ -95,7 +95,7 @@ def test_a_file_comes_into_memory(tmp_path: Path) -> None:
         ask_for(file)  # again and again: a busy system may pass over a hint, or take the pages away
         return in_memory(file)
 
-    until(asked, 10.0)
+    until(asked, deadline_s=10.0)
 
 
 def in_memory(file: Path) -> bool:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import socket
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, DepthConfig, SupervisorConfig
 from prism_edge.supervisor import liveness
 from prism_edge.supervisor.run_directory import PREFIX
@@ -20,11 +20,9 @@ CHECKOUT = Path(__file__).resolve().parents[2]
 def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Config:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(CHECKOUT))
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     supervisor = SupervisorConfig(stop_s=1.5, max_restarts=2, backoff_s=0.05)
-    return Config(robot="fake", bus=BusConfig(endpoint), supervisor=supervisor, depth=DepthConfig("net.onnx"))
+    bus = BusConfig(free_endpoint())
+    return Config(robot="fake", bus=bus, supervisor=supervisor, depth=DepthConfig("net.onnx"))
 
 
 @pytest.fixture

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
 from prism_edge.supervisor.child import Child, describe_exit
+from tests.waiting import until
 
 SLEEP = "import time; time.sleep(60)"
 # Starts a process of its own, says which, and then ends or waits.
@@ -23,13 +23,6 @@ WITH_GRANDCHILD = (
     "new.rename(sys.argv[1])\n"
     "time.sleep(float(sys.argv[2]))\n"
 )
-
-
-def until(condition: Callable[[], object], deadline_s: float = 20.0) -> None:
-    end = time.monotonic() + deadline_s
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.01)
 
 
 def running(pid: int) -> bool:

@@ -15,7 +15,8 @@ import pytest
 from prism_edge.config import Config
 from prism_edge.config_file import dump
 from prism_edge.supervisor.run_directory import PREFIX
-from tests.supervisor.whole_runs import DEADLINE_S, assert_port_free, running, until
+from tests.supervisor.whole_runs import DEADLINE_S, assert_port_free, running
+from tests.waiting import until
 
 DAEMON = Path(__file__).with_name("fake_daemon.py")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, DepthConfig, SupervisorConfig
 from prism_edge.config_file import dump
 from prism_edge.supervisor.reload import put
@@ -71,12 +71,9 @@ def after(heard: list[str], line: str) -> list[str]:
 
 @pytest.fixture
 def serve(tmp_path: Path) -> Iterator[Callable[..., Service]]:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     limits = SupervisorConfig(stop_s=1.5, max_restarts=2, backoff_s=0.05)
     config = Config(
-        robot="fake", bus=BusConfig(endpoint), supervisor=limits, depth=DepthConfig(model="x.onnx")
+        robot="fake", bus=BusConfig(free_endpoint()), supervisor=limits, depth=DepthConfig(model="x.onnx")
     )
     services = []
     with Manager(str(tmp_path / "notify")) as manager:

@@ -11,14 +11,14 @@ from pathlib import Path
 import psutil
 import pytest
 
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
 from prism_edge.config_file import dump
-from prism_edge.evaluation.daemon import free_endpoint
 from prism_edge.processes import PROCESSES
 from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.start import can_fork, spawn_worker
 from tests.sources.tiny_datasets import write_tum
-from tests.supervisor.test_child import until
+from tests.waiting import until
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 
@@ -73,15 +73,15 @@ def test_first_lives_are_forks_and_later_ones_are_not(
         line = [sys.executable, "-m", *command, "--config", str(file)]
         daemon = subprocess.Popen(line, stderr=stderr, env=environment, cwd=CHECKOUT)
     try:
-        until(lambda: "ready after" in log.read_text(), 60.0)
+        until(lambda: "ready after" in log.read_text(), deadline_s=60.0)
         root = psutil.Process(daemon.pid)
         first = {worker.cmdline()[0]: worker for worker in root.children()}
         assert first.keys() == {"prism-edge source", "prism-edge tracker", "prism-edge backend"}
         assert all(is_a_copy_of(root, worker) for worker in first.values())
         assert all(worker.environ()["PRISM_MARK"] == "of this test" for worker in first.values())
         first["prism-edge tracker"].kill()
-        until(lambda: log.read_text().count("tracker started again"), 60.0)
-        until(lambda: len(titled(root, "prism-edge tracker")) == 1, 60.0)
+        until(lambda: log.read_text().count("tracker started again"), deadline_s=60.0)
+        until(lambda: len(titled(root, "prism-edge tracker")) == 1, deadline_s=60.0)
         [later] = titled(root, "prism-edge tracker")
         assert later.pid != first["prism-edge tracker"].pid
         assert not is_a_copy_of(root, later)

@@ -35,7 +35,8 @@ from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.supervisor.watch import StartRefusedError
 from prism_edge.topics import COMMANDS
 from tests.supervisor.fake_daemon import cast
-from tests.supervisor.whole_runs import DEADLINE_S, in_time, running, until
+from tests.supervisor.whole_runs import DEADLINE_S, in_time, running
+from tests.waiting import until
 
 
 def supervisor(config: Config, *behaviours: str) -> Supervisor:

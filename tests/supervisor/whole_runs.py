@@ -1,4 +1,4 @@
-"""What tests of whole runs share: waiting for what must come, and seeing what is left."""
+"""What tests of whole runs share: deadlines, and seeing what is left."""
 
 from __future__ import annotations
 
@@ -17,13 +17,6 @@ def running(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in ("Z", "X")
     except (FileNotFoundError, ProcessLookupError):
         return False
-
-
-def until(condition: Callable[[], object]) -> None:
-    end = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.02)
 
 
 def in_time(condition: Callable[[], object]) -> Callable[[], bool]:

@@ -18,7 +18,6 @@ F64 = NDArray[np.float64]
 _NEAR = 0.05  # m
 _SEAM = 1e-4  # m by which faces overlap, so that rounding leaves no gap between neighbours
 _LEVELS = 4  # mip-map
-_BORDER = 4  # texels between textures of the atlas
 
 
 @dataclass(frozen=True)

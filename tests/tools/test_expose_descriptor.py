@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from dataclasses import replace
 from pathlib import Path
-from types import ModuleType
 
 import cv2
 import numpy as np
@@ -19,24 +16,11 @@ from prism_edge.depth.contract import card_from_metadata
 from prism_edge.depth.inner_tensor import POOLINGS, pool
 from prism_edge.depth.session import OnnxNetwork
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
+from tools import expose_descriptor, measure_places
 
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
 # One of opset 7, whose initialisers are inputs, and one quantised transformer.
 NETWORKS = ["fastdepth_nyu_224.onnx", "depth_anything_v2_small_252x336_int8.onnx"]
 REVISITS = (280, 990, 170, 650)  # frames of redkitchen: two of one place, two of another
-
-
-def _load(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, TOOLS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-@pytest.fixture(scope="module")
-def tool() -> ModuleType:
-    return _load("expose_descriptor")
 
 
 def _session(path: Path) -> onnxruntime.InferenceSession:
@@ -47,11 +31,11 @@ def _session(path: Path) -> onnxruntime.InferenceSession:
 
 @pytest.mark.realdata
 @pytest.mark.parametrize("file", NETWORKS)
-def test_real_networks_keep_their_depth_and_know_places_again(tool, shared, redkitchen, tmp_path, file):
+def test_real_networks_keep_their_depth_and_know_places_again(shared, redkitchen, tmp_path, file):
     out = tmp_path / "places.onnx"
-    assert tool.main([str(shared / "models" / file), str(out)]) == 0
+    assert expose_descriptor.main([str(shared / "models" / file), str(out)]) == 0
     network = OnnxNetwork(out)
-    assert network.card.descriptor_output == tool.OUTPUT
+    assert network.card.descriptor_output == expose_descriptor.OUTPUT
     plain = OnnxNetwork(shared / "models" / file)
     poses = [np.loadtxt(redkitchen / f"frame-{index:06d}.pose.txt") for index in REVISITS]
     assert max(_apart(*poses[:2]), _apart(*poses[2:])) < 0.45 < 0.9 < _apart(poses[0], poses[2])
@@ -76,14 +60,13 @@ def _apart(first: np.ndarray, second: np.ndarray) -> float:
 
 @pytest.mark.parametrize("pooling", POOLINGS)
 @pytest.mark.parametrize("opset", [9, 13, 20])
-def test_the_graph_computes_what_the_daemon_computes(tool, tmp_path, pooling, opset):
+def test_the_graph_computes_what_the_daemon_computes(tmp_path, pooling, opset):
     tokens = pooling == "token"
     shape = (1, 6, 4) if tokens else (1, 4, 5, 7)
     value = helper.make_tensor_value_info
-    nodes = [*tool.pooling_nodes("x", shape, pooling, opset)]
-    graph = helper.make_graph(
-        nodes, "g", [value("x", TensorProto.FLOAT, shape)], [value(tool.OUTPUT, TensorProto.FLOAT, None)]
-    )
+    nodes = [*expose_descriptor.pooling_nodes("x", shape, pooling, opset)]
+    output = value(expose_descriptor.OUTPUT, TensorProto.FLOAT, None)
+    graph = helper.make_graph(nodes, "g", [value("x", TensorProto.FLOAT, shape)], [output])
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", opset)], ir_version=8)
     path = tmp_path / "pool.onnx"
     onnx.save(model, str(path))
@@ -93,18 +76,18 @@ def test_the_graph_computes_what_the_daemon_computes(tool, tmp_path, pooling, op
     assert got[0] == pytest.approx(pool(values, pooling), abs=1e-5)
 
 
-def test_a_layer_is_chosen_in_the_encoder_and_written_in_the_card(tool, tmp_path, capsys):
+def test_a_layer_is_chosen_in_the_encoder_and_written_in_the_card(tmp_path, capsys):
     path, out = write_tiny_network(tmp_path / "tiny.onnx"), tmp_path / "out.onnx"
-    assert tool.main([str(path), str(out)]) == 0
+    assert expose_descriptor.main([str(path), str(out)]) == 0
     props = {prop.key: prop.value for prop in onnx.load(str(out)).metadata_props}
     card = card_from_metadata(props, "out")
-    assert (card.name, card.descriptor_output) == ("tiny_tint_places", tool.OUTPUT)
-    assert card.descriptor_layer in tool.poolable(onnx.load(str(path)))
+    assert (card.name, card.descriptor_output) == ("tiny_tint_places", expose_descriptor.OUTPUT)
+    assert card.descriptor_layer in expose_descriptor.poolable(onnx.load(str(path)))
     assert "bit for bit" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_an_input_of_free_size_is_of_its_cards(tool, tmp_path, capsys, named):
+def test_an_input_of_free_size_is_of_its_cards(tmp_path, capsys, named):
     what = TinyNetwork()
     graph = tiny_graph(what)
     for value in (*graph.input, *graph.output):
@@ -113,14 +96,14 @@ def test_an_input_of_free_size_is_of_its_cards(tool, tmp_path, capsys, named):
     graph.input[0].type.tensor_type.shape.dim[1].dim_value = 3
     path, out = tmp_path / "free.onnx", tmp_path / "out.onnx"
     save(path, graph, replace(what.card(), input_name="image" if named else ""))
-    assert tool.main([str(path), "--list"]) == 0
+    assert expose_descriptor.main([str(path), "--list"]) == 0
     assert "small  [1, 3, 60, 80]" in capsys.readouterr().out
-    assert tool.main([str(path), str(out), "--layer", "small", "--pooling", "grid"]) == 0
+    assert expose_descriptor.main([str(path), str(out), "--layer", "small", "--pooling", "grid"]) == 0
     assert OnnxNetwork(out).raw(np.full((48, 64, 3), 90, np.uint8))[0].descriptor.size == 12
 
 
 @pytest.mark.parametrize("by", ["card", "option"])
-def test_an_output_of_the_graph_is_pooled_like_any_inner_tensor(tool, tmp_path, by):
+def test_an_output_of_the_graph_is_pooled_like_any_inner_tensor(tmp_path, by):
     what = TinyNetwork()
     graph = tiny_graph(what)
     graph.output.append(helper.make_tensor_value_info("small", TensorProto.FLOAT, [1, 3, 60, 80]))
@@ -128,7 +111,7 @@ def test_an_output_of_the_graph_is_pooled_like_any_inner_tensor(tool, tmp_path, 
     path, out = tmp_path / "net.onnx", tmp_path / "out.onnx"
     save(path, graph, replace(what.card(), **named))
     option = ["--layer", "small", "--pooling", "mean"] if by == "option" else []
-    assert tool.main([str(path), str(out), *option]) == 0
+    assert expose_descriptor.main([str(path), str(out), *option]) == 0
     network = OnnxNetwork(out)
     assert network.card.descriptor_layer == "small"
     image = np.random.default_rng(0).integers(0, 255, (240, 320, 3), dtype=np.uint8)
@@ -140,7 +123,7 @@ def _input(image: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32) / np.float32(255)
 
 
-def test_what_cannot_be_done_is_refused_in_one_line_and_leaves_no_file(tool, tmp_path, capsys):
+def test_what_cannot_be_done_is_refused_in_one_line_and_leaves_no_file(tmp_path, capsys):
     path, out = write_tiny_network(tmp_path / "tiny.onnx"), tmp_path / "out.onnx"
     foreign = write_tiny_network(tmp_path / "foreign.onnx", TinyNetwork(describes_itself=False))
     (tmp_path / "text.onnx").write_text("no model")
@@ -158,30 +141,28 @@ def test_what_cannot_be_done_is_refused_in_one_line_and_leaves_no_file(tool, tmp
         ([tmp_path / "absent.onnx", out], "can't be read"),
         ([tmp_path / "silent.onnx", out, "--layer", "scaled", "--pooling", "mean"], "norm"),
     ):
-        assert tool.main([str(argument) for argument in arguments]) != 0
+        assert expose_descriptor.main([str(argument) for argument in arguments]) != 0
         error = capsys.readouterr().err.strip()
         assert says in error
         assert "\n" not in error
         assert not out.exists()
 
 
-def test_places_are_scored_by_true_poses(tool):
-    measure = _load("measure_places")
+def test_places_are_scored_by_true_poses():
     poses = np.tile(np.eye(4), (4, 1, 1))
     poses[1:3, 0, 3] = 5.0  # frames 0 and 3 are one place, 1 and 2 another
     indices = np.array([0, 200, 400, 600])
     good = np.array([[1, 0], [0, 1], [0, 1], [1, 0]], float)
-    score = measure.score_places(indices, poses, good)
+    score = measure_places.score_places(indices, poses, good)
     assert (score.revisits, score.auc, score.same, score.other, score.before_false) == (4, 1, 1, 0, 1)
-    score = measure.score_places(indices, poses, good[[0, 1, 0, 1]])
+    score = measure_places.score_places(indices, poses, good[[0, 1, 0, 1]])
     # Of four other pairs two are more alike than one of the same place, two as alike.
     assert (score.auc, score.same, score.other, score.before_false) == (0.25, 0, 1, 0)
-    assert measure.score_places(np.arange(4), poses, good) is None  # never gone for long enough
+    assert measure_places.score_places(np.arange(4), poses, good) is None  # never gone for long enough
 
 
 def test_descriptors_that_are_all_alike_tell_no_place_from_another() -> None:
-    measure = _load("measure_places")
     indices, poses = np.arange(0, 1000, 50), np.tile(np.eye(4), (20, 1, 1))
     poses[::2, 0, 3] = 5.0
-    score = measure.score_places(indices, poses, np.tile([0.6, 0.8], (20, 1)))
+    score = measure_places.score_places(indices, poses, np.tile([0.6, 0.8], (20, 1)))
     assert score.auc == 0.5

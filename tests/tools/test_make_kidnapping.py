@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import sys
-from pathlib import Path
-from types import ModuleType
 
 import cv2
 import numpy as np
@@ -18,36 +15,26 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.sources import open_source
 from prism_edge.sources.truth import read_truth
 from tests.synthetic.sequence import write_sequence
-
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "make_kidnapping.py"
-
-
-@pytest.fixture(scope="module")
-def tool() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_kidnapping", TOOL)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["make_kidnapping"] = module
-    spec.loader.exec_module(module)
-    return module
+from tools import make_kidnapping
 
 
-def test_a_turned_camera_sees_a_ray_where_it_should(tool):
+def test_a_turned_camera_sees_a_ray_where_it_should():
     camera = Camera(320, 240, 260.0, 250.0, 161.0, 118.0)
     ray = np.array([0.2, -0.15, 1.0])
     pixels = np.zeros((240, 320, 3), np.uint8)
     at = camera.project(ray[None])[0]
     cv2.circle(pixels, (round(at[0]), round(at[1])), 4, (255, 255, 255), -1)
-    seen = tool.turned(pixels, camera, 20.0)
+    seen = make_kidnapping.turned(pixels, camera, 20.0)
     rows, columns = np.nonzero(seen[..., 0] > 128)
-    expected = camera.project((tool.roll_of(20.0)[:3, :3].T @ ray)[None])[0]
+    expected = camera.project((make_kidnapping.roll_of(20.0)[:3, :3].T @ ray)[None])[0]
     assert (columns.mean(), rows.mean()) == pytest.approx(expected, abs=0.7)
     assert np.linalg.norm(expected - at) > 10
-    assert np.array_equal(tool.turned(pixels, camera, 0.0), pixels)
+    assert np.array_equal(make_kidnapping.turned(pixels, camera, 0.0), pixels)
 
 
-def test_a_recording_is_carried_off_and_comes_back(tool, tmp_path):
+def test_a_recording_is_carried_off_and_comes_back(tmp_path):
     source = write_sequence(tmp_path / "in", frames=9, width=160, height=120)
-    count = tool.write(str(source), tmp_path / "out", (3, 6), 20.0, 8)
+    count = make_kidnapping.write(str(source), tmp_path / "out", (3, 6), 20.0, 8)
     assert count == 8
     out = tmp_path / "out"
     with open_source(SourceConfig(uri=str(out), camera=str(out / "camera.yaml"))) as made:
@@ -63,14 +50,14 @@ def test_a_recording_is_carried_off_and_comes_back(tool, tmp_path):
     assert len(stamps) == 8
     assert poses[:, :3, 3] == pytest.approx(before[:8, :3, 3], abs=1e-6)
     assert poses[:6] == pytest.approx(before[:6], abs=1e-6)
-    assert poses[6] == pytest.approx(before[6] @ tool.roll_of(20.0), abs=1e-6)
+    assert poses[6] == pytest.approx(before[6] @ make_kidnapping.roll_of(20.0), abs=1e-6)
 
 
-def test_another_reference_is_turned_alike_and_has_nothing_of_the_dark(tool, tmp_path):
+def test_another_reference_is_turned_alike_and_has_nothing_of_the_dark(tmp_path):
     source = write_sequence(tmp_path / "in", frames=9, width=160, height=120)
     truth = tmp_path / "in" / "groundtruth.txt"
     out = tmp_path / "out"
-    tool.write(str(source), out, (3, 6), 20.0, 8, truth)
+    make_kidnapping.write(str(source), out, (3, 6), 20.0, 8, truth)
     made = read_tum(out / "reference.tum")
     stamps, poses = read_truth(str(out))
     lit = [0, 1, 2, 6, 7]
@@ -78,19 +65,19 @@ def test_another_reference_is_turned_alike_and_has_nothing_of_the_dark(tool, tmp
     assert made.poses == pytest.approx(poses[lit], abs=1e-6)
 
 
-def test_an_unusable_recording_is_one_line(tool, tmp_path, monkeypatch):
+def test_an_unusable_recording_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setattr(sys, "argv", ["make_kidnapping", str(tmp_path / "nothing"), str(tmp_path / "out")])
     with pytest.raises(SystemExit) as ended:
-        tool.main()
+        make_kidnapping.main()
     assert "nothing" in str(ended.value)
     assert "\n" not in str(ended.value)
 
 
-def test_a_folder_that_holds_something_is_refused_and_left_as_it_is(tool, tmp_path):
+def test_a_folder_that_holds_something_is_refused_and_left_as_it_is(tmp_path):
     """Images of an earlier, longer recording would be played as well."""
     source, out = write_sequence(tmp_path / "in", frames=9, width=160, height=120), tmp_path / "out"
-    tool.write(str(source), out, (3, 6), 20.0, 8)
+    make_kidnapping.write(str(source), out, (3, 6), 20.0, 8)
     before = sorted(out.rglob("*"))
     with pytest.raises(SourceError, match="not empty"):
-        tool.write(str(source), out, (3, 6), 20.0, 8)
+        make_kidnapping.write(str(source), out, (3, 6), 20.0, 8)
     assert sorted(out.rglob("*")) == before

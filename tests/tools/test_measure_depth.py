@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,17 +11,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth import open_network
 from tests.synthetic.network import TinyNetwork, write_tiny_network
 from tests.synthetic.sequence import write_sequence
-
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "measure_depth.py"
-
-
-@pytest.fixture(scope="module")
-def tool() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("measure_depth", TOOL)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["measure_depth"] = module
-    spec.loader.exec_module(module)
-    return module
+from tools import measure_depth
 
 
 @pytest.fixture(scope="module")
@@ -33,36 +20,36 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("gain", [1.0, 1.3])
-def test_a_network_that_is_wrong_by_a_factor_is_measured_so(tool, folder: Path, tmp_path: Path, gain: float):
+def test_a_network_that_is_wrong_by_a_factor_is_measured_so(folder: Path, tmp_path: Path, gain: float):
     path = write_tiny_network(tmp_path / "tiny.onnx", TinyNetwork(gain=gain))
-    scores, failed = tool.measure(folder, open_network(str(path), DepthConfig()), every=2)
+    scores, failed = measure_depth.measure(folder, open_network(str(path), DepthConfig()), every=2)
     assert (len(scores), failed) == (4, 0)
     assert np.exp(np.mean([score.log_ratio for score in scores])) == pytest.approx(1 / gain, rel=0.01)
     assert np.mean([score.absrel for score in scores]) == pytest.approx(gain - 1, abs=0.015)
     assert np.mean([score.within_125 for score in scores]) == pytest.approx(float(gain < 1.25), abs=0.02)
 
 
-def test_frames_without_an_answer_are_counted(tool, folder: Path, tmp_path: Path):
+def test_frames_without_an_answer_are_counted(folder: Path, tmp_path: Path):
     path = write_tiny_network(tmp_path / "bad.onnx", TinyNetwork(misbehaviour="nan"))
-    scores, failed = tool.measure(folder, open_network(str(path), DepthConfig()), every=4)
+    scores, failed = measure_depth.measure(folder, open_network(str(path), DepthConfig()), every=4)
     assert (len(scores), failed) == (0, 2)
 
 
-def test_the_autocorrelation_of_a_known_process(tool):
+def test_the_autocorrelation_of_a_known_process():
     rng = np.random.default_rng(0)
     values = np.zeros(20_000)
     for i in range(1, len(values)):
         values[i] = 0.9 * values[i - 1] + rng.normal()
     stamps = np.arange(len(values)) / 30.0
     for lag in (1, 10, 30):
-        assert tool.autocorrelation(stamps, values, lag / 30) == pytest.approx(0.9**lag, abs=0.05)
-    assert np.isnan(tool.autocorrelation(stamps[:50], values[:50], 10.0))
+        assert measure_depth.autocorrelation(stamps, values, lag / 30) == pytest.approx(0.9**lag, abs=0.05)
+    assert np.isnan(measure_depth.autocorrelation(stamps[:50], values[:50], 10.0))
 
 
 @pytest.mark.parametrize("arguments", [["nowhere", "--model", "x.onnx"], ["nowhere", "--model", "TINY"]])
-def test_what_can_not_be_measured_is_one_line(tool, tmp_path: Path, capsys, arguments: list[str]):
+def test_what_can_not_be_measured_is_one_line(tmp_path: Path, capsys, arguments: list[str]):
     tiny = str(write_tiny_network(tmp_path / "tiny.onnx"))
-    assert tool.main([word.replace("TINY", tiny) for word in arguments]) != 0
+    assert measure_depth.main([word.replace("TINY", tiny) for word in arguments]) != 0
     captured = capsys.readouterr()
     assert captured.err.startswith("measure_depth: error: ")
     assert captured.err.count("\n") == 1

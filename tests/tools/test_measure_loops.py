@@ -2,31 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "measure_loops.py"
-
-
-@pytest.fixture(scope="module")
-def tool() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("measure_loops", TOOL)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["measure_loops"] = module
-    spec.loader.exec_module(module)
-    return module
+from tools import measure_loops
 
 
 def metrics(error: float | None, accepted: int = 0, precision: float | None = None) -> dict:
     return {"final": {"ate_sim3_m": error}, "loops": {"accepted": accepted, "precision": precision}}
 
 
-def test_each_sequence_runs_twice_and_gives_a_line(tool, tmp_path, monkeypatch, capsys):
+def test_each_sequence_runs_twice_and_gives_a_line(tmp_path, monkeypatch, capsys):
     ran = []
 
     def evaluate(words: list[str]) -> int:
@@ -37,10 +26,10 @@ def test_each_sequence_runs_twice_and_gives_a_line(tool, tmp_path, monkeypatch, 
         (out / "metrics.json").write_text(json.dumps(found))
         return 0
 
-    monkeypatch.setattr(tool, "prism_edge", evaluate)
+    monkeypatch.setattr(measure_loops, "prism_edge", evaluate)
     words = ["measure_loops", "sim:loop", "some/folder", "--model", "m.onnx", "--out", str(tmp_path)]
     monkeypatch.setattr(sys, "argv", words)
-    tool.main()
+    measure_loops.main()
     assert [("--ablate" in words, words[1]) for words in ran] == [
         (False, "sim:loop"),
         (True, "sim:loop"),
@@ -53,7 +42,7 @@ def test_each_sequence_runs_twice_and_gives_a_line(tool, tmp_path, monkeypatch, 
     assert len(lines) == 4
 
 
-def test_where_no_loop_was_accepted_it_runs_once(tool, tmp_path, monkeypatch, capsys):
+def test_where_no_loop_was_accepted_it_runs_once(tmp_path, monkeypatch, capsys):
     ran = []
 
     def evaluate(words: list[str]) -> int:
@@ -63,19 +52,19 @@ def test_where_no_loop_was_accepted_it_runs_once(tool, tmp_path, monkeypatch, ca
         (out / "metrics.json").write_text(json.dumps(metrics(0.05)))
         return 0
 
-    monkeypatch.setattr(tool, "prism_edge", evaluate)
+    monkeypatch.setattr(measure_loops, "prism_edge", evaluate)
     monkeypatch.setattr(sys, "argv", ["measure_loops", "a", "--model", "m.onnx", "--out", str(tmp_path)])
-    tool.main()
+    measure_loops.main()
     assert len(ran) == 1
     assert capsys.readouterr().out.splitlines()[2] == "| a | 0 | - | 5.00 cm | 5.00 cm | 0 % |"
 
 
-def test_what_could_not_be_computed_is_a_dash(tool):
-    assert tool.row("x", metrics(None), metrics(0.1)) == "| x | 0 | - | 10.00 cm | - | - |"
+def test_what_could_not_be_computed_is_a_dash():
+    assert measure_loops.row("x", metrics(None), metrics(0.1)) == "| x | 0 | - | 10.00 cm | - | - |"
 
 
-def test_a_run_that_fails_ends_it_with_its_code(tool, tmp_path, monkeypatch):
-    monkeypatch.setattr(tool, "prism_edge", lambda words: 4)
+def test_a_run_that_fails_ends_it_with_its_code(tmp_path, monkeypatch):
+    monkeypatch.setattr(measure_loops, "prism_edge", lambda words: 4)
     with pytest.raises(SystemExit) as ended:
-        tool.run("nothing", "m.onnx", tmp_path, True)
+        measure_loops.run("nothing", "m.onnx", tmp_path, True)
     assert ended.value.code == 4

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -14,17 +11,7 @@ import pytest
 from prism_edge.config import DepthConfig, SourceConfig
 from prism_edge.depth import open_network
 from tests.synthetic.network import TinyNetwork, write_tiny_network
-
-TOOL = Path(__file__).resolve().parents[2] / "tools" / "measure_readout.py"
-
-
-@pytest.fixture(scope="module")
-def tool() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("measure_readout", TOOL)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["measure_readout"] = module
-    spec.loader.exec_module(module)
-    return module
+from tools import measure_readout
 
 
 def answers(true: float, slope: float, noise: float, seed: int = 0) -> Callable[[float], tuple[float, float]]:
@@ -33,19 +20,19 @@ def answers(true: float, slope: float, noise: float, seed: int = 0) -> Callable[
 
 
 @pytest.mark.parametrize("true", [27.0, -18.0, 4.0, 75.0])
-def test_the_readout_is_found(tool, true: float) -> None:
-    found, sigma = tool.search(answers(true, -0.3, 0.0))
+def test_the_readout_is_found(true: float) -> None:
+    found, sigma = measure_readout.search(answers(true, -0.3, 0.0))
     assert found == pytest.approx(true, abs=1e-6)
     assert 0.0 < sigma < 1.5
 
 
 @pytest.mark.parametrize("surer", [1.0, 3.0])
-def test_its_sigma_is_that_of_its_errors(tool, surer: float) -> None:
+def test_its_sigma_is_that_of_its_errors(surer: float) -> None:
     """Also where each time says that it is ``surer`` than it is."""
     found = []
     for seed in range(60):
         answer = answers(25.0, -0.35, 1.0, seed)
-        found.append(tool.search(lambda said, answer=answer: (answer(said)[0], 1.0 / surer)))
+        found.append(measure_readout.search(lambda said, answer=answer: (answer(said)[0], 1.0 / surer)))
     in_sigmas = [(readout - 25.0) / sigma for readout, sigma in found]
     assert 0.7 < np.median(np.abs(in_sigmas)) / 0.674 < 1.6
 
@@ -53,36 +40,36 @@ def test_its_sigma_is_that_of_its_errors(tool, surer: float) -> None:
 @pytest.mark.parametrize(
     "answer", [answers(20.0, 0.0, 1.0), answers(20.0, 0.4, 0.1), lambda said: (np.nan, np.nan)]
 )
-def test_a_recording_that_does_not_tell_is_not_made_to(tool, answer) -> None:
-    assert tool.search(answer) is None
+def test_a_recording_that_does_not_tell_is_not_made_to(answer) -> None:
+    assert measure_readout.search(answer) is None
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_more_is_not_said_than_the_tracker_takes(tool, way: float) -> None:
+def test_more_is_not_said_than_the_tracker_takes(way: float) -> None:
     said: list[float] = []
 
     def left_over(readout: float) -> tuple[float, float]:
         said.append(way * readout)
         return 300.0 * way - readout, 1.0
 
-    assert tool.search(left_over)[0] == pytest.approx(300.0 * way)
-    assert said == list(np.arange(0.0, tool.LONGEST_READOUT_MS + 1.0, tool.STEP_MS))
+    assert measure_readout.search(left_over)[0] == pytest.approx(300.0 * way)
+    assert said == list(np.arange(0.0, measure_readout.LONGEST_READOUT_MS + 1.0, measure_readout.STEP_MS))
 
 
-def test_a_simulated_camera_s_rows_are_seen(tool) -> None:
+def test_a_simulated_camera_s_rows_are_seen() -> None:
     network = open_network("prism_nano", DepthConfig())
     source = SourceConfig(uri="sim:room?seed=1&frames=180&speed=1.2&noise=0.5&blur=0&readout=40")
-    unsaid, said = (tool.left_over(source, network, readout)[0] for readout in (0.0, 40.0))
+    unsaid, said = (measure_readout.left_over(source, network, readout)[0] for readout in (0.0, 40.0))
     assert unsaid > 5.0
     assert abs(said) < 2.5
 
 
-def test_what_it_can_t_use_is_said_in_a_line(tool, tmp_path: Path, capsys) -> None:
-    assert tool.main([str(tmp_path / "nothing"), "--model", "prism_nano"]) != 0
-    assert tool.main([str(tmp_path)]) != 0
-    assert tool.main(["sim:room?frames=20", "--model", str(tmp_path / "no.onnx")]) != 0
+def test_what_it_can_t_use_is_said_in_a_line(tmp_path: Path, capsys) -> None:
+    assert measure_readout.main([str(tmp_path / "nothing"), "--model", "prism_nano"]) != 0
+    assert measure_readout.main([str(tmp_path)]) != 0
+    assert measure_readout.main(["sim:room?frames=20", "--model", str(tmp_path / "no.onnx")]) != 0
     broken = write_tiny_network(tmp_path / "bad.onnx", TinyNetwork(misbehaviour="nan"))
-    assert tool.main(["sim:room?frames=20", "--model", str(broken)]) == 1
+    assert measure_readout.main(["sim:room?frames=20", "--model", str(broken)]) == 1
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 4
     assert all(line.startswith("measure_readout: error: ") for line in said)

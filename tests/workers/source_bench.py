@@ -130,8 +130,3 @@ def undisturbed(work: Callable[[Recorder], None]) -> tuple[list[Frame], EndOfStr
     return frames, end, bus
 
 
-def wait_for(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import threading
 import time
 import weakref
-from collections.abc import Callable
 
 from prism_edge.workers.handover import Handover
+from tests.waiting import until
 
 
 def test_the_serving_thread_makes_what_the_asking_one_gets() -> None:
@@ -49,13 +49,6 @@ def test_what_nobody_waits_for_any_more_is_not_even_made() -> None:
 
 class Map:
     """Something large, which nobody should hold on to."""
-
-
-def until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 30.0
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.001)
 
 
 def test_what_was_begun_for_an_asker_who_gave_up_is_not_the_next_ones() -> None:

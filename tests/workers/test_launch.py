@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -13,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
 from prism_edge.config_file import dump
 from prism_edge.messages import IDS_A_LIFE, LARGEST_ID
@@ -35,14 +35,13 @@ def run(name: str, file: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def config(tmp_path: Path) -> Config:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     (tmp_path / "tum").mkdir()
     recording = write_tum(tmp_path / "tum")
     model = write_tiny_network(tmp_path / "tiny.onnx")
     return Config(
-        bus=BusConfig(endpoint), source=SourceConfig(str(recording)), depth=DepthConfig(model=str(model))
+        bus=BusConfig(free_endpoint()),
+        source=SourceConfig(str(recording)),
+        depth=DepthConfig(model=str(model)),
     )
 
 

@@ -14,6 +14,7 @@ from prism_edge.sources import open_source
 from prism_edge.workers import pause as module
 from prism_edge.workers.pause import Pause
 from prism_edge.workers.source import SourceWorker
+from tests.waiting import until
 from tests.workers.list_bus import ListBus
 from tests.workers.source_bench import Recorder, running, settings
 
@@ -71,19 +72,20 @@ def test_hold_lasts_until_images_may_go_on_or_the_process_stops(monkeypatch: pyt
 
 def test_a_recording_goes_on_where_it_was_and_skips_nothing(tmp_path: Path) -> None:
     config = settings(tiny.write_tum(tmp_path))
+    looks: list[int] = []  # how much had come out, each time that it looked for a command
 
     def work(bus: Recorder) -> None:
+        bus.desk.before_serving = lambda: looks.append(bus.published.qsize())
         bus.desk.ask("pause", "on")
         with open_source(config.source) as source:
             SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
 
     with running(work) as bus:
-        end = time.monotonic() + 30
-        while "paused by command" not in bus.pulse.values.get("warning", ""):
-            assert time.monotonic() < end
-            time.sleep(0.01)
-        time.sleep(0.3)  # several periods of the recording: nothing may come out of them
-        assert bus.published.empty()
+        until(lambda: "paused by command" in bus.pulse.values.get("warning", ""), "it says that it pauses")
+        so_far = len(looks)
+        # over several periods of the recording
+        until(lambda: len(looks) >= so_far + 8, "it looks for commands")
+        assert not any(looks)
         bus.desk.ask("pause", "off")
         frames, stream = bus.until_end()
     assert len(frames) == stream.released == stream.frames

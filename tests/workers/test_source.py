@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import queue
-import socket
 import threading
 from dataclasses import replace
 from pathlib import Path
@@ -15,13 +14,15 @@ from sources import tiny_datasets as tiny
 
 from prism_edge.bus.pack import grey, pack, rgb
 from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, DepthConfig
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.messages import Acknowledged, EndOfStream, Frame, Tracked
 from prism_edge.sources import open_source
 from prism_edge.workers.source import SourceWorker, main
 from tests.synthetic.scene import block_texture
-from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, undisturbed, wait_for
+from tests.waiting import until
+from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, undisturbed
 
 
 def test_realtime_plays_everything_and_ends(tmp_path: Path) -> None:
@@ -180,7 +181,7 @@ def test_lockstep_goes_on_without_who_has_died(tmp_path: Path, caplog: pytest.Lo
 
 def test_the_first_frame_waits_for_the_others(tmp_path: Path) -> None:
     with playing(settings(tiny.write_tum(tmp_path), "lockstep", peers_s=600.0)) as bus:
-        wait_for(lambda: "ready" in bus.states)
+        until(lambda: "ready" in bus.states)
         bus.say("ready", "backend")
         with pytest.raises(queue.Empty):
             bus.published.get(timeout=0.3)
@@ -215,7 +216,7 @@ def test_stopping_ends_every_wait(tmp_path: Path) -> None:
         waiting_for_a_late_image,
     ):
         with playing(config) as bus:
-            wait_for(lambda bus=bus: "ready" in bus.states)
+            until(lambda bus=bus: "ready" in bus.states)
         assert "ended" not in bus.states
 
 
@@ -318,21 +319,14 @@ def test_log_and_health_say_that_the_intrinsics_look_like_another_images(
     (folder / "camera.yaml").write_text(tiny.CAMERA.replace("cx: 31.5", "cx: 62.5"))
     doubt = "camera: cx 62.5 of a 64-wide image: are these intrinsics of a larger image?"
     with playing(settings(folder)) as bus:
-        wait_for(lambda: "warning" in bus.pulse.values)
+        until(lambda: "warning" in bus.pulse.values)
         assert bus.pulse.values["warning"] == doubt
     assert caplog.text.count(doubt) == 1
 
 
-@pytest.fixture
-def unused_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
-def test_over_the_real_bus(tmp_path: Path, unused_endpoint: str) -> None:
+def test_over_the_real_bus(tmp_path: Path) -> None:
     config = settings(tiny.write_tum(tmp_path, count=8), "lockstep", peers_s=DEADLINE_S)
-    config = replace(config, bus=BusConfig(endpoint=unused_endpoint))
+    config = replace(config, bus=BusConfig(free_endpoint()))
 
     def work(stop: Recorder) -> None:
         with Bus.open(config, "source") as bus:

@@ -18,7 +18,8 @@ from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.live.driver import CameraLostError, Grab
 from prism_edge.workers import source as source_worker
 from prism_edge.workers.source import SourceWorker, main
-from tests.workers.source_bench import Recorder, running, wait_for
+from tests.waiting import until
+from tests.workers.source_bench import Recorder, running
 
 CONFIG = Config(source=SourceConfig(uri="a camera", peers_s=0.0))
 
@@ -41,7 +42,7 @@ def test_frames_carry_the_cameras_times() -> None:
 
     with running(working(Bench(script))) as bus:
         frames = [bus.next()[1] for _ in range(5)]
-        wait_for(lambda: bus.pulse.values["camera"] == "streaming")
+        until(lambda: bus.pulse.values["camera"] == "streaming")
     assert {frame.captured_monotonic_ns for frame in frames} <= set(taken)
     assert abs(frames[0].stamp_ns - time.time_ns()) < 60e9
     assert [frame.index for frame in frames] == sorted({frame.index for frame in frames})
@@ -54,7 +55,7 @@ def test_what_was_replaced_by_something_newer_is_counted_as_skipped() -> None:
 
     with running(working(Bench(script))) as bus:
         frames = [bus.next()[1] for _ in range(5)]
-        wait_for(lambda: int(bus.pulse.values["skipped"]) >= frames[-1].index - 4)
+        until(lambda: int(bus.pulse.values["skipped"]) >= frames[-1].index - 4)
         assert "ended" not in bus.states
 
 
@@ -72,14 +73,14 @@ def test_a_lost_camera_shows_on_health_and_the_worker_stays(monkeypatch: pytest.
         bus.next()
         bench.refusal = CameraLostError("not there")
         gone.set()
-        wait_for(lambda: bus.pulse.values.get("warning") == "camera: reconnecting (not there)")
-        wait_for(lambda: bus.pulse.values["camera"] == "reconnecting: not there")
-        wait_for(lambda: bus.pulse.values["fps"] == "0.0")
+        until(lambda: bus.pulse.values.get("warning") == "camera: reconnecting (not there)")
+        until(lambda: bus.pulse.values["camera"] == "reconnecting: not there")
+        until(lambda: bus.pulse.values["fps"] == "0.0")
         bench.refusal = None
         gone.clear()
-        wait_for(lambda: "warning" not in bus.pulse.values)
-        wait_for(lambda: bus.pulse.values["camera"] == "streaming")
-        wait_for(lambda: bus.pulse.values["reconnects"] == "1")
+        until(lambda: "warning" not in bus.pulse.values)
+        until(lambda: bus.pulse.values["camera"] == "streaming")
+        until(lambda: bus.pulse.values["reconnects"] == "1")
         while not bus.published.empty():
             bus.next()
         bus.next()
@@ -110,7 +111,7 @@ def test_being_stopped_ends_the_wait_for_a_camera(tmp_path: Path) -> None:
     uri = f"v4l2:{tmp_path}/video0"
     config = replace(CONFIG, source=SourceConfig(uri=uri, camera=str(file), absent_s=45.0))
     with running(lambda bus: main(config, bus)) as bus:  # type: ignore[arg-type]
-        wait_for(lambda: "working" in bus.states)
+        until(lambda: "working" in bus.states)
     # `running` has stopped it, and seen that it ended soon and without an error.
     assert "ready" not in bus.states
 

@@ -86,5 +86,7 @@ def test_a_keyframe_says_how_far_the_camera_had_come_when_it_was_taken(busy: Lis
 def test_in_lockstep_they_wait(busy: ListBus) -> None:
     run(busy, [frame(i) for i in range(20)], LOCKSTEP)
     order = [(t, m.index) for t, m in busy.sent if t in ("keyframe", "tracked")]
-    for keyframe in busy.of("keyframe"):
+    keyframes = busy.of("keyframe")
+    assert keyframes
+    for keyframe in keyframes:
         assert order.index(("keyframe", keyframe.index)) == order.index(("tracked", keyframe.index)) + 1

@@ -138,11 +138,6 @@ class WholeSystem:
         rows = {ros.stamp_ns(m) // PERIOD_NS: m.status[0] for m in self.bus.of("status")}
         return {i: next(v.value for v in row.values if v.key == "depth") for i, row in rows.items()}
 
-    def odom_steps(self) -> list[float]:
-        """How far (m) `odom` moves from frame to frame."""
-        places = np.array([ros.pose_matrix(m.pose.pose)[:3, 3] for m in self.bus.of("odom")])
-        return list(np.linalg.norm(np.diff(places, axis=0), axis=1))
-
 
 def film_index(i: int) -> int:
     """Where in the film frame ``i`` is: it goes there and back without end."""

@@ -13,7 +13,7 @@ from depth_anything_3.model.da3 import DepthAnything3Net
 from depth_anything_3.registry import MODEL_REGISTRY
 from depth_anything_3.utils.model_loading import convert_general_state_dict
 
-from prism_edge.errors import ModelError
+from prism_edge.errors import ModelError, first_line
 from tools.export_da3.variants import NESTED, VARIANTS, Variant, parts_of, weights_file
 
 # Metres = output * f / 300, f in pixels of the network's input (the package's apply_metric_scaling).
@@ -83,8 +83,7 @@ def _read(file: Path) -> dict[str, torch.Tensor]:
             weights = torch.load(str(file), map_location="cpu", weights_only=True)  # runs no pickled code
             weights = weights.get("state_dict", weights.get("model", weights))
     except Exception as error:  # safetensors', torch's and zipfile's, without a common root
-        reason = str(error).splitlines()[0][:100] if str(error) else type(error).__name__
-        raise ModelError(f"{file}: can't be read as weights ({reason})") from None
+        raise ModelError(f"{file}: can't be read as weights ({first_line(error, 100)})") from None
     if not isinstance(weights, dict) or not all(isinstance(item, torch.Tensor) for item in weights.values()):
         raise ModelError(f"{file}: holds no table of tensors")
     return weights

@@ -14,7 +14,7 @@ from onnx import helper
 from torch import Tensor, nn
 
 from prism_edge.depth.contract import ModelCard
-from prism_edge.errors import ModelError
+from prism_edge.errors import ModelError, first_line
 from tools.export_da3.fixed_size import recorded
 
 OPSET = 17  # the first with LayerNormalization
@@ -48,7 +48,7 @@ def trace(network: nn.Module, example: Sequence[Tensor], inputs: Sequence[str], 
         fold(raw, path)
         remove(raw)
     except RuntimeError as error:
-        raise ModelError(f"{path.name}: can't be exported ({str(error).splitlines()[0][:150]})") from None
+        raise ModelError(f"{path.name}: can't be exported ({first_line(error, 150)})") from None
     return path
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from prism_edge.depth.inner_tensor import TOKEN, pool
-from prism_edge.errors import ModelError
+from prism_edge.errors import ModelError, first_line
 from tools.export_da3.convert import FP16, FP32, INT8
 from tools.export_da3.nested import SKY_LIMIT
 from tools.export_da3.networks import HALF_PIXEL, PATCH, Wanted
@@ -56,7 +56,7 @@ def compare(
         names = [output.name for output in session.get_outputs()]
         answers = [dict(zip(names, session.run(names, dict(feed)), strict=True)) for feed in inputs]
     except Exception as error:  # onnxruntime's exceptions have no common root of their own
-        raise ModelError(f"{path.name}: does not run ({str(error).splitlines()[0][:150]})") from None
+        raise ModelError(f"{path.name}: does not run ({first_line(error, 150)})") from None
     parities = []
     for name in names:
         errors = []

@@ -12,7 +12,7 @@ from datetime import timedelta
 from typing import Any
 
 from prism_edge.config import limits, one_of
-from prism_edge.errors import ConfigError, SourceError
+from prism_edge.errors import ConfigError, SourceError, first_line
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
 from prism_edge.sources.address import parse_options
 from prism_edge.sources.live.driver import CameraLostError, Grab
@@ -91,7 +91,7 @@ class OakDriver:
                     device.close()
                 raise
         except RuntimeError as error:
-            raise CameraLostError(_line(error)) from None
+            raise CameraLostError(first_line(error)) from None
         self._id = device.getDeviceId()  # from now on this one, whatever else is plugged in
         self.name = f"OAK {self._id}"
         return connection
@@ -177,7 +177,7 @@ class OakConnection:
         try:
             return self._queue.get(_WAIT)
         except (RuntimeError, self._dai.MessageQueue.QueueException) as error:
-            raise CameraLostError(_line(error)) from None
+            raise CameraLostError(first_line(error)) from None
 
     def _difference(self, frame: Any) -> str:
         options = self._options
@@ -222,12 +222,7 @@ def _pixels(frame: Any) -> Any:
     try:
         return frame.getCvFrame()
     except RuntimeError as error:  # fewer bytes than the image takes
-        return f"is damaged ({_line(error)})"
-
-
-def _line(error: Exception) -> str:
-    lines = str(error).strip().splitlines() or [type(error).__name__]
-    return lines[0]
+        return f"is damaged ({first_line(error)})"
 
 
 def _is_ip(text: str) -> bool:

@@ -19,6 +19,7 @@ ROUTE_CLEAR = 0.62  # nothing stands nearer to the camera's route than this
 ZONE_CLEAR = 0.35  # ... nor nearer to the zone it moves in
 BESIDE = 2.0  # m between a way that is followed and the walls
 LANE_CLEAR = 0.38  # half the width that a walker needs
+STEP = 0.01  # m between samples of a route
 RING = ((0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
 
@@ -84,13 +85,13 @@ def rectangle_distance(low: Array, high: Array, points: Array) -> float:
     return float(np.linalg.norm(np.maximum(0.0, np.maximum(low - points, points - high)), axis=1).min())
 
 
-def rounded(corners: Array, sigma: float = 0.5, step: float = 0.01) -> Array:
-    """Points (n, 2) every ``step`` m along a closed polygon (k, 2), filtered by a Gaussian of ``sigma`` m."""
+def rounded(corners: Array, sigma: float = 0.5) -> Array:
+    """Points (n, 2) every ``STEP`` m along a closed polygon (k, 2), filtered by a Gaussian of ``sigma`` m."""
     pieces = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        n = max(1, int(np.ceil(np.linalg.norm(b - a) / step)))
+        n = max(1, int(np.ceil(np.linalg.norm(b - a) / STEP)))
         pieces.append(a + (b - a) * (np.arange(n) / n)[:, None])
-    return smoothed(np.concatenate(pieces), sigma / step)
+    return smoothed(np.concatenate(pieces), sigma / STEP)
 
 
 def smoothed(rows: Array, sigma: float) -> Array:

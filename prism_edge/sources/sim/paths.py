@@ -13,13 +13,13 @@ import cv2
 import numpy as np
 
 from prism_edge.geometry.poses import Array, from_rt
-from prism_edge.sources.sim.floorplan import Plan, rounded, smoothed
+from prism_edge.sources.sim.floorplan import STEP, Plan, rounded, smoothed
 from prism_edge.sources.sim.options import DRIVE, HANDHELD, STILL, STOPS, TURN, WHEELED
 
 SPEEDS = {(HANDHELD, False): 0.22, (HANDHELD, True): 0.9}
 SPEEDS |= {(WHEELED, False): 0.3, (WHEELED, True): 0.5, (STOPS, False): 0.3, (DRIVE, True): 9.0}
 OVERLAP, DRIVEN_OVERLAP = 6.0, 40.0  # metres gone again after a lap, so that places are seen twice
-_STEP = 0.01  # m between samples of a route
+_WAVES = 5  # of a wander
 _LOOKAHEAD = 0.35  # m; people look where they will be
 _TURN_RATE = 0.35  # rad/s
 _SIDEWAYS, _BRAKING, _PACE_S = 2.5, 6.0, 0.3  # of a car: m/s^2 in a bend, m, s that it is early or late
@@ -37,10 +37,10 @@ class CameraPath(Protocol):
 class Wander:
     """Smooth noise in (-1, 1) about 0: sines of random frequency between ``low`` and ``high`` Hz."""
 
-    def __init__(self, rng: np.random.Generator, low: float, high: float, count: int = 5) -> None:
-        share = (np.arange(count) + rng.random(count)) / count
+    def __init__(self, rng: np.random.Generator, low: float, high: float) -> None:
+        share = (np.arange(_WAVES) + rng.random(_WAVES)) / _WAVES
         self._angular = 2 * np.pi * low * (high / low) ** share
-        self._phase = rng.uniform(0, 2 * np.pi, count)
+        self._phase = rng.uniform(0, 2 * np.pi, _WAVES)
         # Slow waves are the large ones, as in any movement of a body.
         weight = self._angular**-0.5
         self._weight = weight / weight.sum()
@@ -100,7 +100,7 @@ class Ring:
         """From dense points (n, 2) of a closed curve; headings are filtered over ``heading_sigma`` m."""
         steps = np.linalg.norm(np.roll(curve, -1, axis=0) - curve, axis=1)
         length = float(steps.sum())
-        count = int(np.ceil(length / _STEP))
+        count = int(np.ceil(length / STEP))
         at = np.arange(count) * (length / count)
         travelled = np.concatenate([[0.0], np.cumsum(steps)])
         closed = np.concatenate([curve, curve[:1]])

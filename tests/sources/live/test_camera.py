@@ -6,7 +6,6 @@ import logging
 import re
 import threading
 import time
-from collections.abc import Callable
 
 import pytest
 from sources.live.bench import CAMERA, DEADLINE_S, QUICK, Bench, picture, steady
@@ -17,13 +16,7 @@ from prism_edge.sources.base import Absent, Image, Unreadable
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.camera import LiveCamera, Timing
 from prism_edge.sources.live.driver import CameraLostError, Grab
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
+from tests.waiting import until
 
 
 def next_image(camera: LiveCamera) -> Image:

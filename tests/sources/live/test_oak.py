@@ -5,7 +5,6 @@ from __future__ import annotations
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from datetime import timedelta
 
 import numpy as np
@@ -21,8 +20,8 @@ from prism_edge.sources.live.camera import LiveCamera, Timing
 from prism_edge.sources.live.driver import CameraLostError
 from prism_edge.sources.live.oak import OakDriver
 from prism_edge.sources.open import open_source
+from tests.waiting import until
 
-DEADLINE_S = 20.0
 QUICK = Timing(absent_s=0.0, first_pause_s=0.01, longest_pause_s=0.02, read_s=0.05)
 
 
@@ -35,13 +34,6 @@ def unit(monkeypatch: pytest.MonkeyPatch) -> Unit:
 
 def plug(monkeypatch: pytest.MonkeyPatch, *units: Unit) -> None:
     monkeypatch.setitem(sys.modules, "depthai", FakeDepthai(*units))  # type: ignore[arg-type]
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 def source(uri: str = "oak:") -> LiveCamera:

@@ -7,7 +7,7 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -21,6 +21,7 @@ from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.camera import LiveCamera, Timing
 from prism_edge.sources.live.driver import CameraLostError
 from prism_edge.sources.live.stream import Options, StreamDriver, is_stream
+from tests.waiting import until
 
 pytest.importorskip("av", reason="network cameras need PyAV: pip install 'prism-edge[streams]'")
 
@@ -33,13 +34,6 @@ def watching(address: str, absent_s: float = 0.0) -> LiveCamera:
     """``absent_s``: for a server that is there but may be slow to answer, as on a busy machine."""
     timing = Timing(absent_s=absent_s, first_pause_s=0.02, longest_pause_s=0.1)
     return LiveCamera(StreamDriver(address), UNCALIBRATED, "none", timing)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def images(camera: LiveCamera, count: int = 1) -> list[Image]:

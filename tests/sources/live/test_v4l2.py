@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import time
-from collections.abc import Callable
 
 import cv2
 import numpy as np
@@ -19,17 +18,10 @@ from prism_edge.sources.live import v4l2_abi as abi
 from prism_edge.sources.live.camera import LiveCamera, Timing
 from prism_edge.sources.live.driver import CameraLostError
 from prism_edge.sources.live.v4l2 import V4l2Driver
+from tests.waiting import until
 
-DEADLINE_S = 20.0
 PATH = FakeCamera.path
 QUICK = Timing(absent_s=0.0, first_pause_s=0.01, longest_pause_s=0.02, read_s=0.05)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 def driver(fake: FakeCamera, query: str = "", camera: Camera | None = None) -> V4l2Driver:
