@@ -14,6 +14,7 @@ from prism_edge.cli.settings import (
     add_playing,
     config_from,
     endpoint_given,
+    find_networks,
     whole_above_zero,
 )
 from prism_edge.config import ABLATIONS, Config
@@ -57,6 +58,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
 def run(args: argparse.Namespace) -> int:
     """Evaluate and print a table; returns the exit code. Raises PrismError."""
     config = effective(args)
+    find_networks(config)  # before an earlier run's results give way to this one's
 
     from prism_edge.evaluation.run import evaluate
     from prism_edge.evaluation.table import show

@@ -134,6 +134,16 @@ def endpoint_given(args: argparse.Namespace) -> bool:
     return args.endpoint is not None or any(s.partition("=")[0].strip() == "bus.endpoint" for s in args.set)
 
 
+def find_networks(config: Config) -> None:
+    """Raises ModelError where the networks that are to run on this host are not there to be run."""
+    if config.depth.network in ("", SENSOR) or "depth" in config.network.remote:
+        return
+    from prism_edge.depth import locate, networks_of
+
+    for network in networks_of(config.depth.network):
+        locate(network)
+
+
 def with_network(config: Config) -> Config:
     """The configuration with the bundled network where a simulated world is played and none is named.
 

@@ -78,7 +78,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _is_stream(path: Path) -> bool:
     """What holds no earlier recording: a pipe, a device, or stdout, wherever the shell has it end."""
-    return str(path.absolute().parent) in _STREAMS or (path.exists() and not (path.is_file() or path.is_dir()))
+    if str(path.absolute().parent) in _STREAMS:
+        return True
+    return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def _heed_ctrl_c() -> None:

@@ -11,7 +11,7 @@ from prism_edge.cli.eval import effective
 from prism_edge.cli.main import build_parser, main
 from prism_edge.config import BusConfig
 from prism_edge.config_file import load
-from prism_edge.errors import ConfigError, EvaluationError, SourceError
+from prism_edge.errors import ConfigError, EvaluationError, ModelError, SourceError
 from prism_edge.evaluation import run
 
 
@@ -101,6 +101,18 @@ def test_results_that_cannot_be_written_are_one_line(
     code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "file" / "o")])
     assert code == EvaluationError.exit_code
     assert "can't write" in one_line(capsys)
+
+
+@pytest.mark.parametrize("command", ["eval", "demo"])
+@pytest.mark.parametrize("model", ["nope", "nested:prism_nano,/nowhere/net.onnx"])
+def test_a_network_that_is_not_there_leaves_earlier_results(
+    command: str, model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "metrics.json").write_text("{}")
+    words = [command, "sim:room?frames=9", "--model", model, "--out", str(tmp_path)]
+    assert main(words) == ModelError.exit_code
+    assert model.rpartition(",")[2] in one_line(capsys)
+    assert [file.name for file in tmp_path.iterdir()] == ["metrics.json"]
 
 
 DEFAULT = BusConfig().endpoint

@@ -260,7 +260,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 from prism_edge.evaluation import run
 run.evaluate = functools.partial(run.evaluate, command=(sys.executable, {str(FAKE)!r}, "unsettled"))
 from prism_edge.cli.main import main
-sys.exit(main(["eval", {str(tiny_sequence)!r}, "--model", "pretended", "--out", {str(tmp_path)!r}]))
+sys.exit(main(["eval", {str(tiny_sequence)!r}, "--model", "prism_nano", "--out", {str(tmp_path)!r}]))
 """
     evaluation = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.PIPE, text=True)
     started = psutil.Process(evaluation.pid)
