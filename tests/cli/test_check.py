@@ -57,6 +57,7 @@ def test_what_runs_is_passed_without_a_word(
         ("bus: {endpoint: nonsense}\n", 6, "must start with one of"),
         ("source: {uri: 'v4l2:/dev/video7?nonsense=1', camera: CAMERA}\n", 4, "nonsense"),
         ("source: {uri: 'v4l2:/dev/video7', loop: true, camera: CAMERA}\n", 3, "is for recordings"),
+        ("mode: lockstep\n" + USB, 3, "a live camera can't wait for lockstep"),
         ("source: {uri: 'sim:nowhere'}\n", 4, "nowhere"),
         ("source: {uri: 'sim:room', mask: CAMERA}\n", 3, "is no image"),
         ("source: {uri: 'sim:room', camera: CAMERA}\n", 3, "a simulated camera"),
@@ -190,6 +191,7 @@ def test_an_optional_dependency_that_is_missing_is_one_warning(
         "bus: {endpoint: tcp/10.0.0.1:7447}\n",
         "robot: a/b\n",
         "source: {uri: 'rtsp://'}\n",
+        "mode: lockstep\n" + USB,
     ],
 )
 def test_what_run_refuses_is_never_passed_in_silence(
