@@ -45,7 +45,7 @@ def check(config: Config) -> None:
     from prism_edge.bus.access import check_network
     from prism_edge.bus.keys import check_loopback, check_robot_name
     from prism_edge.sources.live.open import check_mode
-    from prism_edge.sources.open import AUTO, open_source
+    from prism_edge.sources.open import AUTO, AUTO_NEEDS, open_source
 
     check_robot_name(config.robot)
     check_loopback(config.bus.endpoint)
@@ -53,4 +53,4 @@ def check(config: Config) -> None:
     check_mode(config)
     open_source(config.source)
     if config.source.camera == AUTO and not config.depth.network:
-        raise ConfigError("camera auto needs a depth network that predicts intrinsics (--model)")
+        raise ConfigError(AUTO_NEEDS)

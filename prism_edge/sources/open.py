@@ -38,6 +38,7 @@ RECOGNISED = (
 PACKED = {".zip", ".tgz", ".tar", ".gz", ".bz2", ".xz", ".7z", ".rar", *BAGS}
 
 AUTO = "auto"  # in place of a camera file: the depth network is asked (workers/uncalibrated.py)
+AUTO_NEEDS = "camera auto needs a depth network that predicts intrinsics (--model)"
 _UNKNOWN: Intrinsics = ("not calibrated", UNCALIBRATED)
 
 

@@ -139,6 +139,7 @@ def test_a_camera_that_is_doubted_is_a_warning(
         (USB.replace("prism_nano", "'nested:/nowhere/net.onnx,prism_nano'"), "there is no such file"),
         (USB.replace("camera: CAMERA", "camera: CAMERA, mask: /nowhere/m.png"), "mask /nowhere/m.png is not"),
         ("source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\n", "depth.model: no network is named"),
+        ("source: {uri: 'v4l2:/dev/video7', camera: auto}\n", "camera auto needs a depth network"),
         ("bus: {endpoint: tls/rover1.local:7448}\n", "`run` refuses it"),
         ("supervisor: {max_restarts: 12}\n", "what keeps dying is never given up"),
         ("network: {ca: CAMERA, certificate: CAMERA, key: /run/no/a.key}\n", "network.key: can't read"),
