@@ -9,6 +9,7 @@ from types import FrameType
 from typing import Any
 
 from prism_edge.cli.settings import (
+    FREE_PORT,
     RECORDING_HELP,
     add_common,
     add_playing,
@@ -52,7 +53,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     parser.add_argument(
         "--truth", metavar="FILE.tum", type=Path, help="score against this trajectory, not the sequence's own"
     )
-    add_common(parser)
+    add_common(parser, FREE_PORT)
 
 
 def run(args: argparse.Namespace) -> int:

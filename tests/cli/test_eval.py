@@ -58,6 +58,23 @@ def test_bad_input_is_one_line(
     assert words in one_line(capsys)
 
 
+@pytest.mark.parametrize("address", ["v4l2:/dev/video0", "rtsp://10.0.0.9/a", "oak:"])
+def test_a_live_camera_is_refused_before_its_camera_file_is_asked_for(
+    address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", address, "--out", str(tmp_path)]) == EvaluationError.exit_code
+    assert "a live camera has neither an end nor truth" in one_line(capsys)
+
+
+@pytest.mark.parametrize("command", ["eval", "demo"])
+def test_help_says_that_a_free_port_is_taken(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "(default: a free port of loopback" in shown
+    assert BusConfig().endpoint not in shown
+
+
 def test_a_missing_sequence_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["eval", str(tmp_path / "none"), "--out", str(tmp_path)]) == SourceError.exit_code
     assert "does not exist" in one_line(capsys)
