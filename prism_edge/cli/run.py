@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import prism_edge.workers  # noqa: F401 - before NumPy, whose threads would keep workers from being forks
@@ -51,6 +54,19 @@ def check(config: Config) -> None:
     check_loopback(config.bus.endpoint)
     check_network(config.network, config.bus.endpoint)
     check_mode(config)
-    open_source(config.source)
+    with _unsaid("prism_edge.sources"):
+        open_source(config.source)
     if config.source.camera == AUTO and not config.depth.network:
         raise ConfigError(AUTO_NEEDS)
+
+
+@contextmanager
+def _unsaid(logger: str) -> Iterator[None]:
+    """Without the logger's warnings, which the source's process is going to give."""
+    log = logging.getLogger(logger)
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)

@@ -8,8 +8,11 @@ import pytest
 
 from prism_edge.cli.main import main
 from prism_edge.cli.run import check
+from prism_edge.config import Config, SourceConfig
 from prism_edge.config_file import load
 from prism_edge.errors import PrismError
+from prism_edge.sources.open import open_source
+from tests.sources.tiny_datasets import write_images
 
 CAMERA = "width: 640\nheight: 480\nfx: 525\nfy: 525\ncx: 319.5\ncy: 239.5\n"
 USB = "source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\ndepth: {model: prism_nano}\n"
@@ -203,3 +206,14 @@ def test_what_run_refuses_is_never_passed_in_silence(
         check(load(file))
     main(["config", "--check", str(file)])
     assert capsys.readouterr().err
+
+
+def test_what_the_source_will_warn_of_is_left_to_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """`run` looks at the source before anything is logged in order, and said it twice."""
+    source = SourceConfig(uri=str(write_images(tmp_path)))
+    for look, count in ((open_source, 1), (lambda source: check(Config(source=source)), 0), (open_source, 1)):
+        caplog.clear()
+        look(source)
+        assert caplog.text.count("nothing says when its images were taken") == count
