@@ -168,6 +168,13 @@ class Bus:
         """Has a command done, and what came of it. Raises BusError where nobody answers in time."""
         return send(self._session, self.robot, COMMANDS[name], argument, timeout_s)
 
+    def is_linked(self) -> bool:
+        """Whether this session has a link to any other."""
+        try:
+            return bool(self._session.info.peers_zid() or self._session.info.routers_zid())
+        except zenoh.ZError:  # closed meanwhile
+            return False
+
     def await_ready(self, processes: Iterable[str], timeout_s: float) -> set[str]:
         """Waits until these processes are ready *and linked to this one*; returns those still missing.
 

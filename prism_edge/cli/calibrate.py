@@ -57,8 +57,10 @@ def run(args: argparse.Namespace) -> int:
     board = Board.parse(args.board)
     out = Path(args.out)
     picture = Path(args.picture) if args.picture else out.with_suffix(COVERAGE)
-    for path in (out, picture):
-        check_writable(path, args.overwrite)
+    # A picture without its camera file is that of a run that was refused: the next one takes its place.
+    left_over = not args.picture and not out.exists()
+    check_writable(out, args.overwrite)
+    check_writable(picture, args.overwrite or left_over)
     if out == picture:
         raise ConfigError(f"{out} can't be both the camera file and the picture")
     source = open_source(SourceConfig(uri=args.source), calibrated=False)
@@ -88,10 +90,13 @@ def _finish(
     chosen = gathered.different()
     views = [gathered.views[k] for k in chosen]
     width, height = gathered.width, gathered.height
+    outlines = [gathered.outlines[k] for k in chosen]
+    encoded = cv2.imencode(".png", coverage.draw(views, outlines, width, height))[1]
+    put_whole(picture, encoded.tobytes())  # also of what is refused: it shows why
     _refuse(verdict.of_views(views, seen, width, height))
     result = calibrate(board, views, width, height, args.model)
-    encoded = cv2.imencode(".png", coverage.draw(views, [gathered.outlines[k] for k in chosen], result))[1]
-    put_whole(picture, encoded.tobytes())  # also of what is refused: it shows why
+    encoded = cv2.imencode(".png", coverage.draw(views, outlines, width, height, result))[1]
+    put_whole(picture, encoded.tobytes())
     camera, used = result.camera, [views[k] for k in result.used]
     print(f"board found in {seen} of {gathered.looked} images, {len(used)} different views used")
     print(f"reprojection error {result.rms:.3f} pixels (rms)")

@@ -15,10 +15,10 @@ from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.named_path import named_path
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.live.oak import is_oak
-from prism_edge.sources.live.open import is_live
+from prism_edge.sources.live.open import check_mode, is_live
 from prism_edge.sources.live.stream import is_stream
 from prism_edge.sources.mask import read_mask
-from prism_edge.sources.open import AUTO, open_source
+from prism_edge.sources.open import AUTO, AUTO_NEEDS, open_source
 from prism_edge.sources.sim import is_simulated
 from prism_edge.supervisor.metrics import check_port
 from prism_edge.supervisor.restart import least_s
@@ -32,6 +32,7 @@ def check_config(config: Config) -> list[str]:
     check_robot_name(config.robot)
     check_settings(config.network, config.bus.endpoint)
     check_port(config)
+    check_mode(config)
     missing = _endpoint(config) + unreadable(config.network)  # the service's key is there only while it runs
     missing += _extras(config) + _restarts(config.supervisor)
     return missing + _source(config.source) + _model(with_network(config))
@@ -94,6 +95,8 @@ def _source(source: SourceConfig) -> list[str]:
 
 def _model(config: Config) -> list[str]:
     model = config.depth.network
+    if config.source.uri and config.source.camera == AUTO and not model:
+        return [AUTO_NEEDS]  # wherever depth runs, the source asks it, too
     if "depth" in config.network.remote:
         return []
     if model == SENSOR:

@@ -12,7 +12,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prism_edge.cli.settings import BUNDLED, add_common, add_order, config_from, endpoint_given
+from prism_edge.cli.settings import (
+    BUNDLED,
+    FREE_PORT,
+    add_common,
+    add_order,
+    config_from,
+    endpoint_given,
+    find_networks,
+)
 from prism_edge.errors import ConfigError, SourceError
 
 if TYPE_CHECKING:
@@ -46,7 +54,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         help=f"depth network: ONNX file, known name or nested:RELATIVE,METRIC (default: {BUNDLED})",
     )
     add_order(parser)
-    add_common(parser)
+    add_common(parser, FREE_PORT)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -61,6 +69,7 @@ def run(args: argparse.Namespace) -> int:
         raise SourceError(f"{shown}: the demo plays simulated worlds; use `prism-edge eval`")
     if not config.depth.network:
         raise ConfigError("the demo needs a depth network: without one no pose comes; leave --model out")
+    find_networks(config)
     # SystemExit passes through the blocks that end the daemon.
     before = signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:

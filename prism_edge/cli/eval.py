@@ -9,11 +9,13 @@ from types import FrameType
 from typing import Any
 
 from prism_edge.cli.settings import (
+    FREE_PORT,
     RECORDING_HELP,
     add_common,
     add_playing,
     config_from,
     endpoint_given,
+    find_networks,
     whole_above_zero,
 )
 from prism_edge.config import ABLATIONS, Config
@@ -51,12 +53,13 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     parser.add_argument(
         "--truth", metavar="FILE.tum", type=Path, help="score against this trajectory, not the sequence's own"
     )
-    add_common(parser)
+    add_common(parser, FREE_PORT)
 
 
 def run(args: argparse.Namespace) -> int:
     """Evaluate and print a table; returns the exit code. Raises PrismError."""
     config = effective(args)
+    find_networks(config)  # before an earlier run's results give way to this one's
 
     from prism_edge.evaluation.run import evaluate
     from prism_edge.evaluation.table import show

@@ -7,6 +7,7 @@ from collections import OrderedDict, deque
 from dataclasses import dataclass, field
 
 SPEED_S = 0.5  # speed is taken over this much of the recording
+FIRST_S = 0.5  # the shortest time that a rate is told of
 RATE_S = 2.0  # rate and latency over this much of the clock on the wall
 QUIET_S = 3.0  # status comes twice a second: a daemon that is silent for so long has stopped, or is paused
 _REMEMBERED = 256  # frames whose release is kept until their pose comes
@@ -60,12 +61,17 @@ class LiveView:
         """When the frame with this stamp was captured, by the same monotonic clock as arrivals."""
         self._pair(stamp_ns, captured_ns, self._released, self._waiting)
 
-    def rate_hz(self, now_ns: int) -> float:
-        """Poses a second over the last moments."""
+    def rate_hz(self, now_ns: int) -> float | None:
+        """Poses a second over the last moments; None while they are too few to tell.
+
+        What waited while we came arrives in one burst, whose rate is nobody's.
+        """
         recent = [t for t in self._arrivals if now_ns * 1e-9 - t <= RATE_S]
-        if len(recent) < 2:
+        if not recent and self._arrivals:
             return 0.0
-        return (len(recent) - 1) / max(recent[-1] - recent[0], 1e-9)
+        if len(recent) < 2 or recent[-1] - recent[0] < FIRST_S:
+            return None
+        return (len(recent) - 1) / (recent[-1] - recent[0])
 
     @property
     def speed(self) -> float | None:
@@ -103,7 +109,7 @@ class LiveView:
             ("speed", _shown(self.speed if moves else None, "{:.2f} m/s")),
             ("scale", scale),
             ("state", self._state(now)),
-            ("rate", f"{self.rate_hz(now_ns):.1f} Hz"),
+            ("rate", _shown(self.rate_hz(now_ns), "{:.1f} Hz")),
             ("latency", _shown(self.latency_ms if flows else None, "{:.1f} ms")),
         ]
 

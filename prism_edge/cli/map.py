@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from prism_edge.cli.settings import add_configuration, config_from
 from prism_edge.cli.whole_file import check_writable, put_whole
-from prism_edge.errors import MapError, say
+from prism_edge.errors import ConfigError, MapError, say
 
 if TYPE_CHECKING:
     from prism_edge.cli.map_opened import Opened
@@ -83,10 +83,16 @@ def run(args: argparse.Namespace) -> int:
     if args.tum is not None and args.ply is not None and args.tum.resolve() == args.ply.resolve():
         args.refuse("--tum and --ply name the same file")
     config = config_from(args)
-    for path in (args.tum, args.ply):
-        if path is not None:
-            check_writable(path, args.overwrite)
-    _export(opened(args.map, config), args)
+    wanted = [path for path in (args.tum, args.ply) if path is not None]
+    for path in wanted:
+        if path.suffix == SUFFIX:
+            raise ConfigError(f"{path}: files in {SUFFIX} are maps, which no export replaces: name another")
+        check_writable(path, args.overwrite)
+    found = opened(args.map, config)
+    for path in wanted:
+        if path.resolve() == found.path.resolve():
+            raise ConfigError(f"{path} is the very map that is exported: name another file")
+    _export(found, args)
     return 0
 
 

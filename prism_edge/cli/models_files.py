@@ -24,12 +24,13 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth import entries, find, networks_of, open_network, open_onnx, pulling
 from prism_edge.depth.download import Patience
 from prism_edge.depth.folders import download_folder, folders
-from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of, pulled_files
+from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of, pulled_at
 from prism_edge.depth.registry import File, find_digest, is_non_commercial, sha256_of
 from prism_edge.errors import ModelError
 from prism_edge.named_path import named_path
 
-_AS_REGISTERED, _AS_PULLED = "as registered", "as pulled (unverified then)"
+_AS_REGISTERED = "as registered"
+_AS_PULLED = {True: "as pulled (given digest)", False: "as pulled (unverified then)", None: "as pulled"}
 
 
 def run(args: argparse.Namespace) -> int:
@@ -182,21 +183,23 @@ def _digests(name: str) -> tuple[str, bool]:
     wrong = _wrong(folder, files)
     if wrong:
         return wrong, False
-    return _AS_REGISTERED if entry and entry.is_pinned else _AS_PULLED, True
+    if pulled and not (entry and entry.is_pinned):
+        return _AS_PULLED[pulled.given], True
+    return _AS_REGISTERED, True
 
 
 def _digests_of_path(path: Path) -> tuple[str, bool]:
     """As :func:`_digests`, of a file that is named by its path."""
     try:
-        registered, files = find_digest(sha256_of(path)), pulled_files(path)
-        wrong = _wrong(path.parent, files)
+        registered, pulled = find_digest(sha256_of(path)), pulled_at(path)
+        wrong = _wrong(path.parent, pulled.files) if pulled else ""
     except ModelError as error:
         return str(error), False
     if wrong:
         return wrong, False
     if registered:
         return _AS_REGISTERED, True
-    return _AS_PULLED if files else "none is known", True
+    return _AS_PULLED[pulled.given] if pulled else "none is known", True
 
 
 def _wrong(folder: Path, files: tuple[File, ...]) -> str:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import prism_edge.workers  # noqa: F401 - before NumPy, whose threads would keep workers from being forks
@@ -44,11 +47,26 @@ def check(config: Config) -> None:
     """Raise the PrismError that a process would end in, before any is started."""
     from prism_edge.bus.access import check_network
     from prism_edge.bus.keys import check_loopback, check_robot_name
-    from prism_edge.sources.open import AUTO, open_source
+    from prism_edge.sources.live.open import check_mode
+    from prism_edge.sources.open import AUTO, AUTO_NEEDS, open_source
 
     check_robot_name(config.robot)
     check_loopback(config.bus.endpoint)
     check_network(config.network, config.bus.endpoint)
-    open_source(config.source)
+    check_mode(config)
+    with _unsaid("prism_edge.sources"):
+        open_source(config.source)
     if config.source.camera == AUTO and not config.depth.network:
-        raise ConfigError("camera auto needs a depth network that predicts intrinsics (--model)")
+        raise ConfigError(AUTO_NEEDS)
+
+
+@contextmanager
+def _unsaid(logger: str) -> Iterator[None]:
+    """Without the logger's warnings, which the source's process is going to give."""
+    log = logging.getLogger(logger)
+    level = log.level
+    log.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        log.setLevel(level)

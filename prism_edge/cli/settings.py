@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from prism_edge.config import NO_NETWORK, SENSOR, Config
+from prism_edge.config import NO_NETWORK, SENSOR, BusConfig, Config
 from prism_edge.config_file import load
 from prism_edge.errors import ConfigError
 
@@ -18,6 +18,7 @@ SOURCE_HELP = (
     "or a simulated world such as sim:room"
 )
 
+FREE_PORT = "a free port of loopback, for runs side by side"  # where an evaluation's daemon listens
 BUNDLED = "prism_nano"  # the network that comes with prism_edge (docs/PRISM_NANO.md)
 
 
@@ -50,11 +51,11 @@ def seconds_above_zero(text: str) -> float:
     return seconds
 
 
-def add_common(parser: argparse.ArgumentParser) -> None:
-    """--robot, --endpoint, and what :func:`add_configuration` adds."""
+def add_common(parser: argparse.ArgumentParser, endpoint: str = BusConfig().endpoint) -> None:
+    """--robot, --endpoint, and what :func:`add_configuration` adds; ``endpoint``: the default, in words."""
     parser.add_argument("--robot", metavar="NAME", help="name in the topics prism/NAME/... (default: robot)")
     parser.add_argument(
-        "--endpoint", metavar="ENDPOINT", help="Zenoh endpoint of the daemon (default: tcp/127.0.0.1:7447)"
+        "--endpoint", metavar="ENDPOINT", help=f"Zenoh endpoint of the daemon (default: {endpoint})"
     )
     add_configuration(parser)
 
@@ -132,6 +133,16 @@ def config_from(args: argparse.Namespace) -> Config:
 def endpoint_given(args: argparse.Namespace) -> bool:
     """Whether the command line names an endpoint, be it the default one."""
     return args.endpoint is not None or any(s.partition("=")[0].strip() == "bus.endpoint" for s in args.set)
+
+
+def find_networks(config: Config) -> None:
+    """Raises ModelError where the networks that are to run on this host are not there to be run."""
+    if config.depth.network in ("", SENSOR) or "depth" in config.network.remote:
+        return
+    from prism_edge.depth import locate, networks_of
+
+    for network in networks_of(config.depth.network):
+        locate(network)
 
 
 def with_network(config: Config) -> Config:

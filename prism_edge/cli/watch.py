@@ -14,12 +14,14 @@ from typing import TYPE_CHECKING, Any
 
 from prism_edge.cli.live_view import LiveView
 from prism_edge.cli.settings import add_common, config_from, whole_above_zero
+from prism_edge.cli.whole_file import check_writable
 
 if TYPE_CHECKING:
     from prism_edge.bus.session import Bus
     from prism_edge.config import Config
 
 WAIT_S = 0.2  # the screen is brought up to date at least this often
+_STREAMS = ("/dev", "/dev/fd", "/proc/self/fd")
 LINKED_S = 1.0  # a running daemon is linked long before; one that does not run is waited for no longer
 
 
@@ -34,6 +36,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     parser.add_argument(
         "--tum", metavar="FILE", type=_file, help="record the camera's poses as they come (TUM format)"
     )
+    parser.add_argument("--overwrite", action="store_true", help="let --tum replace a file that is there")
     parser.add_argument("--plain", action="store_true", help="print one line a pose instead of a live table")
     parser.add_argument("--count", metavar="N", type=whole_above_zero, help="end after N poses")
     add_common(parser)
@@ -51,6 +54,8 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.evaluation.recorder import PoseRecorder, published_mount
 
     config = config_from(args)
+    if args.tum is not None and not _is_stream(args.tum):
+        check_writable(args.tum, args.overwrite)
     _heed_ctrl_c()
     with ExitStack() as stack:
         bus = stack.enter_context(Bus.open(config, "watch"))
@@ -69,6 +74,13 @@ def run(args: argparse.Namespace) -> int:
                 show.pose(heard.view)
             show.moment(heard.view)
     return 0
+
+
+def _is_stream(path: Path) -> bool:
+    """What holds no earlier recording: a pipe, a device, or stdout, wherever the shell has it end."""
+    if str(path.absolute().parent) in _STREAMS:
+        return True
+    return path.exists() and not path.is_file() and not path.is_dir()
 
 
 def _heed_ctrl_c() -> None:

@@ -31,6 +31,7 @@ class Pulled:
     runnable: bool
     files: tuple[File, ...]
     folder: Path
+    given: bool | None = None  # whether all digests were known before it came; None: an earlier build's
 
     @property
     def path(self) -> Path:
@@ -49,7 +50,8 @@ def manifest_of(folder: Path) -> Pulled | None:
     if not files or not all(file.sha256 for file in files):
         raise ModelError(f"{path}: no list of pulled files; remove the folder and pull again")
     licence, runnable = str(content.get("licence", "")), bool(content.get("runnable"))
-    return Pulled(folder.name, licence, runnable, files, folder)
+    given = content.get("given")
+    return Pulled(folder.name, licence, runnable, files, folder, given if isinstance(given, bool) else None)
 
 
 def find_pulled(name: str) -> Pulled | None:
@@ -59,13 +61,19 @@ def find_pulled(name: str) -> Pulled | None:
     return next(filter(None, (manifest_of(folder / name) for folder in folders())), None)
 
 
-def pulled_files(path: Path) -> tuple[File, ...]:
-    """The files of the network at ``path``, itself first, as pulled into its folder; none where it was not.
+def pulled_at(path: Path) -> Pulled | None:
+    """The network at ``path`` as pulled into its folder, None where it was not.
 
     Raises ModelError for a broken manifest.
     """
     pulled = manifest_of(path.parent)
-    return pulled.files if pulled and pulled.runnable and pulled.files[0].name == path.name else ()
+    return pulled if pulled and pulled.runnable and pulled.files[0].name == path.name else None
+
+
+def pulled_files(path: Path) -> tuple[File, ...]:
+    """The files of :func:`pulled_at`, the network first; none where it was not pulled. Raises ModelError."""
+    pulled = pulled_at(path)
+    return pulled.files if pulled else ()
 
 
 def all_pulled() -> list[Pulled]:
@@ -86,7 +94,8 @@ def all_pulled() -> list[Pulled]:
 def write_manifest(plan: Pulled) -> None:
     """Writes a network's manifest into its folder in one step. Raises ModelError, OSError."""
     files = [{"file": f.name, "sha256": f.sha256, "size": f.size, "url": f.url} for f in plan.files]
-    content = {"pulled": 1, "licence": plan.licence, "runnable": plan.runnable, "files": files}
+    content = {"pulled": 1, "licence": plan.licence, "runnable": plan.runnable, "given": plan.given}
+    content |= {"files": files}
     part = plan.folder / f"{MANIFEST}.0.part"
     with part.open("w", encoding="utf-8") as file:
         yaml.safe_dump(content, file, sort_keys=False)

@@ -84,6 +84,7 @@ def pull(
                 parts |= {file: _fetch(plan, file, progress, patience) for file in extra}
             else:
                 _check_licence(plan, parts[network])
+        plan = replace(plan, given=all(file.sha256 for file in plan.files))
         plan = replace(plan, files=tuple(_measured(file, parts[file]) for file in plan.files))
         for file, part in reversed(list(zip(plan.files, parts.values(), strict=True))):
             if file is plan.files[0]:

@@ -16,7 +16,7 @@ from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import WITHOUT_NETWORK, BusConfig, Config, SourceConfig
 from prism_edge.config_file import dump
-from prism_edge.errors import EvaluationError
+from prism_edge.errors import ConfigError, EvaluationError
 from prism_edge.evaluation.daemon import SUPERVISOR, Daemon
 from prism_edge.evaluation.metrics import metrics
 from prism_edge.evaluation.played import played
@@ -28,6 +28,7 @@ from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
 from prism_edge.messages import MapSnapshot
 from prism_edge.processes import processes_for
 from prism_edge.sources import Slot, Source, open_source
+from prism_edge.sources.live.open import is_live
 from prism_edge.sources.truth import read_truth
 
 # The first frame waits this long after the daemon is ready, so that we, who connect at the same time, are
@@ -70,7 +71,7 @@ def evaluate(
     sequence or its truth, DaemonError with the daemon's own exit code where it fails, and EvaluationError for
     an unusable ``truth``, and where the run broke a rule or there is nothing to score (with files written).
     """
-    source = open_source(config.source)
+    source = _playable(config.source)
     first, frame_count = _extent(source)
     made_of = played(config.source, source, truth)
     if truth is not None and not truth.is_file():
@@ -122,12 +123,19 @@ def extent(config: SourceConfig) -> tuple[Slot | None, int | None]:
     A synthetic source is not opened for that: it would build its whole world. Raises SourceError or
     ConfigError where the source is unusable, EvaluationError where it is a live camera.
     """
-    return _extent(open_source(config))
+    return _extent(_playable(config))
+
+
+def _playable(config: SourceConfig) -> Source:
+    """A source that has an end, still closed; raises as :func:`extent`."""
+    if is_live(config.uri):
+        raise EvaluationError("a live camera has neither an end nor truth: evaluate a recording of it")
+    if config.loop:
+        raise ConfigError("source.loop: an evaluation ends with its recording: leave it out")
+    return open_source(config)
 
 
 def _extent(source: Source) -> tuple[Slot | None, int | None]:
-    if source.live:
-        raise EvaluationError("a live camera has neither an end nor truth: evaluate a recording of it")
     with contextlib.nullcontext() if source.synthetic else source:
         return source.peek(), source.frame_count
 
@@ -144,7 +152,7 @@ def _prepared(config: Config, out: Path, kept: Container[Path] = ()) -> Config:
 
     Files ``kept`` are named by their resolved paths.
     """
-    source = dataclasses.replace(config.source, wait_s=max(config.source.wait_s, _WAIT_S), loop=False)
+    source = dataclasses.replace(config.source, wait_s=max(config.source.wait_s, _WAIT_S))
     config = dataclasses.replace(config, source=source)
     check_robot_name(config.robot)
     check_endpoint(config.bus.endpoint)

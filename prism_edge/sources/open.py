@@ -20,7 +20,7 @@ from prism_edge.sources.listing import Intrinsics, Listing
 from prism_edge.sources.live.open import is_live, open_live
 from prism_edge.sources.loop import Looped
 from prism_edge.sources.sim import SimSource, is_simulated
-from prism_edge.sources.unrecognised import A_BAG, AN_ARCHIVE, BAGS, guess
+from prism_edge.sources.unrecognised import guess, no_video
 from prism_edge.sources.video import Video
 
 log = logging.getLogger("prism_edge.sources")
@@ -34,10 +34,8 @@ RECOGNISED = (
     "a camera (v4l2:/dev/video0, oak:, rtsp://HOST/PATH, http://HOST/PATH)"
 )
 
-# What datasets come in; none of them can be played as it is.
-PACKED = {".zip", ".tgz", ".tar", ".gz", ".bz2", ".xz", ".7z", ".rar", *BAGS}
-
 AUTO = "auto"  # in place of a camera file: the depth network is asked (workers/uncalibrated.py)
+AUTO_NEEDS = "camera auto needs a depth network that predicts intrinsics (--model)"
 _UNKNOWN: Intrinsics = ("not calibrated", UNCALIBRATED)
 
 
@@ -62,8 +60,8 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
         return open_live(config, calibrated)
     elif path.is_dir():
         source = _folder(path, config, calibrated)
-    elif path.is_file() and path.suffix.lower() in PACKED:
-        raise SourceError(f"{path} {A_BAG if path.suffix.lower() in BAGS else AN_ARCHIVE}")
+    elif path.is_file() and (words := no_video(path)):
+        raise SourceError(f"{path} {words}")
     elif path.is_file():
         known = _camera_file(path.parent, config) if calibrated else _UNKNOWN
         origin, camera = known or _no_camera(path)

@@ -13,6 +13,22 @@ AN_ARCHIVE = "is an archive: unpack it first, and name the folder"
 BAGS = {".bag", ".db3", ".mcap", ".klg"}
 A_BAG = "is a bag: write its images to files first (docs/SOURCES.md, Another dataset)"
 
+# What datasets come in; none of them can be played as it is.
+PACKED = {".zip", ".tgz", ".tar", ".gz", ".bz2", ".xz", ".7z", ".rar"}
+_YAML = {".yaml", ".yml"}
+_TEXT = {".txt", ".csv", ".json", ".xml", ".toml", ".md", ".tum", *_YAML}
+
+
+def no_video(file: Path) -> str:
+    """Why a file can't be played, by its name, in words that follow that; empty: it may be a video."""
+    kind = file.suffix.lower()
+    if kind in BAGS:
+        return A_BAG
+    if kind in PACKED:
+        return AN_ARCHIVE
+    hint = " (--config FILE for a configuration, --camera FILE for a camera)" if kind in _YAML else ""
+    return f"is text, no video that can be read{hint}" if kind in _TEXT else ""
+
 
 def guess(folder: Path) -> str:
     """What to do with a folder that no layout knows, in a few words that follow its name; empty: no idea."""

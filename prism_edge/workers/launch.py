@@ -7,7 +7,10 @@ import logging
 import os
 import signal
 import sys
+import threading
+import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from setproctitle import setproctitle
 
@@ -19,7 +22,11 @@ from prism_edge.workers.heap import bound_heap, keep_trimmed
 from prism_edge.workers.journald_log import JournalHandler, stderr_is_the_journal
 from prism_edge.workers.stopping import StopSignals, die_with
 
+if TYPE_CHECKING:
+    from prism_edge.bus.session import Bus
+
 TITLE = "prism-edge"  # and the worker's name, where ps shows a command line
+_LOOK_S, _LINKED_S = 0.1, 1.0  # between looks for a link, and for one that needs no word
 
 
 def log_to_stderr(process: str, level: int = logging.INFO) -> None:
@@ -57,6 +64,18 @@ def silence_stdout() -> None:
         os.close(nowhere)
 
 
+def say_when_linked(bus: Bus, endpoint: str, log: logging.Logger) -> None:
+    """Log that the bus is there, and before it, where that takes a while, that nobody listens yet."""
+    silent_until_s: float | None = time.monotonic() + _LINKED_S
+    while not bus.is_linked():
+        if silent_until_s is not None and time.monotonic() > silent_until_s:
+            silent_until_s = None
+            log.info("waiting for a listener at %s", endpoint)
+        if bus.stopped.wait(_LOOK_S):
+            return
+    log.info("on the bus at %s", endpoint)
+
+
 def run_worker(process: Process, config_file: str, parent: int | None = None, life: int = 0) -> int:
     """Run ``process`` until it is told to stop; returns the exit code.
 
@@ -89,7 +108,8 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
             sys.modules["cv2"].setNumThreads(1)
         with Bus.open(config, process.name) as bus:
             if parent is None:  # by hand: without a listener it waits, which would look like nothing
-                log.info("on the bus at %s", config.bus.endpoint)
+                told = bus, config.bus.endpoint, log
+                threading.Thread(target=say_when_linked, args=told, name="linked", daemon=True).start()
             bus.begin_life(None if parent is None else life)
             bus.run_directory = Path(config_file).resolve().parent if parent is not None else None
             signals.also(bus.stopped)

@@ -234,9 +234,10 @@ class MapKeeper:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise MapError(f"can't make {path.parent}: {error.strerror or error}") from None
+        earlier = ", in place of an earlier map of that name" if path.exists() else ""
         map_file.write(path, data)
         counts = f"{len(world.keyframes)} keyframes, {len(world.points)} points"
-        return f"saved {name}: {counts}, {len(data) / 1e6:.1f} MB"
+        return f"saved {name}: {counts}, {len(data) / 1e6:.1f} MB{earlier}"
 
     def _packed(self, scale: KnownScale, in_use: bool, **info: str | int) -> bytes:
         own = {"program": f"prism_edge {__version__}", "robot": self._config.robot}

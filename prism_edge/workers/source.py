@@ -12,7 +12,7 @@ from prism_edge.bus.lockstep import Gatekeeper
 from prism_edge.bus.pack import pack
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
-from prism_edge.errors import ConfigError, SourceError
+from prism_edge.errors import SourceError
 from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.messages import EndOfStream, Frame
 from prism_edge.named_path import named_path
@@ -20,6 +20,7 @@ from prism_edge.processes import peers_of
 from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
 from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.live.camera import LiveCamera
+from prism_edge.sources.live.open import check_mode
 from prism_edge.sources.mask import mask_for
 from prism_edge.sources.open import AUTO
 from prism_edge.sources.own_parts_watch import OwnPartsWatch
@@ -280,9 +281,8 @@ def main(config: Config, bus: Bus) -> None:
     bus.pulse.working("opening the source", 60.0)
     absent_s = max(config.source.absent_s, _ABSENT_S if bus.life else 0.0)
     config = replace(config, source=replace(config.source, absent_s=absent_s))
+    check_mode(config)
     source = open_source(config.source)
-    if source.live and config.is_lockstep:
-        raise ConfigError("a live camera can't wait for lockstep: use mode realtime, or a recording")
     if config.source.camera == AUTO:
         from prism_edge.workers.uncalibrated import estimated_camera  # brings onnxruntime along
 

@@ -21,6 +21,7 @@ from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import U8
 from prism_edge.sources import Image, open_source
 from prism_edge.sources.address import shown_address
+from prism_edge.sources.open import AUTO_NEEDS
 
 log = logging.getLogger("prism_edge.source")
 
@@ -82,7 +83,7 @@ def _network_with_intrinsics(config: Config) -> OnnxNetwork:
     """The configured network, or the part of a pair, that predicts intrinsics."""
     spec = config.depth.network
     if not spec:
-        raise ConfigError("camera auto needs a depth network that predicts intrinsics (--model)")
+        raise ConfigError(AUTO_NEEDS)
     parts = spec.removeprefix(NESTED).split(",") if spec.startswith(NESTED) else [spec]
     for part in parts:
         network = open_onnx(part.strip(), config.depth)

@@ -137,17 +137,27 @@ def test_outlines() -> None:
 def test_the_picture_shows_corners_and_gaps(views: list[View], result: Calibration) -> None:
     outlines = [outline(BOARD, view) for view in views]
     assert all(corners is not None for corners in outlines)
-    picture = coverage.draw(views, outlines, result)  # type: ignore[arg-type]
+    picture = coverage.draw(views, outlines, 640, 480, result)  # type: ignore[arg-type]
     assert picture.shape == (480, 640, 3)
     for view in (views[k] for k in result.used[:3]):
         u, v = view.pixels[20].round().astype(int)
         _, green, red = picture[v, u].astype(int)
         assert green > red + 50
     one = replace(result, used=(0,), residuals=result.residuals[:1])
-    gaps = coverage.draw(views[:1], outlines[:1], one)  # type: ignore[arg-type]
+    gaps = coverage.draw(views[:1], outlines[:1], 640, 480, one)  # type: ignore[arg-type]
     empty = verdict.covered(views[:1], 640, 480) == 0
     row, column = np.argwhere(empty)[0]
     assert gaps[row * 120 + 60, column * 106 + 50].tolist() == [205, 205, 235]
+
+
+def test_without_a_result_corners_are_neither_good_nor_bad(views: list[View]) -> None:
+    outlines = [outline(BOARD, view) for view in views]
+    picture = coverage.draw(views, outlines, 640, 480)  # type: ignore[arg-type]
+    for view in views[:3]:
+        u, v = view.pixels[20].round().astype(int)
+        assert np.ptp(picture[v, u].astype(int)) < 20
+        assert picture[v, u].max() < 200
+    assert (picture == (205, 205, 235)).all(axis=2).any() == (verdict.covered(views, 640, 480) == 0).any()
 
 
 def test_what_is_written_is_read_back(result: Calibration) -> None:

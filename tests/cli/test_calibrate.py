@@ -112,6 +112,11 @@ def test_too_few_views(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> No
         cv2.imwrite(str(tmp_path / f"{k}.png"), image)
     error = refused(capsys, 9, tmp_path, "--board", SPEC, "--out", tmp_path / "c.yaml")
     assert "only 5 different ways, and 10 are needed" in error
+    picture = tmp_path / "c.coverage.png"  # shows why
+    assert cv2.imread(str(picture)).shape == (480, 640, 3)
+    picture.write_bytes(b"of the run before")
+    refused(capsys, 9, tmp_path, "--board", SPEC, "--out", tmp_path / "c.yaml")
+    assert cv2.imread(str(picture)) is not None
 
 
 def test_too_few_views_that_are_sharp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

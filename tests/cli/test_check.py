@@ -8,8 +8,11 @@ import pytest
 
 from prism_edge.cli.main import main
 from prism_edge.cli.run import check
+from prism_edge.config import Config, SourceConfig
 from prism_edge.config_file import load
 from prism_edge.errors import PrismError
+from prism_edge.sources.open import open_source
+from tests.sources.tiny_datasets import write_images
 
 CAMERA = "width: 640\nheight: 480\nfx: 525\nfy: 525\ncx: 319.5\ncy: 239.5\n"
 USB = "source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\ndepth: {model: prism_nano}\n"
@@ -57,6 +60,7 @@ def test_what_runs_is_passed_without_a_word(
         ("bus: {endpoint: nonsense}\n", 6, "must start with one of"),
         ("source: {uri: 'v4l2:/dev/video7?nonsense=1', camera: CAMERA}\n", 4, "nonsense"),
         ("source: {uri: 'v4l2:/dev/video7', loop: true, camera: CAMERA}\n", 3, "is for recordings"),
+        ("mode: lockstep\n" + USB, 3, "a live camera can't wait for lockstep"),
         ("source: {uri: 'sim:nowhere'}\n", 4, "nowhere"),
         ("source: {uri: 'sim:room', mask: CAMERA}\n", 3, "is no image"),
         ("source: {uri: 'sim:room', camera: CAMERA}\n", 3, "a simulated camera"),
@@ -138,6 +142,7 @@ def test_a_camera_that_is_doubted_is_a_warning(
         (USB.replace("prism_nano", "'nested:/nowhere/net.onnx,prism_nano'"), "there is no such file"),
         (USB.replace("camera: CAMERA", "camera: CAMERA, mask: /nowhere/m.png"), "mask /nowhere/m.png is not"),
         ("source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\n", "depth.model: no network is named"),
+        ("source: {uri: 'v4l2:/dev/video7', camera: auto}\n", "camera auto needs a depth network"),
         ("bus: {endpoint: tls/rover1.local:7448}\n", "`run` refuses it"),
         ("supervisor: {max_restarts: 12}\n", "what keeps dying is never given up"),
         ("network: {ca: CAMERA, certificate: CAMERA, key: /run/no/a.key}\n", "network.key: can't read"),
@@ -190,6 +195,7 @@ def test_an_optional_dependency_that_is_missing_is_one_warning(
         "bus: {endpoint: tcp/10.0.0.1:7447}\n",
         "robot: a/b\n",
         "source: {uri: 'rtsp://'}\n",
+        "mode: lockstep\n" + USB,
     ],
 )
 def test_what_run_refuses_is_never_passed_in_silence(
@@ -200,3 +206,14 @@ def test_what_run_refuses_is_never_passed_in_silence(
         check(load(file))
     main(["config", "--check", str(file)])
     assert capsys.readouterr().err
+
+
+def test_what_the_source_will_warn_of_is_left_to_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """`run` looks at the source before anything is logged in order, and said it twice."""
+    source = SourceConfig(uri=str(write_images(tmp_path)))
+    for look, count in ((open_source, 1), (lambda source: check(Config(source=source)), 0), (open_source, 1)):
+        caplog.clear()
+        look(source)
+        assert caplog.text.count("nothing says when its images were taken") == count

@@ -11,7 +11,7 @@ from prism_edge.cli.eval import effective
 from prism_edge.cli.main import build_parser, main
 from prism_edge.config import BusConfig
 from prism_edge.config_file import load
-from prism_edge.errors import ConfigError, EvaluationError, SourceError
+from prism_edge.errors import ConfigError, EvaluationError, ModelError, SourceError
 from prism_edge.evaluation import run
 
 
@@ -58,6 +58,23 @@ def test_bad_input_is_one_line(
     assert words in one_line(capsys)
 
 
+@pytest.mark.parametrize("address", ["v4l2:/dev/video0", "rtsp://10.0.0.9/a", "oak:"])
+def test_a_live_camera_is_refused_before_its_camera_file_is_asked_for(
+    address: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["eval", address, "--out", str(tmp_path)]) == EvaluationError.exit_code
+    assert "a live camera has neither an end nor truth" in one_line(capsys)
+
+
+@pytest.mark.parametrize("command", ["eval", "demo"])
+def test_help_says_that_a_free_port_is_taken(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "(default: a free port of loopback" in shown
+    assert BusConfig().endpoint not in shown
+
+
 def test_a_missing_sequence_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["eval", str(tmp_path / "none"), "--out", str(tmp_path)]) == SourceError.exit_code
     assert "does not exist" in one_line(capsys)
@@ -101,6 +118,18 @@ def test_results_that_cannot_be_written_are_one_line(
     code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "file" / "o")])
     assert code == EvaluationError.exit_code
     assert "can't write" in one_line(capsys)
+
+
+@pytest.mark.parametrize("command", ["eval", "demo"])
+@pytest.mark.parametrize("model", ["nope", "nested:prism_nano,/nowhere/net.onnx"])
+def test_a_network_that_is_not_there_leaves_earlier_results(
+    command: str, model: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "metrics.json").write_text("{}")
+    words = [command, "sim:room?frames=9", "--model", model, "--out", str(tmp_path)]
+    assert main(words) == ModelError.exit_code
+    assert model.rpartition(",")[2] in one_line(capsys)
+    assert [file.name for file in tmp_path.iterdir()] == ["metrics.json"]
 
 
 DEFAULT = BusConfig().endpoint

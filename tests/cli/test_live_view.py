@@ -37,6 +37,18 @@ def test_rate_counts_the_last_moments_only() -> None:
     assert view.rate_hz(60_000 * MS) == 0.0
 
 
+def test_no_rate_is_told_of_one_burst() -> None:
+    view = LiveView()
+    assert dict(view.rows(0))["rate"] == "-"
+    for i in range(9):  # what waited
+        view.add_pose(i, (0, 0, 0), 0.1, i)
+    assert dict(view.rows(10))["rate"] == "-"
+    view.add_pose(9, (0, 0, 0), 0.1, 499 * MS)
+    assert dict(view.rows(499 * MS))["rate"] == "-"
+    view.add_pose(10, (0, 0, 0), 0.1, 500 * MS)
+    assert dict(view.rows(500 * MS))["rate"] == "20.0 Hz"
+
+
 @pytest.mark.parametrize("release_first", [True, False])
 def test_latency_is_arrival_less_capture_in_either_order(release_first: bool) -> None:
     view = LiveView()

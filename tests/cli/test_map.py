@@ -170,6 +170,18 @@ class TestExport:
         assert call(*both, "--overwrite") == 0
         assert (tum.read_bytes(), points.read_bytes()) == good
 
+    def test_no_map_is_overwritten_least_of_all_the_one_that_is_exported(
+        self, state: tuple[Path, ListBus], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        good = lab(state).read_bytes()
+        (tmp_path / "lab.tum").write_bytes(good)
+        (tmp_path / "other.prismmap").write_bytes(good)
+        (tmp_path / "here").symlink_to(tmp_path)
+        for what, name in (("--ply", "other.prismmap"), ("--tum", "lab.tum"), ("--ply", "here/lab.tum")):
+            assert call("export", tmp_path / "lab.tum", what, tmp_path / name, "--overwrite") == 3
+            assert re.fullmatch(rf"prism-edge: error: .*{name}.*\n", capsys.readouterr().err)
+        assert (tmp_path / "lab.tum").read_bytes() == (tmp_path / "other.prismmap").read_bytes() == good
+
     @pytest.mark.parametrize(
         ("words", "why"),
         [

@@ -144,6 +144,25 @@ def test_a_file_named_by_its_path_is_held_to_what_was_pulled(server, plain: Path
     assert "none is known" in said(capsys, "verify", str(path.with_name("own.onnx")))
 
 
+def test_verify_says_whether_the_digest_was_given(server: WebServer, plain: Path, tmp_path: Path, capsys):
+    made = write_tiny_network(tmp_path / "made.onnx", TinyNetwork(name="mine", gain=3.0))
+    server.files["/mine.onnx"] = made.read_bytes()
+    digest = hashlib.sha256(made.read_bytes()).hexdigest()
+    said(capsys, "pull", f"{server.url}/mine.onnx", "--sha256", digest)
+    manifest = plain / "mine" / "pulled.yaml"
+    written = yaml.safe_load(manifest.read_text())
+    assert written["given"] is True
+    without = {key: value for key, value in written.items() if key != "given"}  # as earlier builds wrote it
+    for content, shown in (
+        (written, "as pulled (given digest)"),
+        ({**written, "given": False}, "as pulled (unverified then)"),
+        (without, "as pulled │"),
+    ):
+        manifest.write_text(yaml.safe_dump(content))
+        for name in ("mine", str(manifest.with_name("mine.onnx"))):
+            assert shown in " ".join(said(capsys, "verify", name).split())
+
+
 def test_a_registered_file_is_known_wherever_it_lies(server: WebServer, tmp_path: Path, capsys):
     assert "as registered" in said(capsys, "verify", str(tmp_path / "made.onnx"))
 

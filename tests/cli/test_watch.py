@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.cli.main import main
-from prism_edge.cli.watch import Listener
+from prism_edge.cli.watch import Listener, _is_stream
 from prism_edge.config import BusConfig, Config, FramesConfig
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.mount import base_from_camera, looking
@@ -180,9 +181,31 @@ def test_ctrl_c_ends_it_in_the_background_of_a_script_too() -> None:
             watch.kill()
 
 
-def test_place_that_can_not_be_written_is_one_line(endpoint: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["watch", "--endpoint", endpoint, "--tum", "/proc/nowhere/poses.tum"]) == 74
-    assert "error: /proc/nowhere/poses.tum: No such file or directory\n" in capsys.readouterr().err
+def test_a_place_that_can_not_be_written_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["watch", "--tum", "/proc/nowhere/poses.tum"]) == 3
+    said = capsys.readouterr().err
+    assert said == "prism-edge: error: /proc/nowhere/poses.tum: there is no folder /proc/nowhere\n"
+
+
+def test_an_earlier_recording_is_replaced_only_when_asked(
+    endpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "poses.tum"
+    file.write_text("an hour's walk\n")
+    arguments = ["watch", "--robot", "fake", "--endpoint", endpoint, "--count", "5", "--tum", str(file)]
+    assert main(arguments) == 3
+    assert "is there already" in capsys.readouterr().err
+    assert file.read_text() == "an hour's walk\n"
+    assert main([*arguments, "--overwrite"]) == 0
+    assert len(read_tum(file)) == 5
+
+
+def test_a_pipe_and_stdout_are_no_earlier_recordings(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").touch()
+    streams = [tmp_path / "pipe", *map(Path, ("/dev/stdout", "/dev/null", "/dev/fd/1"))]
+    assert [_is_stream(path) for path in streams] == [True] * 4
+    assert [_is_stream(tmp_path / name) for name in ("file", "absent", ".")] == [False] * 3
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ import pytest
 
 from prism_edge.config import Config, DepthConfig, SourceConfig
 from prism_edge.config_file import load
-from prism_edge.errors import EvaluationError, SourceError
+from prism_edge.errors import ConfigError, EvaluationError, SourceError
 from prism_edge.evaluation.daemon import DaemonError
 from prism_edge.evaluation.run import evaluate, extent
 from prism_edge.evaluation.scores import score
@@ -110,6 +111,14 @@ def test_a_recording_that_can_t_be_played_is_refused_before_the_run(tmp_path: Pa
         extent(SourceConfig(uri=str(tmp_path / "nowhere")))
     with pytest.raises(SourceError):
         extent(SourceConfig(uri="sim:nowhere"))
+
+
+def test_a_recording_that_begins_again_has_no_end_to_score(tiny_sequence: Path, tmp_path: Path) -> None:
+    config = config_for(tiny_sequence)
+    looped = replace(config, source=replace(config.source, loop=True))
+    with pytest.raises(ConfigError, match=r"source\.loop: .* ends with its recording"):
+        evaluate(looped, tmp_path / "o", command=(sys.executable, str(FAKE), "good"))
+    assert not (tmp_path / "o").exists()
 
 
 def test_a_map_taken_up_lies_where_its_maker_began_it(tiny_sequence: Path, tmp_path: Path) -> None:
@@ -260,7 +269,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 from prism_edge.evaluation import run
 run.evaluate = functools.partial(run.evaluate, command=(sys.executable, {str(FAKE)!r}, "unsettled"))
 from prism_edge.cli.main import main
-sys.exit(main(["eval", {str(tiny_sequence)!r}, "--model", "pretended", "--out", {str(tmp_path)!r}]))
+sys.exit(main(["eval", {str(tiny_sequence)!r}, "--model", "prism_nano", "--out", {str(tmp_path)!r}]))
 """
     evaluation = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.PIPE, text=True)
     started = psutil.Process(evaluation.pid)

@@ -139,6 +139,16 @@ def test_what_is_still_packed_is_said_to_be(tmp_path: Path, name: str) -> None:
         assert name in str(error)
 
 
+@pytest.mark.parametrize("name", ["cam.yaml", "run.YML", "rgb.txt", "path.tum"])
+def test_a_text_file_is_no_video_whichever_camera_took_it(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("width: 640\n")
+    for settings in ({}, {"camera": "none.yaml"}, {"camera": "auto"}):
+        error = refusal(tmp_path / name, **settings)
+        assert isinstance(error, SourceError)
+        assert f"{name} is text, no video that can be read" in str(error)
+        assert ("--config" in str(error)) == (name.lower().endswith(("yaml", "yml")))
+
+
 def test_camera_files_win_over_the_table_and_the_option_over_all(tmp_path: Path) -> None:
     folder = tiny.write_tum(tmp_path / "freiburg1", count=1)
     assert opened(folder).camera.fx == 60.0

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -17,6 +20,7 @@ from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
 from prism_edge.config_file import dump
 from prism_edge.messages import IDS_A_LIFE, LARGEST_ID
 from prism_edge.processes import PROCESSES
+from prism_edge.workers.launch import say_when_linked
 from tests.sources.tiny_datasets import write_tum
 from tests.synthetic.network import write_tiny_network
 
@@ -126,6 +130,25 @@ def test_a_life_numbers_things_beyond_those_before_it(by_hand: bool, life: int, 
         assert before < first < LARGEST_ID
     else:
         assert first == life * IDS_A_LIFE
+
+
+def test_by_hand_it_says_that_nobody_listens_and_when_somebody_does(
+    config: Config, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    config = replace(config, bus=replace(config.bus, retry_ms=50))
+    log = logging.getLogger("prism_edge.scale")
+    with Bus.open(config, "scale") as bus:
+        saying = threading.Thread(target=say_when_linked, args=(bus, config.bus.endpoint, log))
+        saying.start()
+        end = time.monotonic() + DEADLINE_S
+        while not caplog.messages and time.monotonic() < end:
+            time.sleep(0.02)
+        assert caplog.messages == [f"waiting for a listener at {config.bus.endpoint}"]
+        with Bus.open(config, "supervisor", listen=True):
+            saying.join(DEADLINE_S)
+            say_when_linked(bus, config.bus.endpoint, log)  # at once, where there is a link
+    assert caplog.messages[1:] == [f"on the bus at {config.bus.endpoint}"] * 2
 
 
 def test_a_life_s_numbers_last_for_months() -> None:

@@ -39,6 +39,7 @@ class TestSaving:
         bus = live(tmp_path, told, teller, ask=("lab", "lab"))
         assert [r.ok for r in bus.desk.replies] == [True, True]
         assert bus.desk.replies[0].said.startswith("saved lab: 5 keyframes, ")
+        assert ["in place of" in reply.said for reply in bus.desk.replies] == [False, True]
         assert map_names(CONFIG.state) == ["lab"]
         info, arrays = map_file.unpack(map_file.read(map_path(CONFIG.state, "lab")))
         mapper = Mapper(BackendConfig())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from prism_edge.config import SourceConfig
+from prism_edge.config import Config, SourceConfig
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.named_path import named_path
@@ -20,6 +20,12 @@ from prism_edge.sources.live.v4l2 import V4l2Driver, is_v4l2
 def is_live(uri: str) -> bool:
     """Whether an address names a live camera."""
     return is_stream(uri) or is_v4l2(uri) or is_oak(uri)
+
+
+def check_mode(config: Config) -> None:
+    """Raises ConfigError where a live camera is to be played in lockstep."""
+    if config.is_lockstep and is_live(config.source.uri):
+        raise ConfigError("a live camera can't wait for lockstep: use mode realtime, or a recording")
 
 
 def open_live(config: SourceConfig, calibrated: bool = True) -> LiveCamera:
