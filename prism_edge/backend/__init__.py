@@ -1,1 +1,1 @@
-"""The global map and its optimisation; pure, on gtsam."""
+"""The global map and its optimisation; on gtsam; pure, but for map_file.py and journal.py."""

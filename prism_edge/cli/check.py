@@ -9,7 +9,7 @@ from prism_edge.bus.keys import check_loopback, check_robot_name
 from prism_edge.cli.settings import with_network
 from prism_edge.config import SENSOR, Config, SourceConfig, SupervisorConfig
 from prism_edge.depth import locate, networks_of
-from prism_edge.depth.providers import check_names, idle_options
+from prism_edge.depth.providers import absent, check_names, idle_options
 from prism_edge.errors import ConfigError, ModelError, SourceError
 from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.named_path import named_path
@@ -17,8 +17,8 @@ from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.live.oak import is_oak
 from prism_edge.sources.live.open import check_mode, is_live
 from prism_edge.sources.live.stream import is_stream
-from prism_edge.sources.mask import read_mask
-from prism_edge.sources.open import AUTO, AUTO_NEEDS, open_source
+from prism_edge.sources.mask import mask_for, read_mask
+from prism_edge.sources.open import AUTO, AUTO_NEEDS, camera_files, open_source
 from prism_edge.sources.sim import is_simulated
 from prism_edge.supervisor.metrics import check_port
 from prism_edge.supervisor.restart import least_s
@@ -34,11 +34,11 @@ def check_config(config: Config) -> list[str]:
     check_port(config)
     check_mode(config)
     missing = _endpoint(config) + unreadable(config.network)  # the service's key is there only while it runs
-    missing += _extras(config) + _restarts(config.supervisor)
+    missing += extras(config) + _restarts(config.supervisor)
     return missing + _source(config.source) + _model(with_network(config))
 
 
-def _extras(config: Config) -> list[str]:
+def extras(config: Config) -> list[str]:
     """Optional dependencies that it takes, and that are not installed."""
     wanted = {
         "metrics": ("prometheus_client", bool(config.metrics.port)),
@@ -79,17 +79,20 @@ def _source(source: SourceConfig) -> list[str]:
     if is_live(source.uri) or is_simulated(source.uri):
         open_source(source, calibrated=False)  # nothing is connected yet: only the address is read
     camera = None
-    if source.camera != AUTO and named_path(source.camera).is_file():
-        camera = read_camera(named_path(source.camera))
+    named = [named_path(source.camera)] if source.camera else camera_files(source.uri)
+    for path in named if source.camera != AUTO else []:
+        if path.is_file():
+            camera = read_camera(path)
+            break
     mask = named_path(source.mask)
-    if source.mask and mask.is_file():
-        read_mask(mask)
-    elif source.mask:
+    if source.mask and not mask.exists():
         missing.append(f"mask {source.mask} is not there")
     try:
         camera = open_source(source).camera
     except (ConfigError, SourceError) as error:
         missing.append(str(error))
+    if source.mask and mask.exists():
+        _ = mask_for(mask, camera.width, camera.height) if camera else read_mask(mask)
     return missing + [f"camera: {doubt}" for doubt in (doubts(camera) if camera else [])]
 
 
@@ -106,7 +109,7 @@ def _model(config: Config) -> list[str]:
         return []
     if model:
         check_names(config.depth)
-    missing = idle_options(config.depth) if model else []
+    missing = idle_options(config.depth) + absent(config.depth) if model else []
     if config.source.uri and not model:
         missing.append("depth.model: no network is named, and without one there are no poses")
     for network in networks_of(model):

@@ -77,6 +77,14 @@ def check_wheels(modules: dict[str, str] = NATIVE) -> Iterator[Finding]:
             yield Finding(FAIL, distribution, line[:160], f"pip install --force-reinstall {distribution}")
 
 
+def check_extras(config: Config) -> Iterator[Finding]:
+    """Whether the optional dependencies that the configuration takes are installed."""
+    from prism_edge.cli.check import extras
+
+    for line in extras(config):
+        yield Finding(FAIL, "extras", line)
+
+
 def check_providers(config: Config) -> Iterator[Finding]:
     """The execution providers that the configuration asks for, and that one onnxruntime alone has them."""
     installed = sorted(set(importlib.metadata.packages_distributions().get("onnxruntime", [])))
@@ -280,6 +288,7 @@ def all_checks(config: Config) -> Iterator[Callable[[], Iterator[Finding]]]:
     yield check_python
     yield check_cpu
     yield check_wheels
+    yield lambda: check_extras(config)
     yield lambda: check_providers(config)
     yield lambda: check_model(config)
     yield lambda: check_zenoh(config)

@@ -95,6 +95,20 @@ def idle_options(config: DepthConfig) -> list[str]:
     return [f"depth.provider_options: {_words(idle)} is not among depth.providers"] if idle else []
 
 
+def absent(config: DepthConfig) -> list[str]:
+    """A line for each provider that must be there and that this onnxruntime lacks."""
+    offered = onnxruntime.get_available_providers()
+    return [
+        f"{_lacking(name, offered)}, which depth.required asks for (docs/MODELS.md: how to install it)"
+        for name in (full_name(short, "depth.required") for short in config.required)
+        if name not in offered
+    ]
+
+
+def _lacking(name: str, offered: Sequence[str]) -> str:
+    return f"this onnxruntime has no {short_name(name)} provider (it has {_words(offered)})"
+
+
 def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
     """Loads a vetted network on the first of ``depth.providers`` that starts, the CPU after all.
 
@@ -105,18 +119,16 @@ def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
     check_names(config)  # a wrong setting is no fault of the file
     names = tuple(dict.fromkeys(full_name(name) for name in (*config.providers, "cpu")))
     required = {full_name(name, "depth.required") for name in config.required}
+    if missing := absent(config):
+        raise ModelError(missing[0])
     asked = {full_name(name) for name in config.providers}
     offered = onnxruntime.get_available_providers()
     wanted = []
     for name in names:
         if name in offered:
             wanted.append(name)
-            continue
-        missing = f"this onnxruntime has no {short_name(name)} provider (it has {_words(offered)})"
-        if name in required:
-            raise ModelError(f"{missing}, which depth.required asks for (docs/MODELS.md: how to install it)")
-        if name in asked:
-            log.warning("%s; trying the next", missing)
+        elif name in asked:
+            log.warning("%s; trying the next", _lacking(name, offered))
     if inner:
         return _with_inner(vetted, config, wanted, required, inner)
     return _first_that_starts(vetted, config, wanted, required)

@@ -163,7 +163,7 @@ def _prepared(config: Config, out: Path, kept: Container[Path] = ()) -> Config:
                 file.unlink(missing_ok=True)
         (out / "effective.yaml").write_text(dump(config))
     except OSError as error:
-        raise EvaluationError(f"{out}: {error.strerror}: can't write results there") from error
+        raise OSError(error.errno, f"{error.strerror}: can't write results there", str(out)) from None
     return config
 
 

@@ -106,10 +106,17 @@ def _camera_file(folder: Path, config: SourceConfig) -> Intrinsics | None:
     """The configured camera file, else one that lies with the images."""
     if config.camera:
         return config.camera, read_camera(named_path(config.camera))
-    for name in CAMERA_FILES:
-        if (folder / name).is_file():
-            return str(folder / name), read_camera(folder / name)
+    for path in camera_files(str(folder)):
+        if path.is_file():
+            return str(path), read_camera(path)
     return None
+
+
+def camera_files(uri: str) -> list[Path]:
+    """Where a camera file may lie with a recording that is there, best first; others have none."""
+    path = named_path(uri)
+    folder = path if path.is_dir() else path.parent
+    return [folder / name for name in CAMERA_FILES] if path.exists() else []
 
 
 def _no_camera(path: Path) -> Intrinsics:

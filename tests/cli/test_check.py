@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from prism_edge.cli.main import main
@@ -119,6 +121,32 @@ def test_a_camera_that_can_not_be_is_an_error(file: Path, capsys: pytest.Capture
     assert "camera.yaml: cx: 1319.5 lies outside the image" in capsys.readouterr().err
 
 
+def test_so_is_one_that_lies_with_the_images(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = write_images(tmp_path / "images")
+    (images / "camera.yaml").write_text(CAMERA.replace("525", "'525'"))
+    write(file, f"source: {{uri: {images}}}\n")
+    assert main(["config", "--check", str(file)]) == 3
+    assert "camera.yaml: fx: expected a number" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("source", ["'v4l2:/dev/video7', camera: CAMERA", "'sim:room'"])
+def test_a_mask_of_another_size_is_an_error(
+    source: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cv2.imwrite(str(tmp_path / "mask.png"), np.full((240, 320), 255, np.uint8))
+    write(file, f"source: {{uri: {source}, mask: {tmp_path / 'mask.png'}}}\n")
+    assert main(["config", "--check", str(file)]) == 3
+    assert "mask.png is 320x240, but the camera's images are 640x480" in capsys.readouterr().err
+
+
+def test_a_folder_is_no_mask(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(file, f"source: {{uri: 'sim:room', mask: {tmp_path}}}\n")
+    assert main(["config", "--check", str(file)]) == 3
+    assert "can't be read" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("source", ["'v4l2:/dev/video7'", "/nowhere/recording"])
 def test_a_camera_that_is_doubted_is_a_warning(
     source: str, file: Path, capsys: pytest.CaptureFixture[str]
@@ -144,6 +172,10 @@ def test_a_camera_that_is_doubted_is_a_warning(
         ("source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\n", "depth.model: no network is named"),
         ("source: {uri: 'v4l2:/dev/video7', camera: auto}\n", "camera auto needs a depth network"),
         ("bus: {endpoint: tls/rover1.local:7448}\n", "`run` refuses it"),
+        (
+            "source: {uri: 'sim:room'}\ndepth: {providers: [qnn, cpu], required: [qnn]}\n",
+            "no qnn provider",
+        ),
         ("supervisor: {max_restarts: 12}\n", "what keeps dying is never given up"),
         ("network: {ca: CAMERA, certificate: CAMERA, key: /run/no/a.key}\n", "network.key: can't read"),
     ],

@@ -11,7 +11,7 @@ import pytest
 from prism_edge.cli import checks
 from prism_edge.cli.checks import FAIL, OK, WARN, Finding
 from prism_edge.cli.main import main
-from prism_edge.config import BusConfig, Config, DepthConfig, NetworkConfig, StateConfig
+from prism_edge.config import BusConfig, Config, DepthConfig, NetworkConfig, SourceConfig, StateConfig
 
 
 def levels(findings: Iterator[Finding]) -> list[str]:
@@ -81,6 +81,14 @@ def test_model_that_is_no_network(tmp_path: Path) -> None:
 )
 def test_provider_that_is_not_there(depth: DepthConfig, expected: list[str]) -> None:
     assert levels(checks.check_providers(Config(depth=depth))) == expected
+
+
+def test_an_optional_dependency_that_is_taken_and_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("prism_edge.cli.check.find_spec", lambda name: None)
+    (finding,) = checks.check_extras(Config(source=SourceConfig(uri="oak:")))
+    assert finding.level == FAIL
+    assert "depthai is not installed" in finding.found
+    assert not list(checks.check_extras(Config()))
 
 
 def test_two_onnxruntimes_that_overwrite_each_other(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -166,6 +166,13 @@ def test_the_truth_lies_beside_what_it_scores(tiny_sequence: Path, tmp_path: Pat
     assert given.read_text() == "# mine\n" + before, "what was given stays as it is"
 
 
+def test_results_that_can_not_be_written_are_the_file_s_fault(tiny_sequence: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("a file")
+    with pytest.raises(OSError, match="can't write results there") as raised:
+        run("normal", tiny_sequence, tmp_path / "out")
+    assert raised.value.filename == str(tmp_path / "out")
+
+
 @pytest.mark.parametrize("name", ["live.tum", "final.tum"])
 def test_a_truth_that_the_run_would_overwrite_is_refused(
     name: str, tiny_sequence: Path, tmp_path: Path
