@@ -11,7 +11,7 @@ from prism_edge.cli.eval import effective
 from prism_edge.cli.main import build_parser, main
 from prism_edge.config import BusConfig
 from prism_edge.config_file import load
-from prism_edge.errors import ConfigError, EvaluationError, ModelError, SourceError
+from prism_edge.errors import FAILING_FILE, ConfigError, EvaluationError, ModelError, SourceError
 from prism_edge.evaluation import run
 
 
@@ -116,7 +116,7 @@ def test_results_that_cannot_be_written_are_one_line(
 ) -> None:
     (tmp_path / "file").write_text("")
     code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "file" / "o")])
-    assert code == EvaluationError.exit_code
+    assert code == FAILING_FILE
     assert "can't write" in one_line(capsys)
 
 
