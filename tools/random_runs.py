@@ -28,13 +28,14 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:  # run from a checkout
     sys.path.insert(0, str(ROOT))
 
-from prism_edge.cli.settings import whole_above_zero  # noqa: E402
+from prism_edge.cli.settings import BUNDLED, whole_above_zero  # noqa: E402
+from prism_edge.config import SENSOR  # noqa: E402
 from tools.finished_runs import Metrics, finished  # noqa: E402
 
 SIZES = ((640, 480), (640, 480), (320, 240), (752, 480), (1280, 720), (424, 240))
 STREET_SIZES = ((1242, 376), (640, 480), (960, 540))
 SECONDS, MOST_FRAMES = 15, 500
-NETWORK, NANO, SENSOR = "network", "prism_nano", "sensor"
+NETWORK, NANO = "network", BUNDLED
 
 
 @dataclass(frozen=True)
@@ -152,9 +153,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--jobs", type=whole_above_zero, default=2, help="runs at a time")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "random")
     args = parser.parse_args(arguments)
+    # Played from the checkout, wherever we are.
+    network = str(Path(args.network).absolute()) if Path(args.network).is_file() else args.network
     draws = drawn(args.seed, args.count)
     with ThreadPoolExecutor(args.jobs) as pool:
-        metrics = list(pool.map(partial(play, args.network, args.out.absolute() / str(args.seed)), draws))
+        metrics = list(pool.map(partial(play, network, args.out.absolute() / str(args.seed)), draws))
     print("| | run | depth | coverage | live, cm | final, cm | NEES | scale's error, σ | σ over bias |")
     print("|---|---|---|---|---|---|---|---|---|")
     for draw, found in zip(draws, metrics, strict=True):

@@ -79,11 +79,9 @@ def _source(source: SourceConfig) -> list[str]:
     if is_live(source.uri) or is_simulated(source.uri):
         open_source(source, calibrated=False)  # nothing is connected yet: only the address is read
     camera = None
-    named = [named_path(source.camera)] if source.camera else camera_files(source.uri)
-    for path in named if source.camera != AUTO else []:
-        if path.is_file():
-            camera = read_camera(path)
-            break
+    if source.camera != AUTO:
+        named = [named_path(source.camera)] if source.camera else camera_files(source.uri)
+        camera = next((read_camera(path) for path in named if path.is_file()), None)
     mask = named_path(source.mask)
     if source.mask and not mask.exists():
         missing.append(f"mask {source.mask} is not there")
@@ -91,8 +89,10 @@ def _source(source: SourceConfig) -> list[str]:
         camera = open_source(source).camera
     except (ConfigError, SourceError) as error:
         missing.append(str(error))
-    if source.mask and mask.exists():
-        _ = mask_for(mask, camera.width, camera.height) if camera else read_mask(mask)
+    if source.mask and mask.exists() and camera:
+        mask_for(mask, camera.width, camera.height)
+    elif source.mask and mask.exists():
+        read_mask(mask)
     return missing + [f"camera: {doubt}" for doubt in (doubts(camera) if camera else [])]
 
 

@@ -172,7 +172,7 @@ class ScaleFilter:
             return came
         first, last = sorted((copy.deepcopy(self), came), key=lambda known: known._time_s or 0.0)
         first.predict(last._time_s or 0.0, first._travelled)
-        last._correct(_OF_X, first.log_scale - last.log_scale, first.sigma**2, _LEAST_VARIANCE)
+        last._correct(_OF_X, first.log_scale - last.log_scale, first.sigma**2 + _LEAST_VARIANCE)
         last._spread = max(self._spread, came._spread, key=lambda spread: spread.weight)
         last.accepted = self.accepted + other.accepted
         last._support = self._support + other._support
@@ -202,9 +202,9 @@ class ScaleFilter:
         self._support += 1
         return True
 
-    def _correct(self, sensitivity: Array, innovation: float, variance: float, floor: float = 0.0) -> None:
-        """Take in a sum of the states that ``sensitivity`` (2,) has 1 at; ``floor`` is of the gain alone."""
-        expected = float((self._covariance * np.outer(sensitivity, sensitivity)).sum()) + variance + floor
+    def _correct(self, sensitivity: Array, innovation: float, variance: float) -> None:
+        """Take in a sum of the states that ``sensitivity`` (2,) has 1 at."""
+        expected = float((self._covariance * np.outer(sensitivity, sensitivity)).sum()) + variance
         gain = self._covariance @ sensitivity / expected
         keep = np.eye(2) - np.outer(gain, sensitivity)
         self._state = self._state + gain * innovation

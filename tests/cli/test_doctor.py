@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -89,6 +90,11 @@ def test_an_optional_dependency_that_is_taken_and_not_there(monkeypatch: pytest.
     assert finding.level == FAIL
     assert "depthai is not installed" in finding.found
     assert not list(checks.check_extras(Config()))
+
+
+def test_a_wheel_that_does_not_load_is_left_to_its_own_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "prism_edge.cli.check", None)  # as where an import in it fails
+    assert not list(checks.check_extras(Config(source=SourceConfig(uri="oak:"))))
 
 
 def test_two_onnxruntimes_that_overwrite_each_other(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,6 +31,15 @@ def visit(run: Run, room: list, at: int) -> None:
                 run.tracker.add_depth(k, depth, IDENTITY, 0.1)
 
 
+def in_the_dark(frames: int, submap_after_s: float) -> Run:
+    """A camera that mapped so many frames, and then saw nothing for twelve."""
+    run = Run(tracker=Tracker(replace(CONFIG, submap_after_s=submap_after_s)))
+    run.play(range(frames))
+    for i in range(frames, frames + 12):
+        run.feed(0, BLACK, at=i)
+    return run
+
+
 def place_sigma(run: Run, frame: int) -> float:
     """Of the frame's position along the worst axis."""
     result = run.results[frame]
@@ -41,10 +50,7 @@ def place_sigma(run: Run, frame: int) -> float:
 @pytest.fixture(scope="module")
 def astray() -> tuple[Run, list]:
     """A camera that was carried to another room, and maps there."""
-    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.4))), other_room()
-    run.play(range(30))
-    for i in range(30, 42):
-        run.feed(0, BLACK, at=i)
+    run, room = in_the_dark(30, 0.4), other_room()
     visit(run, room, at=42)
     return run, room
 
@@ -104,10 +110,7 @@ def bring_home(run: Run, motion: np.ndarray, size: float = 1.0) -> None:
 
 
 def test_a_loop_between_the_parts_brings_the_camera_home():
-    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3))), other_room(40)
-    run.play(range(20))
-    for i in range(20, 32):
-        run.feed(0, BLACK, at=i)
+    run, room = in_the_dark(20, 0.3), other_room(40)
     visit(run, room, at=32)
     last = run.results[71]
     assert not last.in_map
@@ -124,10 +127,7 @@ def test_a_loop_between_the_parts_brings_the_camera_home():
 
 @pytest.mark.parametrize("motion", [pose_at(3.0, 0.5, -1.0, 0.2, 1.6, -0.1), pose_at(0, 0, 0, 0, 3.1, 0)])
 def test_a_part_that_is_joined_late_takes_nothing_along_of_where_the_camera_is_by_then(motion):
-    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.4))), other_room()
-    run.play(range(30))
-    for i in range(30, 42):
-        run.feed(0, BLACK, at=i)
+    run, room = in_the_dark(30, 0.4), other_room()
     visit(run, room, at=42)
     assert not run.results[101].in_map
     for i in range(102, 114):
@@ -148,10 +148,7 @@ def test_what_a_part_had_mapped_is_found_again_once_it_is_home():
     """Points know from where, and from how far, they were seen: that is otherwise since."""
     shares = []
     for joined in (False, True):
-        run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3))), other_room(60)
-        run.play(range(20))
-        for i in range(20, 32):
-            run.feed(0, BLACK, at=i)
+        run, room = in_the_dark(20, 0.3), other_room(60)
         visit(run, room, at=32)
         world = run.tracker.world
         if joined:
@@ -165,16 +162,19 @@ def test_what_a_part_had_mapped_is_found_again_once_it_is_home():
     assert shares[1] > 0.9 * shares[0]
 
 
-def test_without_depth_no_part_is_begun_in_vain():
-    """Its first keyframe waits for depth; found in the old map meanwhile, it is forgotten."""
-    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3))), other_room(30)
-    run.play(range(30))
-    for i in range(30, 42):
-        run.feed(0, BLACK, at=i)
+def a_part_that_waits() -> tuple[Run, list, int]:
+    """A camera in another room whose depth doesn't come, what it saw there, and the keyframe that waits."""
+    run, room = in_the_dark(30, 0.3), other_room(30)
     for i, (image, _, _) in enumerate(room):
         assert run.feed(0, image, at=42 + i).world_from_camera is None
     waiting = max(run.tracker.world.keyframes)
     assert run.keyframes[waiting] >= 42
+    return run, room, waiting
+
+
+def test_without_depth_no_part_is_begun_in_vain():
+    """Its first keyframe waits for depth; found in the old map meanwhile, it is forgotten."""
+    run, _, waiting = a_part_that_waits()
     found = run.until_found([(20 + i, None) for i in range(8)], at=72)
     assert found.in_map
     assert waiting not in run.tracker.world.keyframes
@@ -183,13 +183,7 @@ def test_without_depth_no_part_is_begun_in_vain():
 
 
 def test_a_part_that_is_given_up_does_not_begin_once_its_depth_comes():
-    run, room = Run(tracker=Tracker(replace(CONFIG, submap_after_s=0.3))), other_room(30)
-    run.play(range(30))
-    for i in range(30, 42):
-        run.feed(0, BLACK, at=i)
-    for i, (image, _, _) in enumerate(room):
-        run.feed(0, image, at=42 + i)
-    waiting = max(run.tracker.world.keyframes)
+    run, room, waiting = a_part_that_waits()
     run.tracker.may_map = False
     run.tracker.give_up_waiting()
     assert run.tracker.add_depth(waiting, room[0][1], IDENTITY, 0.1) == 0
