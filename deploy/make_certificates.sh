@@ -7,8 +7,13 @@ set -euo pipefail
 umask 077
 
 days=${DAYS:-825}
+usage="usage: deploy/make_certificates.sh FOLDER NAME[,HOST...]...   (DAYS=825: how long they hold)"
+if [[ ${1-} == -h || ${1-} == --help ]]; then
+    echo "$usage"
+    exit 0
+fi
 if (($# < 2)); then
-    echo "usage: deploy/make_certificates.sh FOLDER NAME[,HOST...]...   (DAYS=825: how long they hold)" >&2
+    echo "$usage" >&2
     exit 2
 fi
 folder=$1

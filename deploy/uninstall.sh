@@ -2,6 +2,7 @@
 # Removes the service and the program. Configuration and maps stay unless --purge is given.
 set -euo pipefail
 
+usage="usage: deploy/uninstall.sh [--prefix DIR] [--destdir DIR] [--no-systemctl] [--purge]"
 prefix=/opt/prism-edge destdir='' systemctl=yes purge=no
 while (($#)); do
     case $1 in
@@ -9,7 +10,8 @@ while (($#)); do
         --destdir) destdir=${2:?--destdir needs a folder} systemctl=no; shift ;;
         --no-systemctl) systemctl=no ;;
         --purge) purge=yes ;;
-        *) echo "usage: deploy/uninstall.sh [--prefix DIR] [--destdir DIR] [--no-systemctl] [--purge]" >&2; exit 2 ;;
+        -h | --help) echo "$usage"; exit 0 ;;
+        *) echo "$usage" >&2; exit 2 ;;
     esac
     shift
 done

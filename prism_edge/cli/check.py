@@ -22,6 +22,7 @@ from prism_edge.sources.open import AUTO, AUTO_NEEDS, camera_files, open_source
 from prism_edge.sources.sim import is_simulated
 from prism_edge.supervisor.metrics import check_port
 from prism_edge.supervisor.restart import least_s
+from prism_edge.workers.sensor_network import depth_of
 
 
 def check_config(config: Config) -> list[str]:
@@ -96,6 +97,17 @@ def _source(source: SourceConfig) -> list[str]:
     return missing + [f"camera: {doubt}" for doubt in (doubts(camera) if camera else [])]
 
 
+def _sensor(source: SourceConfig) -> list[str]:
+    """A line where a recording that is here has no depth images."""
+    if not source.uri or is_simulated(source.uri) or not named_path(source.uri).exists():
+        return []
+    try:
+        depth_of(source)
+    except ModelError as error:
+        return [f"depth.model: {error}"]
+    return []
+
+
 def _model(config: Config) -> list[str]:
     model = config.depth.network
     if config.source.uri and config.source.camera == AUTO and not model:
@@ -106,7 +118,7 @@ def _model(config: Config) -> list[str]:
         if is_live(config.source.uri):
             needs = "recordings with depth images and simulated worlds"
             raise ConfigError(f"depth.model: {SENSOR} is for {needs}")
-        return []
+        return _sensor(config.source)
     if model:
         check_names(config.depth)
     missing = idle_options(config.depth) + absent(config.depth) if model else []

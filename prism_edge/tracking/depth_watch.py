@@ -45,6 +45,10 @@ class DepthWatch:
             # Also where the filter has given in by now: as long again, since either may have been wrong.
             self._contradicted = self._refused > 0 and (self._contradicted or self._refused >= REFUSED)
 
+    def rest(self) -> None:
+        """No keyframes are made: whose depth is awaited says nothing of a map that stays as it is."""
+        self._waiting, self._unusable, self._mute = {}, "", 0
+
     def trouble(self, now_ns: int) -> str:
         """What is wrong with the metres, in words; empty where nothing is."""
         if self._waiting and now_ns - min(self._waiting.values()) > SILENT_NS:

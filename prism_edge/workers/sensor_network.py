@@ -25,6 +25,21 @@ from prism_edge.sources.sim.depth_camera import SimulatedDepth
 log = logging.getLogger("prism_edge.depth")
 
 
+def depth_of(source: SourceConfig) -> SimulatedDepth | SensorDepth:
+    """What a source carries of depth. Raises ModelError where that is nothing."""
+    folder, simulated = named_path(source.uri), is_simulated(source.uri)
+    needs = (
+        "--model sensor needs a recording with depth images (TUM RGB-D, BONN or 7-Scenes) "
+        "or a simulated world"
+    )
+    if not simulated and not folder.is_dir():
+        raise ModelError(f"{shown_address(source.uri) or 'no source'}: {needs}")
+    try:
+        return SimulatedDepth(source.uri) if simulated else SensorDepth(folder)
+    except SourceError as error:
+        raise ModelError(f"{error}; {needs}") from None
+
+
 class SensorNetwork:
     """What the depth worker takes for a network, and isn't one: with it the system is not monocular.
 
@@ -38,22 +53,11 @@ class SensorNetwork:
     dsug = (math.nan, math.nan)  # the gate stays open: it was fitted for networks
 
     def __init__(self, source: SourceConfig) -> None:
-        folder = named_path(source.uri)
-        needs = (
-            "--model sensor needs a recording with depth images (TUM RGB-D, BONN or 7-Scenes) "
-            "or a simulated world"
-        )
-        simulated = is_simulated(source.uri)
-        if not simulated and not folder.is_dir():
-            raise ModelError(f"{shown_address(source.uri) or 'no source'}: {needs}")
-        try:
-            self._sensor = SimulatedDepth(source.uri) if simulated else SensorDepth(folder)
-        except SourceError as error:
-            raise ModelError(f"{error}; {needs}") from None
+        self._sensor = depth_of(source)
         # A recording that is looped begins again after as many images as are played of it.
         self._round = min(source.frames or len(self._sensor), len(self._sensor))
         self.counters: dict[str, int] = {}
-        whose = "the simulator" if simulated else "the recording's own depth camera"
+        whose = "the simulator" if is_simulated(source.uri) else "the recording's own depth camera"
         log.warning("depth comes from %s: this run is not monocular", whose)
 
     def measure(self, index: int, camera: Camera) -> Prediction:

@@ -35,6 +35,8 @@ class TrackerStatus:
         """
         if epoch != self._epoch:
             self.metres, self._epoch = DepthWatch(), epoch
+        if localise_only:
+            self.metres.rest()
         trouble = self.metres.trouble(stamp_ns)
         odometry = DEGRADED if trouble and odometry == OK else odometry
         state = LOCALISED if localise_only else BUILDING

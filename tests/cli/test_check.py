@@ -131,6 +131,16 @@ def test_so_is_one_that_lies_with_the_images(
     assert "camera.yaml: fx: expected a number" in capsys.readouterr().err
 
 
+def test_a_recording_without_depth_images_has_none_to_be_measured_by(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    images = write_images(tmp_path / "images")
+    (images / "camera.yaml").write_text(CAMERA)
+    write(file, f"source: {{uri: {images}}}\ndepth: {{model: sensor}}\n")
+    assert main(["config", "--check", str(file)]) == 0
+    assert "holds no depth images" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("source", ["'v4l2:/dev/video7', camera: CAMERA", "'sim:room'"])
 def test_a_mask_of_another_size_is_an_error(
     source: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -227,3 +227,12 @@ def test_removal_leaves_the_operators_networks(installed: Path) -> None:
     network.write_text("a network")
     assert script("uninstall.sh", installed, "--purge").returncode == 0
     assert list(tree(installed)) == ["srv/prism-edge/models/net.onnx"]
+
+
+@pytest.mark.parametrize("name", ["install.sh", "uninstall.sh", "make_certificates.sh"])
+def test_whoever_asks_is_told_and_nothing_is_done(name: str) -> None:
+    told = subprocess.run(
+        [str(CHECKOUT / "deploy" / name), "--help"], check=False, timeout=60, capture_output=True, text=True
+    )
+    assert (told.returncode, told.stderr) == (0, "")
+    assert f"usage: deploy/{name}" in told.stdout

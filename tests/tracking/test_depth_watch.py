@@ -95,3 +95,24 @@ def test_unusable_depth_is_not_held_against_the_usable_that_comes_after() -> Non
         watch.scale(number, NAN, False)
     watch.depth(2 * MUTE, True, "")
     assert watch.trouble(0) == ""
+
+
+def test_a_map_that_stays_as_it_is_waits_for_no_depth() -> None:
+    watch = DepthWatch()
+    watch.keyframe(1, 0)
+    for number in range(2, MUTE + 2):
+        watch.depth(number, True, "")
+        watch.scale(number, NAN, False)
+    watch.depth(MUTE + 2, False, "dark")
+    watch.keyframe(MUTE + 3, 0)
+    assert watch.trouble(2 * SILENT_NS)
+    watch.rest()
+    assert watch.trouble(2 * SILENT_NS) == ""
+
+
+def test_but_its_scale_may_be_wrong() -> None:
+    watch = DepthWatch()
+    for number in range(5):
+        watch.scale(number, 0.8, False)
+    watch.rest()
+    assert watch.trouble(0) == "depth contradicts the scale"

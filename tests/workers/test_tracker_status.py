@@ -23,3 +23,14 @@ def test_a_new_map_is_not_degraded_for_the_metres_of_the_one_before():
     assert said(1, 2 * 10**9) == (OK, "ok")
     status.metres.depth(7, False, "dark")
     assert said(1, 3 * 10**9) == (DEGRADED, "no usable depth: dark")
+
+
+def test_a_map_that_stays_as_it_is_is_not_degraded_for_depth_that_never_came():
+    bus = SimpleNamespace(publish=lambda topic, message: None, pulse=SimpleNamespace(values={}))
+    status = TrackerStatus(bus)
+    status.show(0, OK, True, False, 0, {})
+    status.metres.keyframe(3, 0)
+    status.show(0, OK, True, False, 6 * 10**9, {})
+    assert bus.pulse.values["odometry"] == DEGRADED
+    status.show(0, OK, True, True, 7 * 10**9, {})
+    assert bus.pulse.values["odometry"] == OK
