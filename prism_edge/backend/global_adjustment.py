@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.sizes import size_factors, sizes
-from prism_edge.backend.window import CONVERGED, outliers, widest_parallax
+from prism_edge.backend.window import CHI2_2D_99, CONVERGED, outliers, widest_parallax
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
 
@@ -27,6 +28,7 @@ OBSERVATIONS = 250  # of a keyframe at most
 # with their square (288 bytes a pair, for all points at a time: hence MOST_PAIRS). So in a large map of one
 # place fewer are used, down to FEWEST_VIEWS. And of a keyframe at least, where others see the same points.
 MOST_VIEWS, FEWEST_VIEWS, MOST_PAIRS, FEWEST_SEEN = 30, 6, 250_000, 20
+ASTRAY = 20.0  # sigmas of a pixel; of a loop's observations, before its map is adjusted, none or one is
 FAR_OFF = 3.0  # times a pixel's sigma: what is beyond its 99 % bound is no observation of that point
 
 
@@ -75,9 +77,11 @@ class GlobalAdjustment:
         if camera is not None and said_k1 is not None:
             lens.add_variable(graph, values, camera, said_k1)
             self._points = _firm(world, self._points, config)
-        used: dict[int, list[int]] = {}  # points of each keyframe, by the views that are chosen
+        used: dict[int, list[int]] = {}  # points of each keyframe, by the views that are used
         self._through: dict[int, list[int]] = {}  # points of each keyframe that tell the lens
-        for p, views in choose_views(world, self._points).items():
+        near = _within_reach(world, choose_views(world, self._points), config)
+        self._points = list(near)
+        for p, views in near.items():
             values.insert(L(p), world.points[p].position)
             for k in views:
                 keyframe = world.keyframes[k]
@@ -258,6 +262,25 @@ def choose_views(world: GlobalMap, points: list[int]) -> dict[int, list[int]]:
             for p in more[: FEWEST_SEEN - len(mine)]:
                 views[p] = sorted([*views[p], k])
     return views
+
+
+def _within_reach(
+    world: GlobalMap, views: dict[int, list[int]], config: BackendConfig
+) -> dict[int, list[int]]:
+    """The points that two views see or more which are no more than ASTRAY off, and those views.
+
+    A robust kernel lets a mismatch pull a little, however far off it is. That is nothing beside what a map
+    is sure of. But where a camera has turned on the spot little says how large what came after is beside
+    what was before, and two of them have halved it.
+    """
+    places = {p: world.points[p].position for p in views}
+    seen = [(k, p, world.keyframes[k].observed[p]) for p, of in views.items() for k in of]
+    if not seen:
+        return views
+    wide = replace(config, pixel_sigma=ASTRAY / math.sqrt(CHI2_2D_99) * config.pixel_sigma)
+    astray = set(outliers(world, {}, places, seen, wide))
+    near = {p: [k for k in of if (k, p) not in astray] for p, of in views.items()}
+    return {p: of for p, of in near.items() if len(of) >= 2}
 
 
 def _most_views(counts: NDArray[np.intp]) -> int:

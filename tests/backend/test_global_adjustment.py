@@ -122,6 +122,28 @@ def test_a_gross_outlier_is_found_and_dropped():
     check(world)
 
 
+def test_what_is_hundreds_of_pixels_off_pulls_at_nothing():
+    _, world = shaken()
+    _, without = shaken()
+    keyframe = world.keyframes[0]
+    astray = [p for p in sorted(keyframe.observed) if len(world.points[p].keyframes) >= 4][:2]
+    for p in astray:
+        keyframe.pixels[keyframe.observed[p]] += 300.0
+        without.drop_observation(0, p)
+    adjusted = run(world)
+    for k, pose in run(without).poses.items():
+        assert adjusted.poses[k] == pytest.approx(pose, abs=2e-4)  # where it stops
+    assert {(0, p) for p in astray} <= set(apply(world, adjusted, CONFIG))
+
+
+def test_of_a_point_that_one_view_is_left_of_nothing_is_said():
+    _, world = shaken(sigma=0.0)
+    p = next(p for p, point in world.points.items() if len(point.keyframes) == 2)
+    keyframe = world.keyframes[min(world.points[p].keyframes)]
+    keyframe.pixels[keyframe.observed[p]] += 300.0
+    assert p not in run(world).points
+
+
 @pytest.mark.parametrize("count", [1, 2])
 def test_too_few_keyframes_are_left_alone(count):
     _, world = shaken(count, sigma=0.0)
