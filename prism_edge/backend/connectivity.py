@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import heapq
 import math
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalMap
+from prism_edge.geometry.poses import rotation_angle
 
 Ids = NDArray[np.int64]
 Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and how many points they share
@@ -17,6 +20,13 @@ MANY_SHARED = 50  # every such pair is tied; of the others each keyframe with it
 BEST_FEW = 3
 FEW_SHARED = 10  # fewer may be chance matches: they tie nothing
 LOOPED = 30.0  # shared points that a loop counts as
+
+
+class Way(NamedTuple):
+    """From one keyframe to another."""
+
+    length: float  # map units
+    turned: float  # rad, all turns added up
 
 
 def hanging_together(world: GlobalMap, keyframe: int) -> set[int]:
@@ -104,22 +114,34 @@ def tied_parts(world: GlobalMap, loops: list[tuple[int, int]]) -> list[set[int]]
     return found
 
 
-def ways(world: GlobalMap, by: Ties, start: int) -> dict[int, float]:
-    """How far it is (map units) from one keyframe to others by way of ties as strong as a loop at least."""
-    near: dict[int, list[tuple[int, float]]] = {}
+def ways(world: GlobalMap, by: Ties, start: int) -> dict[int, Way]:
+    """The shortest way from one keyframe to others by ties as strong as a loop at least."""
+    near: dict[int, list[tuple[int, Way]]] = {}
     for (a, b), shared in by.items():
         if shared >= LOOPED:
-            here, there = world.keyframes[a].world_from_camera, world.keyframes[b].world_from_camera
-            step = math.dist(here[:3, 3], there[:3, 3])
+            step = _step(world, a, b)
             near.setdefault(a, []).append((b, step))
             near.setdefault(b, []).append((a, step))
-    found: dict[int, float] = {}
-    front = [(0.0, start)]
+    found: dict[int, Way] = {}
+    front = [(0.0, 0.0, start)]
     while front:
-        way, k = heapq.heappop(front)
+        length, turned, k = heapq.heappop(front)
         if k not in found:
-            found[k] = way
+            found[k] = Way(length, turned)
             for other, step in near.get(k, []):
                 if other not in found:
-                    heapq.heappush(front, (way + step, other))
+                    heapq.heappush(front, (length + step.length, turned + step.turned, other))
     return found
+
+
+def own_way(world: GlobalMap, one: int, other: int) -> Way:
+    """The camera's own between two keyframes; its turns by those that are left of what it made there."""
+    first, last = sorted((one, other))
+    passed = [k for k in sorted(world.keyframes) if first <= k <= last]
+    travelled = abs(world.keyframes[other].travelled - world.keyframes[one].travelled)
+    return Way(travelled, sum(_step(world, a, b).turned for a, b in pairwise(passed)))
+
+
+def _step(world: GlobalMap, one: int, other: int) -> Way:
+    here, there = world.keyframes[one].world_from_camera, world.keyframes[other].world_from_camera
+    return Way(math.dist(here[:3, 3], there[:3, 3]), rotation_angle(here[:3, :3].T @ there[:3, :3]))

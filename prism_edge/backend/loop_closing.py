@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from prism_edge.backend import global_adjustment, pose_graph
-from prism_edge.backend.connectivity import reachable, tied_parts, ties, ways
+from prism_edge.backend.connectivity import Way, reachable, tied_parts, ties, ways
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common, radial
@@ -68,7 +67,7 @@ class LoopCloser:
         self.accepted: list[Accepted] = []
         self._unconfirmed: list[Loop] = []
         self._part: set[int] | None = None  # what hangs together with the query,
-        self._ways: dict[int, float] = {}  # ... and how far it is there (:func:`ways`)
+        self._ways: dict[int, Way] = {}  # ... and how far it is there (:func:`ways`)
         self._adjustment: GlobalAdjustment | None = None
         self._wanted = False  # there is something that no global adjustment has seen
         self._last_begun = -REST
@@ -126,7 +125,7 @@ class LoopCloser:
         recent = [other for other in self._unconfirmed if abs(loop.query - other.query) <= PATIENCE]
         self._unconfirmed = recent
         apart = not self._connected(loop)
-        if not apart and not plausible(self._world, loop, self._ways.get(loop.candidate, math.inf)):
+        if not apart and not plausible(self._world, loop, self._ways.get(loop.candidate)):
             log.info("loop %d-%d asks for more drift than there can be", loop.query, loop.candidate)
             return False
         self._unconfirmed = [*recent, loop]  # what can't be is no witness of what barely can

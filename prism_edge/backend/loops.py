@@ -8,13 +8,13 @@ between can have brought (:func:`plausible`).
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.backend.connectivity import Way, own_way
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.field_of_view import in_image
 from prism_edge.geometry.poses import Array, inverse, normalised, rotation_angle, scaled, transform
@@ -38,7 +38,9 @@ NEIGHBOUR_ANGLE, NEIGHBOUR_SHIFT = np.radians(3.0), 0.1  # how far they may disa
 MIN_FRESH = 10  # points that the query did not know: else nothing would be closed
 MIN_SCALED = 10  # points seen from both ends that tell the ratio of their units
 DRIFT_SHARE, DRIFT_DEPTHS = 0.15, 0.3  # of the way between; of the median depth
-TURN_DRIFT, TURN_DRIFT_PER_DEPTH = np.radians(10.0), np.radians(0.5)
+# And of turns: what the camera turned by on the way goes wrong by the share that a focal length or an unsaid
+# rolling shutter is off by.
+TURN_DRIFT, TURN_DRIFT_PER_DEPTH, TURN_SHARE = np.radians(10.0), np.radians(0.5), 0.05
 
 
 @dataclass(frozen=True)
@@ -83,22 +85,21 @@ def verify(
     return Loop(query, candidate, found.world_from_camera, scale, sigma, len(pairs), agreeing, pairs)
 
 
-def plausible(world: GlobalMap, loop: Loop, shortest: float = math.inf) -> bool:
+def plausible(world: GlobalMap, loop: Loop, shortest: Way | None = None) -> bool:
     """Whether drift along the way from candidate to query can be as large as the loop says.
 
-    The way is the camera's own, or the ``shortest`` (map units) by keyframes that hold on to each
-    other: its own grows without end where it only stands and looks.
+    The way is the camera's own, or the ``shortest`` by keyframes that hold on to each other where that is
+    shorter, or turns less: its own grows without end where it only stands and looks about.
     """
-    query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
-    way = min(abs(query.travelled - candidate.travelled), shortest)
+    query = world.keyframes[loop.query]
+    own = own_way(world, loop.candidate, loop.query)
+    length, turned = own if shortest is None else map(min, own, shortest)
     depth = median_depth(world, query)
     motion = inverse(query.world_from_camera) @ loop.world_from_query
     shift = float(np.linalg.norm(query.world_from_camera[:3, 3] - loop.world_from_query[:3, 3]))
-    turn = rotation_angle(motion[:3, :3])
-    return (
-        shift <= DRIFT_SHARE * way + DRIFT_DEPTHS * depth
-        and turn <= TURN_DRIFT + TURN_DRIFT_PER_DEPTH * way / max(depth, 1e-9)
-    )
+    most_turn = TURN_DRIFT + TURN_DRIFT_PER_DEPTH * length / max(depth, 1e-9) + TURN_SHARE * turned
+    most_shift = DRIFT_SHARE * length + DRIFT_DEPTHS * depth
+    return shift <= most_shift and rotation_angle(motion[:3, :3]) <= most_turn
 
 
 def median_depth(world: GlobalMap, keyframe: GlobalKeyframe) -> float:

@@ -58,6 +58,7 @@ class LocalMap:
         self.keyframes: dict[int, LocalKeyframe] = {}
         self.changes = Changes()
         self.heard = -1  # the newest keyframe that a correction knew
+        self.announced = -1  # the newest whose message has gone out: what it gains later must be told apart
         self.has_baseline = False  # whether a frame has seen enough points from two sides (baseline.py)
 
     def newest(self) -> LocalKeyframe:
@@ -131,6 +132,9 @@ class LocalMap:
         keyframe.points[keypoints] = ids
         self._refresh_appearance(keyframe, keypoints, self.points.rows(ids))
         self.changes.new_points.append(ids)
+        if keyframe.id <= self.announced:
+            pairs = zip(ids.tolist(), keypoints.tolist(), strict=True)
+            self.changes.late += [(point, keyframe.id, keypoint) for point, keypoint in pairs]
         return ids
 
     def add_observation(self, point: int, row: int, keyframe: LocalKeyframe, keypoint: int) -> None:

@@ -12,6 +12,7 @@ from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.triangulation import rays
 
 MAX_EDGE_RATIO = 1.25  # of depths round a pixel: beyond it the pixel straddles an edge
+ANYWHERE = 0.5  # sigma of a log depth that nobody knows
 MIN_ALIGNED = 20  # triangulated points that make a keyframe's own ratio better than the filter's
 
 
@@ -60,7 +61,7 @@ def seed_from_depth(
             at = keypoints[told]
             alignment = DepthAlignment.of(raw[at], map_depth[told], metres[at], size)
             if not alignment.overall.informative:
-                return np.zeros(0, np.int64)
+                return seed_at_middle(world, keyframe, most)
     keyframe.metres = np.where(good, metres, 0.0)
     free = keyframe.free()
     chosen: Index = free[good[free]][:most]
@@ -71,3 +72,18 @@ def seed_from_depth(
         units, sigma = alignment.at(raw[chosen])
     local = rays(keyframe.camera, keyframe.features.pixels[chosen]) * (metres[chosen] * units)[:, None]
     return world.add_points(keyframe, chosen, transform(keyframe.world_from_camera, local), sigma, 0.0)
+
+
+def seed_at_middle(world: LocalMap, keyframe: LocalKeyframe, most: int) -> Ids:
+    """Where depth is of no use: add points at the median depth of those seen, until there are ``most``.
+
+    A camera that turns needs something to hold on to, and what a point says of turns it says wherever on its
+    ray it is. One with points enough has no need of them.
+    """
+    seen = len(keyframe.observed())
+    free = keyframe.free()[: max(most - seen, 0)]
+    if not seen or len(free) == 0:
+        return np.zeros(0, np.int64)
+    local = rays(keyframe.camera, keyframe.features.pixels[free]) * world.median_depth(keyframe)
+    sigma = np.full(len(free), ANYWHERE)
+    return world.add_points(keyframe, free, transform(keyframe.world_from_camera, local), sigma, 0.0)

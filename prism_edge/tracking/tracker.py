@@ -33,7 +33,7 @@ from prism_edge.tracking.reference import Reference
 from prism_edge.tracking.relocalisation import Relocaliser
 from prism_edge.tracking.rolling_shutter import RollingShutter
 from prism_edge.tracking.second_look import look_again
-from prism_edge.tracking.seeding import seed_from_depth
+from prism_edge.tracking.seeding import seed_at_middle, seed_from_depth
 from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.unheard import adjust_unheard
 
@@ -64,7 +64,6 @@ class Tracker:
         self.may_map = True  # False: the map stays as it is, wherever the camera goes
         self.epoch, self.log_scale = first_id, 0.0
         self._next_keyframe = first_id
-        self._announced = -1  # newest keyframe whose message has gone out
         self.last: TrackedFrame | None = None
         self.motion, self._shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
         self._seen_at: int | None = None  # stamp of the last tracked frame
@@ -313,8 +312,8 @@ class Tracker:
         return self._at.keyframe(self.world, self.parts)
 
     def announced(self, keyframe: LocalKeyframe) -> None:
-        """Its message has gone out: what it gains later must be told apart."""
-        self._announced = keyframe.id
+        """Its message has gone out."""
+        self.world.announced = keyframe.id
 
     # -- what other processes contribute ----------------------------------------------------------
 
@@ -330,9 +329,6 @@ class Tracker:
         ids = seed_from_depth(
             self.world, keyframe, depth, image_to_depth, float(np.exp(-self.log_scale)), relative_sigma, most
         )
-        if keyframe.id <= self._announced:
-            keypoint_of = dict(zip(keyframe.points.tolist(), range(len(keyframe.points)), strict=True))
-            self.world.changes.late += [(point, keyframe.id, keypoint_of[point]) for point in ids.tolist()]
         if first and len(ids) < self._config.min_matches:
             self._first.has_no_depth(keyframe_id)
         elif first:
@@ -350,6 +346,10 @@ class Tracker:
     def add_no_depth(self, keyframe_id: int) -> None:
         """What the network has for a keyframe is of no use."""
         self._first.has_no_depth(keyframe_id)
+        keyframe = self.world.keyframes.get(keyframe_id)
+        if keyframe is not None:
+            seed_at_middle(self.world, keyframe, self._config.features // 3)
+            self._since_refresh = REFRESH_FRAMES
 
     def recognise(self, keyframe: int, descriptor: F32, network: str = "") -> None:
         """Take the network's descriptor of a keyframe; below 0, of what a lost camera saw."""
@@ -380,8 +380,8 @@ class Tracker:
         self.initialised, self._lost, self._looked_ns, self._looking_at = True, True, 0, 0
         self._began_at = None
         self._lens = world.newest().camera
-        self._announced = max(world.keyframes)
-        self._next_keyframe = max(self._next_keyframe, beyond(self._announced))
+        world.announced = max(world.keyframes)
+        self._next_keyframe = max(self._next_keyframe, beyond(world.announced))
         self.world.points.leave_room(self._next_keyframe)
         self._at.move_to(world.newest(), world, parts, world.newest().stamp_ns)
 

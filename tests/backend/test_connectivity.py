@@ -13,6 +13,7 @@ from prism_edge.backend.connectivity import (
     LOOPED,
     MANY_SHARED,
     hanging_together,
+    own_way,
     parts_of,
     reachable,
     shared_points,
@@ -98,13 +99,26 @@ def test_a_chance_match_ties_nothing() -> None:
 
 def test_the_way_is_the_shortest_by_strong_ties() -> None:
     world = two_chains()
-    assert ways(world, ties(world, []), 1) == pytest.approx({k: 0.3 * abs(k - 1) for k in range(6)})
+    found = ways(world, ties(world, []), 1)
+    lengths = {k: way.length for k, way in found.items()}
+    assert lengths == pytest.approx({k: 0.3 * abs(k - 1) for k in range(6)})
     world.keyframes[3].world_from_camera[:3, 3] = (0.9, 40.0, 0.0)  # all go round by it
-    assert ways(world, ties(world, []), 5)[1] > 79.0
-    assert ways(world, ties(world, [(1, 5)]), 5)[1] == pytest.approx(1.2)
+    assert ways(world, ties(world, []), 5)[1].length > 79.0
+    assert ways(world, ties(world, [(1, 5)]), 5)[1].length == pytest.approx(1.2)
     assert 100 not in ways(world, ties(world, []), 0)
     weak = dict.fromkeys(ties(world, []), LOOPED - 1)
-    assert ways(world, weak, 0) == {0: 0.0}
+    assert ways(world, weak, 0) == {0: (0.0, 0.0)}
+
+
+def test_a_way_turns_by_all_its_turns() -> None:
+    """There and back, too."""
+    poses = [pose_at(0.1 * i, 0.0, 0.0, 0.0, 0.1 * (i % 2)) for i in range(6)]
+    world = chain(poses)
+    for k, keyframe in world.keyframes.items():
+        keyframe.travelled = 2.0 * k
+    along = {(k, k + 1): LOOPED for k in range(5)}
+    assert ways(world, along, 0)[5] == pytest.approx((0.5, 0.5), rel=0.01)
+    assert own_way(world, 5, 1) == pytest.approx((8.0, 0.4))
 
 
 def test_a_part_ends_where_points_are_fused_with_the_first_ones() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import loops
+from prism_edge.backend.connectivity import Way
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop, Surroundings, _first_pose, plausible, verify
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
@@ -124,6 +125,31 @@ def test_how_much_drift_is_believed_does_not_depend_on_the_map_s_unit(unit):
         there = world.keyframes[5].world_from_camera.copy()
         there[1, 3] += asked * unit
         assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, [])) == believed
+
+
+@pytest.mark.parametrize(("each_deg", "asked_deg"), [(0.0, 10.7), (30.0, 18.2)])
+def test_who_has_turned_much_may_have_turned_wrongly(each_deg, asked_deg):
+    """10 degrees, half of one a depth, and a twentieth of what the camera turned by to and fro."""
+    each = np.radians(each_deg)
+    world = chain([pose_at(0.3 * i, 0.0, 0.0, 0.0, each * (i % 2)) for i in range(6)])
+    depth = loops.median_depth(world, world.keyframes[5])
+    for k, keyframe in world.keyframes.items():
+        keyframe.travelled = 0.28 * depth * k
+    for asked, believed in ((asked_deg - 0.1, True), (asked_deg + 0.1, False)):
+        turn = pose_at(0.0, 0.0, 0.0, 0.0, np.radians(asked))
+        there = world.keyframes[5].world_from_camera @ turn
+        assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, [])) == believed
+
+
+def test_the_shorter_way_is_what_counts(monkeypatch):
+    world = chain([pose_at(0.3 * i) for i in range(6)])
+    for k, keyframe in world.keyframes.items():
+        keyframe.travelled = 100.0 * k
+    there = world.keyframes[5].world_from_camera.copy()
+    there[1, 3] += 8.0
+    loop = Loop(5, 0, there, 1.0, 0.01, 50, 3, [])
+    assert plausible(world, loop)
+    assert not plausible(world, loop, Way(1.5, 0.0))
 
 
 def test_points_seen_from_nearer_by_are_looked_for_on_higher_levels():

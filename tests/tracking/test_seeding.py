@@ -9,7 +9,7 @@ from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.seeding import sample_depth, seed_from_depth
+from prism_edge.tracking.seeding import ANYWHERE, sample_depth, seed_at_middle, seed_from_depth
 from tests.tracking.cloud import pose_at
 
 WIDE = (0.25, -0.375, 0.25, -0.375)  # a network at a quarter of the size, outer corners in line
@@ -146,12 +146,27 @@ def test_nothing_usable_seeds_nothing():
 
 
 def test_of_a_network_that_does_not_tell_near_from_far_nothing_is_kept():
-    world, keyframe = keyframe_of(CAMERAS[0], np.eye(4))
+    """What few points leave free is somewhere in the middle of what they see."""
+    pose = pose_at(0.3, -0.2, 0.5, 0.1, 0.2, -0.1)
+    world, keyframe = keyframe_of(CAMERAS[0], pose)
     firm = np.arange(60)
     rays = CAMERAS[0].normalise(keyframe.features.pixels[firm])
     depths = np.random.default_rng(3).uniform(2.0, 20.0, 60)
     places = np.column_stack([rays, np.ones(60)]) * depths[:, None]
-    world.add_points(keyframe, firm, places, np.full(60, 0.01), 5.0)
+    world.add_points(keyframe, firm, transform(pose, places), np.full(60, 0.01), 5.0)
     flat = np.full((120, 160), 5.0, np.float32)
-    assert len(seed_from_depth(world, keyframe, flat, np.array(WIDE), 1.0, 0.2, 100)) == 0
+    assert len(seed_from_depth(world, keyframe, flat, np.array(WIDE), 1.0, 0.2, 60)) == 0
+    ids = seed_from_depth(world, keyframe, flat, np.array(WIDE), 1.0, 0.2, 100)
     assert keyframe.metres is None
+    assert len(ids) == 40
+    rows = world.points.rows(ids)
+    local = transform(inverse(pose), world.points.position[rows])
+    assert local[:, 2] == pytest.approx(np.median(depths))
+    seen = keyframe.features.pixels[world.points.reference_keypoint[rows]]
+    assert CAMERAS[0].project(local) == pytest.approx(seen, abs=1e-6)
+    assert (world.points.log_depth_sigma[rows] == ANYWHERE).all()
+
+
+def test_a_keyframe_that_sees_nothing_has_no_middle():
+    world, keyframe = keyframe_of(CAMERAS[0], np.eye(4))
+    assert len(seed_at_middle(world, keyframe, 100)) == 0

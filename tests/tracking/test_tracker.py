@@ -10,7 +10,7 @@ from prism_edge.messages import INITIALISING, OK
 from prism_edge.tracking.announcement import keyframe_message
 from tests.synthetic.messages import map_update
 from tests.tracking.cloud import check, pose_at
-from tests.tracking.film_run import BLACK, Run
+from tests.tracking.film_run import BLACK, CONFIG, Run
 from tests.tracking.footage import IDENTITY, footage
 
 
@@ -182,6 +182,22 @@ def test_depth_for_an_announced_keyframe_is_told_with_the_next():
     assert len(late) == count
     points = run.tracker.world.keyframes[0].points
     assert all(k == 0 and points[keypoint] == p for p, k, keypoint in late)
+
+
+def test_a_keyframe_whose_depth_is_of_no_use_is_given_points_all_the_same():
+    """It would be lost in the next turn; and the backend hears of them."""
+    run = Run()
+    run.play(range(30), depth_for="first")
+    world = run.tracker.world
+    keyframe = world.newest()
+    lost = keyframe.observed()[5:]
+    world.cull_points(world.points.rows(keyframe.points[lost]))
+    keyframe_message(run.tracker, keyframe)
+    run.tracker.add_no_depth(keyframe.id)
+    assert len(keyframe.observed()) == CONFIG.features // 3
+    told = [(point, keypoint) for point, k, keypoint in world.changes.late if k == keyframe.id]
+    assert len(told) == CONFIG.features // 3 - 5
+    assert all(keyframe.points[keypoint] == point for point, keypoint in told)
 
 
 def test_a_correction_moves_the_map_and_the_last_frame_alike():
