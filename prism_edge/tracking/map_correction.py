@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Iterable
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import PINHOLE, Camera
-from prism_edge.geometry.poses import Array, inverse, normalised, transform
+from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import TrackedFrame
@@ -23,6 +24,7 @@ from prism_edge.tracking.submaps import Parts
 log = logging.getLogger("prism_edge.tracking")
 
 MIN_COMMON = 15
+RIGID = 1e-9  # what a motion's scale may be off one by rounding
 
 
 def see_through(lens: Camera, views: Iterable[LocalKeyframe | TrackedFrame]) -> None:
@@ -65,10 +67,7 @@ def take_over(
     world: LocalMap, parts: Parts, update: MapUpdate, last: TrackedFrame | None, scale_factors: Array
 ) -> bool:
     """Do to the map, its parts and the last frame what the backend did; True where points became others."""
-    motion = apply_correction(
-        world, update.based_on, update.keyframes, update.poses,
-        update.points, update.positions, update.parallax_deg, scale_factors, update.everything, parts,
-    )
+    motion = apply_correction(world, update, scale_factors, parts)
     world.weigh(update.points, update.weights)
     world.drop_observations(update.dropped_keyframes, update.dropped_points)
     became = join(world, update)
@@ -79,62 +78,56 @@ def take_over(
     if last is not None:
         if became:
             last.points = _renamed(last.points, became)
-        start = motion @ last.world_from_camera
+        start = _carried(motion, last.world_from_camera)
         last.world_from_camera = fit(world, last.camera, last.features, last.points, start, scale_factors)
     return bool(became)
 
 
 def apply_correction(
-    world: LocalMap,
-    based_on: int,
-    keyframe_ids: Ids,
-    poses: NDArray[np.float64],
-    point_ids: Ids,
-    positions: NDArray[np.float64],
-    parallax_deg: NDArray[np.float32],
-    scale_factors: Array,
-    everything: bool = False,
-    parts: Parts | None = None,
+    world: LocalMap, update: MapUpdate, scale_factors: Array, parts: Parts | None = None
 ) -> Array:
     """Move keyframes and points to where the backend put them.
 
-    Points that are not among ``point_ids`` go with the keyframe that created them or, where that was culled,
-    with the next newer one. A keyframe newer than ``based_on``, which the backend had not seen, is fitted to
-    what it observes of corrected points and of those that others took along, and takes its own along. So is,
-    where ``everything`` that the backend has is named, an older one that is not: it has never heard of that
-    (but of those before the first that it has, nothing says where they belong). ``parts`` are those of before
-    (all one if None): a part may be moved by metres, and takes nothing of another along.
-    Returns the rigid motion (4, 4) of the newest keyframe of the camera's part, new world from old.
+    Points that are not among the update's go with the keyframe that created them or, where that was culled,
+    with the next newer one. A keyframe newer than what it is based on, which the backend had not seen, is
+    fitted to what it observes of corrected points and of those that others took along, and takes its own
+    along. So is, where everything that the backend has is named, an older one that is not: it has never heard
+    of that (but of those before the first that it has, nothing says where they belong). ``parts`` are those
+    of before (all one if None): a part may be moved by metres, and takes nothing of another along. One that a
+    loop joins to another is of another size then, and so is what goes along with it.
+    Returns the motion (4, 4) of the newest keyframe of the camera's part, new world from old: a similarity.
     """
-    index = {int(k): i for i, k in enumerate(keyframe_ids)}
-    world.heard = max(world.heard, based_on)
+    index = {int(k): i for i, k in enumerate(update.keyframes)}
+    world.heard = max(world.heard, update.based_on)
     table = world.points
-    known = table.known(point_ids)
-    rows = table.rows(point_ids[known])
-    table.position[rows] = positions[known]
-    table.parallax_deg[rows] = np.maximum(parallax_deg[known], table.parallax_deg[rows])
+    known = table.known(update.points)
+    rows = table.rows(update.points[known])
+    table.position[rows] = update.positions[known]
+    table.parallax_deg[rows] = np.maximum(update.parallax_deg[known], table.parallax_deg[rows])
     corrected = np.zeros(len(table), bool)
     corrected[rows] = True
     keyframes = [world.keyframes[k] for k in sorted(world.keyframes)]
     owner = _owners(table.reference, [keyframe.id for keyframe in keyframes])
     follows = table.alive & ~corrected
+    parts = parts or Parts()
+    part = [parts.of(keyframe.id) for keyframe in keyframes]
+    growth = _growth(update, parts)
     motions = np.tile(np.eye(4), (len(keyframes), 1, 1))
     placed = np.zeros(len(keyframes), bool)
     for i, keyframe in enumerate(keyframes):
         if keyframe.id in index:
-            pose = poses[index[keyframe.id]]
-            motions[i], placed[i] = pose @ inverse(keyframe.world_from_camera), True
+            pose = update.poses[index[keyframe.id]]
+            motions[i] = _similarity(keyframe.world_from_camera, pose, growth.get(part[i], 1.0))
+            placed[i] = True
             keyframe.world_from_camera = pose
     mine = np.flatnonzero(follows & placed[owner])
     along = motions[owner[mine]]
     turned = np.einsum("nij,nj->ni", along[:, :3, :3], table.position[mine])
     table.position[mine] = turned + along[:, :3, 3]
-    parts = parts or Parts()
-    part = [parts.of(keyframe.id) for keyframe in keyframes]
     moved = {part[row]: motions[row] for row in np.flatnonzero(placed)}  # of each part's newest
-    unheard = _unheard(keyframes, placed, based_on) if everything else np.zeros(len(keyframes), bool)
+    unheard = _unheard(keyframes, placed, update.based_on) if update.everything else np.zeros_like(placed)
     for i, keyframe in enumerate(keyframes):
-        if placed[i] or (keyframe.id <= based_on and not unheard[i]):
+        if placed[i] or (keyframe.id <= update.based_on and not unheard[i]):
             continue
         old = keyframe.world_from_camera
         # What other keyframes created is in its new place by now, corrected or taken along.
@@ -143,9 +136,10 @@ def apply_correction(
         else:
             start, settled = moved.get(part[i], np.eye(4)), corrected | (table.reference != keyframe.id)
         keyframe.world_from_camera = fit(
-            world, keyframe.camera, keyframe.features, keyframe.points, start @ old, scale_factors, settled
-        )
-        motions[i] = keyframe.world_from_camera @ inverse(old)
+            world, keyframe.camera, keyframe.features, keyframe.points, _carried(start, old), scale_factors,
+            settled,
+        )  # fmt: skip
+        motions[i] = _similarity(old, keyframe.world_from_camera, growth.get(part[i], 1.0))
         mine = np.flatnonzero(follows & (owner == i))
         table.position[mine] = transform(motions[i], table.position[mine])
         if unheard[i]:
@@ -157,6 +151,28 @@ def apply_correction(
         sigma = depth_sigma(world.newest().camera.fx, angle)
         table.log_depth_sigma[rows] = np.minimum(table.log_depth_sigma[rows], sigma)
     return moved.get(parts.current, np.eye(4))
+
+
+def _growth(update: MapUpdate, parts: Parts) -> dict[int, float]:
+    """The part, if any, that a loop joins to an older one, and by how much its lengths grow."""
+    if update.loop_query < 0 or not len(update.loop_units):
+        return {}
+    old, new = parts.of_both(update.loop_query, update.loop_candidate)
+    return {} if old == new else {new: math.exp(float(update.loop_units[0]))}
+
+
+def _similarity(before: Array, now: Array, growth: float) -> Array:
+    """What takes points from where a camera saw them to where it does now, ``growth`` times as far away."""
+    larger = np.diag([growth, growth, growth, 1.0])
+    motion: Array = now @ larger @ inverse(before)
+    return motion
+
+
+def _carried(similarity: Array, pose: Array) -> Array:
+    """A camera's pose, moved."""
+    moved: Array = similarity @ pose
+    growth = float(np.cbrt(np.linalg.det(similarity[:3, :3])))
+    return moved if abs(growth - 1.0) < RIGID else from_rt(moved[:3, :3] / growth, moved[:3, 3])
 
 
 def _owners(references: Ids, keyframes: list[int]) -> Index:

@@ -70,12 +70,17 @@ class Parts:
         if votes:
             self.current = max(sorted(votes), key=lambda part: votes[part])
 
+    def of_both(self, one: int, other: int) -> tuple[int, int]:
+        """The parts of two keyframes, which may have left the map lately: the older part, the newer."""
+        old, new = sorted(self._of.get(end, self._culled.get(end, HOME)) for end in (one, other))
+        return old, new
+
     def merge(self, one: int, other: int, units: Array | None = None) -> bool:
         """Two keyframes turned out to see one place: the newer part becomes of the older. False: it was.
 
         ``units`` (2,), where they are known: log of the newer one's unit in the older one's, and its sigma.
         """
-        old, new = sorted(self._of.get(end, self._culled.get(end, HOME)) for end in (one, other))
+        old, new = self.of_both(one, other)
         if old == new:
             return False
         if units is not None and len(units):

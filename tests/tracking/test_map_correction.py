@@ -8,6 +8,7 @@ import pytest
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.map_correction import _renamed, apply_correction, fit, join
+from prism_edge.tracking.submaps import Parts
 from tests.synthetic.messages import map_update
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, check, pose_at
 
@@ -15,7 +16,7 @@ MOTION = pose_at(0.3, -0.2, 0.1, 0.02, 0.1, -0.05)
 POSES = [pose_at(0.3 * i, 0.0, 0.0, 0.0, -0.04 * i) for i in range(6)]
 
 
-def apply(world, based_on, keyframes, points, motion=MOTION, parallax_deg=0.0):
+def apply(world, based_on, keyframes, points, motion=MOTION, parallax_deg=0.0, parts=None, **more):
     """The correction that moves these keyframes and points rigidly."""
     rows = world.points.rows(points)
     # as they arrive: arrays that can't be written to
@@ -24,9 +25,11 @@ def apply(world, based_on, keyframes, points, motion=MOTION, parallax_deg=0.0):
     parallax = np.full(len(points), parallax_deg, np.float32)
     for array in (poses, positions, parallax):
         array.flags.writeable = False
-    return apply_correction(
-        world, based_on, np.array(keyframes, np.int64), poses, points, positions, parallax, FACTORS
-    )
+    update = map_update(
+        based_on, keyframes=np.array(keyframes, np.int64), poses=poses,
+        points=points, positions=positions, parallax_deg=parallax, **more,
+    )  # fmt: skip
+    return apply_correction(world, update, FACTORS, parts)
 
 
 def test_a_rigid_motion_of_everything_moves_everything():
@@ -101,6 +104,36 @@ def test_a_newer_keyframe_also_holds_on_to_what_was_taken_along():
         assert np.abs(error).max() < 2e-3
 
 
+def test_a_part_that_a_loop_joins_grows_with_all_that_the_backend_does_not_name():
+    """It was a fifth too small, with a keyframe and its points that are still on their way to the backend."""
+    cloud, growth = Cloud(600, seed=1), 1.25
+    world, _ = cloud.mapped(POSES)
+    table, true = world.points, world.points.position.copy()
+    part = table.reference >= 3
+    smaller = inverse(MOTION)
+    table.position[part] = transform(smaller, true[part]) / growth
+    for k, keyframe in world.keyframes.items():
+        other = part if k < 3 else ~part  # what the one has seen the other has not
+        keyframe.points[np.isin(keyframe.points, table.ids[other])] = -1
+        if k >= 3:
+            keyframe.world_from_camera = smaller @ POSES[k]
+            keyframe.world_from_camera[:3, 3] /= growth
+    last = inverse(MOTION) @ POSES[5]
+    last[:3, 3] /= growth
+    named = table.ids[part & (table.reference < 5)][::3].copy()
+    update = map_update(
+        4, keyframes=np.array([3, 4]), poses=np.array([POSES[3], POSES[4]]),
+        points=named, positions=true[table.rows(named)], parallax_deg=np.zeros(len(named), np.float32),
+        loop_query=4, loop_candidate=1, loop_units=np.array([np.log(growth), 0.01]),
+    )  # fmt: skip
+    parts = Parts.given({3: 3, 4: 3, 5: 3})
+    parts.current = 3
+    motion = apply_correction(world, update, FACTORS, parts)
+    assert table.position == pytest.approx(true, abs=5e-3)
+    assert world.keyframes[5].world_from_camera == pytest.approx(POSES[5], abs=2e-3)
+    assert transform(motion, last[:3, 3][None])[0] == pytest.approx(POSES[5][:3, 3], abs=5e-3)
+
+
 def test_newer_keyframes_that_share_too_little_are_carried():
     cloud = Cloud(400, seed=2)
     world, _ = cloud.mapped(POSES[:2])
@@ -131,16 +164,11 @@ def test_what_is_gone_here_is_ignored():
     dead = world.points.position[:20].copy()
     poses = np.array([MOTION @ POSES[0], np.eye(4)])
     named = np.r_[ids, [10_000, 20_000]]
-    apply_correction(
-        world,
-        2,
-        np.array([0, 77]),
-        poses,
-        named,
-        np.zeros((len(named), 3)),
-        np.zeros(len(named), np.float32),
-        FACTORS,
-    )
+    update = map_update(
+        2, keyframes=np.array([0, 77]), poses=poses, points=named, positions=np.zeros((len(named), 3)),
+        parallax_deg=np.zeros(len(named), np.float32),
+    )  # fmt: skip
+    apply_correction(world, update, FACTORS)
     assert 77 not in world.keyframes
     assert np.array_equal(world.points.position[:20], dead)
     assert not world.points.position[20:].any()

@@ -19,6 +19,7 @@ from prism_edge.tracking.tracker import Tracker
 from prism_edge.tracking.unheard import adjust_unheard
 from prism_edge.workers.tracker import _tracking
 from tests.backend.ring import Ring
+from tests.synthetic.messages import map_update
 from tests.tracking.cloud import FACTORS, Cloud, check, pose_at
 from tests.tracking.film_run import CONFIG, Run
 
@@ -248,12 +249,8 @@ def test_the_tracker_does_so_by_itself(least: int, monkeypatch: pytest.MonkeyPat
 def test_a_correction_is_heard() -> None:
     world, _ = bent()
     world.heard = 1
-    nothing = np.zeros(0, np.int64)
     for based_on, heard in ((6, 6), (5, 6)):
-        apply_correction(
-            world, based_on, nothing, np.zeros((0, 4, 4)), nothing, np.zeros((0, 3)), np.zeros(0, np.float32),
-            FACTORS,
-        )  # fmt: skip
+        apply_correction(world, map_update(based_on), FACTORS)
         assert world.heard == heard
 
 

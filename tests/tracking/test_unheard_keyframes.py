@@ -12,6 +12,7 @@ from prism_edge.geometry.poses import inverse, rotation_angle, transform
 from prism_edge.tracking.map_correction import apply_correction, take_over
 from prism_edge.tracking.submaps import Parts
 from tests.backend.ring import Ring
+from tests.synthetic.messages import map_update
 from tests.tracking.cloud import FACTORS, Cloud, check, pose_at
 
 DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
@@ -70,9 +71,11 @@ def test_who_goes_along(everything: bool, named: list[int], moving: list[int]) -
     positions = transform(MOTION, table.position[table.rows(known)])
     poses = np.array([MOTION @ POSES[k] for k in named])
     parallax = np.zeros(len(known), np.float32)
-    motion = apply_correction(
-        world, 5, np.array(named), poses, known, positions, parallax, FACTORS, everything
-    )
+    update = map_update(
+        5, keyframes=np.array(named), poses=poses, points=known, positions=positions, parallax_deg=parallax,
+        everything=everything,
+    )  # fmt: skip
+    motion = apply_correction(world, update, FACTORS)
     assert motion == pytest.approx(MOTION, abs=1e-9)
     for k, pose in enumerate(POSES):
         there = MOTION @ pose if k in moving else pose
