@@ -202,7 +202,7 @@ def _first_pose(
     # Both in the query's camera, so that one calibration serves two cameras.
     calibration = here.camera.matrix
     rays = there.camera.ideal().normalise(there.pixels[its])
-    its_pixels = rays * (here.camera.fx, here.camera.fy) + (here.camera.cx, here.camera.cy)
+    its_pixels = here.camera.to_pixels(rays)
     cv2.setRNGSeed(seed)
     try:
         essential, mask = cv2.findEssentialMat(

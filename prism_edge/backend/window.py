@@ -316,8 +316,7 @@ def outliers(
         pose = poses.get(k, keyframe.world_from_camera)
         local = (places.take([row[p] for p in ids], axis=0) - pose[:3, 3]) @ pose[:3, :3]
         z = np.where(local[:, 2] > 1e-6, local[:, 2], 1e-6)
-        camera = keyframe.camera
-        projected = local[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+        projected = keyframe.camera.to_pixels(local[:, :2] / z[:, None])
         sigma = config.pixel_sigma * keyframe.sigmas[keypoints]
         chi2 = (((projected - keyframe.pixels[keypoints]) / sigma[:, None]) ** 2).sum(axis=1)
         wrong += [(k, ids[i]) for i in np.flatnonzero((chi2 > CHI2_2D_99) | (local[:, 2] <= 1e-6))]

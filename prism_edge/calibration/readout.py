@@ -44,7 +44,7 @@ class ReadoutFit:
         by_pose = _by_pose(camera, points)
         share = (rows + 0.5) / camera.height - 0.5
         by_readout = share[:, None] * (by_pose @ twist)
-        seen = points[:, :2] / points[:, 2:] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+        seen = camera.to_pixels(points[:, :2] / points[:, 2:])
         residual = (pixels - seen) / sigmas[:, None]
         size = np.linalg.norm(residual, axis=1)
         weight = np.minimum(1.0, HUBER / np.maximum(size, 1e-12))

@@ -136,29 +136,32 @@ class Camera:
     def project(self, points: Array) -> Array:
         """Pixels (n, 2) of points (n, 3) in the camera frame; z must be above zero."""
         x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
-        xy = self._distort(np.stack([x, y], axis=1))
+        return self.to_pixels(self._distort(np.stack([x, y], axis=1)))
+
+    def to_pixels(self, xy: Array) -> Array:
+        """Pixels (n, 2) of what is on the plane z = 1 (n, 2): ideal ones, unless a lens has bent that."""
         return xy * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def on_plane(self, pixels: Array) -> Array:
+        """Coordinates (n, 2) on the plane z = 1 of ideal pixels (n, 2): :meth:`to_pixels` undone."""
+        return (np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)) / (self.fx, self.fy)
 
     def normalise(self, pixels: Array) -> Array:
         """Undistorted image coordinates (n, 2) on the plane z = 1 of pixels (n, 2)."""
-        centred = np.asarray(pixels, dtype=np.float64) - (self.cx, self.cy)
-        return self._undistort(centred / (self.fx, self.fy))
+        return self._undistort(self.on_plane(pixels))
 
     def undistort_pixels(self, pixels: Array) -> Array:
         """Pixels (n, 2) where :meth:`ideal` would have seen the same rays."""
         if self.is_ideal:
             return np.asarray(pixels, dtype=np.float64)
-        return self.normalise(pixels) * (self.fx, self.fy) + (self.cx, self.cy)
+        return self.to_pixels(self.normalise(pixels))
 
     def distort_pixels(self, pixels: Array) -> Array:
         """Pixels (n, 2) of the image as taken, of those :meth:`ideal` would have seen; undoes the above."""
         ideal = np.asarray(pixels, dtype=np.float64)
         if self.is_ideal:
             return ideal
-        return self._distort((ideal - (self.cx, self.cy)) / (self.fx, self.fy)) * (self.fx, self.fy) + (
-            self.cx,
-            self.cy,
-        )
+        return self.to_pixels(self._distort(self.on_plane(ideal)))
 
     def _distort(self, xy: Array) -> Array:
         if not any(self.distortion) and self.model == PINHOLE:

@@ -119,5 +119,5 @@ def _facing(camera: Camera, first: Array, second: Array, first_from_second: Arra
 def _reprojects(camera: Camera, view: Array, points: Array, pixels: Array) -> NDArray[np.bool_]:
     local = (points - view[:3, 3]) @ view[:3, :3]
     z = np.where(local[:, 2] > 1e-6, local[:, 2], np.inf)
-    projected = local[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    projected = camera.to_pixels(local[:, :2] / z[:, None])
     return np.linalg.norm(projected - pixels, axis=1) < REPROJECTION_PX

@@ -42,11 +42,10 @@ class RollingShutter:
             return features
         rows = camera.distort_pixels(features.pixels)[:, 1]
         after_s = ((rows + 0.5) / camera.height - 0.5) * self._readout_s
-        focal, centre = (camera.fx, camera.fy), (camera.cx, camera.cy)
         rays = np.ones((len(features), 3))
-        rays[:, :2] = (features.pixels - centre) / focal
+        rays[:, :2] = camera.on_plane(features.pixels)
         rays += after_s[:, None] * (np.cross(twist[3:], rays) + twist[:3] / depth)
-        pixels = rays[:, :2] / np.maximum(rays[:, 2:], LEAST) * focal + centre
+        pixels = camera.to_pixels(rays[:, :2] / np.maximum(rays[:, 2:], LEAST))
         return Features.build(
             pixels, features.octaves, features.descriptors, camera.width, camera.height
         )

@@ -82,7 +82,7 @@ def match_epipolar(
 def _project_at(camera: Camera, camera_from_other: Array, ray: Array, depth: float) -> Array:
     point = ray * depth @ camera_from_other[:3, :3].T + camera_from_other[:3, 3]
     z = np.where(np.abs(point[:, 2]) > 1e-6, point[:, 2], 1e-6)
-    return point[:, :2] / z[:, None] * (camera.fx, camera.fy) + (camera.cx, camera.cy)
+    return camera.to_pixels(point[:, :2] / z[:, None])
 
 
 def triangulate(
