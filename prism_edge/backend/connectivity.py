@@ -116,21 +116,23 @@ def tied_parts(world: GlobalMap, loops: list[tuple[int, int]]) -> list[set[int]]
 
 def ways(world: GlobalMap, by: Ties, start: int) -> dict[int, Way]:
     """The shortest way from one keyframe to others by ties as strong as a loop at least."""
-    near: dict[int, list[tuple[int, Way]]] = {}
+    near: dict[int, list[tuple[int, float]]] = {}
     for (a, b), shared in by.items():
         if shared >= LOOPED:
-            step = _step(world, a, b)
+            here, there = world.keyframes[a].world_from_camera, world.keyframes[b].world_from_camera
+            step = math.dist(here[:3, 3], there[:3, 3])
             near.setdefault(a, []).append((b, step))
             near.setdefault(b, []).append((a, step))
     found: dict[int, Way] = {}
-    front = [(0.0, 0.0, start)]
+    front = [(0.0, start, start)]
     while front:
-        length, turned, k = heapq.heappop(front)
+        length, k, before = heapq.heappop(front)
         if k not in found:
+            turned = found[before].turned + _turn(world, before, k) if found else 0.0
             found[k] = Way(length, turned)
             for other, step in near.get(k, []):
                 if other not in found:
-                    heapq.heappush(front, (length + step.length, turned + step.turned, other))
+                    heapq.heappush(front, (length + step, other, k))
     return found
 
 
@@ -139,9 +141,9 @@ def own_way(world: GlobalMap, one: int, other: int) -> Way:
     first, last = sorted((one, other))
     passed = [k for k in sorted(world.keyframes) if first <= k <= last]
     travelled = abs(world.keyframes[other].travelled - world.keyframes[one].travelled)
-    return Way(travelled, sum(_step(world, a, b).turned for a, b in pairwise(passed)))
+    return Way(travelled, sum(_turn(world, a, b) for a, b in pairwise(passed)))
 
 
-def _step(world: GlobalMap, one: int, other: int) -> Way:
+def _turn(world: GlobalMap, one: int, other: int) -> float:
     here, there = world.keyframes[one].world_from_camera, world.keyframes[other].world_from_camera
-    return Way(math.dist(here[:3, 3], there[:3, 3]), rotation_angle(here[:3, :3].T @ there[:3, :3]))
+    return rotation_angle(here[:3, :3].T @ there[:3, :3])

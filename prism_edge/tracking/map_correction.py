@@ -24,6 +24,7 @@ from prism_edge.tracking.submaps import Parts
 log = logging.getLogger("prism_edge.tracking")
 
 MIN_COMMON = 15
+MOST_GROWTH = math.log(1e3)  # between the units of two parts of a map
 RIGID = 1e-9  # what a motion's scale may be off one by rounding
 
 
@@ -55,6 +56,8 @@ def flaw(update: MapUpdate) -> str:
     for name in ("poses", "positions", "parallax_deg", "weights", "loop_units"):
         if not np.isfinite(getattr(update, name)).all():
             return f"its {name} are not all finite"
+    if len(update.loop_units) and abs(float(update.loop_units[0])) > MOST_GROWTH:
+        return "its parts are of sizes that can't be"
     if len(update.camera):
         try:
             Camera.from_array(PINHOLE, update.camera)

@@ -74,7 +74,9 @@ def test_a_camera_that_is_none_makes_an_update_unusable(camera):
     assert "camera" in flaw(map_update(0, camera=np.array(camera)))
 
 
-@pytest.mark.parametrize(("units", "said"), [([0.1], "two numbers"), ([0.1, np.nan], "finite")])
+@pytest.mark.parametrize(
+    ("units", "said"), [([0.1], "two numbers"), ([0.1, np.nan], "finite"), ([-800.0, 0.1], "sizes that")]
+)
 def test_an_update_whose_units_are_none_is_not_usable(units, said):
     assert said in flaw(map_update(0, loop_units=np.array(units)))
     assert flaw(map_update(0, loop_units=np.array([0.1, 0.01]))) == ""
