@@ -28,7 +28,7 @@ OBSERVATIONS = 250  # of a keyframe at most
 # with their square (288 bytes a pair, for all points at a time: hence MOST_PAIRS). So in a large map of one
 # place fewer are used, down to FEWEST_VIEWS. And of a keyframe at least, where others see the same points.
 MOST_VIEWS, FEWEST_VIEWS, MOST_PAIRS, FEWEST_SEEN = 30, 6, 250_000, 20
-ASTRAY = 20.0  # sigmas of a pixel; of a loop's observations, before its map is adjusted, none or one is
+ASTRAY = 20.0  # sigmas of a pixel; where a loop is to be adjusted, a handful of thousands are
 FAR_OFF = 3.0  # times a pixel's sigma: what is beyond its 99 % bound is no observation of that point
 
 
