@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -18,7 +17,7 @@ from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.sizes import size_factors, sizes
-from prism_edge.backend.window import CHI2_2D_99, CONVERGED, outliers, widest_parallax
+from prism_edge.backend.window import CONVERGED, outliers, widest_parallax
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
 
@@ -28,8 +27,9 @@ OBSERVATIONS = 250  # of a keyframe at most
 # with their square (288 bytes a pair, for all points at a time: hence MOST_PAIRS). So in a large map of one
 # place fewer are used, down to FEWEST_VIEWS. And of a keyframe at least, where others see the same points.
 MOST_VIEWS, FEWEST_VIEWS, MOST_PAIRS, FEWEST_SEEN = 30, 6, 250_000, 20
-ASTRAY = 20.0  # sigmas of a pixel; where a loop is to be adjusted, a handful of thousands are
-FAR_OFF = 3.0  # times a pixel's sigma: what is beyond its 99 % bound is no observation of that point
+# Times a pixel's sigma: what is beyond its 99 % bound (3 sigmas) is no observation of that point, where the
+# lens is unknown, and else. Of the latter there are a handful in thousands where a loop is to be adjusted.
+FAR_OFF, ASTRAY = 3.0, 6.6
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,11 @@ class GlobalAdjustment:
             self._points = _firm(world, self._points, config)
         used: dict[int, list[int]] = {}  # points of each keyframe, by the views that are used
         self._through: dict[int, list[int]] = {}  # points of each keyframe that tell the lens
-        near = _within_reach(world, choose_views(world, self._points), config)
-        self._points = list(near)
-        for p, views in near.items():
+        chosen = choose_views(world, self._points)
+        if camera is None:
+            chosen = _within_reach(world, chosen, config)
+            self._points = list(chosen)
+        for p, views in chosen.items():
             values.insert(L(p), world.points[p].position)
             for k in views:
                 keyframe = world.keyframes[k]
@@ -115,8 +117,8 @@ class GlobalAdjustment:
         self._error_before = self._error = self._optimiser.error()
         self._steps = 0
         self.done = len(self._keyframes) < 3
-        chosen = set(self._points)
-        self._seen = {k: [p for p in world.keyframes[k].observed if p in chosen] for k in self._keyframes}
+        points = set(self._points)
+        self._seen = {k: [p for p in world.keyframes[k].observed if p in points] for k in self._keyframes}
         self._depths = {
             k: _depths(self._before[k], [world.points[p].position for p in seen])
             for k, seen in self._seen.items()
@@ -221,12 +223,19 @@ def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[t
 def _firm(world: GlobalMap, points: list[int], config: BackendConfig) -> list[int]:
     """Those whose rays cross and are near where they should be: others may slip behind a camera."""
     firm = {p: world.points[p] for p in points if world.points[p].parallax_deg >= lens.LEAST_PARALLAX_DEG}
-    seen = [(k, p, world.keyframes[k].observed[p]) for p, point in firm.items() for k in point.keyframes]
-    places = {p: point.position for p, point in firm.items()}
     # A bent map is a few pixels off at its rim, and these are what tells the lens.
-    far = replace(config, pixel_sigma=FAR_OFF * config.pixel_sigma)
-    wrong = {p for _, p in outliers(world, {}, places, seen, far)}
+    wrong = {p for _, p in _beyond(world, {p: point.keyframes for p, point in firm.items()}, FAR_OFF, config)}
     return [p for p in firm if p not in wrong]
+
+
+def _beyond(
+    world: GlobalMap, views: Mapping[int, Iterable[int]], times: float, config: BackendConfig
+) -> set[tuple[int, int]]:
+    """Of the ``views`` of each point, keyframe and point of those that are outliers at so many sigmas."""
+    places = {p: world.points[p].position for p in views}
+    seen = [(k, p, world.keyframes[k].observed[p]) for p, of in views.items() for k in of]
+    wide = replace(config, pixel_sigma=times * config.pixel_sigma)
+    return set(outliers(world, {}, places, seen, wide))
 
 
 def _choose_points(world: GlobalMap) -> list[int]:
@@ -273,12 +282,7 @@ def _within_reach(
     is sure of. But where a camera has turned on the spot little says how large what came after is beside
     what was before, and two of them have halved it.
     """
-    places = {p: world.points[p].position for p in views}
-    seen = [(k, p, world.keyframes[k].observed[p]) for p, of in views.items() for k in of]
-    if not seen:
-        return views
-    wide = replace(config, pixel_sigma=ASTRAY / math.sqrt(CHI2_2D_99) * config.pixel_sigma)
-    astray = set(outliers(world, {}, places, seen, wide))
+    astray = _beyond(world, views, ASTRAY, config)
     near = {p: [k for k in of if (k, p) not in astray] for p, of in views.items()}
     return {p: of for p, of in near.items() if len(of) >= 2}
 

@@ -201,8 +201,7 @@ def _first_pose(
         return None
     # Both in the query's camera, so that one calibration serves two cameras.
     calibration = here.camera.matrix
-    rays = there.camera.ideal().normalise(there.pixels[its])
-    its_pixels = here.camera.to_pixels(rays)
+    its_pixels = here.camera.to_pixels(there.camera.on_plane(there.pixels[its]))
     cv2.setRNGSeed(seed)
     try:
         essential, mask = cv2.findEssentialMat(

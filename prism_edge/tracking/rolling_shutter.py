@@ -15,6 +15,7 @@ from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.motion import LONGEST_S
+from prism_edge.tracking.triangulation import rays
 from prism_edge.tracking.turn_between import turn_between
 
 LEAST = 0.5  # of a ray's depth that is left: a wrong motion, however fast, turns no ray away
@@ -42,10 +43,9 @@ class RollingShutter:
             return features
         rows = camera.distort_pixels(features.pixels)[:, 1]
         after_s = ((rows + 0.5) / camera.height - 0.5) * self._readout_s
-        rays = np.ones((len(features), 3))
-        rays[:, :2] = camera.on_plane(features.pixels)
-        rays += after_s[:, None] * (np.cross(twist[3:], rays) + twist[:3] / depth)
-        pixels = camera.to_pixels(rays[:, :2] / np.maximum(rays[:, 2:], LEAST))
+        seen = rays(camera, features.pixels)
+        seen += after_s[:, None] * (np.cross(twist[3:], seen) + twist[:3] / depth)
+        pixels = camera.to_pixels(seen[:, :2] / np.maximum(seen[:, 2:], LEAST))
         return Features.build(
             pixels, features.octaves, features.descriptors, camera.width, camera.height
         )

@@ -17,14 +17,7 @@ MATCH_DISTANCE, MATCH_RATIO = 50, 0.85  # of 256 bits; of the next best's
 
 def rays(camera: Camera, pixels: Array) -> Array:
     """Viewing rays (n, 3) with z = 1 of ideal pixels (n, 2)."""
-    return np.stack(
-        [
-            (pixels[:, 0] - camera.cx) / camera.fx,
-            (pixels[:, 1] - camera.cy) / camera.fy,
-            np.ones(len(pixels)),
-        ],
-        axis=1,
-    )
+    return np.column_stack([camera.on_plane(pixels), np.ones(len(pixels))])
 
 
 def match_epipolar(

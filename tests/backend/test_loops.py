@@ -141,7 +141,7 @@ def test_who_has_turned_much_may_have_turned_wrongly(each_deg, asked_deg):
         assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, [])) == believed
 
 
-def test_the_shorter_way_is_what_counts(monkeypatch):
+def test_the_shorter_way_is_what_counts():
     world = chain([pose_at(0.3 * i) for i in range(6)])
     for k, keyframe in world.keyframes.items():
         keyframe.travelled = 100.0 * k

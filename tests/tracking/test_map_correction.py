@@ -16,7 +16,7 @@ MOTION = pose_at(0.3, -0.2, 0.1, 0.02, 0.1, -0.05)
 POSES = [pose_at(0.3 * i, 0.0, 0.0, 0.0, -0.04 * i) for i in range(6)]
 
 
-def apply(world, based_on, keyframes, points, motion=MOTION, parallax_deg=0.0, parts=None, **more):
+def apply(world, based_on, keyframes, points, motion=MOTION, parallax_deg=0.0):
     """The correction that moves these keyframes and points rigidly."""
     rows = world.points.rows(points)
     # as they arrive: arrays that can't be written to
@@ -27,9 +27,9 @@ def apply(world, based_on, keyframes, points, motion=MOTION, parallax_deg=0.0, p
         array.flags.writeable = False
     update = map_update(
         based_on, keyframes=np.array(keyframes, np.int64), poses=poses,
-        points=points, positions=positions, parallax_deg=parallax, **more,
+        points=points, positions=positions, parallax_deg=parallax,
     )  # fmt: skip
-    return apply_correction(world, update, FACTORS, parts)
+    return apply_correction(world, update, FACTORS)
 
 
 def test_a_rigid_motion_of_everything_moves_everything():
