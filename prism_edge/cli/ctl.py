@@ -30,7 +30,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "--timeout", metavar="S", type=seconds_above_zero, default=10.0, help="wait this long (10)"
     )
     parser.add_argument("--json", action="store_true", help="print the reply as it came")
-    parser.add_argument("--quiet", action="store_true", help="print nothing: the exit code says it")
+    parser.add_argument("--quiet", action="store_true", help="print no answer: the exit code says it")
     add_common(parser)
 
 

@@ -37,13 +37,13 @@ class Cost:
 def run(args: argparse.Namespace) -> int:
     """Time every combination; returns the exit code. Raises ModelError where none can be run."""
     threads = args.threads or _powers(_cores())
-    providers = args.providers or _offered()
+    providers, missing = _there(args.providers or _offered())
     base = load(args.config).depth
     console = Console(highlight=False)
     table = Table(title=f"{args.model}: {args.runs} inferences each on a {WIDTH}x{HEIGHT} image")
     for heading in ("provider", "threads", "median ms", "p90 ms", "CPU ms", "load s", "memory MB"):
         table.add_column(heading, justify="left" if heading == "provider" else "right")
-    failures = []
+    failures = missing
     for provider in providers:
         for count in threads:
             only = (provider,)
@@ -130,6 +130,18 @@ def _cost(config: DepthConfig, runs: int) -> Cost:
     added = (process.memory_full_info().uss - before) / 2**20
     p90 = float(np.percentile(times, 90))
     return Cost(network.provider, loaded, statistics.median(times), p90, cpu_ms, added)
+
+
+def _there(providers: list[str]) -> tuple[list[str], list[str]]:
+    """Those of some providers that this onnxruntime has, and a line for each of the others. ModelError."""
+    import onnxruntime
+
+    from prism_edge.depth.providers import full_name, lacking
+
+    offered = onnxruntime.get_available_providers()
+    full = {name: full_name(name, "--providers") for name in providers}
+    missing = [lacking(known, offered) for known in full.values() if known not in offered]
+    return [name for name, known in full.items() if known in offered], missing
 
 
 def _offered() -> list[str]:

@@ -54,7 +54,8 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.evaluation.recorder import PoseRecorder, published_mount
 
     config = config_from(args)
-    if args.tum is not None and not _is_stream(args.tum):
+    stream = args.tum is not None and _is_stream(args.tum)
+    if args.tum is not None and not stream:
         check_writable(args.tum, args.overwrite)
     _heed_ctrl_c()
     with ExitStack() as stack:
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         recorder = None
         if args.tum:
             mount = partial(published_mount, bus, config.frames)
-            recorder = stack.enter_context(PoseRecorder(args.tum, mount))
+            recorder = stack.enter_context(PoseRecorder(args.tum, mount, append=stream))
         print(f"watching prism/{config.robot} at {config.bus.endpoint}; Ctrl-C ends", file=sys.stderr)
         show: Plain | Table = Plain() if args.plain else Table()
         stack.enter_context(show)

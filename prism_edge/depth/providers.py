@@ -99,13 +99,14 @@ def absent(config: DepthConfig) -> list[str]:
     """A line for each provider that must be there and that this onnxruntime lacks."""
     offered = onnxruntime.get_available_providers()
     return [
-        f"{_lacking(name, offered)}, which depth.required asks for (docs/MODELS.md: how to install it)"
+        f"{lacking(name, offered)}, which depth.required asks for (docs/MODELS.md: how to install it)"
         for name in (full_name(short, "depth.required") for short in config.required)
         if name not in offered
     ]
 
 
-def _lacking(name: str, offered: Sequence[str]) -> str:
+def lacking(name: str, offered: Sequence[str]) -> str:
+    """A line for a provider that is not among those ``offered``."""
     return f"this onnxruntime has no {short_name(name)} provider (it has {_words(offered)})"
 
 
@@ -128,7 +129,7 @@ def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
         if name in offered:
             wanted.append(name)
         elif name in asked:
-            log.warning("%s; trying the next", _lacking(name, offered))
+            log.warning("%s; trying the next", lacking(name, offered))
     if inner:
         return _with_inner(vetted, config, wanted, required, inner)
     return _first_that_starts(vetted, config, wanted, required)

@@ -63,15 +63,16 @@ def published_mount(bus: Bus, frames: FramesConfig) -> Array:
 class PoseRecorder:
     """Appends each `pose` message to a TUM file at once, as the camera's pose; what was written stays."""
 
-    def __init__(self, path: Path, mount: Callable[[], Array]) -> None:
-        """Creates or empties the file; ``mount`` gives base_from_camera (4, 4), asked at the first pose.
+    def __init__(self, path: Path, mount: Callable[[], Array], append: bool = False) -> None:
+        """Creates or empties the file, or goes on behind what is there where told to ``append``.
 
+        ``mount`` gives base_from_camera (4, 4), asked at the first pose.
         Raises OSError with the file's name, as all that writes to it.
         """
         self.count = 0
         self._ask: Callable[[], Array] | None = mount
         self._mount, self._path = np.eye(4), path
-        self._file = path.open("w", buffering=1)
+        self._file = path.open("a" if append else "w", buffering=1)
 
     def record(self, message: Any) -> None:
         """One geometry_msgs/PoseWithCovarianceStamped; one that is not finite is left out."""

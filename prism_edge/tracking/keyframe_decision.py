@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from prism_edge.config import TrackingConfig
@@ -25,14 +23,6 @@ KNOWN_S = 10.0  # even so one is made that often: depth, scale, loops and the jo
 _CELL = 64
 
 
-@dataclass(frozen=True)
-class Decision:
-    """Whether to make a keyframe, and the reason in a word (for the log)."""
-
-    wanted: bool
-    reason: str = ""
-
-
 def decide(
     config: TrackingConfig,
     frame: TrackedFrame,
@@ -40,28 +30,28 @@ def decide(
     seconds_since: float,
     reference_matches: int,
     median_depth: float,
-) -> Decision:
-    """Judge a tracked frame against the keyframe that the camera is at.
+) -> str:
+    """Why a tracked frame, beside the keyframe that the camera is at, is to become one; empty: it is not.
 
     ``seconds_since`` counts from when it came there, ``reference_matches`` is how many points the frame right
     after matched.
     """
     if seconds_since < (config.keyframe_min_s if frame.matched >= WEAK_MATCHES else WEAK_GAP_S):
-        return Decision(False)
+        return ""
     relative = inverse(reference.world_from_camera) @ frame.world_from_camera
     baseline = float(np.linalg.norm(relative[:3, 3])) / max(median_depth, 1e-9)
     turned = rotation_angle(relative[:3, :3])
     if baseline < MOVED_BASELINE and turned < MOVED_ANGLE:
-        return Decision(False)
+        return ""
     if frame.matched < max(config.keyframe_ratio * reference_matches, WEAK_MATCHES):
-        return Decision(True, "few matches")
+        return "few matches"
     if baseline > BASELINE:
-        return Decision(True, "baseline")
+        return "baseline"
     if seconds_since > config.keyframe_max_s:
-        return Decision(True, "time")
+        return "time"
     if uncovered_share(frame) > UNCOVERED:
-        return Decision(True, "new ground")
-    return Decision(False)
+        return "new ground"
+    return ""
 
 
 def shown_before(

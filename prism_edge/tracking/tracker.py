@@ -246,8 +246,8 @@ class Tracker:
         stamp_ns, reference, at = self.motion.stamp_ns, self._reference(), self._at
         at.matches = max(at.matches, frame.matched)
         since_s = (stamp_ns - at.since_ns) * 1e-9
-        decision = decide(self._config, frame, reference, since_s, at.matches, at.depth)
-        if not decision.wanted:
+        reason = decide(self._config, frame, reference, since_s, at.matches, at.depth)
+        if not reason:
             return None
         known = shown_before(self.world, frame, at.depth, stamp_ns)
         if known is not None:
@@ -265,7 +265,7 @@ class Tracker:
         )
         mapping.introduce(self.world, keyframe)
         self._unmapped = keyframe, frame
-        log.debug("keyframe %d at frame %d: %s", keyframe.id, index, decision.reason)
+        log.debug("keyframe %d at frame %d: %s", keyframe.id, index, reason)
         return keyframe
 
     def map_keyframe(self, meanwhile: Callable[[], None] = lambda: None) -> bool:

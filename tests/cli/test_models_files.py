@@ -309,6 +309,17 @@ def test_bench_shows_a_row_for_each_setting(tmp_path: Path, capsys):
         assert 0 < memory < 1000
 
 
+def test_bench_goes_on_without_a_provider_that_is_not_there(capsys, monkeypatch):
+    cost = models_bench.Cost("CPUExecutionProvider", 1.0, 2.0, 3.0, 4.0, 5.0)
+    monkeypatch.setattr(models_bench, "measure", lambda config, runs: cost)
+    out = said(capsys, "bench", "x.onnx", "--threads", "1", "--providers", "qnn", "cpu")
+    assert [line.split()[1] for line in out.splitlines() if line.startswith("│")] == ["CPU"]
+    assert "this onnxruntime has no qnn provider (it has " in out
+    assert "depth.required" not in out
+    assert main(["models", "bench", "x.onnx", "--providers", "qnn"]) == 5
+    assert "error: this onnxruntime has no qnn provider (it has " in capsys.readouterr().err
+
+
 def test_bench_takes_the_rest_from_a_configuration(tmp_path: Path, capsys, monkeypatch):
     asked = []
 

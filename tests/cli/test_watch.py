@@ -148,6 +148,18 @@ def test_records_the_cameras_poses(
     assert "frames.base_from_camera of this configuration" in caplog.text
 
 
+def test_a_stream_that_the_shell_appends_to_a_file_leaves_what_is_there(
+    endpoint: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "poses.tum"
+    file.write_text("# of yesterday\n")
+    with file.open("a") as shell:
+        arguments = ["--robot", "fake", "--endpoint", endpoint, "--count", "3"]
+        assert main(["watch", *arguments, "--tum", f"/dev/fd/{shell.fileno()}"]) == 0
+    assert file.read_text().startswith("# of yesterday\n")
+    assert len(read_tum(file)) == 3
+
+
 @pytest.mark.parametrize("mounted", [looking_left_from_the_mast()])
 @pytest.mark.parametrize("own", [[], ["--set", "frames.base_from_camera_xyz=[9, 9, 9]"]])
 def test_records_the_camera_where_the_daemon_has_it(

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from prism_edge.tracking import tracker
-from prism_edge.tracking.keyframe_decision import Decision
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import LOCKSTEP, World, frame, positions, run, true_position
 
@@ -45,7 +44,7 @@ def test_none_of_them_becomes_a_keyframe_or_is_lost(busy: ListBus) -> None:
 @pytest.fixture
 def eager(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every frame that is judged becomes a keyframe."""
-    monkeypatch.setattr(tracker, "decide", lambda *_: Decision(True))
+    monkeypatch.setattr(tracker, "decide", lambda *_: "eager")
     monkeypatch.setattr(tracker, "shown_before", lambda *_: None)
 
 
