@@ -145,6 +145,7 @@ class Keyframe:
     trust: F32 = optional("float32", -1)  # weight in (0, 1] of each keypoint's point, 0 for none
     travelled: float = 0.0  # path length since start, map units
     scale_factor: float = 1.2  # between pyramid levels: a keypoint is as much less precise a level up
+    stands_in: bool = False  # for an older one that shows the same: what is there has been placed before
     part: int = HOME  # of the map: each has a unit of its own until it is joined to an older one
     joined: I64 = optional("int64", -1, 2)  # parts that were since the keyframe before: the newer, the older,
     joined_units: F64 = optional("float64", -1, 2)  # ... and of each what MapUpdate.loop_units says

@@ -51,6 +51,7 @@ class GlobalKeyframe:
     travelled: float = 0.0  # path length to here, map units as the tracker had them
     # The gate's weight of each keypoint in [0, 1], nan where nothing is known of it.
     weights: NDArray[np.float64] | None = None
+    stands_in: bool = False  # for an older one that shows the same from as good as the same place
     stamp_ns: int = LONG_AGO  # of its image, where this run took it
     taken_ns: int | None = None  # the same, whichever run took it; None where a file did not say
     # world_from_camera, were the map's frame kept to the last digit (frame.py).
@@ -123,6 +124,7 @@ class GlobalMap:
             features=_features(message, camera),
             scale_factor=message.scale_factor,
             travelled=message.travelled,
+            stands_in=message.stands_in,
             stamp_ns=message.stamp_ns,
             taken_ns=message.stamp_ns,
         )

@@ -75,6 +75,7 @@ def keyframe_message(
         world_from_anchor=world.keyframes[anchor].world_from_camera,
         travelled=travelled,
         scale_factor=tracker.scale_factor,
+        stands_in=keyframe.stands_in,
         part=tracker.parts.of(keyframe.id),
         joined=joined[:, :2].astype(np.int64),
         joined_units=joined[:, 2:],

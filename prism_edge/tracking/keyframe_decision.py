@@ -54,19 +54,17 @@ def decide(
     return ""
 
 
-def shown_before(
-    world: LocalMap, frame: TrackedFrame, median_depth: float, stamp_ns: int
-) -> LocalKeyframe | None:
-    """The nearest keyframe that shows what a frame does, from as good as the same place; None without one.
-
-    None, too, where no keyframe was made for KNOWN_S before ``stamp_ns``, as in a map of an earlier run.
-    """
+def shown_before(world: LocalMap, frame: TrackedFrame, median_depth: float) -> LocalKeyframe | None:
+    """The nearest keyframe that shows what a frame does, from as good as the same place; None without one."""
     if frame.matched < WEAK_MATCHES or len(world.keyframes) <= RECENT:
-        return None
-    if abs(stamp_ns - world.newest().stamp_ns) > 1e9 * KNOWN_S:
         return None
     older = [world.keyframes[k] for k in sorted(world.keyframes)[:-RECENT]]
     return same_view(older, frame.world_from_camera, frame.points, median_depth)
+
+
+def is_overdue(world: LocalMap, stamp_ns: int) -> bool:
+    """Whether a known place gets a keyframe: none was made for KNOWN_S, as in a map of an earlier run."""
+    return abs(stamp_ns - world.newest().stamp_ns) > 1e9 * KNOWN_S
 
 
 def same_view(

@@ -22,7 +22,7 @@ from prism_edge.tracking.first_map import SecondView, begin_structure
 from prism_edge.tracking.frame_result import FrameResult, beside, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.keyframe_culling import keeping_bound, take_out
-from prism_edge.tracking.keyframe_decision import decide, shown_before
+from prism_edge.tracking.keyframe_decision import decide, is_overdue, shown_before
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import see_through, take_over
 from prism_edge.tracking.motion import ConstantVelocity
@@ -249,8 +249,8 @@ class Tracker:
         reason = decide(self._config, frame, reference, since_s, at.matches, at.depth)
         if not reason:
             return None
-        known = shown_before(self.world, frame, at.depth, stamp_ns)
-        if known is not None:
+        known = shown_before(self.world, frame, at.depth)
+        if known is not None and not is_overdue(self.world, stamp_ns):
             at.move_to(known, self.world, self.parts, stamp_ns)
             return None
         if self._config.two_views and self.parts.size(self.world) == 1:
@@ -264,7 +264,7 @@ class Tracker:
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points.copy()
         )
         mapping.introduce(self.world, keyframe)
-        self._unmapped = keyframe, frame
+        keyframe.stands_in, self._unmapped = known is not None, (keyframe, frame)
         log.debug("keyframe %d at frame %d: %s", keyframe.id, index, reason)
         return keyframe
 

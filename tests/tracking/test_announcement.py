@@ -45,6 +45,9 @@ def test_a_message_carries_the_keyframe_and_survives_the_codec():
     assert (message.id, message.index, message.epoch, message.travelled) == (1, 10, 3, 1.5)
     assert message.base_from_camera.tolist() == pose_at(0.3, -0.1, 0.5, 0.2).tolist()
     assert tracker.told == [1]
+    assert not message.stands_in
+    newest.stands_in = True
+    assert GlobalMap().absorb(sent(tracker, newest)).stands_in
     keypoints, depths = world.depths_in(newest)
     assert message.depths[keypoints] == pytest.approx(depths, rel=1e-6)
     assert not message.depths[newest.points < 0].any()

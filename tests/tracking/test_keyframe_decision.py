@@ -10,7 +10,14 @@ import pytest
 from prism_edge.config import TrackingConfig
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import TrackedFrame
-from prism_edge.tracking.keyframe_decision import KNOWN_S, RECENT, decide, shown_before, uncovered_share
+from prism_edge.tracking.keyframe_decision import (
+    KNOWN_S,
+    RECENT,
+    decide,
+    is_overdue,
+    shown_before,
+    uncovered_share,
+)
 from prism_edge.tracking.local_map import LocalMap
 from tests.tracking.cloud import CAMERA, Cloud, pose_at
 
@@ -108,7 +115,6 @@ def test_an_image_without_corners_is_not_new_ground():
     assert uncovered_share(replace(frame, features=none, points=np.zeros(0, np.int64))) == 0.0
 
 
-NOW = 5_000_000_000  # the newest keyframe of these maps is half a second old
 PLACES = [pose_at(0.3 * i, 0.0, 0.0, 0.0, -0.05 * i) for i in range(4)]
 
 
@@ -135,9 +141,9 @@ def placed(cloud: Cloud, world: LocalMap, pose: np.ndarray, share: float = 1.0) 
 def test_a_known_place_is_the_nearest_keyframe_s(returned, place):
     cloud, world = returned
     frame = placed(cloud, world, PLACES[place] @ pose_at(0.05, 0.03, 0.0, 0.0, 0.03))
-    known = shown_before(world, frame, 4.0, NOW)
+    known = shown_before(world, frame, 4.0)
     assert known is world.keyframes[place]
-    assert shown_before(world, frame, 1.0, NOW) is None  # 6 cm are far where all is near
+    assert shown_before(world, frame, 1.0) is None  # 6 cm are far where all is near
 
 
 @pytest.mark.parametrize(
@@ -151,27 +157,27 @@ def test_a_known_place_is_the_nearest_keyframe_s(returned, place):
 def test_what_no_keyframe_shows_is_no_known_place(returned, motion, share):
     cloud, world = returned
     frame = placed(cloud, world, PLACES[1] @ motion, share)
-    assert shown_before(world, frame, 4.0, NOW) is None
+    assert shown_before(world, frame, 4.0) is None
 
 
 def test_a_frame_that_matches_little_needs_a_keyframe_of_its_own(returned):
     cloud, world = returned
     frame = placed(cloud, world, PLACES[1])
-    assert shown_before(world, replace(frame, matched=119), 4.0, NOW) is None
+    assert shown_before(world, replace(frame, matched=119), 4.0) is None
 
 
 def test_the_newest_are_no_known_place(returned):
     cloud, world = returned
     frame = placed(cloud, world, world.newest().world_from_camera)
     assert frame.matched >= 120
-    assert shown_before(world, frame, 4.0, NOW) is None
-    assert shown_before(LocalMap(), frame, 4.0, NOW) is None
+    assert shown_before(world, frame, 4.0) is None
+    assert shown_before(LocalMap(), frame, 4.0) is None
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_now_and_then_a_known_place_makes_a_keyframe(returned, sign):
     """What is heard of depth, scale and loops comes with keyframes; and a clock may be set back."""
-    cloud, world = returned
-    frame, newest_ns = placed(cloud, world, PLACES[1]), world.newest().stamp_ns
-    for seconds, known in ((0.9 * KNOWN_S, world.keyframes[1]), (1.1 * KNOWN_S, None)):
-        assert shown_before(world, frame, 4.0, newest_ns + sign * int(1e9 * seconds)) is known
+    _, world = returned
+    newest_ns = world.newest().stamp_ns
+    for seconds, overdue in ((0.9 * KNOWN_S, False), (1.1 * KNOWN_S, True)):
+        assert is_overdue(world, newest_ns + sign * int(1e9 * seconds)) is overdue

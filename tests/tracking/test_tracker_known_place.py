@@ -57,12 +57,15 @@ def test_a_known_place_makes_few_new_keyframes(known, monkeypatch):
 def test_a_camera_that_stays_makes_its_map_no_larger(monkeypatch):
     """Known places get keyframes even so, here every half second; each goes once it is no longer recent."""
     monkeypatch.setattr("prism_edge.tracking.keyframe_decision.KNOWN_S", 0.5)
-    made, kept = [], []
+    made, kept, standing = [], [], set()
     for run in played(*(THERE, BACK) * 3):
         made.append(len(run.keyframes))
+        standing |= {k for k, keyframe in run.tracker.world.keyframes.items() if keyframe.stands_in}
         kept.append(len(run.tracker.world.keyframes))
     assert made[5] - made[2] >= 8
     assert kept[5] <= kept[2] + 1
+    assert min(standing) >= made[0], "on the first way all was new"
+    assert len([k for k in standing if k >= made[2]]) >= 0.8 * (made[5] - made[2])
     check(run.tracker.world)
     last = max(run.results)
     last_way = [(run.results[last - i].world_from_camera, footage().poses[i]) for i in THERE]
