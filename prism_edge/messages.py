@@ -190,7 +190,6 @@ class Depth:
     """
 
     keyframe: int
-    index: int
     stamp_ns: int
     epoch: int
     model: str  # identity of the network, NAME@DIGEST (depth/fingerprint.py)
@@ -212,7 +211,6 @@ class Scale:
     """Metres per map unit, in the log domain."""
 
     keyframe: int
-    index: int
     stamp_ns: int
     epoch: int
     log_scale: float
@@ -237,7 +235,6 @@ class Gate:
     """
 
     keyframe: int
-    index: int
     epoch: int
     weights: F32 = array("float32", -1)
     uncertainty: F32 = array("float32", -1)
@@ -250,7 +247,6 @@ class MapUpdate:
     epoch: int
     sequence: int
     based_on: int  # newest keyframe the solve knew
-    index: int  # its frame
     loop_closed: bool
     solve_ms: float
     keyframes: I64 = array("int64", -1)

@@ -106,7 +106,6 @@ class ScaleEstimator:
                 here.local_ns = keyframe.stamp_ns
         message = Scale(
             keyframe=keyframe.id,
-            index=keyframe.index,
             stamp_ns=keyframe.stamp_ns,
             epoch=keyframe.epoch,
             log_scale=here.steady.log_scale,
@@ -122,7 +121,7 @@ class ScaleEstimator:
             metric=self.metric,
             part=keyframe.part,
         )
-        return message, Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, uncertainty)
+        return message, Gate(keyframe.id, keyframe.epoch, weights, uncertainty)
 
     def take_over(
         self, epoch: int, log_scale: float, sigma: float, bias_sigma: float = 0.0, network: str = ""

@@ -174,7 +174,6 @@ def answer(network: DepthNetwork | SensorNetwork | None, image: KeyframeImage) -
         return _without(image, network.identity, network.bias_sigma, failed)
     return Depth(
         keyframe=image.keyframe,
-        index=image.index,
         stamp_ns=image.stamp_ns,
         epoch=image.epoch,
         model=network.identity,
@@ -195,7 +194,6 @@ def answer(network: DepthNetwork | SensorNetwork | None, image: KeyframeImage) -
 def _without(image: KeyframeImage, model: str, bias_sigma: float, reason: str) -> Depth:
     return Depth(
         keyframe=image.keyframe,
-        index=image.index,
         stamp_ns=image.stamp_ns,
         epoch=image.epoch,
         model=model,

@@ -110,7 +110,7 @@ def solved():
 def test_an_update_says_what_the_map_now_is(solved):
     mapper, teller, update = solved
     packed = codec.unpack(codec.pack(update), MapUpdate)
-    assert (packed.epoch, packed.sequence, packed.based_on, packed.index) == (0, 501, 4, 40)
+    assert (packed.epoch, packed.sequence, packed.based_on) == (0, 501, 4)
     for k, pose in zip(packed.keyframes.tolist(), packed.poses, strict=True):
         assert np.array_equal(mapper.world.keyframes[k].world_from_camera, pose)
         assert np.linalg.norm((inverse(teller.poses[k]) @ pose)[:3, 3]) < 0.05
@@ -352,7 +352,7 @@ def test_an_update_carries_each_points_mean_weight():
         weights = np.full(len(message.pixels), 0.3 * i, np.float32)
         weights[::5] *= 0.25  # a fifth stand out from what is, at 0.3 and 0.6, a doubtful view
         known = np.full(len(message.pixels), 0.1 if i else np.nan, np.float32)
-        mapper.add_gate(Gate(i, message.index, 0, weights, known))
+        mapper.add_gate(Gate(i, 0, weights, known))
         for keypoint, p in enumerate(message.points.tolist()):
             if i:
                 told.setdefault(p, []).append(0.25 if keypoint % 5 == 0 else 1.0)

@@ -34,7 +34,6 @@ def depth_of(
     made = blank(
         Depth,
         keyframe=asked.keyframe if isinstance(asked, KeyframeImage) else asked.id,
-        index=asked.index,
         stamp_ns=asked.stamp_ns,
         epoch=asked.epoch,
         model="exact",
@@ -52,7 +51,6 @@ def scale_of(keyframe: Keyframe, log_scale: float = 0.0, sigma: float = 0.05, **
     """The scale estimate after a keyframe, which observed just that."""
     made = Scale(
         keyframe=keyframe.id,
-        index=keyframe.index,
         stamp_ns=keyframe.stamp_ns,
         epoch=keyframe.epoch,
         log_scale=log_scale,
@@ -69,7 +67,5 @@ def scale_of(keyframe: Keyframe, log_scale: float = 0.0, sigma: float = 0.05, **
 
 def map_update(based_on: int, sequence: int = 1, **changes: object) -> MapUpdate:
     """A correction with what is given, and nothing else."""
-    made = blank(
-        MapUpdate, epoch=0, sequence=sequence, based_on=based_on, index=0, loop_closed=False, solve_ms=1.0
-    )
+    made = blank(MapUpdate, epoch=0, sequence=sequence, based_on=based_on, loop_closed=False, solve_ms=1.0)
     return replace(made, **changes)

@@ -30,7 +30,7 @@ class Camera:
 
     def hear(self, log_scale: float, sigma: float, part: int = HOME, local_sigma: float = 0.0) -> None:
         rest = {"observation": 0.0, "observation_sigma": 0.1, "points": 9, "accepted": True}
-        told = Scale(0, 0, 0, 0, log_scale, sigma, sigma, local_sigma=local_sigma, part=part, **rest)
+        told = Scale(0, 0, 0, log_scale, sigma, sigma, local_sigma=local_sigma, part=part, **rest)
         self.scale.hear(told)
 
     def enter(self, part: int) -> None:

@@ -48,7 +48,7 @@ def gate_of(keyframe: Keyframe, weight: float = 1.0) -> Gate:
     weights[1] = weight
     known = np.full(count, 0.3, np.float32)
     known[0] = np.nan
-    return Gate(keyframe.id, keyframe.index, keyframe.epoch, weights, known)
+    return Gate(keyframe.id, keyframe.epoch, weights, known)
 
 
 def hear(

@@ -44,7 +44,7 @@ def depth_of(image: KeyframeImage, of: int | None = None, **changes: object) -> 
 def update_of(keyframe: Keyframe, sequence: int = 1, poses: np.ndarray | None = None, **changes) -> MapUpdate:
     """An update that changes nothing, or puts the newest keyframe elsewhere."""
     moved = {} if poses is None else {"keyframes": np.array([keyframe.id]), "poses": poses}
-    told = {"epoch": keyframe.epoch, "index": keyframe.index, **moved, **changes}
+    told = {"epoch": keyframe.epoch, **moved, **changes}
     return messages.map_update(keyframe.id, sequence, **told)
 
 
