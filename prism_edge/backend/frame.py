@@ -5,7 +5,9 @@ while the map is young. But that one is as doubtful as any other: held, its erro
 rest, and so every pose published from then on beside those published before.
 
 What is too little to be undone is owed: each keyframe has a reference, where it would be if the frame had
-been kept to the last digit. Else the map of a room that is seen for days would creep.
+been kept to the last digit. Else the map of a room that is seen for days would creep. What stands in for an
+older keyframe has no say: it was placed beside those a moment ago, and as what is off about that is off the
+same way each time, they would follow it.
 """
 
 from __future__ import annotations
@@ -51,9 +53,11 @@ def _is_off(keyframe: GlobalKeyframe) -> bool:
 
 def _keep(world: GlobalMap, part: list[int]) -> bool:
     keyframes = [world.keyframes[k] for k in part]
+    heard = [keyframe for keyframe in keyframes if not keyframe.stands_in] or keyframes
     poses = np.array([keyframe.world_from_camera for keyframe in keyframes])
-    are, were = _arms(poses), _arms(np.array([keyframe.reference for keyframe in keyframes]))
-    back = majority(are, were) if len(part) > 1 else None  # one has nothing that it could be compared with
+    are = _arms(np.array([keyframe.world_from_camera for keyframe in heard]))
+    were = _arms(np.array([keyframe.reference for keyframe in heard]))
+    back = majority(are, were) if len(heard) > 1 else None  # one has nothing that it could be compared with
     motion = np.eye(4) if back is None else from_rt(back.rotation, back.translation)
     moved = bool(np.linalg.norm(transform(motion, are) - are, axis=1).max() >= LEAST)
     if moved:

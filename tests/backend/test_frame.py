@@ -110,6 +110,31 @@ def test_what_is_too_little_each_time_does_not_add_up() -> None:
         assert pose == pytest.approx(before[k], abs=2 * LEAST)
 
 
+def test_what_stands_in_for_others_moves_nobody() -> None:
+    """A robot stays: a keyframe now and then, each corrected by the same after it was placed."""
+    world, teller = GlobalMap(), Teller()
+    for pose in POSES:
+        world.absorb(teller.keyframe(pose))
+    before = poses_of(world)
+    for _ in range(100):
+        made = world.absorb(replace(teller.keyframe(POSES[4]), stands_in=True))
+        made.world_from_camera = pose_at(3.0 * LEAST, 0.0, 0.0, 0.0, 0.0) @ made.world_from_camera
+        assert not keep_frame(world)
+    for k, pose in before.items():
+        assert world.keyframes[k].world_from_camera is pose
+
+
+def test_a_part_of_nothing_but_stand_ins_has_a_say() -> None:
+    world, teller = GlobalMap(), Teller()
+    for pose in POSES[:4]:
+        world.absorb(replace(teller.keyframe(pose), stands_in=True))
+    before = poses_of(world)
+    world.move(MOTION, set(world.keyframes))
+    assert keep_frame(world)
+    for k, pose in before.items():
+        assert world.keyframes[k].world_from_camera == pytest.approx(pose, abs=LEAST)
+
+
 def test_who_has_moved_for_good_is_held_to_where_it_is() -> None:
     """A correction that a loop brought is not undone by the adjustments after it, and holds as before."""
     world = mapped()
