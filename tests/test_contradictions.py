@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from prism_edge.config import Config
+from prism_edge.config import Config, DepthConfig, NetworkConfig, SourceConfig
 from prism_edge.config_file import leaves
 from prism_edge.contradictions import NOT_ABOVE, contradictions
 
@@ -15,6 +15,16 @@ KEYS = {leaf.key: leaf for leaf in leaves()}
 
 def test_the_defaults_have_none() -> None:
     assert list(contradictions(Config())) == []
+
+
+def test_a_network_that_runs_elsewhere_is_named_here_too() -> None:
+    """Else there is no scale process, and nobody watches depth."""
+    away = replace(Config(), network=NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=("depth",)))
+    (said,) = contradictions(away)
+    assert "network.remote" in said
+    assert "depth.model" in said
+    assert list(contradictions(replace(away, depth=DepthConfig(model="net.onnx")))) == []
+    assert list(contradictions(replace(away, source=SourceConfig(uri="sim:room")))) == []  # has one anyway
 
 
 @pytest.mark.parametrize(("low", "high"), [pair[:2] for pair in NOT_ABOVE])

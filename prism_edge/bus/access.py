@@ -15,7 +15,7 @@ from prism_edge.config import NetworkConfig
 from prism_edge.errors import ConfigError
 from prism_edge.named_path import named_path
 from prism_edge.processes import PROCESSES
-from prism_edge.topics import TOPICS
+from prism_edge.topics import COMMANDS, TOPICS
 
 _SECURE = ("tls", "quic")
 _HEAR = {"ingress": ["declare_subscriber", "query"], "egress": ["put", "reply", "declare_queryable"]}
@@ -140,9 +140,10 @@ def access_control(network: NetworkConfig, listener: bool) -> dict[str, Any]:
 
 
 def _of_process(process: str) -> list[dict[str, Any]]:
-    """What one process hears and says, by the table of topics."""
+    """What one process hears and says, and the commands that it answers, by the tables of both."""
     hears = [t.key for t in TOPICS.values() if process in t.consumers]
     says = [t.key for t in TOPICS.values() if t.producer in (process, "all")]
+    says += [command.key for command in COMMANDS.values() if command.process == process]
     tokens = [f"prism/*/{held}/{process}" for held in ("alive", "internal/ready")]
     return [
         *_rules(f"{process} hears", _HEAR, [f"prism/*/{key}" for key in hears]),

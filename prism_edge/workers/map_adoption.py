@@ -23,7 +23,8 @@ from prism_edge.workers.map_flaw import map_flaw
 
 log = logging.getLogger("prism_edge.tracker")
 
-LINKED_S = 3.0  # a tracker that was started again is wanted soon: without a backend it begins a new map
+LINKED_S = 3.0  # a tracker that was started again is wanted soon: without a backend it begins a new map,
+# but where one is started again beside it: that reads its journal first, and has the map.
 # One that has no map says so at once, and one that dies ends the question: silence is a backend at work.
 BUSY_S = PATIENCE_S + 5.0
 LOADED_S = 30.0
@@ -47,8 +48,10 @@ class MapAdoption:
 
     def of_the_last_life(self) -> WholeMap | None:
         """The backend's map after a restart of the tracker; None where there is none to go on in."""
-        self._bus.pulse.working("asking for the map", LINKED_S + BUSY_S + TAKING_OVER_S)
-        self._bus.await_ready(["backend"], LINKED_S)  # else nobody would be asked
+        comes_back = self._bus.run_directory is not None and "backend" not in self._config.network.remote
+        linked_s = RECOVERED_S if comes_back else LINKED_S
+        self._bus.pulse.working("asking for the map", linked_s + BUSY_S + TAKING_OVER_S)
+        self._bus.await_ready(["backend"], linked_s)  # else nobody would be asked
         whole: WholeMap | None = self._bus.ask("whole_map", BUSY_S)
         if whole is None:
             log.info("no map to go on in: beginning a new one")

@@ -25,6 +25,7 @@ from prism_edge.sources.mask import mask_for
 from prism_edge.sources.open import AUTO
 from prism_edge.sources.own_parts_watch import OwnPartsWatch
 from prism_edge.sources.schedule import CatchingUp, Schedule
+from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.pause import Pause
 
 log = logging.getLogger("prism_edge.source")
@@ -47,9 +48,9 @@ class SourceWorker:
     def __init__(self, config: Config, bus: Bus, source: Source, patience_s: float = _PATIENCE_S) -> None:
         """``source`` is open."""
         self._config, self._bus, self._source = config, bus, source
-        self._peers = peers_of(config, "source")
         # Subscribed before we are ready: the others answer the first frame at once.
-        self._gatekeeper = Gatekeeper(bus, self._peers, patience_s) if config.is_lockstep else None
+        peers = peers_of(config, "source")
+        self._gatekeeper = Gatekeeper(bus, peers, patience_s) if config.is_lockstep else None
         self._pause = Pause(bus)
         self._checks = FrameChecks(source.camera)
         self._camera = source.camera.to_array()
@@ -80,11 +81,12 @@ class SourceWorker:
         self._pause.wait(float("inf"))
 
     def _await_peers(self) -> None:
-        """Until every process of the run listens and is linked to this one: the first frames are for all."""
+        """Until all whom the first frames are for listen and are linked to this process."""
         waited = self._config.source.peers_s
         if waited == 0:
             return
-        missing = self._bus.await_ready(self._peers, waited)
+        begun = bool(self._bus.life) or goes_on(self._bus)
+        missing = self._bus.await_ready(awaited_peers(self._config, begun), waited)
         if missing and not self._bus.stopped.is_set():
             names = ", ".join(sorted(missing))
             log.warning("not ready after %g s: %s; playing all the same", waited, names)
@@ -274,6 +276,18 @@ class SourceWorker:
         self._bus.publish("end", end)
         self._bus.pulse.ended()
         log.info("the recording has ended: %s", ", ".join(f"{n} {name}" for name, n in vars(counts).items()))
+
+
+def awaited_peers(config: Config, begun: bool) -> set[str]:
+    """The processes without which no image goes out; ``begun`` where there may be a map to track in.
+
+    Then the tracker will do, in real time: others may be loading a network, or waiting to be started again.
+    And what runs on another computer, which may be off, is waited for by nobody.
+    """
+    peers = peers_of(config, "source")
+    if config.is_lockstep:
+        return peers
+    return peers & {"tracker"} if begun else peers - (set(config.network.remote) - {"tracker"})
 
 
 def main(config: Config, bus: Bus) -> None:

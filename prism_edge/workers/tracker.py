@@ -103,7 +103,7 @@ class TrackerWorker:
         self._bus.pulse.ready()
         if self._lockstep:
             self._bus.await_ready(self._peers, PATIENCE_S)
-        self._show(INITIALISING, 0, time.time_ns())
+        self._show(LOST if self._tracker.initialised else INITIALISING, 0, time.time_ns())
         while not self._bus.stopped.is_set():
             # Loaded first: a command that waits beside it was most likely given once that had been done.
             self._maps.take_loaded(self._tracker, self._adopt_loaded, self._reset)

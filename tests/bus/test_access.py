@@ -216,6 +216,18 @@ def test_what_the_network_reads_is_what_is_public() -> None:
     assert not [other for other in others if read.intersects(zenoh.KeyExpr(other))]
 
 
+@pytest.mark.parametrize(("process", "commands"), [("backend", {"save_map", "load_map"}), ("depth", set())])
+def test_who_runs_elsewhere_answers_its_commands_and_no_others(process: str, commands: set[str]) -> None:
+    network = NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=(process,))
+    rules = access.access_control(network, listener=True)["access_control"]["rules"]
+    of_process = [rule for rule in rules if rule["id"].startswith(f"{process} says")]
+    for message, flow in (("declare_queryable", "ingress"), ("reply", "ingress"), ("query", "egress")):
+        keys = [
+            k for r in of_process if message in r["messages"] and flow in r["flows"] for k in r["key_exprs"]
+        ]
+        assert {name for name, command in COMMANDS.items() if f"prism/*/{command.key}" in keys} == commands
+
+
 @needs_openssl
 def test_certificates_are_kept_and_added_to(lab: Path, tmp_path: Path) -> None:
     def make(*names: str) -> str:

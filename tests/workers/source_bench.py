@@ -43,6 +43,7 @@ class Recorder:
 
     def __init__(self) -> None:
         self.life = 0
+        self.run_directory: Path | None = None
         self.stopped = threading.Event()
         self.published: queue.Queue[tuple[str, Any]] = queue.Queue()
         self.states: list[str] = []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from prism_edge.backend import map_file
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.stored_map import KnownScale
-from prism_edge.config import BackendConfig
+from prism_edge.config import BackendConfig, NetworkConfig
 from prism_edge.messages import IDS_A_LIFE, Keyframe, MapLoaded, WholeMap
 from prism_edge.tracking.drift import Drift
 from prism_edge.workers import backend, map_adoption
@@ -82,6 +83,31 @@ def test_after_a_restart_poses_go_on_in_the_same_map(whole: WholeMap) -> None:
     keyframes = life.bus.of("keyframe")
     assert keyframes
     assert all(k.epoch == EPOCH and k.id >= IDS_A_LIFE for k in keyframes)
+
+
+@pytest.mark.parametrize(
+    ("supervised", "remote", "waited_s"),
+    [(True, (), map_adoption.RECOVERED_S), (True, ("backend",), 3.0), (False, (), 3.0)],
+)
+def test_a_backend_that_is_started_again_too_is_waited_for(
+    supervised: bool, remote: tuple[str, ...], waited_s: float, tmp_path: Path
+) -> None:
+    """It has the map, and reads its journal first; asked before that, it says that there is none."""
+    bus, waits = ListBus(), []
+    bus.run_directory = tmp_path if supervised else None
+    bus.await_ready = lambda names, timeout_s: waits.append((list(names), timeout_s))  # type: ignore
+    bus.ask = lambda topic, timeout_s: None  # type: ignore[method-assign,assignment]
+    config = replace(CONFIG, network=NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=remote))
+    assert map_adoption.MapAdoption(config, bus).of_the_last_life() is None  # type: ignore[arg-type]
+    assert waits == [(["backend"], waited_s)]
+    assert bus.budgets_s["asking for the map"] > waited_s
+
+
+def test_status_tells_of_a_map_that_was_gone_on_in_without_an_image(whole: WholeMap) -> None:
+    """The source is paused, or the camera away."""
+    life = Asked(whole, life=1)
+    run(life.bus, [])
+    assert life.bus.of("status")[0].status[0].message == "lost relocalising"
 
 
 def test_the_same_map_loaded_in_the_first_life(whole: WholeMap) -> None:

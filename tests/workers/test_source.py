@@ -15,11 +15,11 @@ from sources import tiny_datasets as tiny
 from prism_edge.bus.pack import grey, pack, rgb
 from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
-from prism_edge.config import BusConfig, DepthConfig
+from prism_edge.config import BusConfig, Config, DepthConfig, NetworkConfig
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.messages import Acknowledged, EndOfStream, Frame, Tracked
 from prism_edge.sources import open_source
-from prism_edge.workers.source import SourceWorker, main
+from prism_edge.workers.source import SourceWorker, awaited_peers, main
 from tests.synthetic.scene import block_texture
 from tests.waiting import until
 from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, undisturbed
@@ -201,6 +201,20 @@ def test_the_wait_for_the_others_has_an_end(tmp_path: Path, caplog: pytest.LogCa
         bus.until_end()
     assert "backend" in caplog.text
     assert "tracker" not in caplog.text
+
+
+def test_whom_the_first_frames_wait_for() -> None:
+    """Poses don't wait for who is not needed for them: a network that is loading, a computer that is off."""
+    config = Config(depth=DepthConfig(model="net.onnx"))
+    everybody = {"tracker", "depth", "scale", "backend"}
+    away = replace(config, network=NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=("depth",)))
+    lockstep = replace(away, mode="lockstep")
+    assert awaited_peers(config, begun=False) == everybody
+    assert awaited_peers(config, begun=True) == {"tracker"}
+    assert awaited_peers(away, begun=False) == everybody - {"depth"}
+    assert awaited_peers(lockstep, begun=True) == everybody
+    elsewhere = replace(away, network=replace(away.network, remote=("tracker",)))
+    assert awaited_peers(elsewhere, begun=False) == everybody
 
 
 def test_stopping_ends_every_wait(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import UNCALIBRATED, check_camera_size
 from prism_edge.sources.live.driver import CameraLostError, Connection, Driver, Grab
 from prism_edge.sources.live.picture_watch import PictureWatch
+from prism_edge.sources.live.wall_clock import WallClock
 
 log = logging.getLogger("prism_edge.sources")
 
@@ -52,7 +53,7 @@ class LiveCamera(Source):
         self.period_ns = driver.period_ns
         self._driver, self._timing = driver, timing or Timing()
         self._asks_camera = camera is None
-        self._wall_from_monotonic_ns = time.time_ns() - time.monotonic_ns()
+        self._wall_clock = WallClock()
         self._watch = PictureWatch()
         self._misfit = ""  # how the newest image's size is not the camera's
         self.stopped = threading.Event()  # set from outside, it ends the wait for a camera that isn't there
@@ -102,7 +103,7 @@ class LiveCamera(Source):
         if newest is None:
             return Absent(self._absence())
         index, grab = newest
-        stamp_ns = grab.captured_ns + self._wall_from_monotonic_ns
+        stamp_ns = self._wall_clock.at(grab.captured_ns)
         pixels = grab.decode()
         if isinstance(pixels, str):
             self._watch.damaged()
