@@ -271,8 +271,9 @@ class Supervisor:
         child = self._children[name]
         verdict = watch.verdict(now)
         if verdict.liveness == OVERDUE and now >= self._lenient_until_s and child.poll() is None:
-            log.error("%s hangs (%s) and is killed", name, verdict.why)
-            watch.killed(verdict.why)
+            if not watch.is_being_killed:  # else a driver holds it: once it lets go, it is gone
+                log.error("%s hangs (%s) and is killed", name, verdict.why)
+                watch.killed(verdict.why)
             child.kill()
         asked_s = watch.asked_to_end_s
         if asked_s is not None and now - asked_s > self._config.supervisor.stop_s:

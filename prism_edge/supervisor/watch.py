@@ -149,6 +149,11 @@ class Watch:
         """It is being killed for ``why``, which its exit is then put down to."""
         self._why_killed = why
 
+    @property
+    def is_being_killed(self) -> bool:
+        """Whether it was killed and has not ended yet."""
+        return bool(self._why_killed)
+
     def exited(self, code: int, now_s: float) -> str:
         """It has ended; says how. ``restart_at_s`` is when to start it again, now where it was told to end.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -52,6 +53,20 @@ def test_exit_code_is_kept(start: Callable[..., Child]) -> None:
     child.terminate()
     child.kill()
     assert child.exit_code == 5
+
+
+def test_one_that_a_driver_holds_is_not_waited_for(
+    start: Callable[..., Child], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In uninterruptible sleep nothing ends a process; all others still want looking after."""
+    child = start(SLEEP)
+    with monkeypatch.context() as held:
+        held.setattr(os, "killpg", lambda pid, number: None)
+        child.kill()
+        assert child.exit_code is None
+        assert running(child.pid)
+    child.kill()  # as the driver lets go
+    assert child.poll() == -signal.SIGKILL
 
 
 def test_terminate_ends_it_by_its_signal(start: Callable[..., Child]) -> None:

@@ -72,3 +72,13 @@ def test_silence_that_we_were_awake_for_is_a_hang(looking: Looking) -> None:
     for tenths in range(1, 1000):
         looking.look(1.0 + 0.1 * tenths)
     assert looking.kills > 0
+
+
+def test_what_does_not_end_though_it_was_killed_is_said_once(
+    looking: Looking, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A driver holds it; whenever that lets go, it has been killed."""
+    for tenths in range(1, 200):
+        looking.look(1.0 + 0.1 * tenths)
+    assert looking.kills > 10
+    assert len([record for record in caplog.records if "hangs" in record.getMessage()]) == 1
