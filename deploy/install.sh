@@ -172,7 +172,10 @@ install -m 644 "$checkout/deploy/config.yaml" "$settings/config.yaml.example"
 
 point_at "$new"
 service daemon-reload
-if [[ $systemctl == yes ]]; then udevadm control --reload 2> /dev/null || true; fi
+if [[ $systemctl == yes ]]; then  # a camera that is plugged in already keeps its old rights without a word
+    { udevadm control --reload && udevadm trigger --subsystem-match=usb --attr-match=idVendor=03e7; } \
+        2> /dev/null || true
+fi
 for unit in "${running[@]}"; do
     echo "restarting $unit"
     restarted+=("$unit")

@@ -21,7 +21,7 @@ from prism_edge.errors import ConfigError
 LARGEST_FILE = 1 << 20  # bytes; a configuration is a page or two
 
 # PyYAML follows YAML 1.1, where 1e-8 is text, 010 is eight and 1:30 is ninety; these are what people mean.
-_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9_]*)")
+_INTEGER = re.compile(r"[-+]?(0|[1-9][0-9]*(_[0-9]+)*)")
 _NUMBER = re.compile(r"[-+]?([0-9][0-9_]*\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _TEXT = ("str", "timestamp", "value", "merge")  # tags under which text arrives; none that names a Python type
 

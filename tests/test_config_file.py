@@ -166,6 +166,8 @@ def test_duplicate_key_names_both_lines(file: Path) -> None:
         ("depth:\n  threads: 010\n", 2, ["depth.threads", "a whole number", "010"]),
         ("depth:\n  threads: [1]\n", 2, ["depth.threads", "a list of 1"]),
         ("depth:\n  providers: CUDA\n", 2, ["depth.providers", "a list of words", "'CUDA'"]),
+        ("seed: 1_\n", 1, ["seed", "a whole number", "1_"]),
+        ("seed: 1__0\n", 1, ["seed", "a whole number", "1__0"]),
         ("seed: 1e-8\n", 1, ["seed", "a whole number", "1e-8"]),
         ("seed: " + "9" * 5000 + "\n", 1, ["seed", "a whole number", "..."]),
         ("robot: 5\n", 1, ["robot", "text", "got 5"]),

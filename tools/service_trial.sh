@@ -67,7 +67,10 @@ await 60 leader_is_up || { cat "$work/console"; echo "FAIL  systemd does not boo
 echo "ok    systemd $(inside systemctl --version | awk 'NR==1{print $2}') has booted"
 
 install_it() { inside /opt/src/deploy/install.sh --python "$python"; }
+printf '#!/bin/sh\necho "$*" >> /run/udev-calls\n' | inside tee /usr/local/bin/udevadm > /dev/null  # none runs there
+inside chmod +x /usr/local/bin/udevadm
 is "install" install_it
+is "... applies the rule to OAK cameras that are plugged in" inside grep -q 'trigger.*03e7' /run/udev-calls
 printf 'source: {uri: "sim:room", loop: true}\ndepth: {model: /srv/models/net.onnx}\n' > "$work/config"
 inside tee /etc/prism-edge/config.yaml < "$work/config" > /dev/null
 mkdir -p "$root/etc/systemd/system/prism-edge.service.d"

@@ -14,6 +14,7 @@ from prism_edge.errors import ConfigError, ModelError, SourceError
 from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.named_path import named_path
 from prism_edge.sources.camera_file import read_camera
+from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.oak import is_oak
 from prism_edge.sources.live.open import check_mode, is_live
 from prism_edge.sources.live.stream import is_stream
@@ -87,7 +88,8 @@ def _source(source: SourceConfig) -> list[str]:
     if source.mask and not mask.exists():
         missing.append(f"mask {source.mask} is not there")
     try:
-        camera = open_source(source).camera
+        opened = open_source(source).camera
+        camera = None if opened is UNCALIBRATED else opened  # known once it is connected, or estimated
     except (ConfigError, SourceError) as error:
         missing.append(str(error))
     if source.mask and mask.exists() and camera:

@@ -39,6 +39,7 @@ _LAST_S = 10.0  # for the tracker to say what it tracked last: on a busy machine
 _STILL_S = 2.0  # without a frame for this long, there is no rate
 # Started again, it is known that there is a camera: it gets most of the time that a start may take.
 _ABSENT_S = 45.0
+_OPENING_S = 60.0  # and as long as a camera's last attempt takes
 _ESTIMATING_S = 180.0  # a large network is loaded, and a slow computer runs it five times
 
 
@@ -292,7 +293,7 @@ def awaited_peers(config: Config, begun: bool) -> set[str]:
 
 def main(config: Config, bus: Bus) -> None:
     """Runs until ``bus.stopped``; raises SourceError or ConfigError where there is nothing to play."""
-    bus.pulse.working("opening the source", 60.0)
+    bus.pulse.working("opening the source", _OPENING_S)
     absent_s = max(config.source.absent_s, _ABSENT_S if bus.life else 0.0)
     config = replace(config, source=replace(config.source, absent_s=absent_s))
     check_mode(config)
@@ -302,9 +303,10 @@ def main(config: Config, bus: Bus) -> None:
 
         bus.pulse.working("estimating the camera", _ESTIMATING_S)
         source.camera_origin, source.camera = estimated_camera(config, bus.stopped)
-        bus.pulse.working("opening the source", 60.0)
+        bus.pulse.working("opening the source", _OPENING_S)
     if isinstance(source, LiveCamera):
         source.stopped = bus.stopped
+        bus.pulse.working("opening the camera", _OPENING_S + source.connecting_s)
     with contextlib.ExitStack() as stack:
         try:
             stack.enter_context(source)

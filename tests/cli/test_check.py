@@ -151,6 +151,19 @@ def test_a_mask_of_another_size_is_an_error(
     assert "mask.png is 320x240, but the camera's images are 640x480" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("source", ["'oak:'", "'oak:', camera: auto", "'v4l2:/dev/video7', camera: auto"])
+def test_a_mask_for_a_camera_that_is_not_known_yet_is_passed(
+    source: str, file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mask = tmp_path / "mask.png"
+    cv2.imwrite(str(mask), np.full((480, 640), 255, np.uint8))
+    write(file, f"source: {{uri: {source}, mask: {mask}}}\ndepth: {{model: prism_nano}}\n")
+    assert main(["config", "--check", str(file)]) == 0
+    mask.write_text("no image")
+    assert main(["config", "--check", str(file)]) == 3
+    assert "mask.png" in capsys.readouterr().err
+
+
 def test_a_folder_is_no_mask(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write(file, f"source: {{uri: 'sim:room', mask: {tmp_path}}}\n")
     assert main(["config", "--check", str(file)]) == 3

@@ -47,16 +47,21 @@ class Recorder:
         self.stopped = threading.Event()
         self.published: queue.Queue[tuple[str, Any]] = queue.Queue()
         self.states: list[str] = []
+        self.budgets: dict[str, float] = {}  # of what was worked on, seconds
         self.boxes: dict[str, Box] = {}
         self.desk = FakeDesk()
         self.commands = self.desk.open
         self.pulse = SimpleNamespace(
             values={},
             ready=lambda: self.states.append("ready"),
-            working=lambda activity, budget_s=5.0: self.states.append("working"),
+            working=self._working,
             idle=lambda: self.states.append("idle"),
             ended=lambda: self.states.append("ended"),
         )
+
+    def _working(self, activity: str, budget_s: float = 5.0) -> None:
+        self.states.append("working")
+        self.budgets[activity] = budget_s
 
     def queue(self, topic: str, capacity: int = 256) -> Box:
         return self.boxes.setdefault(topic, Box(self.stopped))

@@ -116,6 +116,23 @@ def test_being_stopped_ends_the_wait_for_a_camera(tmp_path: Path) -> None:
     assert "ready" not in bus.states
 
 
+def test_a_camera_with_more_patience_gets_more_time_to_be_opened(tmp_path: Path) -> None:
+    """The last attempt begins when the time for an absent camera is nearly over."""
+    file = tmp_path / "camera.yaml"
+    file.write_text("width: 64\nheight: 48\nfx: 60\nfy: 60\ncx: 31.5\ncy: 23.5\n")
+
+    def opened(uri: str) -> float:
+        bus = Recorder()
+        bus.stopped.set()
+        main(replace(CONFIG, source=SourceConfig(uri=uri, camera=str(file))), bus)  # type: ignore[arg-type]
+        return bus.budgets["opening the camera"]
+
+    pytest.importorskip("av")
+    at_once = "rtsp://127.0.0.1:9/x#timeout="
+    assert opened(f"{at_once}60") - opened(f"{at_once}10") == pytest.approx(3 * 50.0)
+    assert opened(f"{at_once}60") > 45.0 + 3 * 60.0
+
+
 @pytest.mark.parametrize(
     ("config", "words"),
     [

@@ -67,6 +67,11 @@ class LiveCamera(Source):
         self._reconnects = 0
         self._alive_s = self._image_s = 0.0  # last sign of life of the thread, and of the camera
 
+    @property
+    def connecting_s(self) -> float:
+        """How long one attempt may take, with the wait for its first image."""
+        return self._driver.connect_s + self._driver.dead_s
+
     def open(self) -> None:
         """Connects and takes one image, then leaves the camera to a thread.
 
@@ -151,12 +156,13 @@ class LiveCamera(Source):
                 told = True
 
     def _own_intrinsics(self, connection: Connection) -> Camera:
-        if connection.intrinsics is None:
+        intrinsics = connection.intrinsics
+        if intrinsics is None:
             raise ConfigError(
                 f"{self.name} knows nothing of its intrinsics: give a camera file (--camera FILE); "
                 "prism-edge calibrate makes one"
             )
-        return connection.intrinsics
+        return intrinsics
 
     def _check_first_image(self, connection: Connection) -> None:
         reason = "no image came"
@@ -189,7 +195,7 @@ class LiveCamera(Source):
         now = time.monotonic()
         with self._changed:
             why, quiet_s, silent_s = self._lost_why, now - self._image_s, now - self._alive_s
-        if silent_s > self._timing.hang_s:
+        if silent_s > self._timing.hang_s + self.connecting_s:
             raise SourceError(f"{self.name}: the driver has not come back for {silent_s:.0f} s")
         if not why and quiet_s > self._driver.dead_s + 1.0:
             why = f"no image for {quiet_s:.0f} s"
@@ -204,7 +210,7 @@ class LiveCamera(Source):
             try:
                 if connection is None:
                     connection = self._driver.connect()
-                    self._image_s = time.monotonic()  # the new connection's time begins here
+                    self._alive_s = self._image_s = time.monotonic()  # the new connection's time begins here
                 grab = connection.grab()
                 if grab is not None:
                     self._put(grab)
@@ -245,6 +251,7 @@ class LiveCamera(Source):
 
     def _lose(self, why: str) -> None:
         with self._changed:
+            self._alive_s = time.monotonic()
             first = not self._lost_why
             self._lost_why = why
             self._newest = None

@@ -26,8 +26,12 @@ class Grab:
 class Connection(Protocol):
     """A camera from the moment it is there until it is lost. One thread uses it."""
 
-    # What the camera itself knows of its intrinsics, and None where it knows nothing.
-    intrinsics: Camera | None
+    @property
+    def intrinsics(self) -> Camera | None:
+        """What the camera itself knows of its intrinsics, None where it knows nothing.
+
+        Raises SourceError where it knows what can't be used; whoever has others need not ask.
+        """
 
     def grab(self) -> Grab | None:
         """The next image; None where none came within half a second or so. Raises CameraLostError."""
@@ -42,6 +46,7 @@ class Driver(Protocol):
     name: str  # without passwords
     period_ns: int  # between images, as far as it is known
     dead_s: float  # a connection without an image for this long is given up
+    connect_s: float  # an attempt takes no longer, whatever the camera does
 
     def connect(self) -> Connection:
         """Raises CameraLostError where it isn't there, SourceError where it is but can't be used."""

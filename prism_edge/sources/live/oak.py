@@ -21,10 +21,12 @@ log = logging.getLogger("prism_edge.sources")
 
 SCHEME = "oak:"
 
-_FIRST_S = 15.0  # a device boots in about 5 s, and tells the exposure of its first images then
+_BOOT_S = 15.0  # a device takes about 5 s, and depthai 10 to find that there is none at an address
+_FIRST_S = 15.0  # until an image is as asked for: the first ones tell another exposure
 _WAIT = timedelta(milliseconds=200)
 _MICROSECOND = timedelta(microseconds=1)
 _EXPOSURE_TOLERANCE = 0.1
+_INSTEAD = "set undistort=yes, or give a camera file (--camera FILE)"
 _RADIAL = 8  # coefficients of a rational model; what follows is a thin prism's and a tilted sensor's
 
 
@@ -69,6 +71,7 @@ class OakDriver:
         self.name = f"OAK {self._id}".strip()
         self.period_ns = round(1e9 / options.rate)
         self.dead_s = options.timeout
+        self.connect_s = _BOOT_S + _FIRST_S
 
     def connect(self) -> OakConnection:
         """Boots the device and waits for its first image.
@@ -92,8 +95,10 @@ class OakDriver:
                 raise
         except RuntimeError as error:
             raise CameraLostError(first_line(error)) from None
-        self._id = device.getDeviceId()  # from now on this one, whatever else is plugged in
-        self.name = f"OAK {self._id}"
+        found = device.getDeviceId()
+        if not _is_ip(self._id):  # what was found by its address may be found by nothing else
+            self._id = found  # from now on this one, whatever else is plugged in
+        self.name = f"OAK {found or self._id}"
         return connection
 
     def _device(self, dai: Any) -> Any:
@@ -115,10 +120,9 @@ class OakDriver:
 class OakConnection:
     """A device with a running pipeline of one camera."""
 
-    intrinsics: Camera | None = None
-
     def __init__(self, dai: Any, device: Any, options: Options) -> None:
         self._dai, self._device, self._options = dai, device, options
+        self._transformation: Any = None  # of its first image
         socket = getattr(dai.CameraBoardSocket, f"CAM_{options.socket}")
         if socket not in device.getConnectedCameras():
             raise SourceError(f"the OAK has no camera {options.socket}")
@@ -140,7 +144,7 @@ class OakConnection:
         self._sequence = -1
 
     def start(self) -> None:
-        """Runs the pipeline until an image is as asked for; its intrinsics are then known."""
+        """Runs the pipeline until an image is as asked for; its intrinsics may then be asked for."""
         self._pipeline.start()
         deadline = time.monotonic() + _FIRST_S
         problem = "gives no image"
@@ -150,11 +154,16 @@ class OakConnection:
                 continue
             problem = self._difference(frame)
             if not problem:
-                self.intrinsics = intrinsics_of(self._dai, frame.getTransformation())
+                self._transformation = frame.getTransformation()
                 return
         if problem == "gives no image":
             raise CameraLostError(f"the OAK {problem}")
         raise SourceError(f"the OAK {problem}")
+
+    @property
+    def intrinsics(self) -> Camera | None:
+        """The factory's; raises SourceError where no camera model here has them."""
+        return intrinsics_of(self._dai, self._transformation)
 
     def grab(self) -> Grab | None:
         """The next image; raises CameraLostError where the link to the device breaks (X_LINK_ERROR)."""
@@ -203,17 +212,17 @@ def intrinsics_of(dai: Any, transformation: Any) -> Camera | None:
     distortion = [float(value) for value in transformation.getDistortionCoefficients()]
     model = transformation.getDistortionModel()
     if abs(skew) > 1e-3 * fx or model not in (dai.CameraModel.Perspective, dai.CameraModel.Fisheye):
-        raise SourceError("the OAK's images are no plain camera's: set undistort=yes, or give a camera file")
+        raise SourceError(f"the OAK's images are no plain camera's: {_INSTEAD}")
     if model == dai.CameraModel.Fisheye:
         kept, rest, name = distortion[:4], distortion[4:], FISHEYE
     else:
         kept, rest, name = distortion[:_RADIAL], distortion[_RADIAL:], PINHOLE
         kept = (kept + [0.0] * _RADIAL)[:_RADIAL] if any(kept) else []
     if any(rest):
-        raise SourceError("the OAK's lens needs more than 8 coefficients: set undistort=yes")
+        raise SourceError(f"the OAK's lens needs more than 8 coefficients: {_INSTEAD}")
     try:
         return Camera(width, height, fx, fy, cx, cy, name, tuple(kept))
-    except ConfigError as error:  # whoever gives a camera file has no need of them
+    except ConfigError as error:
         log.warning("the OAK's own intrinsics are passed over: %s", error)
         return None
 

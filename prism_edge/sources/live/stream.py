@@ -59,6 +59,7 @@ class StreamDriver:
         self.is_mjpeg = parts.scheme.lower().startswith("http")
         self.period_ns = round(1e9 / DEFAULT_RATE_HZ)
         self.dead_s = self.options.timeout
+        self.connect_s = 2 * self.options.timeout  # for an answer, and for what it says of its streams
 
     def connect(self) -> StreamConnection:
         """Raises CameraLostError where nobody answers, SourceError where it is the address that is wrong."""

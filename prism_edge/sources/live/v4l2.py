@@ -23,6 +23,7 @@ SCHEME = "v4l2:"
 
 _BUFFERS = 4  # one is being filled, one waits, one is read; one more for a late thread
 _WAIT_S = 0.2
+_CONNECT_S = 15.0  # the kernel gives a USB camera 5 s for an answer
 _OLDEST_NS = 2_000_000_000  # a stamp older than this is of another clock
 
 
@@ -54,6 +55,7 @@ class V4l2Driver:
         self.name = f"camera {self.path}"
         self.period_ns = round(1e9 / (options.rate or DEFAULT_RATE_HZ))
         self.dead_s = options.timeout
+        self.connect_s = _CONNECT_S
         self._kernel = kernel or Kernel()
         self._card = ""
 

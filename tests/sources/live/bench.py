@@ -24,6 +24,7 @@ class Bench:
     """Driver and connection in one; ``script`` says what each grab gives."""
 
     name, period_ns, dead_s = "the bench", 1_000_000, 0.2  # only who gives nothing is held to the last
+    connect_s = 0.0
     intrinsics: Camera | None = None
 
     def __init__(self, script: Callable[[int], Grab | None]) -> None:

@@ -30,7 +30,7 @@ class Unit:
         self.matrix = [[430.5, 0.0, 318.25], [0.0, 431.5, 241.75], [0.0, 0.0, 1.0]]
         self.distortion = [1.5, -2.25, 0.001, -0.002, 0.5, 1.25, -2.0, 0.25] + [0.0] * 6
         self.model = "Perspective"
-        self.present = True
+        self.present = self.listed = True  # a device beyond the local network is there, and not seen
         self.link_error = ""  # raised by whatever is asked of it
         self.silent = self.closed_queue = self.damaged = False
         self.size: tuple[int, int] | None = None  # other than asked for
@@ -73,7 +73,7 @@ class FakeDepthai:
 
             @staticmethod
             def getAllAvailableDevices() -> list[Any]:
-                there = [unit for unit in module.units if unit.present]
+                there = [unit for unit in module.units if unit.present and unit.listed]
                 return [SimpleNamespace(deviceId=unit.device_id, name=unit.name) for unit in there]
 
             def setMaxReconnectionAttempts(self, attempts: int) -> None:

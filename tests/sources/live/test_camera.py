@@ -167,6 +167,33 @@ def test_a_driver_that_hangs_is_an_error_not_a_hang() -> None:
         camera.close()
 
 
+def test_an_attempt_to_connect_may_take_as_long_as_the_driver_says() -> None:
+    class Slow(Bench):
+        attempts = 0
+
+        def connect(self) -> Bench:
+            if self.refusal is not None:
+                time.sleep(0.5)
+                self.attempts += 1
+            return super().connect()
+
+    gone = threading.Event()
+
+    def script(k: int) -> Grab:
+        if gone.is_set():
+            raise CameraLostError("unplugged")
+        return steady(k)
+
+    bench = Slow(script)
+    bench.connect_s = DEADLINE_S
+    timing = Timing(first_pause_s=0.01, longest_pause_s=0.01, hang_s=0.2, read_s=0.02)
+    with LiveCamera(bench, CAMERA, "a test", timing) as camera:
+        next_image(camera)
+        bench.refusal = CameraLostError("silent")
+        gone.set()
+        until(lambda: isinstance(camera.read(), Absent) and bench.attempts >= 2)
+
+
 def test_a_camera_that_comes_late_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
     class Late(Bench):
         refused = 0

@@ -106,6 +106,16 @@ def test_a_device_without_calibration_needs_a_file(matrix: list[list[float]], un
         assert image(camera).pixels.shape == (240, 320, 3)  # the size follows the file
 
 
+def test_whoever_has_intrinsics_is_not_held_up_by_those_that_no_model_has(unit: Unit) -> None:
+    unit.distortion[10] = 0.01
+    own = Camera(320, 240, 200.0, 200.0, 160.0, 120.0)
+    with LiveCamera(OakDriver("oak:", own), own, "a file", QUICK) as camera:
+        assert image(camera).pixels.shape == (240, 320, 3)
+    with open_source(SourceConfig(uri="oak:"), calibrated=False) as uncalibrated:  # `calibrate` and `mask`
+        assert isinstance(uncalibrated, LiveCamera)
+        assert image(uncalibrated).pixels.shape == (480, 640, 3)
+
+
 def test_settings_are_made(unit: Unit) -> None:
     OakDriver("oak:?socket=B&width=320&height=200&rate=60&exposure_ms=8&iso=800&focus=120").connect()
     assert unit.controls == {"socket": "CAM_B", "exposure_us": 8000, "iso": 800, "focus": 120}
@@ -174,6 +184,14 @@ def test_a_device_by_its_address(unit: Unit) -> None:
         OakDriver("oak:10.0.0.8").connect()
     with pytest.raises(CameraLostError, match=r"no OAK CCCC is there \(present: 14442C10D13EABCE00\)"):
         OakDriver("oak:CCCC").connect()
+
+
+def test_a_device_beyond_the_local_network_is_opened_again(unit: Unit) -> None:
+    unit.name, unit.listed = "10.0.0.7", False
+    driver = OakDriver("oak:10.0.0.7")
+    for _ in range(2):
+        driver.connect().close()
+        assert driver.name == "OAK 14442C10D13EABCE00"
 
 
 def test_images_that_were_lost_show_as_gaps_and_damaged_ones_are_unreadable(unit: Unit) -> None:
