@@ -120,9 +120,17 @@ def simulated(uri: str, frames: int, pairs: int) -> None:
         summary("  " + uri, rows)
 
 
-def recorded(folder: Path, pairs: int) -> None:
-    """The same for a folder of real pictures, leaving out exact copies."""
-    files = sorted(p for p in folder.iterdir() if p.suffix in (".jpg", ".png") and "depth" not in p.name)
+def pictures(folder: Path) -> list[Path]:
+    """The pictures in a folder, in order; ends the program where there are not two."""
+    there = folder.iterdir() if folder.is_dir() else ()
+    files = sorted(p for p in there if p.suffix in (".jpg", ".png") and "depth" not in p.name)
+    if len(files) < 2:
+        raise SystemExit(f"{folder} holds no pictures")
+    return files
+
+
+def recorded(folder: Path, files: list[Path], pairs: int) -> None:
+    """The same for real pictures, leaving out exact copies."""
     rows = []
     for index in np.linspace(0, len(files) - 2, pairs).astype(int).tolist():
         greys = [cv2.imread(str(files[index + k]), cv2.IMREAD_GRAYSCALE) for k in (0, 1)]
@@ -131,7 +139,7 @@ def recorded(folder: Path, pairs: int) -> None:
         count = len(features(greys[0], 20_000)[0])
         rows.append((count, agreeing(features(greys[0]), features(greys[1]))))
     if not rows:
-        raise SystemExit(f"{folder} holds no pictures")
+        raise SystemExit(f"{folder} holds no two pictures that differ")
     summary(str(folder), rows)
 
 
@@ -144,13 +152,14 @@ def main() -> None:
     parser.add_argument("--video", type=Path, help="folder of real pictures to compare with")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
+    files = pictures(arguments.video) if arguments.video else []
     try:
         for uri in arguments.uri:
             simulated(uri, arguments.frames, arguments.pairs)
     except PrismError as error:
         sys.exit(str(error))
     if arguments.video:
-        recorded(arguments.video, arguments.pairs)
+        recorded(arguments.video, files, arguments.pairs)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,7 @@ from prism_edge.config_file import dump
 from prism_edge.depth import OnnxNetwork, locate, open_onnx
 from prism_edge.depth.cards import sidecar_of
 from prism_edge.depth.contract import CONTRACT, METRIC
-from prism_edge.depth.providers import provider_options, session_options
+from prism_edge.depth.providers import provider_options, session_options, with_own_engines
 from prism_edge.errors import ModelError, PrismError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Depth, KeyframeImage
@@ -144,6 +144,7 @@ def as_metric(network: OnnxNetwork) -> Iterator[Path]:
 
 def bare_session(network: OnnxNetwork, depth: DepthConfig) -> tuple[Any, dict[str, Any]]:
     """onnxruntime on the same file with the same options, and an input for it."""
+    depth = with_own_engines(depth, network.fingerprint)
     providers = [(network.provider, provider_options(network.provider, depth))]
     session = onnxruntime.InferenceSession(str(network.path), session_options(depth), providers)
     card = network.card

@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,6 +38,7 @@ import onnxruntime  # after prism_edge, which keeps it from reporting to its mak
 OUTPUT = "place_descriptor"
 STRIDE = 16  # input pixels a cell of the preferred map
 _LARGEST_MESSAGE = 2**31 - 2**20  # bytes of one protobuf message; beyond, weights go into a file beside it
+_LARGEST_CONSTANT = 2**16  # bytes; above, a tensor holds weights
 _PASSED_ON = {"BatchNormalization", "Relu", "Clip", "LeakyRelu", "HardSwish", "Gelu", "Identity", "Cast"}
 _UPSAMPLING = {"Upsample", "Resize", "ConvTranspose"}
 
@@ -93,7 +95,8 @@ def _fix_input(model: onnx.ModelProto, card: ModelCard) -> None:
 def poolable(model: onnx.ModelProto) -> dict[str, tuple[int, ...]]:
     """Tensors that can be pooled, outputs too, with their shapes: maps (1, C, h, w), tokens (1, n, C)."""
     shapes = {}
-    inferred = onnx.shape_inference.infer_shapes(model).graph
+    with _without_weights(model):
+        inferred = onnx.shape_inference.infer_shapes(model).graph
     for value in (*inferred.value_info, *inferred.output):
         kind = value.type.tensor_type
         shape = tuple(dim.dim_value for dim in kind.shape.dim)
@@ -101,6 +104,20 @@ def poolable(model: onnx.ModelProto) -> dict[str, tuple[int, ...]]:
         if is_float and len(shape) in (3, 4) and shape[0] == 1 and min(shape) >= 1:
             shapes[value.name] = shape
     return shapes
+
+
+@contextmanager
+def _without_weights(model: onnx.ModelProto) -> Iterator[None]:
+    """Shapes follow from small constants, and a model of gigabytes can't be handed to onnx as a whole."""
+    large = [tensor for tensor in model.graph.initializer if len(tensor.raw_data) > _LARGEST_CONSTANT]
+    weights = [tensor.raw_data for tensor in large]
+    try:
+        for tensor in large:
+            tensor.ClearField("raw_data")
+        yield
+    finally:
+        for tensor, data in zip(large, weights, strict=True):
+            tensor.raw_data = data
 
 
 def chosen(
@@ -183,7 +200,8 @@ def write(
     )
     helper.set_model_props(model, exposed.to_metadata())
     weights = out.with_name(out.name + ".data")
-    external = model.ByteSize() > _LARGEST_MESSAGE
+    # Tensor by tensor: a message that is too large can't even be measured.
+    external = sum(tensor.ByteSize() for tensor in model.graph.initializer) > _LARGEST_MESSAGE
     try:
         onnx.save(model, str(out), save_as_external_data=external, location=weights.name)
         _compare(source, out, exposed)

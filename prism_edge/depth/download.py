@@ -154,7 +154,8 @@ def _attempt(wanted: Wanted, patience: Patience, progress: Progress) -> Path:
             if start != have or part != old:
                 raise StaleError
         else:  # the server sends all of it, whether or not it was asked to go on
-            have, total = 0, int(response.headers.get("Content-Length") or 0)
+            said = response.headers.get("Content-Length") or ""
+            have, total = 0, int(said) if said.isascii() and said.isdigit() else 0  # else not told
         _check_size(wanted, total, have)
         for other in parts:
             if other != part:

@@ -173,22 +173,33 @@ class PairedNetwork:
             there = values != 0 if fit.of_depth else values > 0
             values = np.where(there, values if fit.of_depth else inverse, np.nan).astype(np.float32)
         farthest = 1.5 * float(np.percentile(metric.depth[metric.depth > 0], 99))
-        paired = checked(replace(raw, depth=metres(values, fit, farthest)))
+        depth = metres(values, fit, farthest)
+        if self._metric.card.sky_output:  # what it takes for sky has no depth, whatever the other says there
+            at = np.arange(depth.shape[1], dtype=np.float64), np.arange(depth.shape[0], dtype=np.float64)
+            seen, inside = _at(*np.meshgrid(*at), raw.image_to_depth, metric)
+            depth[inside & (seen == 0.0)] = 0.0
+        paired = checked(replace(raw, depth=depth))
         return paired if paired.valid else None
 
 
 def _samples(relative: F32, image_to_relative: F64, metric: Prediction) -> tuple[F64, F64]:
     """Both networks' values at a grid of points common to their fields of view."""
-    a, b, c, d = image_to_relative
-    e, f, g, h = metric.image_to_depth
     rows, columns = relative.shape
     x, y = np.meshgrid(np.linspace(0, columns - 1, GRID[0]), np.linspace(0, rows - 1, GRID[1]))
+    z, inside = _at(x, y, image_to_relative, metric)
+    values = relative[np.round(y).astype(int), np.round(x).astype(int)]
+    return values[inside].astype(np.float64), z[inside].astype(np.float64)
+
+
+def _at(x: F64, y: F64, image_to_relative: F64, metric: Prediction) -> tuple[F32, NDArray[np.bool_]]:
+    """The metric network's depth at places (h, w) of the other's map, and which lie in its field of view."""
+    a, b, c, d = image_to_relative
+    e, f, g, h = metric.image_to_depth
     mx, my = e * (x - b) / a + f, g * (y - d) / c + h  # by way of the image
     inside = (mx >= 0) & (mx <= metric.depth.shape[1] - 1) & (my >= 0) & (my <= metric.depth.shape[0] - 1)
     # Nearest pixels: blending across the 0 of an invalid one would invent a depth.
     z = cv2.remap(metric.depth, mx.astype(np.float32), my.astype(np.float32), cv2.INTER_NEAREST)
-    values = relative[np.round(y).astype(int), np.round(x).astype(int)]
-    return values[inside].astype(np.float64), z[inside].astype(np.float64)
+    return np.asarray(z, np.float32), inside
 
 
 def _line_through_thirds(d: F64, target: F64) -> F64:

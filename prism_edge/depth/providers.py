@@ -13,7 +13,7 @@ import os
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -245,18 +245,32 @@ def given_options(config: DepthConfig) -> dict[str, dict[str, str]]:
     return options
 
 
+def with_own_engines(config: DepthConfig, fingerprint: str) -> DepthConfig:
+    """The configuration with a folder of engines for one network alone.
+
+    TensorRT's provider knows a network by the names of its file and nodes: it would run the engine of one
+    with other weights, exported or trained anew under the same name.
+    """
+    return replace(config, engine_cache=str(_engines(config) / fingerprint))
+
+
 def engine_cache(config: DepthConfig) -> Path:
     """The folder of engines that TensorRT and OpenVINO compile; made, for this user alone.
 
-    Engines are machine code that is run unchecked: nobody else may write there. Raises ModelError where
-    the folder can't be made.
+    Engines are machine code that is run unchecked: nobody else may write there, nor put another folder in its
+    place. Raises ModelError where the folder can't be made.
     """
-    folder = named_path(config.engine_cache) if config.engine_cache else cache_home() / "engines"
+    folder = _engines(config)
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for made in (folder.parent, folder):
+            made.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError as error:
         raise ModelError(f"depth.engine_cache: {folder} can't be made ({error.strerror})") from None
     return folder
+
+
+def _engines(config: DepthConfig) -> Path:
+    return named_path(config.engine_cache) if config.engine_cache else cache_home() / "engines"
 
 
 def _nodes(session: Any) -> dict[str, int]:

@@ -26,7 +26,7 @@ from prism_edge.depth.prediction import (
     no_confidence,
     no_descriptor,
 )
-from prism_edge.depth.providers import native_line, start
+from prism_edge.depth.providers import native_line, start, with_own_engines
 from prism_edge.depth.registry import File
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
@@ -55,10 +55,11 @@ class OnnxNetwork:
         self.digest = vetted.sha256
         self.card: ModelCard = card_of(path, vetted, pinned)
         inner = self.card.descriptor_layer if self.card.has_inner_descriptor else ""
-        started = start(vetted, config or DepthConfig(), inner)
+        self.fingerprint = fingerprint(self.card, vetted)
+        started = start(vetted, with_own_engines(config or DepthConfig(), self.fingerprint), inner)
         self._session, self.provider, self.nodes = started.session, started.provider, started.nodes
         self.name = self.card.name
-        self.identity = f"{self.name}@{fingerprint(self.card, vetted)}"
+        self.identity = f"{self.name}@{self.fingerprint}"
         self.bias_sigma = self.card.scale_bias_sigma or 0.0
         self.dsug = self.card.dsug
         self.counters: dict[str, int] = {}

@@ -321,3 +321,9 @@ def test_a_folder_that_can_not_be_made_is_one_line(server: WebServer, tmp_path: 
     with pytest.raises(ModelError, match="can't be written") as error:
         fetch(wanted(server, tmp_path / "taken" / "net.onnx"), HASTY)
     assert "\n" not in str(error.value)
+
+
+def test_a_length_that_is_none_counts_as_not_told(server: WebServer, file: Path):
+    server.plan = ["odd-length"]
+    assert fetch(wanted(server, file), HASTY).read_bytes() == CONTENT
+    assert len(server.asked) == 1

@@ -301,3 +301,21 @@ def test_where_inverse_depth_runs_to_nothing_there_is_no_depth(tmp_path: Path):
     assert answer.depth.max() <= 1.5 * np.percentile(metric.infer(image, CAMERA).depth, 99)
     seen = truth < 3.0
     assert np.percentile(np.abs(np.log(answer.depth[seen] / truth[seen])), 95) < 0.05
+
+
+@pytest.mark.parametrize("kind", ["relative", "inverse_relative"])
+def test_the_metric_network_s_sky_has_no_depth_in_a_pair(tmp_path: Path, kind: str):
+    """A relative network that knows of no sky puts a surface there."""
+    what = TinyNetwork(name="m_sky", width=640, height=480)
+    graph = tiny_graph(what)
+    graph.node.append(helper.make_node("Identity", ["log_depth"], ["sky"]))  # beyond 2.7 m
+    graph.output.append(helper.make_tensor_value_info("sky", TensorProto.FLOAT, [1, 1, 120, 160]))
+    save(tmp_path / "m.onnx", graph, replace(what.card(), sky_output="sky", sky_limit=1.0))
+    relative = network(tmp_path, "r", depth_kind=kind, width=640, height=480)
+    paired = PairedNetwork(relative, OnnxNetwork(tmp_path / "m.onnx"))
+    image, depth = view()
+    answer = paired.infer(image, CAMERA)
+    truth = cv2.resize(depth, (160, 120), interpolation=cv2.INTER_AREA)
+    assert paired.counters["unpaired"] == 0
+    assert not answer.depth[truth > 2.8].any()
+    assert (answer.depth[truth < 2.6] > 0).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +15,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth import providers
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
-from tests.synthetic.network import write_tiny_network
+from tests.synthetic.network import TinyNetwork, write_sidecar, write_tiny_network
 
 CPU, CUDA, TENSORRT = "CPUExecutionProvider", "CUDAExecutionProvider", "TensorrtExecutionProvider"
 OPENVINO, QNN = "OpenVINOExecutionProvider", "QNNExecutionProvider"
@@ -153,15 +154,29 @@ def test_the_real_cpu_is_there_whatever_is_asked_for(network):
 
 def test_engines_are_kept_where_the_configuration_says(network, monkeypatch, cache: Path, tmp_path: Path):
     border = Border(monkeypatch, tensorrt="starts", openvino="starts")
-    OnnxNetwork(network, DepthConfig(providers=("tensorrt", "openvino"), threads=3))
-    assert border.options[TENSORRT]["trt_engine_cache_path"] == str(cache)
-    assert border.options[OPENVINO] == {"cache_dir": str(cache), "num_of_threads": "3"}
-    assert cache.stat().st_mode & 0o777 == 0o700
+    own = OnnxNetwork(network, DepthConfig(providers=("tensorrt", "openvino"), threads=3)).fingerprint
+    assert border.options[TENSORRT]["trt_engine_cache_path"] == str(cache / own)
+    assert border.options[OPENVINO] == {"cache_dir": str(cache / own), "num_of_threads": "3"}
+    for folder in (cache, cache / own):
+        assert folder.stat().st_mode & 0o777 == 0o700
     OnnxNetwork(network, DepthConfig(providers=("tensorrt",), engine_cache=str(tmp_path / "mine")))
-    assert border.options[TENSORRT]["trt_engine_cache_path"] == str(tmp_path / "mine")
+    assert border.options[TENSORRT]["trt_engine_cache_path"] == str(tmp_path / "mine" / own)
     (tmp_path / "file").write_text("")
     with pytest.raises(ModelError, match="can't be made"):
         providers.engine_cache(DepthConfig(engine_cache=str(tmp_path / "file" / "below")))
+
+
+def test_no_engine_is_taken_of_another_network_of_the_same_name(monkeypatch, tmp_path: Path):
+    """TensorRT's provider tells them by the names of the file and its nodes; weights may differ."""
+    border, folders = Border(monkeypatch, tensorrt="starts"), []
+    for gain, layer in ((1.0, ""), (1.3, ""), (1.3, "small"), (1.3, "log_depth")):
+        what = TinyNetwork(gain=gain)
+        path = write_tiny_network(tmp_path / "net.onnx", what)
+        if layer:
+            write_sidecar(path, replace(what.card(), descriptor_layer=layer, descriptor_pooling="mean"))
+        OnnxNetwork(path, DepthConfig(providers=("tensorrt",)))
+        folders.append(border.options[TENSORRT]["trt_engine_cache_path"])
+    assert len(set(folders)) == 4
 
 
 def test_no_folder_is_made_that_nobody_needs(network, cache: Path):

@@ -14,7 +14,8 @@ class WebServer:
 
     Words: right, truncate (half, then the connection is cut), corrupt (one byte is wrong), stall (half, then
     nothing until the server ends), trickle (a byte now and then), ignore-range, wrong-range, no-length,
-    changed (another version), packed, close (no answer), an HTTP status as digits, -> URL (a redirect).
+    odd-length, changed (another version), packed, close (no answer), an HTTP status as digits, -> URL (a
+    redirect).
     """
 
     def __init__(self) -> None:
@@ -85,7 +86,8 @@ class WebServer:
         if how == "packed":
             request.send_header("Content-Encoding", "gzip")
         if how != "no-length":
-            request.send_header("Content-Length", str(len(body)))
+            length = str(len(body))
+            request.send_header("Content-Length", f"{length}, {length}" if how == "odd-length" else length)
         request.end_headers()
         if how == "corrupt":
             body = body[:-1] + bytes([body[-1] ^ 1])

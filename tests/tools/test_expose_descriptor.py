@@ -10,7 +10,7 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
-from onnx import TensorProto, helper
+from onnx import TensorProto, helper, numpy_helper
 
 from prism_edge.depth.contract import card_from_metadata
 from prism_edge.depth.inner_tensor import POOLINGS, pool
@@ -166,3 +166,27 @@ def test_descriptors_that_are_all_alike_tell_no_place_from_another() -> None:
     poses[::2, 0, 3] = 5.0
     score = measure_places.score_places(indices, poses, np.tile([0.6, 0.8], (20, 1)))
     assert score.auc == 0.5
+
+
+def test_weights_of_gigabytes_are_not_handed_to_onnx_as_one_message(tmp_path, monkeypatch) -> None:
+    """It can't take them; they are kept in a file beside the network, and come to no harm."""
+    path, out = tmp_path / "net.onnx", tmp_path / "places.onnx"
+    what = TinyNetwork()
+    graph = tiny_graph(what)
+    graph.initializer.append(numpy_helper.from_array(np.zeros(50_000, np.float32), "large"))
+    graph.node.append(helper.make_node("ReduceSum", ["large"], ["unused"], keepdims=0))
+    save(path, graph, what.card())
+    infer = onnx.shape_inference.infer_shapes
+    given = []
+
+    def bounded(model: onnx.ModelProto) -> onnx.ModelProto:
+        given.append(model.ByteSize())
+        return infer(model)
+
+    monkeypatch.setattr(onnx.shape_inference, "infer_shapes", bounded)
+    monkeypatch.setattr(expose_descriptor, "_LARGEST_MESSAGE", 100_000)
+    assert expose_descriptor.main([str(path), str(out), "--layer", "small", "--pooling", "mean"]) == 0
+    assert given
+    assert max(given) < 100_000
+    assert out.with_name("places.onnx.data").stat().st_size >= 200_000
+    assert OnnxNetwork(out).card.descriptor_output == expose_descriptor.OUTPUT
