@@ -16,7 +16,7 @@ import numpy as np
 from prism_edge.config import TrackingConfig
 from prism_edge.tracking.keyframe_decision import RECENT, same_view
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.redundancy import REDUNDANT, Redundancies, redundancy
+from prism_edge.tracking.redundancy import REDUNDANT, bridged, redundancy
 from prism_edge.tracking.relocalisation import Relocaliser
 from prism_edge.tracking.submaps import Parts
 
@@ -34,7 +34,7 @@ def keeping_bound(
     Between steps frames may be tracked in it, but no keyframe may come or go.
     """
     bounds = config.max_keyframes, config.redundant_keyframes
-    for gone in chain(cull_stand_in(world), culling(world, *bounds, parts.alone(), AT_ONCE)):
+    for gone in chain(cull_stand_in(world), culling(world, *bounds, parts.small(RECENT), AT_ONCE)):
         places.forget([gone])
         parts.forget([gone])
         yield
@@ -42,16 +42,16 @@ def keeping_bound(
 
 
 def culling(
-    world: LocalMap, most: int, most_redundant: int, alone: Collection[int] = (), at_once: int | None = None
+    world: LocalMap, most: int, most_redundant: int, small: Collection[int] = (), at_once: int | None = None
 ) -> Iterator[int]:
     """Drop keyframes until there are at most ``most`` (3 or more); their ids, each once it is gone.
 
     Beyond ``most_redundant`` the redundant ones go that share points with the newest. Neither the newest go,
     nor the first: its camera is where the world's frame is, and what everything after was placed from.
-    Beyond ``most`` those that are ``alone`` in their part go first, and ``at_once`` at most: a map may come
-    with many too many.
+    Beyond ``most`` those of ``small`` parts go first, which nobody has joined to the map since, the oldest
+    before all; and ``at_once`` at most: a map may come with many too many.
     """
-    surplus = islice(_surplus(world, most, alone), at_once)
+    surplus = islice(_surplus(world, most, small), at_once)
     while len(world.keyframes) > min(most, most_redundant):
         gone = _redundant(world) if len(world.keyframes) > most_redundant else None
         if gone is None and len(world.keyframes) > most:
@@ -62,17 +62,19 @@ def culling(
         yield gone
 
 
-def _surplus(world: LocalMap, most: int, alone: Collection[int]) -> Iterator[int]:
-    """What a map of too many can do without: any that is alone, or else the most redundant, until it is gone.
+def _surplus(world: LocalMap, most: int, small: Collection[int]) -> Iterator[int]:
+    """What a map of too many can do without: the oldest of ``small`` parts, or else what is bridged best.
 
-    Of equally redundant ones the oldest goes first.
+    Of equals the oldest goes first.
     """
-    numbers = sorted(world.keyframes)[1 : -min(RECENT, most - 1)]
-    redundancies = Redundancies(world, numbers)
+    newest = min(RECENT, most - 1)
     while True:
-        shares = dict(zip(numbers, redundancies.now().tolist(), strict=True))
-        there = [k for k in numbers if k in world.keyframes]
-        yield max(there, key=lambda k: (k in alone, shares[k], -k))
+        numbers = sorted(world.keyframes)[1:-newest]
+        loose = min((k for k in numbers if k in small), default=None)
+        if loose is None:
+            shares = bridged(world)
+            loose = max(numbers, key=lambda k: (shares[k], -k))
+        yield loose
 
 
 def cull_stand_in(world: LocalMap) -> list[int]:
@@ -101,7 +103,9 @@ def _redundant(world: LocalMap) -> int | None:
     """
     candidates = sorted(world.keyframes)[1:-RECENT]
     near = set(world.newest().neighbours).intersection(candidates)
-    return max((k for k in near if redundancy(world, world.keyframes[k]) > REDUNDANT), default=None)
+    often = [k for k in near if redundancy(world, world.keyframes[k]) > REDUNDANT]
+    shares = bridged(world) if often else {}
+    return max((k for k in often if shares[k] > REDUNDANT), default=None)
 
 
 def drop_keyframe(world: LocalMap, keyframe: LocalKeyframe) -> None:

@@ -1,14 +1,13 @@
 """How well a map would do without a keyframe.
 
 Redundancy is ORB-SLAM's (Mur-Artal et al., 2015, section VI-E): the share of a keyframe's points that at
-least three others see as well.
+least three others see as well. It says nothing of what a keyframe joins: three on one side of it will do.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from prism_edge.geometry.poses import Array
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
 REDUNDANT = 0.9
@@ -24,22 +23,21 @@ def redundancy(world: LocalMap, keyframe: LocalKeyframe) -> float:
     return float((world.points.observations[rows] > OTHERS).mean())
 
 
-class Redundancies:
-    """Those of some keyframes, looked up once: what changes while others are culled is only counts.
+def bridged(world: LocalMap) -> dict[int, float]:
+    """Of each keyframe the share of its points that an older one and a newer one see; 1 where it sees none.
 
-    Good for as long as the map gets no observations, and its table is not squeezed.
+    They would do as well without it, and hold together: of a way that is gone but once each keyframe joins
+    the one before it to the one after. One that was made long after the one before is bridged by little,
+    however many there are behind it: so a map of a long way that is full takes in what is new.
     """
-
-    def __init__(self, world: LocalMap, numbers: list[int]) -> None:
-        keyframes, self._world, self._count = [world.keyframes[k] for k in numbers], world, len(numbers)
-        seen = [world.points.rows(keyframe.points[keyframe.observed()]) for keyframe in keyframes]
-        self._rows = np.concatenate([*seen, np.zeros(0, np.intp)])
-        self._of = np.repeat(np.arange(len(seen)), [len(rows) for rows in seen])
-
-    def now(self) -> Array:
-        """:func:`redundancy` (n,) of each of the keyframes, in order; nonsense where it is culled."""
-        table = self._world.points
-        alive = table.alive[self._rows]
-        enough = alive & (table.observations[self._rows] > OTHERS)
-        points, shared = (np.bincount(self._of[chosen], minlength=self._count) for chosen in (alive, enough))
-        return np.where(points > 0, shared / np.maximum(points, 1), 1.0)
+    numbers = sorted(world.keyframes)
+    views = [world.keyframes[k] for k in numbers]
+    seen = [world.points.rows(view.points[view.observed()]) for view in views]
+    rows = np.concatenate([*seen, np.zeros(0, np.intp)])
+    counts = np.array([len(points) for points in seen], np.intp)
+    of = np.repeat(np.arange(len(seen)), counts)
+    first, last = np.zeros((2, len(world.points) + 1), np.intp)  # that see each point, in order
+    last[rows], first[rows[::-1]] = of, of[::-1]  # of several the last assignment holds
+    between = (first[rows] < of) & (of < last[rows])
+    shares = np.bincount(of[between], minlength=len(seen)) / np.maximum(counts, 1)
+    return dict(zip(numbers, np.where(counts > 0, shares, 1.0).tolist(), strict=True))

@@ -100,10 +100,10 @@ class Parts:
         joined, self._joined = self._joined, []
         return joined
 
-    def alone(self) -> set[int]:
-        """Keyframes that are all there is of a part, other than of the one that the camera is in."""
+    def small(self, most: int) -> set[int]:
+        """Keyframes of parts that have no more than ``most``: not of home, nor of where the camera is."""
         sizes = Counter(self._of.values())
-        return {k for k, part in self._of.items() if sizes[part] == 1 and part != self.current}
+        return {k for k, part in self._of.items() if sizes[part] <= most and part != self.current}
 
     def newest(self, world: LocalMap) -> LocalKeyframe:
         """The latest keyframe of the part that the camera is in; of the map where that has none left."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -15,9 +17,10 @@ from prism_edge.tracking.keyframe_culling import (
     keeping_bound,
 )
 from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.redundancy import bridged
 from prism_edge.tracking.relocalisation import Relocaliser
 from prism_edge.tracking.submaps import Parts
-from tests.tracking.cloud import Cloud, check, counted, observations, pose_at, walk
+from tests.tracking.cloud import Cloud, check, counted, descriptors, observations, pose_at, walk
 
 MANY = 1000
 
@@ -33,13 +36,14 @@ def references_hold(world: LocalMap) -> bool:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_the_most_redundant_goes_and_neither_the_first_nor_the_newest(seed):
+def test_the_best_bridged_goes_and_neither_the_first_nor_the_newest(seed):
     rng = np.random.default_rng(seed)
     world = walk(RECENT + 9, 0.05, seed)
     pairs = [(k, p) for p, keyframes in observations(world).items() for k in keyframes]
     dropped = np.array(pairs)[rng.random(len(pairs)) < 0.8]
     world.drop_observations(dropped[:, 0], dropped[:, 1])
-    shares = {k: counted(world, k) for k in range(1, 9)}
+    found = bridged(world)
+    shares = {k: found[k] for k in range(1, 9)}
     expected = max(shares, key=lambda k: (shares[k], -k))
     assert len(set(shares.values())) > 4
     assert list(culling(world, RECENT + 8, MANY)) == [expected]
@@ -74,22 +78,56 @@ def test_a_map_within_its_bound_is_left_alone():
     assert not world.changes.culled_points
 
 
-def with_parts(world: LocalMap, *alone: int) -> Parts:
-    """Some keyframes are all there is of their parts, and two together are one; the camera is at home."""
-    parts = Parts.given({**{k: k for k in alone}, 2: 2, 3: 2})
-    assert parts.at_home
-    assert {2, 3} < world.keyframes.keys()
-    return parts
+def test_what_nobody_joins_goes_before_the_map_the_oldest_first():
+    """People who stand before a robot give it parts of two keyframes and more, again and again."""
+    world = walk(RECENT + 20, 0.05)
+    parts = Parts.given({5: 5, 7: 7, 8: 7, 9: 9, 10: 9, 11: 9})
+    parts.current = 9
+    assert parts.small(1) == {5}
+    assert parts.small(2) == {5, 7, 8}
+    gone = culling(world, RECENT + 16, MANY, parts.small(2))
+    assert [next(gone) for _ in range(3)] == [5, 7, 8]
+    found = bridged(world)
+    left = sorted(world.keyframes)[1:-RECENT]
+    assert list(gone) == [max(left, key=lambda k: (found[k], -k))]
+    check(world)
 
 
-def test_what_hangs_together_with_nothing_goes_before_the_most_redundant():
-    world = walk(RECENT + 10, 0.05)
-    alone = with_parts(world, 5, 7).alone()
-    gone = culling(world, RECENT + 7, MANY, alone)
-    assert sorted([next(gone), next(gone)]) == [5, 7]
-    left = [k for k in range(1, 10) if k not in (5, 7)]
-    expected = max(left, key=lambda k: (counted(world, k), -k))
-    assert list(gone) == [expected]
+@pytest.mark.parametrize("count", [2, RECENT, RECENT + 1])
+def test_a_part_that_is_no_small_one_is_not_given_up(count):
+    parts = Parts.given(dict.fromkeys(range(3, 3 + count), 3))
+    assert len(parts.small(RECENT)) == (count if count <= RECENT else 0)
+
+
+@pytest.mark.parametrize(
+    ("step", "most", "most_redundant"),
+    [(0.3, 30, MANY), (0.15, 30, MANY), (0.3, 40, 25), (0.05, 60, 25)],
+)
+def test_a_map_of_a_long_way_stays_whole_and_takes_in_what_is_new(step, most, most_redundant):
+    """Several times what it may hold: it becomes thinner everywhere, and breaks nowhere."""
+    cloud, count = Cloud(10, seed=3), 150
+    low, high = (-4.0, -2.0, 2.0), (count * step + 4.0, 2.0, 6.0)
+    cloud.positions = cloud.rng.uniform(low, high, (max(int(60 * count * step), 1500), 3))
+    cloud.descriptors = descriptors(cloud.rng, len(cloud.positions))
+    world, ids = LocalMap(), np.full(len(cloud.positions), -1, np.int64)
+    for number in range(count):
+        keyframe, seen = cloud.keyframe(number, pose_at(step * number))
+        there = ids[seen] >= 0
+        there[there] = world.points.known(ids[seen][there])
+        keyframe.points = np.where(there, ids[seen], -1)
+        world.add_keyframe(keyframe)
+        free = keyframe.free()
+        sigmas = np.full(len(free), 0.01)
+        ids[seen[free]] = world.add_points(keyframe, free, cloud.positions[seen[free]], sigmas, 5.0)
+        keyframe.neighbours = [k.id for k in world.covisible(keyframe, most)]
+        list(culling(world, most, most_redundant))
+        world.points.squeeze()
+    numbers = sorted(world.keyframes)
+    assert len(numbers) <= most
+    for one, other in pairwise(numbers):
+        theirs = world.keyframes[other].points
+        assert np.isin(theirs[theirs >= 0], world.keyframes[one].points).sum() >= 100
+    assert max(b - a for a, b in pairwise(numbers)) <= 3 * count / (min(most, most_redundant) - RECENT)
     check(world)
 
 
@@ -108,7 +146,7 @@ def test_beyond_the_number_all_redundant_neighbours_go_at_once():
 
 def test_what_goes_is_forgotten_step_by_step():
     world = walk(40)
-    parts, places = with_parts(world, 5), Relocaliser()
+    parts, places = Parts.given({5: 5}), Relocaliser()
     for k in world.keyframes:
         places.add_place(k, np.eye(40, dtype=np.float32)[k])
     config = TrackingConfig(max_keyframes=20, redundant_keyframes=MANY)
@@ -117,9 +155,9 @@ def test_what_goes_is_forgotten_step_by_step():
         (now,) = before - set(world.keyframes) - set(told)
         told.append(now)
         assert now not in places.index
-    assert told[:2] == [39 - RECENT, 5], "what stood in, and what is alone"
+    assert told[:2] == [39 - RECENT, 5], "what stood in, and what is a part of its own"
     assert len(told) == 1 + AT_ONCE < 40 - 20
-    assert parts.alone() <= world.keyframes.keys()
+    assert parts.small(MANY) <= world.keyframes.keys()
     assert len(places.index) == len(world.keyframes)
 
 
@@ -141,7 +179,7 @@ def test_beyond_a_number_the_redundant_go_and_what_placed_the_room_stays():
 
 def test_up_to_that_number_only_the_bound_costs_keyframes_the_oldest_of_equals_first():
     world = passed_again(RECENT + 12)
-    assert list(culling(world, RECENT + 10, RECENT + 12)) == [1, 2]
+    assert list(culling(world, RECENT + 10, RECENT + 12)) == [4, 5], "those before them saw some points first"
     check(world)
 
 

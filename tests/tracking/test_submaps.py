@@ -88,15 +88,15 @@ def test_a_loop_of_a_keyframe_that_has_just_left_the_map_joins_its_part():
     assert not parts.merge(71, 3)
 
 
-def test_a_part_of_one_keyframe_is_alone_unless_the_camera_is_there():
+def test_a_part_of_one_keyframe_is_a_small_one_unless_the_camera_is_there():
     parts = Parts.given({3: 3, 5: 5, 6: 5})
-    assert parts.alone() == {3}
+    assert parts.small(1) == {3}
     parts.begin(9)
-    assert parts.alone() == {3}
+    assert parts.small(1) == {3}
     parts.begin(12)
-    assert parts.alone() == {3, 9}
+    assert parts.small(1) == {3, 9}
     parts.merge(12, 9)
-    assert parts.alone() == {3}
+    assert parts.small(1) == {3}
 
 
 def test_the_newest_and_the_number_are_those_of_a_plain_search():
