@@ -20,17 +20,30 @@ BEST = 0.25  # of the matched points: what the map's shape rests on
 LEAST_PARALLAX_DEG = 0.5  # below it depths are the network's, and no worse for less
 
 
+class Baselines:
+    """The parts of a map in which a frame has seen ENOUGH points from two sides: they have a baseline."""
+
+    def __init__(self) -> None:
+        self._parts: set[int] = set()
+
+    def begin(self, part: int) -> None:
+        """A part begins; its number may have been another's that came to nothing."""
+        self._parts.discard(part)
+
+    def without(self, unobserved: float, part: int) -> float:
+        """What a frame that was placed in a part lacks (:func:`unobserved_translation`), others heard."""
+        if unobserved == 0.0:
+            self._parts.add(part)
+        return 0.0 if part in self._parts else unobserved
+
+
 def unobserved_translation(world: LocalMap, world_from_camera: Array, rows: Index) -> float:
     """Standard deviation of the position of a frame that matches the points in ``rows``, map units.
 
-    Beside what its own points say: until a frame has seen ENOUGH points that two keyframes placed with
-    PARALLAX_DEG it is UNOBSERVED times the scene's median depth; from then on 0. Orientation is as certain
-    as it is.
+    Beside what its own points say: 0 where it sees ENOUGH points that two keyframes placed with
+    PARALLAX_DEG, else UNOBSERVED times the scene's median depth. Orientation is as certain as it is.
     """
-    if world.has_baseline:
-        return 0.0
     if np.count_nonzero(world.points.parallax_deg[rows] >= PARALLAX_DEG) >= ENOUGH:
-        world.has_baseline = True
         return 0.0
     offset = world.points.position[rows] - world_from_camera[:3, 3]
     depth = float(np.median(offset @ world_from_camera[:3, 2])) if len(rows) else 1.0

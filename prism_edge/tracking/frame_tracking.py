@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
@@ -13,9 +12,9 @@ from prism_edge.tracking.baseline import best_parallax, unobserved_translation
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
-from prism_edge.tracking.point_table import Ids, Index, PointTable
-from prism_edge.tracking.point_trust import trust
-from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
+from prism_edge.tracking.point_table import Ids, Index
+from prism_edge.tracking.pose_from_map import SEED_SIGMA, Centres, PoseFromMap
+from prism_edge.tracking.pose_refinement import PoseEstimate
 from prism_edge.tracking.projection import expected_octaves, project
 
 # Hamming distances of 256: the same corner seen again stays well below, another one is near 128.
@@ -24,17 +23,13 @@ LOCAL_DISTANCE, LOCAL_RATIO = 72, 0.8
 SEARCH_RADII = (15.0, 40.0, 80.0)  # pixels at level 0, tried in turn when too little is found
 LOCAL_RADIUS, SEED_RADIUS = 3.0, 6.0
 MIN_VIEW_COSINE = 0.5
-SEED_SIGMA = 0.1  # relative depth error beyond which a point counts as a seed
-ENOUGH_TRIANGULATED = 60
 LOCAL_KEYFRAMES = 60
-SHARED_SEED_ERROR = 5.0
 # Points of the previous frame that give the first pose; keypoints come best of each cell first.
 FIRST_POSE_POINTS = 150
 # Rounds of the solver, and steps in each. The second pose starts so near its end that a step is enough, and
 # one more choice of inliers brings it nearer to where many rounds would than further steps do.
 FIRST_POSE_ROUNDS, POSE_ROUNDS = (1, 2), (3, 1)
 SUDDEN_LOSS = 0.65  # of the previous frame's matches
-Centres: TypeAlias = tuple[Ids, Array]
 
 
 @dataclass
@@ -57,27 +52,12 @@ class TrackedFrame:
         return cls(keyframe.camera, keyframe.features, pose, points, np.zeros((6, 6)), matched)
 
 
-def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
-    """One-sigma error vectors (n, 3) of points along the rays from ``origins`` that first saw them."""
-    return (table.position.take(rows, axis=0) - origins) * table.log_depth_sigma[rows, None]
-
-
-def reference_origins(world: LocalMap, rows: Index, views: Centres | None = None) -> Array:
-    """Where the camera was that created each point, or of the keyframe that a culled one handed it on to.
-
-    ``views`` are the map's :meth:`~prism_edge.tracking.local_map.LocalMap.centres`, where they are at hand.
-    """
-    numbers, centres = world.centres() if views is None else views
-    origins: Array = centres.take(np.searchsorted(numbers, world.points.reference.take(rows)), axis=0)
-    return origins
-
-
 class FrameTracker:
     """Places frames in a local map."""
 
     def __init__(self, scale_factors: Array, max_local_points: int, proven_after_s: float = 0.0) -> None:
-        self._proven_after_s = proven_after_s
         self._factors = scale_factors
+        self.pose = PoseFromMap(scale_factors, proven_after_s)
         self._most = max_local_points
         self._local_ids: Ids = np.zeros(0, np.int64)
 
@@ -156,8 +136,8 @@ class FrameTracker:
         """The frame at a pose that was found otherwise, as sure as all its ``points`` make it just there."""
         keypoints = np.flatnonzero(points >= 0)
         rows = world.points.rows(points[keypoints])
-        estimate = self._estimate(
-            world, world.centres(), frame.camera, frame.features, pose, rows, keypoints, rounds=(1, 0)
+        estimate = self.pose.estimate(
+            world, frame.camera, frame.features, pose, rows, keypoints, rounds=(1, 0)
         )
         unobserved = unobserved_translation(world, pose, rows)
         return replace(
@@ -276,17 +256,6 @@ class FrameTracker:
         )
         points[keypoint] = table.ids[rows[query]]
 
-    def _depth_error(self, world: LocalMap, views: Centres, rows: Index) -> Array:
-        """Errors along the first rays; seeds of one network share theirs, so many of them tell little more.
-
-        Beside enough triangulated points a seed is left to fix what its first ray says, not its depth.
-        """
-        error = depth_error(world.points, rows, reference_origins(world, rows, views))
-        seeded = world.points.log_depth_sigma[rows] > SEED_SIGMA
-        if (~seeded).sum() >= ENOUGH_TRIANGULATED:
-            error[seeded] *= SHARED_SEED_ERROR
-        return error
-
     def _solve(
         self,
         world: LocalMap,
@@ -303,28 +272,6 @@ class FrameTracker:
         if len(keypoints) < 6:
             return None
         rows = world.points.rows(points[keypoints])
-        return self._estimate(world, views, camera, features, start, rows, keypoints, rounds), keypoints
-
-    def _estimate(
-        self,
-        world: LocalMap,
-        views: Centres,
-        camera: Camera,
-        features: Features,
-        start: Array,
-        rows: Index,
-        keypoints: Index,
-        rounds: tuple[int, int],
-    ) -> PoseEstimate:
-        table = world.points
-        return refine_pose(
-            camera,
-            start,
-            table.position.take(rows, axis=0),
-            features.pixels.take(keypoints, axis=0),
-            self._factors[features.octaves[keypoints]],
-            self._depth_error(world, views, rows),
-            trust(table, rows, world.newest().stamp_ns, self._proven_after_s),
-            rounds=rounds[0],
-            iterations=rounds[1],
-        )
+        return self.pose.estimate(
+            world, camera, features, start, rows, keypoints, rounds, views
+        ), keypoints

@@ -60,7 +60,6 @@ class LocalMap:
         self.changes = Changes()
         self.heard = -1  # the newest keyframe that a correction knew
         self.announced = -1  # the newest whose message has gone out: what it gains later must be told apart
-        self.has_baseline = False  # whether a frame has seen enough points from two sides (baseline.py)
 
     def newest(self) -> LocalKeyframe:
         """The latest keyframe; the map must have one."""
@@ -187,6 +186,12 @@ class LocalMap:
             if count:
                 counts[keyframe.id] = count
         return counts
+
+    def nearest(self, points: Ids) -> LocalKeyframe | None:
+        """The keyframe that sees most of a view's ``points``, the newest of several; None where none does."""
+        seen = points[points != NO_POINT]
+        votes = self.votes(seen[self.points.known(seen)])
+        return self.keyframes[max(votes, key=lambda k: (votes[k], k))] if votes else None
 
     def covisible(self, keyframe: LocalKeyframe, most: int) -> list[LocalKeyframe]:
         """Keyframes that share the most points with one, best first."""

@@ -18,7 +18,7 @@ from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.mapping import depth_sigma, merge
 from prism_edge.tracking.point_table import Ids, Index
-from prism_edge.tracking.pose_refinement import refine_pose
+from prism_edge.tracking.pose_from_map import PoseFromMap
 from prism_edge.tracking.submaps import Parts
 
 log = logging.getLogger("prism_edge.tracking")
@@ -67,10 +67,11 @@ def flaw(update: MapUpdate) -> str:
 
 
 def take_over(
-    world: LocalMap, parts: Parts, update: MapUpdate, last: TrackedFrame | None, scale_factors: Array
+    world: LocalMap, parts: Parts, update: MapUpdate, last: TrackedFrame | None, pose: PoseFromMap
 ) -> bool:
     """Do to the map, its parts and the last frame what the backend did; True where points became others."""
-    motion = apply_correction(world, update, scale_factors, parts)
+    motions = apply_correction(world, update, pose, parts)
+    beside = _beside_frame(world, parts, last)
     world.weigh(update.points, update.weights)
     world.drop_observations(update.dropped_keyframes, update.dropped_points)
     became = join(world, update)
@@ -81,14 +82,14 @@ def take_over(
     if last is not None:
         if became:
             last.points = _renamed(last.points, became)
-        start = _carried(motion, last.world_from_camera)
-        last.world_from_camera = fit(world, last.camera, last.features, last.points, start, scale_factors)
+        start = _carried(motions.get(beside, np.eye(4)), last.world_from_camera)
+        last.world_from_camera = fit(world, last.camera, last.features, last.points, start, pose)
     return bool(became)
 
 
 def apply_correction(
-    world: LocalMap, update: MapUpdate, scale_factors: Array, parts: Parts | None = None
-) -> Array:
+    world: LocalMap, update: MapUpdate, pose: PoseFromMap, parts: Parts | None = None
+) -> dict[int, Array]:
     """Move keyframes and points to where the backend put them.
 
     Points that are not among the update's go with the keyframe that created them or, where that was culled,
@@ -98,7 +99,7 @@ def apply_correction(
     of that (but of those before the first that it has, nothing says where they belong). ``parts`` are those
     of before (all one if None): a part may be moved by metres, and takes nothing of another along. One that a
     loop joins to another is of another size then, and so is what goes along with it.
-    Returns the motion (4, 4) of the newest keyframe of the camera's part, new world from old: a similarity.
+    Returns each keyframe's motion (4, 4), new world from old: a similarity.
     """
     index = {int(k): i for i, k in enumerate(update.keyframes)}
     world.heard = max(world.heard, update.based_on)
@@ -119,10 +120,10 @@ def apply_correction(
     placed = np.zeros(len(keyframes), bool)
     for i, keyframe in enumerate(keyframes):
         if keyframe.id in index:
-            pose = update.poses[index[keyframe.id]]
-            motions[i] = _similarity(keyframe.world_from_camera, pose, growth.get(part[i], 1.0))
+            corrected_pose = update.poses[index[keyframe.id]]
+            motions[i] = _similarity(keyframe.world_from_camera, corrected_pose, growth.get(part[i], 1.0))
             placed[i] = True
-            keyframe.world_from_camera = pose
+            keyframe.world_from_camera = corrected_pose
     mine = np.flatnonzero(follows & placed[owner])
     along = motions[owner[mine]]
     turned = np.einsum("nij,nj->ni", along[:, :3, :3], table.position[mine])
@@ -139,9 +140,8 @@ def apply_correction(
         else:
             start, settled = moved.get(part[i], np.eye(4)), corrected | (table.reference != keyframe.id)
         keyframe.world_from_camera = fit(
-            world, keyframe.camera, keyframe.features, keyframe.points, _carried(start, old), scale_factors,
-            settled,
-        )  # fmt: skip
+            world, keyframe.camera, keyframe.features, keyframe.points, _carried(start, old), pose, settled
+        )
         motions[i] = _similarity(old, keyframe.world_from_camera, growth.get(part[i], 1.0))
         mine = np.flatnonzero(follows & (owner == i))
         table.position[mine] = transform(motions[i], table.position[mine])
@@ -153,7 +153,13 @@ def apply_correction(
         angle = np.radians(np.maximum(table.parallax_deg[rows], 1e-3))
         sigma = depth_sigma(world.newest().camera.fx, angle)
         table.log_depth_sigma[rows] = np.minimum(table.log_depth_sigma[rows], sigma)
-    return moved.get(parts.current, np.eye(4))
+    return {keyframe.id: motions[row] for row, keyframe in enumerate(keyframes)}
+
+
+def _beside_frame(world: LocalMap, parts: Parts, last: TrackedFrame | None) -> int:
+    """The keyframe that a frame goes with: that with which it shares most points, else its part's newest."""
+    nearest = None if last is None else world.nearest(last.points)
+    return (nearest or parts.newest(world)).id
 
 
 def _growth(update: MapUpdate, parts: Parts) -> dict[int, float]:
@@ -269,7 +275,7 @@ def fit(
     features: Features,
     points: Ids,
     start: Array,
-    scale_factors: Array,
+    pose: PoseFromMap,
     usable: NDArray[np.bool_] | None = None,
 ) -> Array:
     """world_from_camera that fits the points of a view, or ``start`` where too few are ``usable``."""
@@ -282,12 +288,5 @@ def fit(
     start = normalised(start)
     if len(rows) < MIN_COMMON:
         return start
-    estimate = refine_pose(
-        camera,
-        start,
-        world.points.position[rows],
-        features.pixels[keypoints],
-        scale_factors[features.octaves[keypoints]],
-        weights=world.points.weight[rows],
-    )
+    estimate = pose.estimate(world, camera, features, start, rows, keypoints)
     return estimate.world_from_camera if estimate.inliers.sum() >= MIN_COMMON else start

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array, inverse
-from prism_edge.tracking.frame_tracking import reference_origins
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
 from prism_edge.tracking.point_table import Ids, Index
+from prism_edge.tracking.pose_from_map import reference_origins
 from prism_edge.tracking.pose_refinement import CHI2_2D_95
 from prism_edge.tracking.projection import expected_octaves, project
 from prism_edge.tracking.triangulation import match_epipolar, rays, triangulate

@@ -56,7 +56,7 @@ class RollingShutter:
     ) -> TrackedFrame:
         """A frame placed once more, its ``raw`` keypoints moved by the motion that it turned out to have."""
         seen = self.in_the_middle(raw, frame.camera, twist, depth)
-        return frame if seen is raw else frames.seen_again(world, frame, seen)
+        return frame if seen is frame.features else frames.seen_again(world, frame, seen)
 
     def saw(self, stamp_ns: int, features: Features, readout_ms: float = 0.0) -> None:
         """A frame has come, with keypoints as they were taken; ``readout_ms`` is what its camera says."""

@@ -16,6 +16,7 @@ from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, normalised, scaled
 from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, MapUpdate, beyond
 from prism_edge.tracking import mapping
+from prism_edge.tracking.baseline import Baselines
 from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.first_keyframe import FirstKeyframe
 from prism_edge.tracking.first_map import SecondView, begin_structure
@@ -51,19 +52,16 @@ class Tracker:
         """Epochs and keyframes are numbered from ``first_id``."""
         self._config, self._seed = config, seed
         self._extractor = OrbExtractor(config)
-        self._factors = self._extractor.scale_factors
-        self.scale_factor = config.scale_factor
+        factors, self.scale_factor = self._extractor.scale_factors, config.scale_factor
         self.proven_after_s = config.proven_after_s
-        self._frames = FrameTracker(self._factors, config.max_local_points, config.proven_after_s)
-        self.world = LocalMap()
-        self.places = Relocaliser(seed)
-        self.parts = Parts()
+        self._frames = FrameTracker(factors, config.max_local_points, config.proven_after_s)
+        self.world, self.places = LocalMap(), Relocaliser(seed)
+        self.parts, self._baselines = Parts(), Baselines()
         self._lost, self._looked_ns, self._looking_at = False, 0, 0
         self._waiting: LocalKeyframe | None = None  # a new part's first keyframe, until its depth has come
         self.wants_probe = False  # lost, and the last frame shows something
         self.may_map = True  # False: the map stays as it is, wherever the camera goes
-        self.epoch, self.log_scale = first_id, 0.0
-        self._next_keyframe = first_id
+        self.epoch, self._next_keyframe, self.log_scale = first_id, first_id, 0.0
         self.last: TrackedFrame | None = None
         self.motion, self._shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
         self._seen_at: int | None = None  # stamp of the last tracked frame
@@ -173,7 +171,7 @@ class Tracker:
             # What was never seen from a second place: else what can't be tracked adds such parts for ever.
             take_out(self.world, self.parts, self.places, self.parts.newest(self.world))
         self.parts.begin(self._next_keyframe)
-        self.world.has_baseline = False  # it rests on one view's depth, as the first map did
+        self._baselines.begin(self.parts.current)  # it rests on one view's depth, as the first map did
         self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose)
         self._first.begin(self._waiting.id, stamp_ns)
         log.info("nothing is known here: a new part of the map begins at frame %d", index)
@@ -222,6 +220,7 @@ class Tracker:
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)
+        frame.unobserved = self._baselines.without(frame.unobserved, self.parts.current)
         self.motion.follow(self.last_pose(), frame.world_from_camera, stamp_ns)
         self.last, self._seen_at = frame, stamp_ns
         self._since_refresh += 1
@@ -250,8 +249,9 @@ class Tracker:
         if not reason:
             return None
         known = shown_before(self.world, frame, at.depth)
-        if known is not None and not is_overdue(self.world, stamp_ns):
-            at.move_to(known, self.world, self.parts, stamp_ns)
+        if not self.may_map or (known is not None and not is_overdue(self.world, stamp_ns)):
+            here = known or self.world.nearest(frame.points) or reference
+            at.move_to(here, self.world, self.parts, stamp_ns)
             return None
         if self._config.two_views and self.parts.size(self.world) == 1:
             said = begin_structure(self.world, reference, frame, self._seed)
@@ -282,12 +282,12 @@ class Tracker:
             list(bounding)
             self._unmapped = None
             return True
-        for _ in chain(mapping.extending(world, keyframe, self._factors), bounding):
+        for _ in chain(mapping.extending(world, keyframe, self._extractor.scale_factors), bounding):
             meanwhile()
             if self.world is not world:
                 return False
         self._unmapped, units = None, math.exp(-self.log_scale)
-        adjust_unheard(world, self._config.adjust_unheard, units, self._factors, self.last)
+        adjust_unheard(world, self._config.adjust_unheard, units, self._frames.pose, self.last)
         frame.points = keyframe.points.copy()
         self._at.move_to(keyframe, world, self.parts, keyframe.stamp_ns)
         self._fresh = None
@@ -363,7 +363,7 @@ class Tracker:
         if len(update.camera):
             self._lens = Camera.from_array(PINHOLE, update.camera)
             see_through(self._lens, [*self.world.keyframes.values(), *([self.last] if self.last else [])])
-        if take_over(self.world, self.parts, update, self.last, self._factors) and self.last is not None:
+        if take_over(self.world, self.parts, update, self.last, self._frames.pose) and self.last is not None:
             self._refresh(self.last)
 
     def reset(self) -> None:
@@ -392,7 +392,7 @@ class Tracker:
     def _restart(self, at: Array) -> None:
         """Begin a new map, its first camera at a pose (4, 4) in metres."""
         self.world, self._begins_at = LocalMap(), at
-        self.places, self.parts = Relocaliser(self._seed), Parts()
+        self.places, self.parts, self._baselines = Relocaliser(self._seed), Parts(), Baselines()
         self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1
         self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth

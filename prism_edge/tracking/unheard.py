@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.tracking.depth_alignment import agreement
-from prism_edge.tracking.frame_tracking import TrackedFrame, depth_error, reference_origins
+from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_adjustment import Problem, adjust
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.map_correction import fit
 from prism_edge.tracking.point_table import Index
+from prism_edge.tracking.pose_from_map import PoseFromMap, depth_error, reference_origins
 from prism_edge.tracking.triangulation import rays
 
 MOST_FREE = 8  # keyframes, the newest
@@ -31,7 +32,7 @@ def adjust_unheard(
     world: LocalMap,
     least: int,
     units_per_metre: float,
-    scale_factors: Array,
+    pose: PoseFromMap,
     last: TrackedFrame | None = None,
 ) -> bool:
     """Adjust the keyframes that no correction knew, where they are ``least`` or more, and what they made.
@@ -47,7 +48,7 @@ def adjust_unheard(
     beside = {n for keyframe in free for n in keyframe.neighbours if n in world.keyframes}
     views = [*free, *(world.keyframes[n] for n in sorted(beside.difference(numbers)))]
     rows, own = _points_of(world, free, numbers)
-    problem = _assemble(world, views, len(free), rows, own, units_per_metre, scale_factors)
+    problem = _assemble(world, views, len(free), rows, own, units_per_metre, pose.scale_factors)
     held = (problem.view >= problem.free_views) | (problem.point >= problem.free_points)
     if held.sum() < LEAST_HELD:
         return False
@@ -58,7 +59,7 @@ def adjust_unheard(
     motion = _take_over(world, free, rows[:own], *found)
     if last is not None:
         start = motion @ last.world_from_camera
-        last.world_from_camera = fit(world, last.camera, last.features, last.points, start, scale_factors)
+        last.world_from_camera = fit(world, last.camera, last.features, last.points, start, pose)
     return True
 
 

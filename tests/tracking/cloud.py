@@ -10,9 +10,11 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, se3_exp, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.pose_from_map import PoseFromMap
 
 CAMERA = Camera(640, 480, 500.0, 440.0, 309.5, 251.5)  # of no symmetry: fx for fy must show
 FACTORS = 1.2 ** np.arange(8.0)
+BY_POINTS = PoseFromMap(FACTORS)
 NEAREST_AT_LEVEL_0 = 8.0  # m: a corner nearer than this is seen on a higher level
 
 

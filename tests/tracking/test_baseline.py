@@ -10,13 +10,14 @@ import pytest
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, so3_exp
 from prism_edge.messages import OK
-from prism_edge.tracking.baseline import LEAST_PARALLAX_DEG, best_parallax
+from prism_edge.tracking.baseline import LEAST_PARALLAX_DEG, Baselines, best_parallax
 from prism_edge.tracking.point_table import PointTable
 from prism_edge.tracking.tracker import FrameResult, Tracker
 from tests.synthetic.render import Renderer
 from tests.synthetic.scene import furnished_room, hand_held_path
 from tests.synthetic.sequence import synthetic_camera
-from tests.tracking.footage import IDENTITY, RATE_HZ
+from tests.tracking.footage import IDENTITY, RATE_HZ, footage, other_room
+from tests.tracking.test_tracker_parts import in_the_dark
 
 TURNING, MOVING = 45, 25
 CONFIG = TrackingConfig(features=500)
@@ -104,3 +105,41 @@ def test_a_quarter_of_the_points_say_from_how_wide_apart_the_map_was_seen():
     table.parallax_deg[:] = 0.01
     for few in (rows, rows[:1], rows[:0]):
         assert best_parallax(table, few) == LEAST_PARALLAX_DEG
+
+
+def test_each_part_of_a_map_has_a_baseline_of_its_own():
+    baselines = Baselines()
+    assert baselines.without(0.7, 0) == 0.7
+    assert baselines.without(0.0, 0) == 0.0
+    assert baselines.without(0.7, 0) == 0.0, "for good"
+    assert baselines.without(0.6, 9) == 0.6
+    assert baselines.without(0.0, 9) == baselines.without(0.6, 9) == 0.0
+    baselines.begin(9)
+    assert (baselines.without(0.6, 9), baselines.without(0.6, 0)) == (0.6, 0.0)
+
+
+def test_points_of_another_part_that_are_only_tried_give_none():
+    """While a new part waits for its depth, the camera is looked for in the rest of the map."""
+    run = in_the_dark(30, 0.4)
+    room = other_room()
+    tracker = run.tracker
+    for at, (image, depth, _) in enumerate(room[:30], start=42):
+        result = run.feed(0, image, at=at)
+        if tracker._waiting is not None:
+            home = tracker.world.keyframes[0]
+            points = home.points[home.observed()]
+            tracker._frames.refresh_local_map(tracker.world, points)
+            film = footage()
+            features = tracker._extractor.extract(film.images[0], film.camera)
+            tried = tracker._frames.track(
+                tracker.world, film.camera, features, home.world_from_camera, None, 20
+            )
+            assert tried is not None
+            assert tried.unobserved == 0.0
+        for k, frame in run.keyframes.items():
+            if frame == at:
+                tracker.add_depth(k, depth, IDENTITY, 0.1)
+        if result.world_from_camera is not None:
+            break
+    assert not result.in_map
+    assert result.unobserved > 0.0

@@ -7,14 +7,7 @@ import pytest
 
 from prism_edge.geometry.poses import inverse, se3_log
 from prism_edge.tracking.features import Features
-from prism_edge.tracking.frame_tracking import (
-    ENOUGH_TRIANGULATED,
-    SHARED_SEED_ERROR,
-    FrameTracker,
-    TrackedFrame,
-    depth_error,
-    reference_origins,
-)
+from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
 
 TRUE = pose_at(0.35, 0.05, 0.05, 0.01, -0.05, 0.02)
@@ -136,16 +129,6 @@ def test_seeds_of_a_network_do_not_pull_a_well_triangulated_pose():
     assert error_of(frame.world_from_camera) < 0.01
 
 
-def test_depth_errors_lie_along_the_first_rays():
-    cloud = Cloud(100, seed=4)
-    world, _ = cloud.mapped([pose_at(0.5, 0.1)], sigma=0.2)
-    rows = np.arange(len(world.points))
-    origins = reference_origins(world, rows)
-    assert origins == pytest.approx(np.tile([0.5, 0.1, 0.0], (len(rows), 1)))
-    error = depth_error(world.points, rows, origins)
-    assert error == pytest.approx(0.2 * (world.points.position - [0.5, 0.1, 0.0]))
-
-
 def test_the_local_map_is_what_the_best_keyframes_see_and_no_more_than_asked(scene):
     _, world, _, features, _, _ = scene
     tracker = FrameTracker(FACTORS, 60)
@@ -170,18 +153,3 @@ def test_what_older_keyframes_saw_is_looked_for_however_many_stand_between():
     few.refresh_local_map(world, world.newest().points)
     assert len(few._local_ids) == 200
     assert not np.isin(old, few._local_ids).any(), "what is seen now comes first"
-
-
-def test_beside_firm_points_a_seed_s_depth_counts_five_times_less():
-    """Those of one network share their error; among few firm points they are all there is to go by."""
-    world, _ = Cloud(300, seed=4).mapped([pose_at()], sigma=0.01)
-    table, rows = world.points, np.arange(len(world.points))
-    seeds, tracker = rows % 2 == 0, FrameTracker(FACTORS, 5000)
-    table.log_depth_sigma[seeds] = 0.2
-    own = depth_error(table, rows, reference_origins(world, rows))
-    assert (~seeds).sum() >= ENOUGH_TRIANGULATED
-    error = tracker._depth_error(world, world.centres(), rows)
-    assert error[seeds] == pytest.approx(SHARED_SEED_ERROR * own[seeds])
-    assert np.array_equal(error[~seeds], own[~seeds])
-    few = np.r_[rows[seeds], rows[~seeds][: ENOUGH_TRIANGULATED - 1]]
-    assert np.array_equal(tracker._depth_error(world, world.centres(), few), own[few])

@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.messages import MapUpdate
-from prism_edge.tracking.map_correction import _renamed, apply_correction, fit, join
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.map_correction import (
+    MIN_COMMON,
+    _renamed,
+    apply_correction,
+    fit,
+    join,
+    take_over,
+)
+from prism_edge.tracking.pose_from_map import ENOUGH_TRIANGULATED
 from prism_edge.tracking.submaps import Parts
 from tests.synthetic.messages import map_update
-from tests.tracking.cloud import CAMERA, FACTORS, Cloud, check, pose_at
+from tests.tracking.cloud import BY_POINTS, CAMERA, Cloud, check, pose_at
 
 MOTION = pose_at(0.3, -0.2, 0.1, 0.02, 0.1, -0.05)
 POSES = [pose_at(0.3 * i, 0.0, 0.0, 0.0, -0.04 * i) for i in range(6)]
@@ -29,15 +40,16 @@ def apply(world, based_on, keyframes, points, motion=MOTION, parallax_deg=0.0):
         based_on, keyframes=np.array(keyframes, np.int64), poses=poses,
         points=points, positions=positions, parallax_deg=parallax,
     )  # fmt: skip
-    return apply_correction(world, update, FACTORS)
+    return apply_correction(world, update, BY_POINTS)
 
 
 def test_a_rigid_motion_of_everything_moves_everything():
     cloud = Cloud(400, seed=0)
     world, _ = cloud.mapped(POSES)
     before = world.points.position.copy()
-    motion = apply(world, 5, list(range(6)), world.points.ids.copy())
-    assert motion == pytest.approx(MOTION, abs=1e-9)
+    motions = apply(world, 5, list(range(6)), world.points.ids.copy())
+    assert sorted(motions) == list(range(6))
+    assert np.array(list(motions.values())) == pytest.approx(np.tile(MOTION, (6, 1, 1)), abs=1e-9)
     for keyframe, pose in zip(world.keyframes.values(), POSES, strict=True):
         assert keyframe.world_from_camera == pytest.approx(MOTION @ pose, abs=1e-9)
     assert world.points.position == pytest.approx(transform(MOTION, before), abs=1e-9)
@@ -72,7 +84,7 @@ def test_newer_keyframes_are_fitted_to_the_corrected_points():
     world, _ = cloud.mapped(POSES)
     before = world.points.position.copy()
     known = world.points.ids[world.points.reference <= 2].copy()
-    motion = apply(world, 2, [0, 1, 2], known)
+    motion = apply(world, 2, [0, 1, 2], known)[5]
     for k in (3, 4, 5):
         error = se3_log(inverse(MOTION @ POSES[k]) @ world.keyframes[k].world_from_camera)
         assert np.abs(error).max() < 1e-4
@@ -128,7 +140,7 @@ def test_a_part_that_a_loop_joins_grows_with_all_that_the_backend_does_not_name(
     )  # fmt: skip
     parts = Parts.given({3: 3, 4: 3, 5: 3})
     parts.current = 3
-    motion = apply_correction(world, update, FACTORS, parts)
+    motion = apply_correction(world, update, BY_POINTS, parts)[5]
     assert table.position == pytest.approx(true, abs=5e-3)
     assert world.keyframes[5].world_from_camera == pytest.approx(POSES[5], abs=2e-3)
     assert transform(motion, last[:3, 3][None])[0] == pytest.approx(POSES[5][:3, 3], abs=5e-3)
@@ -140,7 +152,7 @@ def test_newer_keyframes_that_share_too_little_are_carried():
     far, _ = cloud.keyframe(2, POSES[1] @ pose_at(0, 0, 0, 0, 0.1))
     world.add_keyframe(far)  # sees nothing of the map
     old = far.world_from_camera.copy()
-    motion = apply(world, 1, [0, 1], world.points.ids.copy())
+    motion = apply(world, 1, [0, 1], world.points.ids.copy())[2]
     assert far.world_from_camera == pytest.approx(MOTION @ old, abs=1e-9)
     assert motion == pytest.approx(MOTION, abs=1e-9)
 
@@ -168,7 +180,7 @@ def test_what_is_gone_here_is_ignored():
         2, keyframes=np.array([0, 77]), poses=poses, points=named, positions=np.zeros((len(named), 3)),
         parallax_deg=np.zeros(len(named), np.float32),
     )  # fmt: skip
-    apply_correction(world, update, FACTORS)
+    apply_correction(world, update, BY_POINTS)
     assert 77 not in world.keyframes
     assert np.array_equal(world.points.position[:20], dead)
     assert not world.points.position[20:].any()
@@ -194,11 +206,11 @@ def test_a_view_of_few_usable_points_stays_where_it_was():
     features, _ = cloud.view(POSES[1])
     start = pose_at(0.5)
     nothing = np.full(len(features), -1, np.int64)
-    assert fit(world, CAMERA, features, nothing, start, FACTORS) == pytest.approx(start, abs=1e-12)
+    assert fit(world, CAMERA, features, nothing, start, BY_POINTS) == pytest.approx(start, abs=1e-12)
     keyframe = world.keyframes[0]
     unusable = np.zeros(len(world.points), bool)
     unusable[:10] = True
-    same = fit(world, CAMERA, keyframe.features, keyframe.points, start, FACTORS, unusable)
+    same = fit(world, CAMERA, keyframe.features, keyframe.points, start, BY_POINTS, unusable)
     assert same == pytest.approx(start, abs=1e-12)
 
 
@@ -210,7 +222,7 @@ def test_a_view_that_is_carried_a_thousand_times_stays_rigid():
     nothing = np.zeros(len(world.points), bool)
     pose, step = POSES[5], MOTION * (1.0 + 1e-12)
     for _ in range(1000):
-        new = fit(world, CAMERA, view.features, view.points, step @ pose, FACTORS, nothing)
+        new = fit(world, CAMERA, view.features, view.points, step @ pose, BY_POINTS, nothing)
         step = new @ inverse(pose)
         pose = new
     assert pose[:3, :3] @ pose[:3, :3].T == pytest.approx(np.eye(3), abs=1e-9)
@@ -368,3 +380,54 @@ def test_a_loop_lets_no_keyframe_see_a_point_twice():
     join(world, loop_update(added_keyframes=[0], added_points=[point], added_keypoints=[free]))
     assert keyframe.points[free] == -1
     check(world)
+
+
+def test_a_correction_that_changes_nothing_moves_no_view_of_doubtful_points() -> None:
+    """A frame is placed by points as doubtful as they are; placed otherwise, it would seem to have moved."""
+    cloud = Cloud(600, seed=6)
+    world, _ = cloud.mapped([pose_at(0.0)])
+    table, there = world.points, pose_at(0.2, 0.02, 0.05)
+    seeds = np.arange(len(table)) % 3 != 0
+    assert (~seeds).sum() >= ENOUGH_TRIANGULATED
+    table.log_depth_sigma[seeds], table.parallax_deg[seeds] = 0.15, 0.1
+    table.position[seeds] *= np.exp(cloud.rng.normal(0.05, 0.12, seeds.sum()))[:, None]  # along their rays
+    features, shown = cloud.view(there, noise_px=1.0)
+    ids = np.full(len(cloud.positions), -1, np.int64)
+    ids[cloud.keyframe(0, pose_at(0.0))[1]] = world.keyframes[0].points
+    keypoints = np.flatnonzero(ids[shown] >= 0)
+    rows = table.rows(ids[shown][keypoints])
+    placed = BY_POINTS.estimate(world, CAMERA, features, there, rows, keypoints)
+    points = np.full(len(features), -1, np.int64)
+    points[keypoints[placed.inliers]] = table.ids[rows[placed.inliers]]
+    assert np.linalg.norm((placed.world_from_camera - there)[:3, 3]) < 0.005
+    pose = placed.world_from_camera
+    last = TrackedFrame(CAMERA, features, pose, points, np.zeros((6, 6)), int(placed.inliers.sum()))
+    named = table.ids.copy()
+    update = map_update(
+        0, keyframes=np.array([0]), poses=pose_at(0.0)[None], points=named, positions=table.position.copy(),
+        parallax_deg=np.zeros(len(named), np.float32),
+    )  # fmt: skip
+    take_over(world, Parts(), update, last, BY_POINTS)
+    assert np.linalg.norm((last.world_from_camera - pose)[:3, 3]) < 0.0005
+
+
+def test_a_frame_goes_with_the_keyframe_whose_points_it_sees() -> None:
+    """Not with the newest, which is elsewhere where the camera is back at an old place."""
+    cloud = Cloud(400, seed=0)
+    world, _ = cloud.mapped(POSES)
+    first, table = world.keyframes[0], world.points
+    only = np.flatnonzero(np.isin(first.points, table.ids[table.observations == 1]))[: MIN_COMMON - 1]
+    assert len(only) >= 5, "too few for a fit of its own"
+    points = np.full(len(first.points), -1, np.int64)
+    points[only] = first.points[only]
+    last = TrackedFrame(CAMERA, first.features, POSES[0].copy(), points, np.zeros((6, 6)), len(only))
+    nothing = np.zeros(0, np.int64)
+    update = map_update(
+        5, keyframes=np.array([5]), poses=(MOTION @ POSES[5])[None], points=nothing,
+        positions=np.zeros((0, 3)), parallax_deg=np.zeros(0, np.float32),
+    )  # fmt: skip
+    take_over(world, Parts(), update, last, BY_POINTS)
+    assert last.world_from_camera == pytest.approx(POSES[0], abs=1e-9)
+    last.points = np.full(len(points), -1, np.int64)  # with nothing to tell, with the newest
+    take_over(world, Parts(), replace(update, poses=(MOTION @ MOTION @ POSES[5])[None]), last, BY_POINTS)
+    assert last.world_from_camera == pytest.approx(MOTION @ POSES[0], abs=1e-9)

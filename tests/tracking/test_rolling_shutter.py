@@ -214,3 +214,29 @@ def test_a_walk_read_row_by_row_is_followed_better_when_that_is_known() -> None:
 def test_a_turn_from_the_first_frame_on_is_followed_no_worse_when_that_is_known() -> None:
     said, unsaid = (np.sqrt(np.mean(turn_errors(ms, "seed=2&path=turn") ** 2)) for ms in (40.0, 0.0))
     assert said < 1.05 * unsaid
+
+
+def test_what_was_known_of_the_motion_before_a_long_gap_shears_no_image_after_it() -> None:
+    """A camera that turned, was paused for a second, and stands."""
+    tracker, pose = Tracker(TrackingConfig(readout_ms=30.0)), None
+    with SimSource("sim:room?seed=3&speed=0.4&noise=0&blur=0&width=320&height=240&frames=14") as source:
+        for index in range(source.frame_count):
+            image = source.read()
+            assert image is not None
+            grey = image.pixels.mean(axis=2).astype(np.uint8)
+            result = tracker.process(index, image.stamp_ns, grey, replace(source.camera, readout_ms=0.0))
+            keyframe = tracker.maybe_keyframe()
+            tracker.map_keyframe()
+            if keyframe is not None:
+                tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
+        tracker.process(index + 1, image.stamp_ns + 33_000_000, grey, source.camera)
+        assert tracker.last is not None
+        pose = tracker.last.world_from_camera.copy()
+        taken = tracker._extractor.extract(grey, source.camera)
+        tracker.motion.twist = np.array([0, 0, 0, 0, 0.3, 0.0])
+        result = tracker.process(index + 2, image.stamp_ns + 1_033_000_000, grey, source.camera)
+    assert result.world_from_camera is not None
+    assert np.array_equal(tracker.last.features.pixels, taken.pixels)
+    off = inverse(pose) @ result.world_from_camera
+    assert np.linalg.norm(off[:3, 3]) < 0.005
+    assert rotation_angle(off[:3, :3]) < np.radians(0.1)

@@ -90,9 +90,9 @@ def test_and_where_no_two_views_had_parallax_its_place_rests_on_the_network_s_de
     world = run.tracker.world
     parallax = world.points.parallax_deg.copy()
     firm = look(run, weak_frame(run, TURN_FOR_A_WAY))
-    world.has_baseline, world.points.parallax_deg[:] = False, 0.0
+    world.points.parallax_deg[:] = 0.0
     loose = look(run, weak_frame(run, TURN_FOR_A_WAY))
-    world.has_baseline, world.points.parallax_deg[:] = True, parallax
+    world.points.parallax_deg[:] = parallax
     assert np.array_equal(loose.world_from_camera, firm.world_from_camera)
     assert loose.unobserved > 0.7 > spread(firm)[:3].max()
     assert firm.unobserved == 0.0

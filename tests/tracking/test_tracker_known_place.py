@@ -93,3 +93,23 @@ def test_the_keyframe_that_frames_hang_on_may_go() -> None:
     result = run.feed(BACK[-1], at=last + 1)
     assert result.reference == newest
     assert result.world_from_camera == pytest.approx(run.results[last].world_from_camera, abs=0.01)
+
+
+def test_where_the_map_is_only_localised_in_the_camera_still_comes_to_its_older_keyframes() -> None:
+    run = Run(Tracker(QUICK))
+    for i in THERE:
+        known = set(run.keyframes)
+        run.feed(i)
+        for k in set(run.keyframes) - known:
+            run.depth(k, of=i)
+    tracker, made = run.tracker, dict(run.keyframes)
+    tracker.may_map = False
+    for at, i in enumerate(BACK, start=FRAMES):
+        result = run.feed(i, at=at)
+    assert run.keyframes == made
+    here = tracker.world.keyframes[result.reference]
+    assert here.id < tracker.world.newest().id - 5
+    assert tracker.depth == pytest.approx(tracker.world.median_depth(here))
+    away = np.linalg.norm((here.world_from_camera - result.world_from_camera)[:3, 3])
+    newest = tracker.world.newest().world_from_camera
+    assert away < 0.5 * np.linalg.norm((newest - result.world_from_camera)[:3, 3])

@@ -20,7 +20,7 @@ from prism_edge.tracking.unheard import adjust_unheard
 from prism_edge.workers.tracker import _tracking
 from tests.backend.ring import Ring
 from tests.synthetic.messages import map_update
-from tests.tracking.cloud import FACTORS, Cloud, check, pose_at
+from tests.tracking.cloud import BY_POINTS, Cloud, check, pose_at
 from tests.tracking.film_run import CONFIG, Run
 
 HEARD, UNHEARD = 12, 5  # keyframes
@@ -71,7 +71,7 @@ def test_what_bent_is_straight_again(seed: int) -> None:
     rays = places - POSES[-1][:3, 3]
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     before = np.median(np.linalg.norm(np.cross(table.position[new] - places, rays), axis=1))
-    assert adjust_unheard(world, 3, 1.0, FACTORS)
+    assert adjust_unheard(world, 3, 1.0, BY_POINTS)
     shift, turn = errors(world)
     assert shift < 0.004
     assert turn < 0.001
@@ -85,7 +85,7 @@ def test_the_rest_of_the_map_is_held() -> None:
     before = {k: world.keyframes[k].world_from_camera.copy() for k in range(HEARD)}
     old = np.flatnonzero(world.points.reference < HEARD)
     places = world.points.position[old].copy()
-    assert adjust_unheard(world, 3, 1.0, FACTORS)
+    assert adjust_unheard(world, 3, 1.0, BY_POINTS)
     assert all(np.array_equal(world.keyframes[k].world_from_camera, pose) for k, pose in before.items())
     assert np.array_equal(world.points.position[old], places)
 
@@ -108,7 +108,7 @@ def test_what_its_maker_alone_sees_holds_nothing_and_goes_along() -> None:
     local = 3.0 * np.column_stack([rays, np.ones(many)])
     places = transform(newest.world_from_camera, local)
     ids = world.add_points(newest, keypoints, places, np.full(many, 0.2), 0.0)
-    assert adjust_unheard(world, 3, 1.0, FACTORS)
+    assert adjust_unheard(world, 3, 1.0, BY_POINTS)
     assert errors(world)[0] < 0.004
     there = transform(inverse(newest.world_from_camera), world.points.position[world.points.rows(ids)])
     assert np.allclose(there, local)
@@ -129,7 +129,7 @@ def test_nothing_is_done(least: int, heard: int, why: str) -> None:
     world.heard = heard
     poses = {k: keyframe.world_from_camera.copy() for k, keyframe in world.keyframes.items()}
     places = world.points.position.copy()
-    assert not adjust_unheard(world, least, 1.0, FACTORS), why
+    assert not adjust_unheard(world, least, 1.0, BY_POINTS), why
     assert all(np.array_equal(world.keyframes[k].world_from_camera, pose) for k, pose in poses.items())
     assert np.array_equal(world.points.position, places)
 
@@ -149,7 +149,7 @@ def test_a_part_that_nothing_joins_is_left_to_the_backend() -> None:
         mapping.introduce(world, keyframe)
     world.heard = HEARD + UNHEARD - 1
     before = world.points.position.copy()
-    assert not adjust_unheard(world, 3, 1.0, FACTORS)
+    assert not adjust_unheard(world, 3, 1.0, BY_POINTS)
     assert np.array_equal(world.points.position, before)
 
 
@@ -165,7 +165,7 @@ def test_what_is_degenerate_does_no_harm(broken: str) -> None:
     else:
         for keyframe in newest if broken.startswith("none") else newest[-1:]:
             keyframe.points[:] = -1
-    assert adjust_unheard(world, 3, 1.0, FACTORS) == (broken != "none sees anything")
+    assert adjust_unheard(world, 3, 1.0, BY_POINTS) == (broken != "none sees anything")
     for keyframe in newest[:-1] if broken != "none sees anything" else []:
         off = inverse(POSES[keyframe.id]) @ keyframe.world_from_camera
         assert np.linalg.norm(off[:3, 3]) < 0.01
@@ -176,7 +176,7 @@ def test_the_last_frame_moves_with_its_surroundings() -> None:
     world, _ = bent()
     newest = world.newest()
     last = TrackedFrame.of_keyframe(newest, 100)
-    assert adjust_unheard(world, 3, 1.0, FACTORS, last)
+    assert adjust_unheard(world, 3, 1.0, BY_POINTS, last)
     off = inverse(newest.world_from_camera) @ last.world_from_camera
     assert np.linalg.norm(off[:3, 3]) < 0.01
     assert rotation_angle(off[:3, :3]) < 0.005
@@ -206,7 +206,7 @@ def too_large(hears: bool, units_per_metre: float = 1.0, was_off: float = 0.0) -
     for keyframe in world.keyframes.values():
         keyframe.world_from_camera[:3, 3] *= units_per_metre
     table.position *= units_per_metre
-    adjust_unheard(world, 3, units_per_metre, FACTORS)
+    adjust_unheard(world, 3, units_per_metre, BY_POINTS)
     ends = [k.world_from_camera[:3, 3] for k in (world.keyframes[HEARD], world.newest())]
     truth = units_per_metre * np.linalg.norm(POSES[-1][:3, 3] - POSES[HEARD][:3, 3])
     return abs(float(np.log(np.linalg.norm(ends[1] - ends[0]) / truth)))
@@ -250,7 +250,7 @@ def test_a_correction_is_heard() -> None:
     world, _ = bent()
     world.heard = 1
     for based_on, heard in ((6, 6), (5, 6)):
-        apply_correction(world, map_update(based_on), FACTORS)
+        apply_correction(world, map_update(based_on), BY_POINTS)
         assert world.heard == heard
 
 

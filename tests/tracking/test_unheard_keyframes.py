@@ -13,7 +13,7 @@ from prism_edge.tracking.map_correction import apply_correction, take_over
 from prism_edge.tracking.submaps import Parts
 from tests.backend.ring import Ring
 from tests.synthetic.messages import map_update
-from tests.tracking.cloud import FACTORS, Cloud, check, pose_at
+from tests.tracking.cloud import BY_POINTS, Cloud, check, pose_at
 
 DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
 LOST = (30, 31, 32)
@@ -42,7 +42,7 @@ def test_what_was_lost_goes_along_when_a_loop_is_closed() -> None:
     places = table.position[own].copy()
     update = backend_s.whole(keyframe.id, backend_s.loops.take_changes(), None, closed)
     assert update.everything
-    take_over(world, Parts(), update, None, np.ones(8))
+    take_over(world, Parts(), update, None, BY_POINTS)
     after = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
     assert np.linalg.norm(after[29][:3, 3] - before[29][:3, 3]) > 0.2, "the loop moves their surroundings"
     for k in range(29, 32):  # beyond, the backend has nothing that would hold the ends together
@@ -75,8 +75,8 @@ def test_who_goes_along(everything: bool, named: list[int], moving: list[int]) -
         5, keyframes=np.array(named), poses=poses, points=known, positions=positions, parallax_deg=parallax,
         everything=everything,
     )  # fmt: skip
-    motion = apply_correction(world, update, FACTORS)
-    assert motion == pytest.approx(MOTION, abs=1e-9)
+    motions = apply_correction(world, update, BY_POINTS)
+    assert motions[5] == pytest.approx(MOTION, abs=1e-9)
     for k, pose in enumerate(POSES):
         there = MOTION @ pose if k in moving else pose
         assert world.keyframes[k].world_from_camera == pytest.approx(there, abs=1e-3)

@@ -1,0 +1,82 @@
+"""The pose of a view by the map points that it sees, each as doubtful as it is: of frames and keyframes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
+from prism_edge.tracking.features import Features
+from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.point_table import Ids, Index, PointTable
+from prism_edge.tracking.point_trust import trust
+from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
+
+SEED_SIGMA = 0.1  # relative depth error beyond which a point counts as a seed
+ENOUGH_TRIANGULATED = 60
+SHARED_SEED_ERROR = 5.0
+ROUNDS = (3, 3)  # of the solver, and steps in each
+Centres: TypeAlias = tuple[Ids, Array]
+
+
+@dataclass(frozen=True)
+class PoseFromMap:
+    """How poses follow from points; with ``proven_after_s`` 0 a point's age says nothing (point_trust.py)."""
+
+    scale_factors: Array  # (levels,) of the pyramid
+    proven_after_s: float = 0.0
+
+    def estimate(
+        self,
+        world: LocalMap,
+        camera: Camera,
+        features: Features,
+        start: Array,
+        rows: Index,
+        keypoints: Index,
+        rounds: tuple[int, int] = ROUNDS,
+        views: Centres | None = None,
+    ) -> PoseEstimate:
+        """world_from_camera, from ``start`` on, by ``keypoints`` (n,) that show the points in ``rows``."""
+        table = world.points
+        return refine_pose(
+            camera,
+            start,
+            table.position.take(rows, axis=0),
+            features.pixels.take(keypoints, axis=0),
+            self.scale_factors[features.octaves[keypoints]],
+            shared_depth_error(world, rows, views),
+            trust(table, rows, world.newest().stamp_ns, self.proven_after_s),
+            rounds=rounds[0],
+            iterations=rounds[1],
+        )
+
+
+def shared_depth_error(world: LocalMap, rows: Index, views: Centres | None = None) -> Array:
+    """Errors along the first rays; seeds of one network share theirs, so many of them tell little more.
+
+    Beside enough triangulated points a seed is left to fix what its first ray says, not its depth.
+    """
+    error = depth_error(world.points, rows, reference_origins(world, rows, views))
+    seeded = world.points.log_depth_sigma[rows] > SEED_SIGMA
+    if (~seeded).sum() >= ENOUGH_TRIANGULATED:
+        error[seeded] *= SHARED_SEED_ERROR
+    return error
+
+
+def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
+    """One-sigma error vectors (n, 3) of points along the rays from ``origins`` that first saw them."""
+    return (table.position.take(rows, axis=0) - origins) * table.log_depth_sigma[rows, None]
+
+
+def reference_origins(world: LocalMap, rows: Index, views: Centres | None = None) -> Array:
+    """Where the camera was that created each point, or of the keyframe that a culled one handed it on to.
+
+    ``views`` are the map's :meth:`~prism_edge.tracking.local_map.LocalMap.centres`, where they are at hand.
+    """
+    numbers, centres = world.centres() if views is None else views
+    origins: Array = centres.take(np.searchsorted(numbers, world.points.reference.take(rows)), axis=0)
+    return origins
