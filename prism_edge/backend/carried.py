@@ -77,6 +77,10 @@ class Carried(Mapping[int, tuple[int, Array, int]]):
             self._links[rows, :, 3] += link[:3, 3]
             self._numbers[rows, 1] = anchor
 
+    def stretch(self, anchor: int, factor: float) -> None:
+        """Lengths about a keyframe are so many times as long now, also to what hangs on it."""
+        self._links[self._begin + np.flatnonzero(self.numbers[:, 1] == anchor), :, 3] *= factor
+
     def _make_room(self) -> None:
         """Move to the front where many of the oldest have gone, else to columns twice as large."""
         count, size = len(self), len(self._numbers)

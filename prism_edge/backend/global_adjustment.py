@@ -101,6 +101,8 @@ class GlobalAdjustment:
         for k in self._keyframes:
             values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
         hanging = [part & used.keys() for part in (list(parts) or [set(used)]) if part & used.keys()]
+        self._hanging = hanging
+        self._first = {p: k for k in sorted(used, reverse=True) for p in used[k]}  # that sees each point
         if use_depth and camera is None:  # a bent map says nothing of sizes
             for part in hanging:
                 for factor in size_factors(sizes(world, sorted(part), used)):
@@ -143,7 +145,7 @@ class GlobalAdjustment:
         return self.done
 
     def result(self) -> Adjusted | None:
-        """What it came to, in the unit that the map had; None where it is unusable."""
+        """What it came to, each part in the unit that it had; None where it is unusable."""
         values = self._optimiser.values()
         poses = {k: np.asarray(values.atPose3(X(k)).matrix()) for k in self._keyframes}
         points = {p: np.asarray(values.atPoint3(L(p))) for p in self._points}
@@ -158,19 +160,30 @@ class GlobalAdjustment:
             bent = lens.found(self._graph, values, self._ordering, self._camera, self._said)
         if self._camera is not None and bent is None:
             return None  # places that go with a lens nobody can be sure of
-        unit = self._unit_change(poses, points)
-        if not 0.5 < unit < 2.0:
-            return None
-        anchor = poses[self._keyframes[0]][:3, 3].copy()
-        for k, pose in poses.items():
-            poses[k] = normalised(from_rt(pose[:3, :3], anchor + (pose[:3, 3] - anchor) / unit))
-        points = {p: anchor + (place - anchor) / unit for p, place in points.items()}
+        for part in self._hanging:
+            unit = self._unit_change(part, poses, points)
+            if not 0.5 < unit < 2.0:
+                return None
+            anchor = poses[min(part)][:3, 3].copy()
+            for k in part:
+                turn, centre = poses[k][:3, :3], poses[k][:3, 3]
+                poses[k] = normalised(from_rt(turn, anchor + (centre - anchor) / unit))
+            for p in self._owned(part):
+                points[p] = anchor + (points[p] - anchor) / unit
         return Adjusted(poses, points, self._error_before, self._error, self._steps, self._cpu_s, bent)
 
-    def _unit_change(self, poses: dict[int, Array], points: dict[int, Array]) -> float:
-        """How much longer lengths have become, over all keyframes: the scale is for what they were."""
+    def _owned(self, part: set[int]) -> list[int]:
+        """The points that go with a part: it is where the first is that sees them."""
+        return [p for p, k in self._first.items() if k in part]
+
+    def _unit_change(self, part: set[int], poses: dict[int, Array], points: dict[int, Array]) -> float:
+        """How much longer a part's lengths have become, on the median: its scale is for what they were.
+
+        Of each part by itself: what another came to would change it a little more with every adjustment.
+        """
         changes = []
-        for k, seen in self._seen.items():
+        for k in sorted(part):
+            seen = self._seen[k]
             if len(seen) >= 10:
                 before, now = self._depths[k], _depths(poses[k], [points[p] for p in seen])
                 good = (before > 1e-6) & (now > 1e-6)

@@ -32,6 +32,7 @@ class Similarity:
 
     world_from_camera: Array
     scale: float
+    unit: float = 1.0  # of that, what comes of another unit; the rest is drift that was taken out
 
     def move(self, before: Array, points: Array) -> Array:
         """World points (n, 3), seen from the camera as it was at ``before``, where it sees them now."""
@@ -102,7 +103,8 @@ def spread(
     out: Moved = {}
     for k, (pose, scale) in found.items():
         centre = anchor + (pose[:3, 3] - anchor) / unit
-        out[k] = Similarity(normalised(from_rt(pose[:3, :3], centre)), scale / unit)
+        own_unit = math.exp(log_unit) if log_unit is not None and k not in home else 1.0
+        out[k] = Similarity(normalised(from_rt(pose[:3, :3], centre)), scale / unit, own_unit)
     sound = all(np.isfinite(s.world_from_camera).all() and 0.1 < s.scale < 10.0 for s in out.values())
     return (out, log_unit) if sound else None
 
@@ -113,7 +115,9 @@ def _unit(found: dict[int, tuple[Array, float]], keyframes: set[int]) -> float:
 
 
 def apply(world: GlobalMap, moved: Moved) -> None:
-    """Move keyframes, the points that they see (by the first that does), and their network depths."""
+    """Move keyframes, the points that they see (by the first that does), and what hangs on them; with their
+    depths: a network's to where they agree as before, measured ones into the unit that is theirs now.
+    """
     before = {k: world.keyframes[k].world_from_camera for k in moved}
     owned: dict[int, list[int]] = {}
     for p, point in world.points.items():
@@ -128,9 +132,11 @@ def apply(world: GlobalMap, moved: Moved) -> None:
                 world.points[p].position = place
         keyframe = world.keyframes[k]
         keyframe.world_from_camera = similarity.world_from_camera
+        world.carried.stretch(k, similarity.scale)
         if keyframe.depths is not None:
-            keyframe.depths = keyframe.depths * similarity.scale
-            keyframe.depth_units *= similarity.scale
+            factor = similarity.unit if keyframe.depth_sigma > 0 else similarity.scale
+            keyframe.depths = keyframe.depths * factor
+            keyframe.depth_units *= factor
     take_references(world)
 
 

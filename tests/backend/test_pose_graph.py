@@ -69,6 +69,30 @@ def test_points_and_depths_go_with_their_keyframe():
     assert world.keyframes[2].depth_units == pytest.approx(3.0)  # the network's metres are what they were
 
 
+def test_measured_depths_go_with_the_unit_and_not_with_drift_that_is_taken_out():
+    world = chain([pose_at(0.1 * i) for i in range(3)])
+    for keyframe in world.keyframes.values():
+        keyframe.depths, keyframe.depth_sigma = np.full(2 * SHARED, 3.0), 0.02
+    units = {0: 1.0, 1: 1.0, 2: 1.25}
+    apply(world, {k: Similarity(pose_at(0.1 * k), 1.05 * unit, unit) for k, unit in units.items()})
+    for k, unit in units.items():
+        assert world.keyframes[k].depths == pytest.approx(3.0 * unit)
+
+
+def test_what_was_culled_keeps_its_place_beside_the_keyframe_that_it_hangs_on():
+    world = chain([pose_at(0.1 * i) for i in range(4)])
+    link = pose_at(0.2, 0.1, -0.1, 0.1, 0.2, 0.3)
+    world.carried.add(77, 2, link, 5)
+    world.carried.add(78, 3, link, 6)
+    moved = {k: Similarity(pose_at(0.3 * k), 1.5 if k == 2 else 1.0) for k in range(4)}
+    apply(world, moved)
+    poses = world.poses()
+    for culled, anchor, times in ((77, 2, 1.5), (78, 3, 1.0)):
+        relative = inverse(moved[anchor].world_from_camera) @ poses[culled]
+        assert relative[:3, 3] == pytest.approx(times * link[:3, 3], abs=1e-12)
+        assert relative[:3, :3] == pytest.approx(link[:3, :3], abs=1e-12)
+
+
 def test_what_hangs_on_neither_end_stays():
     world = chain([pose_at(0.3 * i) for i in range(6)])
     chain([pose_at(50.0 + 0.3 * i) for i in range(3)], first=100, world=world)
@@ -92,6 +116,8 @@ def test_a_part_of_its_own_is_moved_as_one():
         relative[:3, 3] *= 2.0
         assert moved[100 + i].world_from_camera == pytest.approx(there @ relative, abs=1e-3)
         assert moved[100 + i].scale == pytest.approx(2.0, abs=1e-3)
+        assert moved[100 + i].unit == pytest.approx(2.0, abs=1e-3)
+    assert {moved[k].unit for k in range(6)} == {1.0}
 
 
 def test_two_keyframes_with_identical_poses():

@@ -227,3 +227,29 @@ def test_a_keyframe_of_which_nothing_is_known_says_nothing() -> None:
     far.keyframes[0].depths = constant()
     assert sizes(far, [0], everything(far)) == []
     assert size_factors([]) == []
+
+
+def test_no_part_s_size_creeps_however_often_all_is_adjusted() -> None:
+    """Where a network says in a third of a part that it is larger there, the mean is not the median."""
+    world = two_rooms()
+    for p in range(160, 172):
+        for k in sorted(world.points.pop(p).keyframes):
+            del world.keyframes[k].observed[p]
+    del world.keyframes[2 * EACH - 1], world.keyframes[2 * EACH - 2]  # the first room is the majority
+    for point in world.points.values():
+        point.keyframes = {k for k in point.keyframes if k in world.keyframes}
+    second = range(EACH, 2 * EACH - 2)
+    for k in (EACH + 1, EACH + 2):
+        depths = world.keyframes[k].depths
+        assert depths is not None
+        world.keyframes[k].depths = depths * np.exp(-0.14)
+    before = [way(world, room) for room in (range(EACH), second)]
+    for _ in range(8):
+        job = GlobalAdjustment(world, CONFIG, 1.0, True, parts=[set(range(EACH)), set(second)])
+        while not job.step():
+            pass
+        result = job.result()
+        assert result is not None
+        apply(world, result, CONFIG)
+    for room, was in zip((range(EACH), second), before, strict=True):
+        assert way(world, room) == pytest.approx(was, rel=0.03)
