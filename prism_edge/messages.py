@@ -147,6 +147,7 @@ class Keyframe:
     scale_factor: float = 1.2  # between pyramid levels: a keypoint is as much less precise a level up
     stands_in: bool = False  # for an older one that shows the same: what is there has been placed before
     part: int = HOME  # of the map: each has a unit of its own until it is joined to an older one
+    kept: I64 = optional("int64", -1)  # all that the map has: others went, also where nobody heard of it
     joined: I64 = optional("int64", -1, 2)  # parts that were since the keyframe before: the newer, the older,
     joined_units: F64 = optional("float64", -1, 2)  # ... and of each what MapUpdate.loop_units says
     # Where the camera sat on the robot that began the map, metres: `map` is that times the map's world.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.geometry.poses import rotation_angle
+from prism_edge.messages import HOME
 
 Ids = NDArray[np.int64]
 Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and how many points they share
@@ -43,16 +44,20 @@ def hanging_together(world: GlobalMap, keyframe: int) -> set[int]:
 
 
 def parts_of(world: GlobalMap) -> dict[int, int]:
-    """Keyframes that no chain of shared points joins to the first one: each with the first of its own part.
+    """The part of each keyframe that is not at home: where it lies is unknown until a loop joins it.
 
-    Where such a part lies is unknown until a loop joins it (tracking/submaps.py).
+    What hangs together by points is of one part: at home where one of its keyframes was made there, else of
+    the oldest that one was made in (tracking/submaps.py). Where nobody has said that, home is what hangs
+    together with the first keyframe, and each other part is named by its own first.
     """
     part: dict[int, int] = {}
     for start in sorted(world.keyframes):
         if start not in part:
-            part.update(dict.fromkeys(hanging_together(world, start), start))
-    home = min(world.keyframes)
-    return {k: of for k, of in part.items() if of != home}
+            group = hanging_together(world, start)
+            told = (world.keyframes[k].part for k in group)
+            unsaid = start if part else HOME
+            part.update(dict.fromkeys(group, min((of for of in told if of is not None), default=unsaid)))
+    return {k: of for k, of in part.items() if of != HOME}
 
 
 def ties(world: GlobalMap, loops: list[tuple[int, int]]) -> Ties:

@@ -53,6 +53,7 @@ class GlobalKeyframe:
     weights: NDArray[np.float64] | None = None
     stands_in: bool = False  # for an older one that shows the same from as good as the same place
     stamp_ns: int = LONG_AGO  # of its image, where this run took it
+    part: int | None = None  # of the map, as the tracker has it; None: nobody has said (earlier builds' maps)
     taken_ns: int | None = None  # the same, whichever run took it; None where a file did not say
     # world_from_camera, were the map's frame kept to the last digit (frame.py).
     reference: Array = field(init=False, repr=False)
@@ -126,8 +127,12 @@ class GlobalMap:
             travelled=message.travelled,
             stands_in=message.stands_in,
             stamp_ns=message.stamp_ns,
+            part=message.part,
             taken_ns=message.stamp_ns,
         )
+        for newer, older in message.joined.tolist():
+            for keyframe in self.keyframes.values():
+                keyframe.part = older if keyframe.part == newer else keyframe.part
         self.keyframes[message.id] = added
         for keypoint in keypoints.tolist():
             self.observe(message.id, int(message.points[keypoint]), keypoint)

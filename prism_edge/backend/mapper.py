@@ -91,6 +91,10 @@ class Mapper:
             self.begin(message.epoch)
         if not self.world.keyframes:
             self.mount = message.base_from_camera.copy()
+        if len(message.kept):  # a message that was lost may have told of others that went
+            there = np.array([k for k in self.world.keyframes if k < message.id], np.int64)
+            gone = np.union1d(message.culled_keyframes, np.setdiff1d(there, message.kept))
+            message = replace(message, culled_keyframes=gone)
         self.world.absorb(message)
         for gone in message.culled_keyframes.tolist():
             self.loops.index.remove(gone)

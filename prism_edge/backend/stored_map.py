@@ -30,8 +30,8 @@ depth_units      f8 (K)      map units a metre of network depth; 0 where that is
 renamed          i8 (R,2)    point that there was, and the one that it was made one with
 ================ =========== ================================================================
 
-The last three are not in saved maps, which builds before them read as well. When keyframes were taken is told
-beside the arrays (map_stamps.py).
+The last three are not in saved maps, which builds before them read as well. When keyframes were taken, and
+which part of the map they are of, is told beside the arrays (map_stamps.py, map_parts.py).
 """
 
 from __future__ import annotations
@@ -45,11 +45,12 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import UNKNOWN, GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.backend.map_file import Arrays, Info
+from prism_edge.backend.map_parts import parts_info, parts_told
 from prism_edge.backend.map_stamps import stamps_info, stamps_of
 from prism_edge.errors import ConfigError, MapError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import are_rotations, normalised
-from prism_edge.messages import LARGEST_ID
+from prism_edge.messages import HOME, LARGEST_ID
 from prism_edge.tracking.features import Features, grid
 from prism_edge.tracking.place_index import PlaceIndex
 
@@ -181,7 +182,7 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["made_by"] = np.array([world.points[p].made_by for p in kept], np.int64)
         arrays["depth_units"] = np.array([_units_of(k) for k in keyframes], np.float64)
         arrays["renamed"] = world.renamed()
-    known = stamps_info([k.taken_ns for k in keyframes])
+    known = stamps_info([k.taken_ns for k in keyframes]) | parts_info({k.id: k.part for k in keyframes})
     return {"cameras": listed, "places_of": index.network, **known}, arrays
 
 
@@ -198,7 +199,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     _check_values(arrays)
     cameras = _cameras(info, arrays["cameras"])
     _check_room(cameras, arrays)
-    stamps = stamps_of(info, len(arrays["keyframes"]))
+    stamps, away = stamps_of(info, len(arrays["keyframes"])), parts_told(info)
     world = GlobalMap(max_carried)
     world.rename(arrays["renamed"])
     ids = arrays["points"].tolist()
@@ -212,6 +213,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
         part = slice(starts[row], starts[row + 1])
         world.keyframes[number] = _keyframe(number, row, part, arrays, cameras)
         world.keyframes[number].taken_ns = stamps[row]
+        world.keyframes[number].part = None if away is None else away.get(number, HOME)
         for keypoint, point in enumerate(arrays["seen"][part].tolist()):
             if point >= 0:
                 world.observe(number, point, keypoint)
@@ -369,7 +371,10 @@ def _bytes_of(features: Features) -> NDArray[np.uint8]:
 
 
 def _depths_of(keyframe: GlobalKeyframe) -> NDArray[np.float64]:
-    return np.zeros(len(keyframe.features)) if keyframe.depths is None else keyframe.depths
+    """None that reading would refuse the map for: a network may say that the sky is 1e10 m away."""
+    if keyframe.depths is None:
+        return np.zeros(len(keyframe.features))
+    return np.where(keyframe.depths < FARTHEST, keyframe.depths, 0.0)
 
 
 def _units_of(keyframe: GlobalKeyframe) -> float:

@@ -77,6 +77,7 @@ def keyframe_message(
         scale_factor=tracker.scale_factor,
         stands_in=keyframe.stands_in,
         part=tracker.parts.of(keyframe.id),
+        kept=np.array(sorted(world.keyframes), np.int64),
         joined=joined[:, :2].astype(np.int64),
         joined_units=joined[:, 2:],
         base_from_camera=np.eye(4) if mount is None else mount,

@@ -31,6 +31,7 @@ from prism_edge.messages import (
 )
 from prism_edge.processes import peers_of
 from prism_edge.workers.handover import Handover
+from prism_edge.workers.loaded_map import LoadedMap
 from prism_edge.workers.map_keeper import MapKeeper
 from prism_edge.workers.map_snapshot import snapshot
 
@@ -57,12 +58,12 @@ class BackendWorker:
         self._depths = bus.queue("depth", 64)
         self._scales = bus.queue("log_scale", 64)
         self._gates = bus.queue("gate", 64)
-        self._ends = bus.queue("end")
+        self._ends, self._begun = bus.queue("end"), bus.queue("new_map")
         self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
         use_rays = "plucker" not in config.ablate
         settings = replace(config.backend, lens=config.backend.lens and "lens" not in config.ablate)
         self._mapper = Mapper(settings, self._use_depth, bus.first_id, config.seed, use_rays)
-        self._keeper = MapKeeper(config, bus, self._mapper)
+        self._keeper, self._loaded = MapKeeper(config, bus, self._mapper), LoadedMap(bus, self._mapper)
         self._desk = bus.commands({"save_map": self._save_map, "load_map": self._load_map})
         self._whole = Handover()
         self._waiting: deque[tuple[float, Keyframe]] = deque()
@@ -95,7 +96,7 @@ class BackendWorker:
             self._whole.serve(self._whole_map)
             if self._untold and not self._bus.await_ready(self._peers & {"scale"}, _LOOK_S):
                 self._untold = False
-                self._tell_loaded()
+                self._loaded.tell(self._home_scale)
             worked = self._realtime() if self._ticks is None else self._lockstep()
             ending = ending or bool(self._ends.drain())
             # The last keyframe may still be under way when the end is: one quiet look more.
@@ -158,9 +159,14 @@ class BackendWorker:
     def _receive(self, timeout_s: float) -> None:
         first = self._keyframes.take(timeout_s)
         now = time.monotonic()
+        for told in self._begun.drain():
+            if told.epoch > self._mapper.epoch:
+                self._begin(told.epoch)
         for keyframe in ([first] if first is not None else []) + self._keyframes.drain():
-            if keyframe.epoch >= self._mapper.epoch:  # else of a map that is gone
+            if keyframe.epoch >= self._mapper.epoch:
                 self._waiting.append((now, keyframe))
+            else:  # of a map that is gone
+                self._loaded.remind(self._home_scale)
         late = set()
         for depth in self._depths.drain():
             if depth.epoch == self._mapper.epoch and depth.keyframe in self._mapper.world.keyframes:
@@ -202,10 +208,19 @@ class BackendWorker:
             self._late = max(depth.keyframe, -1 if self._late is None else self._late)
         return useful or known
 
+    def _begin(self, epoch: int) -> None:
+        """A new map, of which nothing is there yet: nobody is to go on in the one before."""
+        self._mapper.begin(epoch)
+        self._scale = self._home_scale = KnownScale()
+        self._waiting = deque((at, keyframe) for at, keyframe in self._waiting if keyframe.epoch >= epoch)
+        self._unsolved = self._late = None
+        self._untold = False
+        self._keeper.forget()
+        self._snapshot = self._take_snapshot()
+
     def _absorb(self, keyframe: Keyframe) -> None:
         if keyframe.epoch != self._mapper.epoch:
-            self._scale = self._home_scale = KnownScale()
-            self._late = None
+            self._begin(keyframe.epoch)
         self._settled = False
         self._mapper.absorb(keyframe)
         depth = self._early.pop(keyframe.id, None)
@@ -347,20 +362,12 @@ class BackendWorker:
         self._unsolved = None
         self._late = None
         self._snapshot = self._take_snapshot()
-        self._tell_loaded()
+        self._loaded.tell(self._home_scale)
         return Reply(True, f"{said}; looking for the camera in it")
-
-    def _tell_loaded(self) -> None:
-        self._bus.publish("map_loaded", self._loaded())
-
-    def _loaded(self) -> MapLoaded:
-        known = self._home_scale
-        told = known.log_scale, known.sigma, known.bias_sigma, known.network
-        return MapLoaded(self._mapper.epoch, *told, metric=known.is_known)
 
     def _known_unit(self) -> MapLoaded | None:
         """Asked for in another thread: in lockstep ours may be waiting for who asks."""
-        loaded = self._loaded()  # amid a load it may be of the map before; then one is published, too
+        loaded = self._loaded.news(self._home_scale)  # amid a load that of before; then one is published, too
         return loaded if loaded.metric else None
 
     # -- the map for others -------------------------------------------------------------------------
@@ -373,8 +380,9 @@ class BackendWorker:
         if self._ticks is None:
             self._receive(0.0)
             while self._waiting:
-                self._unsolved = self._waiting.popleft()[1]
-                self._absorb(self._unsolved)
+                _, newest = self._waiting.popleft()
+                self._absorb(newest)
+                self._unsolved = newest
         return self._keeper.whole(self._home_scale)
 
     def _take_snapshot(self) -> MapSnapshot:

@@ -151,6 +151,12 @@ class MapKeeper:
         if self._journal is not None and self._is_failing:
             self._journal.clear()
 
+    def forget(self) -> None:
+        """The map was given up; the journal begins anew with the first keyframe of the next."""
+        self._overhauled = False
+        if self._journal is not None:
+            self._journal.clear()
+
     def tidy(self, scale: KnownScale) -> bool:
         """Write a map that has moved as a whole, once; for a moment without other work. Whether it was tried.
 

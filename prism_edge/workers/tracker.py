@@ -160,7 +160,7 @@ class TrackerWorker:
             self._publish(frame, result, before, repeated)
         else:
             self._sight.miss(result.odometry)
-        keyframe = None if repeated or self._localise_only else tracker.maybe_keyframe(judge)
+        keyframe = None if repeated else tracker.maybe_keyframe(judge)
         if keyframe is not None:
             self._drift.add_keyframe(tracker.world, keyframe, tracker.log_scale)
             result = tracker.last_result or result  # it may have moved the frame
@@ -328,6 +328,7 @@ class TrackerWorker:
     def _adopt_loaded(self, whole: WholeMap | None) -> bool:
         adopted = self._adopt(whole)
         if adopted:
+            self._unproven = self._recovering = False  # this one is no earlier run's, whoever made it
             self._show_now(LOST)
         return adopted
 
@@ -348,6 +349,7 @@ class TrackerWorker:
         self._scale.begin()
         self._drift.travelled, self._localise_only = 0.0, False
         self._unproven = self._recovering = False  # there is nothing left of an earlier run's map
+        self._bus.publish("new_map", Epoch(self._tracker.epoch))
         self._show_now(INITIALISING)
         return Reply(True, "a new map begins with the next image, and is built on; odom goes on")
 
@@ -384,9 +386,7 @@ def _tracking(config: Config) -> TrackingConfig:
     trusting = 0.0 if "consistency" in config.ablate else config.tracking.proven_after_s
     two_views = config.tracking.two_views and "init" not in config.ablate
     adjusting = 0 if "depth_factor" in config.ablate else config.tracking.adjust_unheard
-    return replace(
-        config.tracking, proven_after_s=trusting, two_views=two_views, adjust_unheard=adjusting
-    )
+    return replace(config.tracking, proven_after_s=trusting, two_views=two_views, adjust_unheard=adjusting)
 
 
 def main(config: Config, bus: Bus) -> None:

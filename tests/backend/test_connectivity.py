@@ -22,6 +22,7 @@ from prism_edge.backend.connectivity import (
     ways,
 )
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
+from prism_edge.messages import HOME
 from tests.backend.world import chain
 from tests.tracking.cloud import CAMERA, pose_at
 
@@ -131,3 +132,20 @@ def test_a_part_ends_where_points_are_fused_with_the_first_ones() -> None:
 def test_a_loop_does_not_weaken_a_tie_that_is_stronger() -> None:
     world = chain([pose_at(0.3 * i) for i in range(3)])
     assert ties(world, [(2, 1)])[1, 2] == ties(world, [])[1, 2] > LOOPED
+
+
+def test_what_the_tracker_has_at_home_is_at_home() -> None:
+    """Culling, or a keyframe that was lost on its way, may leave no point that says so."""
+    world = two_chains()
+    for keyframe in world.keyframes.values():
+        keyframe.part = HOME
+    assert parts_of(world) == {}
+    for k in (100, 101, 102):
+        world.keyframes[k].part = 90  # its first, which has been culled since
+    assert parts_of(world) == {100: 90, 101: 90, 102: 90}
+    world.keyframes[101].part = HOME  # made once a loop had joined them
+    assert parts_of(world) == {}
+    for k in (100, 102):
+        world.keyframes[k].part = None
+    world.keyframes[101].part = 90
+    assert parts_of(world) == {100: 90, 101: 90, 102: 90}

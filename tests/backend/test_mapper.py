@@ -12,7 +12,7 @@ from prism_edge.backend.mapper import Mapper
 from prism_edge.bus import codec
 from prism_edge.config import BackendConfig, TrackingConfig
 from prism_edge.geometry.poses import inverse, se3_exp, transform
-from prism_edge.messages import Gate, Keyframe, MapUpdate
+from prism_edge.messages import HOME, Gate, Keyframe, MapUpdate
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import Tracker
@@ -382,3 +382,27 @@ def test_what_a_culled_keyframe_looked_like_is_forgotten():
         mapper.loops.add_place(i, np.eye(4, dtype=np.float32)[i])
     mapper.absorb(quiet(message, culled_keyframes=[1, 2]))
     assert [k in mapper.loops.index for k in range(4)] == [True, False, False, True]
+
+
+def test_what_the_tracker_does_not_have_goes_though_nobody_has_said_so() -> None:
+    """A message that was lost may have told of it."""
+    teller, mapper = Teller(), Mapper(CONFIG, True)
+    told = [teller.keyframe(pose_at(0.1 * i)) for i in range(6)]
+    for message in told[:5]:
+        mapper.absorb(message)
+        mapper.loops.index.add(message.id, np.ones(4, np.float32), "net")
+    mapper.absorb(replace(told[5], kept=np.array([0, 2, 3, 5]), culled_keyframes=np.array([4])))
+    assert sorted(mapper.world.keyframes) == [0, 2, 3, 5]
+    assert 1 not in mapper.loops.index
+    assert 2 in mapper.loops.index
+    assert sorted(mapper.world.poses()) == [0, 1, 2, 3, 4, 5], "frames that they carried have a place"
+    check(mapper.world)
+
+
+def test_a_part_that_is_joined_is_of_the_older_one_from_then_on() -> None:
+    teller, mapper = Teller(), Mapper(CONFIG, True)
+    told = [teller.keyframe(pose_at(0.1 * i)) for i in range(4)]
+    for message, part in zip(told[:3], (HOME, 1, 2), strict=True):
+        mapper.absorb(replace(message, part=part))
+    mapper.absorb(replace(told[3], part=1, joined=np.array([[2, 1]]), joined_units=np.zeros((1, 2))))
+    assert [k.part for k in mapper.world.keyframes.values()] == [HOME, 1, 1, 1]

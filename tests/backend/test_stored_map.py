@@ -98,6 +98,18 @@ def test_a_point_that_ran_off_stays_behind() -> None:
     assert not any(far in keyframe.observed for keyframe in again.keyframes.values())
 
 
+def test_a_sky_that_a_network_puts_too_far_away_is_left_out() -> None:
+    world, index = example()
+    keyframe = next(k for k in world.keyframes.values() if k.depths is not None)
+    assert keyframe.depths is not None
+    keyframe.depths[:3] = 1e10, 2.5, 1e9
+    again, _ = from_arrays(*map_file.unpack(map_file.pack(*to_arrays(world, index))), max_carried=100)
+    depths = again.keyframes[keyframe.id].depths
+    assert depths is not None
+    assert depths[:3].tolist() == [0.0, 2.5, 0.0]
+    assert keyframe.depths[0] == 1e10, "here nothing has changed"
+
+
 def test_what_comes_back_is_optimised_alike() -> None:
     config = BackendConfig()
     solved = []

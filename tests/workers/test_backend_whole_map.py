@@ -7,7 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from prism_edge.messages import WholeMap
+from prism_edge.backend.journal import Journal
+from prism_edge.messages import Epoch, WholeMap
 from prism_edge.workers import backend as worker
 from tests.workers.backend_bench import CONFIG, depth_of, hear, keyframes
 from tests.workers.list_bus import ListBus
@@ -76,3 +77,23 @@ def test_what_was_taken_in_for_it_is_solved_and_no_work_is_said_to_go_on(tmp_pat
     assert "writing the journal" in bus.states
     assert bus.states[-1] == "idle"
     assert [update.based_on for update in bus.of("map_update")[before:]] == [4]
+
+
+def test_after_a_reset_nobody_goes_on_in_the_map_before(tmp_path: Path) -> None:
+    """Though no image has come since that a map could begin with."""
+    bus, (teller, told) = ListBus("keyframe"), keyframes(4)
+    bus.run_directory = tmp_path
+    made = worker.BackendWorker(CONFIG, bus)
+    hear(made, bus, told[:3], teller)
+    bus.give("new_map", Epoch(1))
+    hear(made, bus, told[3:], teller)  # was on its way
+    assert made._mapper.epoch == 1
+    assert asked_while_busy(bus, made) is None
+    bus.desk.ask("save_map", "lab")
+    made._desk.serve()
+    assert [reply.ok for reply in bus.desk.replies] == [False]
+    assert Journal(tmp_path / "journal").recover() is None
+    again, new = keyframes(2, epoch=1, first=4)
+    bus.give("new_map", Epoch(0), Epoch(1))  # late, or twice
+    hear(made, bus, new, again)
+    assert list(made._mapper.world.keyframes) == [4, 5]

@@ -13,7 +13,7 @@ from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import Config, StateConfig, TrackingConfig
 from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE, Epoch, MapLoaded
-from prism_edge.workers import backend, tracker
+from prism_edge.workers import backend, loaded_map, tracker
 from prism_edge.workers.map_adoption import MapAdoption
 from prism_edge.workers.state_directory import map_path
 from tests.tracking.cloud import CAMERA
@@ -106,3 +106,23 @@ def test_a_map_that_is_passed_over_is_an_error(caplog: pytest.LogCaptureFixture)
     (record,) = caplog.records
     assert record.levelname == "ERROR"
     assert "passed over" in record.message
+
+
+def test_a_tracker_that_has_not_heard_is_told_again_and_not_with_each_keyframe(monkeypatch, tmp_path) -> None:
+    """Else it would go on in a map that nobody else has, and all that it says would be passed over."""
+    now = [100.0]
+    monkeypatch.setattr(loaded_map.time, "monotonic", lambda: now[0])
+    bus = ListBus()
+    mapper = SimpleNamespace(epoch=7)
+    loaded = loaded_map.LoadedMap(bus, mapper)
+    known = KnownScale(0.3, 0.02, 0.07, "")
+    loaded.remind(known)
+    assert bus.of("map_loaded") == [], "none was loaded"
+    loaded.tell(known)
+    for now[0] in (100.1, 100.9, 101.2, 101.3, 101.9, 102.4):
+        loaded.remind(known)
+    assert [m.epoch for m in bus.of("map_loaded")] == [7, 7, 7]
+    mapper.epoch = 8  # begun since
+    now[0] = 200.0
+    loaded.remind(known)
+    assert len(bus.of("map_loaded")) == 3

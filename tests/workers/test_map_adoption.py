@@ -58,11 +58,12 @@ class Asked:
         self.bus = ListBus("frame")
         self.bus.life, self.bus.first_id = life, life * IDS_A_LIFE
         self.asked: list[str] = []
+        self.answers = [answer]  # the last one again and again
         World(self.bus)
 
         def ask(topic: str, timeout_s: float = 1.0) -> WholeMap | None:
             self.asked.append(topic)
-            return answer
+            return self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
 
         self.bus.ask = ask  # type: ignore[method-assign]
 

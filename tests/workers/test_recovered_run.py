@@ -268,3 +268,19 @@ def test_in_lockstep_nobody_asks(whole: WholeMap, tmp_path: Path) -> None:
     World(life.bus)
     run(life.bus, [frame(0)], replace(CONFIG, mode="lockstep"))
     assert life.asked == []
+
+
+def test_a_map_that_is_loaded_before_the_first_image_is_no_earlier_run_s(
+    whole: WholeMap, tmp_path: Path, caplog
+) -> None:
+    """Whichever camera made it, the operator has asked for it."""
+    life = Next(replace(whole, epoch=0), tmp_path)
+    life.answers = [replace(whole, epoch=0), replace(whole, epoch=1001)]
+    life.bus.give("map_loaded", MapLoaded(1001, LOG_SCALE, 0.05))
+    other = frame(AFTER[0]).camera.copy()
+    other[2] *= 1.01
+    run(life.bus, [frame(i, camera=other) for i in AFTER])
+    assert "made by another camera" not in caplog.text
+    assert {k.epoch for k in life.bus.of("keyframe")} <= {1001}
+    assert positions(life.bus)
+    assert not any("recovered" in word for word in words(life.bus))
