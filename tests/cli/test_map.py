@@ -269,7 +269,7 @@ class TestExport:
         away = [there.keyframe(pose_at(9.0 + 0.2 * i)) for i in range(2)]
         for k in away:
             seen = np.where(k.points >= 0, k.points + 5000, -1)
-            made._absorb(replace(k, points=seen, new_points=k.new_points + 5000))
+            made._absorb(replace(k, points=seen, new_points=k.new_points + 5000, part=10))
         assert made._save_map("lab").ok
         path, tum = tmp_path / "maps" / "lab.prismmap", tmp_path / "a.tum"
         assert call("export", path, "--tum", tum) == 0
