@@ -143,7 +143,7 @@ class TrackingConfig:
         600, 10, 100_000, "keyframes the local map keeps at most; fewer than 12 close no loop"
     )
     redundant_keyframes: int = limits(
-        200, 10, 100_000, "beyond so many, a keyframe goes where others see 90 % of its points as well"
+        200, 10, 100_000, "beyond so many, a keyframe goes where older and newer ones see 90 % of its points"
     )
 
 

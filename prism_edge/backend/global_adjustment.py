@@ -101,7 +101,7 @@ class GlobalAdjustment:
         for k in self._keyframes:
             values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
         hanging = [part & used.keys() for part in (list(parts) or [set(used)]) if part & used.keys()]
-        self._hanging = hanging
+        self._hanging, self._places = hanging, {p: world.points[p].position for p in chosen}
         self._first = {p: k for k in sorted(used, reverse=True) for p in used[k]}  # that sees each point
         if use_depth and camera is None:  # a bent map says nothing of sizes
             for part in hanging:
@@ -145,7 +145,10 @@ class GlobalAdjustment:
         return self.done
 
     def result(self) -> Adjusted | None:
-        """What it came to, each part in the unit that it had; None where it is unusable."""
+        """What it came to, each part in the unit that it had; None where it is unusable.
+
+        A part of its own of which that is so stays as it was: the rest is worth as much without it.
+        """
         values = self._optimiser.values()
         poses = {k: np.asarray(values.atPose3(X(k)).matrix()) for k in self._keyframes}
         points = {p: np.asarray(values.atPoint3(L(p))) for p in self._points}
@@ -162,8 +165,12 @@ class GlobalAdjustment:
             return None  # places that go with a lens nobody can be sure of
         for part in self._hanging:
             unit = self._unit_change(part, poses, points)
-            if not 0.5 < unit < 2.0:
-                return None
+            if not 0.5 < unit < 2.0:  # nothing says how large it is, or it has run off
+                if self._keyframes[0] in part:
+                    return None
+                poses.update({k: self._before[k] for k in part})
+                points.update({p: self._places[p] for p in self._owned(part)})
+                continue
             anchor = poses[min(part)][:3, 3].copy()
             for k in part:
                 turn, centre = poses[k][:3, :3], poses[k][:3, 3]

@@ -159,9 +159,8 @@ class BackendWorker:
     def _receive(self, timeout_s: float) -> None:
         first = self._keyframes.take(timeout_s)
         now = time.monotonic()
-        for told in self._begun.drain():
-            if told.epoch > self._mapper.epoch:
-                self._begin(told.epoch)
+        if self._ticks is None:  # else between keyframes, for each of which all wait
+            self._hear_of_new_maps()
         for keyframe in ([first] if first is not None else []) + self._keyframes.drain():
             if keyframe.epoch >= self._mapper.epoch:
                 self._waiting.append((now, keyframe))
@@ -207,6 +206,11 @@ class BackendWorker:
         if known and self._ticks is None:  # in lockstep nothing is late but what had no time limit
             self._late = max(depth.keyframe, -1 if self._late is None else self._late)
         return useful or known
+
+    def _hear_of_new_maps(self) -> None:
+        for told in self._begun.drain():
+            if told.epoch > self._mapper.epoch:
+                self._begin(told.epoch)
 
     def _begin(self, epoch: int) -> None:
         """A new map, of which nothing is there yet: nobody is to go on in the one before."""
@@ -315,6 +319,7 @@ class BackendWorker:
         assert self._ticks is not None
         tick = self._ticks.take(_LOOK_S)
         if tick is None:
+            self._hear_of_new_maps()
             self._tidy()
             return False
         if tick.keyframe >= 0:

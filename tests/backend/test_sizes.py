@@ -253,3 +253,32 @@ def test_no_part_s_size_creeps_however_often_all_is_adjusted() -> None:
         apply(world, result, CONFIG)
     for room, was in zip((range(EACH), second), before, strict=True):
         assert way(world, room) == pytest.approx(was, rel=0.03)
+
+
+@pytest.mark.parametrize("away", [3.0, 0.1])
+def test_a_part_that_ran_off_stays_as_it_was_and_costs_the_rest_nothing(monkeypatch, away: float) -> None:
+    """What people before the lens give a robot has two keyframes, and nothing that says how large it is."""
+    world, second = two_rooms(), set(SECOND)
+    for p in range(160, 172):
+        for k in sorted(world.points.pop(p).keyframes):
+            del world.keyframes[k].observed[p]
+    for keyframe in world.keyframes.values():
+        keyframe.world_from_camera = keyframe.world_from_camera @ pose_at(0.003 * keyframe.id)
+    true_change = GlobalAdjustment._unit_change
+
+    def change(job: GlobalAdjustment, part: set[int], *solved: dict[int, Array]) -> float:
+        return away if part == second else true_change(job, part, *solved)
+
+    monkeypatch.setattr(GlobalAdjustment, "_unit_change", change)
+    job = GlobalAdjustment(world, CONFIG, 1.0, True, parts=[set(range(EACH)), second])
+    while not job.step():
+        pass
+    result = job.result()
+    assert result is not None
+    for k, keyframe in world.keyframes.items():
+        same = np.allclose(result.poses[k], keyframe.world_from_camera, atol=1e-12)
+        assert same == (k in second or k == 0), k
+    for p, place in result.points.items():
+        assert np.allclose(place, world.points[p].position, atol=1e-12) == (p >= 80), p
+    monkeypatch.setattr(GlobalAdjustment, "_unit_change", lambda *_: away)
+    assert job.result() is None, "home itself"

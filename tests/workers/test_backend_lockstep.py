@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from prism_edge.messages import Acknowledged, Keyframe
+from prism_edge.messages import Acknowledged, Epoch, Keyframe
 from prism_edge.workers import backend as worker
 from tests.backend.world import Teller
 from tests.synthetic.messages import tick
@@ -129,3 +129,16 @@ def test_lockstep_twice_is_the_same_to_the_last_bit():
     for first, second in zip(*runs, strict=True):
         assert np.array_equal(first.poses, second.poses)
         assert np.array_equal(first.positions, second.positions)
+
+
+def test_a_reset_amid_a_keyframe_waits_until_that_is_done(caplog):
+    """It would never be complete: all would wait for it until patience ends."""
+    bus, (teller, told) = ListBus("tracked"), keyframes(2)
+    lockstep(bus, told, teller)
+    bus.give("new_map", Epoch(1))
+    made = worker.BackendWorker(LOCKSTEP, bus)
+    made.run()
+    assert "incomplete" not in caplog.text
+    assert [m.index for m in bus.of("acknowledged")] == list(range(8))
+    assert [u.based_on for u in bus.of("map_update")] == [0, 1]
+    assert made._mapper.epoch == 1
