@@ -11,7 +11,8 @@ usage: deploy/install.sh [options]
   --destdir DIR     put DIR before every path, to build an image (implies --no-systemctl)
   --python PYTHON   interpreter, 3.11 or newer (default: the first that is found)
   --wheels DIR      install from the packages in DIR, without a network
-  --extra NAME      optional dependencies of pyproject.toml, such as a camera's; may be repeated
+  --extra NAME      optional dependencies of pyproject.toml, such as a camera's; may be repeated, and an upgrade
+                    keeps those that there are
   --no-systemctl    write the files, but leave the running system alone
 EOF
 }
@@ -48,6 +49,10 @@ if [[ $EUID -ne 0 && -z $destdir ]]; then
     echo "install.sh: error: run it as root, or with --destdir" >&2
     exit 1
 fi
+if [[ -r $root/current/extras ]]; then
+    extras=$(tr ',' '\n' <<< "$(< "$root/current/extras")${extras:+,$extras}" | sort -u | paste -sd ,)
+    echo "with optional dependencies: $extras"
+fi
 # pip itself passes over a name that it does not know.
 [[ -z $extras ]] || "$python" -I -c '
 import sys, tomllib
@@ -69,12 +74,14 @@ files=("$units/prism-edge.service" "$units/prism-edge@.service" "$rules/60-prism
 
 service() { [[ $systemctl == no ]] || systemctl "$@"; }
 
+units_that_are() {
+    [[ $systemctl == no ]] || systemctl list-units --plain --no-legend "--state=$1" \
+        'prism-edge.service' 'prism-edge@*.service' | awk '{print $1}'
+}
+
 written='' restarted=()  # what there is to put back
-running=()
-if [[ $systemctl == yes ]]; then
-    mapfile -t running < <(systemctl list-units --plain --no-legend --state=active,activating,reloading \
-        'prism-edge.service' 'prism-edge@*.service' | awk '{print $1}')
-fi
+mapfile -t running < <(units_that_are active,reloading)
+mapfile -t starting < <(units_that_are activating)  # mostly one whose camera is away
 
 undo() {
     local code=$?
@@ -153,6 +160,7 @@ copy_sources
 "${pip[@]}" --constraint "$checkout/requirements.lock" --constraint "$checkout/requirements-extras.lock" \
     "$sources${extras:+[$extras]}"
 [[ -z $destdir ]] || name_final_paths
+[[ -z $extras ]] || echo "$extras" > "$root/$new/extras"
 "$root/$new/bin/python" -I -m prism_edge.cli --version
 
 written=yes
@@ -181,10 +189,14 @@ for unit in "${running[@]}"; do
     restarted+=("$unit")
     service restart "$unit"  # returns once it is ready; where it never is, all is put back
 done
+for unit in "${starting[@]}"; do
+    echo "restarting $unit, which was not ready: not waiting for it"
+    service restart --no-block "$unit" || true  # no fault of the release, and no reason to stop the others
+done
 
 # The release before this one stays, for a way back by hand.
 for release in "$root"/releases/*; do
     [[ ${release#"$root"/} == "$new" || ${release#"$root"/} == "$old" ]] || rm -rf "$release"
 done
 echo "installed; configuration: $settings/config.yaml"
-[[ $systemctl == no || ${#running[@]} -gt 0 ]] || echo "start it with: systemctl enable --now prism-edge"
+[[ $systemctl == no || ${#running[@]} -gt 0 || ${#starting[@]} -gt 0 ]] || echo "start it with: systemctl enable --now prism-edge"

@@ -274,7 +274,7 @@ class SupervisorConfig:
 
     stop_s: float = limits(2.0, 0.1, 60.0, "time processes get to end before they are killed")
     start_s: float = limits(
-        60.0, 5.0, 600.0, "time processes get to become ready, if they declare no longer work"
+        60.0, 5.0, 600.0, "time processes get to become ready; what is above 60 s each of its parts gets, too"
     )
     max_restarts: int = limits(5, 0, 1000, "restarts of one process within the window before giving up")
     window_s: float = limits(60.0, 1.0, 86_400.0, "that window")

@@ -25,6 +25,11 @@ class Topic:
         """Whether it stays between our own processes."""
         return self.key.startswith("internal/")
 
+    @property
+    def of_all(self) -> bool:
+        """Whether every process says it, each below the key under its own name (``process`` of the type)."""
+        return self.producer == "all"
+
 
 TOPICS = {
     topic.key.removeprefix("internal/"): topic

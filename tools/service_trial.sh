@@ -50,6 +50,7 @@ is() {  # what, then a command that must be true
     shift
     if "$@" > /dev/null 2>&1; then echo "ok    $what"; else echo "FAIL  $what"; failed=1; fi
 }
+has_started_again() { (($(inside systemctl show --property NRestarts --value "$1") > 0)); }
 property() { inside systemctl show --property "$1" --value prism-edge; }
 status_has() { [[ $(property StatusText) == *"$1"* ]]; }
 restarts_are() { [[ $(property NRestarts) == "$1" && $(property ActiveState) == active ]]; }
@@ -79,6 +80,8 @@ inside systemctl daemon-reload
 is "start returns once poses can flow" inside systemctl start prism-edge
 is "poses flow, and the status line says so" await 30 status_has "ok building"
 is "a user of its own" of_main '^Uid:\s+[1-9]'
+is "the release that it was started from, not the link to it" \
+    inside grep --quiet --text /opt/prism-edge/releases/ "/proc/$(property MainPID)/cmdline"
 is "no capabilities" of_main '^CapBnd:\s+0+$'
 is "system calls are filtered" of_main '^Seccomp:\s+2$'
 is "no new privileges" of_main '^NoNewPrivs:\s+1$'
@@ -106,8 +109,13 @@ inside kill -STOP "$(property MainPID)"
 is "a supervisor that stands still is found by the watchdog" await 40 restarts_are 2
 is "... and said to be" said "Watchdog timeout"
 
+printf 'robot: rear\nsource: {uri: "v4l2:/dev/video9", absent_s: 1}\nbus: {endpoint: "tcp/127.0.0.1:7450"}\n' |
+    inside tee /etc/prism-edge/rear.yaml > /dev/null
+inside systemctl start --no-block prism-edge@rear
+is "one without its camera keeps trying" await 20 has_started_again prism-edge@rear
 before=$(current)
-is "upgrade of the running service" install_it
+is "upgrade of the running service, beside it" install_it
+inside systemctl stop prism-edge@rear
 is "... to another release" test "$before" != "$(current)"
 is "... with the configuration kept" inside grep -q sim:room /etc/prism-edge/config.yaml
 is "... and poses again" await 30 status_has "ok building"

@@ -142,10 +142,15 @@ def access_control(network: NetworkConfig, listener: bool) -> dict[str, Any]:
 def _of_process(process: str) -> list[dict[str, Any]]:
     """What one process hears and says, and the commands that it answers, by the tables of both."""
     hears = [t.key for t in TOPICS.values() if process in t.consumers]
-    says = [t.key for t in TOPICS.values() if t.producer in (process, "all")]
+    says = [t.key for t in TOPICS.values() if t.producer == process]
     says += [command.key for command in COMMANDS.values() if command.process == process]
     tokens = [f"prism/*/{held}/{process}" for held in ("alive", "internal/ready")]
+    of_all = [f"prism/*/{t.key}" for t in TOPICS.values() if t.of_all]
+    # In nobody else's name; but who listens, listens to all of them.
+    own, listened = [f"{key}/{process}" for key in of_all], [f"{key}/*" for key in of_all]
     return [
+        _rule(f"{process} says of itself", _SAY["ingress"], own, ["ingress"]),
+        _rule(f"{process} is listened to", _SAY["egress"], listened, ["egress"]),
         *_rules(f"{process} hears", _HEAR, [f"prism/*/{key}" for key in hears]),
         *_rules(f"{process} says", _SAY, [f"prism/*/{key}" for key in says]),
         *_rules(f"{process} sees", _SEE_TOKENS, ["prism/*/internal/ready/*"]),

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import json
 import operator
+import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -38,6 +39,7 @@ MAX_HEADER = 64 * 1024
 _PREFIX = struct.Struct("<4sHHII")
 _PADDING = [b"\0" * n for n in range(8)]
 _INT64 = range(-(2**63), 2**63)
+_HALVES = re.compile("[\ud800-\udfff]")
 _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
@@ -54,8 +56,12 @@ class _Plain:
     kind: type  # int, bool, str or dict
 
     def outgoing(self, value: Any) -> Any:
-        """The value as JSON takes it; NumPy scalars become Python's."""
-        if self.kind is int:
+        """The value as JSON takes it; NumPy scalars become Python's, halves of characters question marks."""
+        if self.kind is str:
+            value = _writable(value)
+        elif self.kind is dict and isinstance(value, dict):
+            value = {_writable(k): _writable(v) for k, v in value.items()}
+        elif self.kind is int:
             value = operator.index(value)
         elif self.kind is bool and isinstance(value, np.bool_):
             value = bool(value)
@@ -67,8 +73,22 @@ class _Plain:
         if type(value) is not self.kind:
             return False
         if isinstance(value, dict):
-            return all(type(k) is str and type(v) is str for k, v in value.items())
+            return all(_is_text(word) for pair in value.items() for word in pair)
+        if self.kind is str:
+            return _is_text(value)
         return self.kind is not int or value in _INT64
+
+
+def _writable(value: Any) -> Any:
+    plain = not isinstance(value, str) or value.isascii()
+    return value if plain else value.encode("utf-8", "replace").decode()
+
+
+def _is_text(value: Any) -> bool:
+    """Whether it is text that can be written: JSON has halves of characters, which nothing else takes."""
+    if type(value) is not str:
+        return False
+    return value.isascii() or not _HALVES.search(value)
 
 
 @dataclass(frozen=True)

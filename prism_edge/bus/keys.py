@@ -37,9 +37,10 @@ def check_robot_name(name: str) -> str:
     return name
 
 
-def key(robot: str, topic: Topic | Command) -> str:
-    """A topic's or command's key for this robot."""
-    return f"prism/{robot}/{topic.key}"
+def key(robot: str, topic: Topic | Command, speaker: str = "*") -> str:
+    """A topic's or command's key for this robot; where all say it, that of ``speaker`` alone, or of any."""
+    own = f"/{speaker}" if isinstance(topic, Topic) and topic.of_all else ""
+    return f"prism/{robot}/{topic.key}{own}"
 
 
 def alive_key(robot: str, process: str) -> str:

@@ -44,7 +44,7 @@ class Bus:
         self.stopped = threading.Event()
         self._session, self._lossless = session, lossless
         self._lock = threading.RLock()
-        self._publishers: dict[str, Any] = {}
+        self._publishers: dict[tuple[str, str], Any] = {}  # by topic, and who says what all say
         self._answers: dict[str, Answer] = {}
         self._last: dict[str, bytes | Callable[[], bytes]] = {}  # payloads of latched topics
         self._inboxes: list[Inbox] = []
@@ -95,7 +95,7 @@ class Bus:
             self._last[topic] = payload
             self._answer_with_last(topic)
         try:
-            (self._publishers.get(topic) or self._declare(topic)).put(payload)
+            self._publisher(topic, message.process if TOPICS[topic].of_all else "").put(payload)
         except zenoh.ZError as error:
             if not self._closed:
                 raise BusError(f"can't publish {topic}: {error}") from None
@@ -105,7 +105,7 @@ class Bus:
 
         So ``make`` may be called in another thread, and must give the same whenever it is.
         """
-        publisher = self._publishers.get(topic) or self._declare(topic)
+        publisher = self._publisher(topic)
         try:
             heard = publisher.matching_status.matching
         except zenoh.ZError:  # closed meanwhile
@@ -212,13 +212,16 @@ class Bus:
             key = keys.ready_key(self.robot, self.process)
             self._tokens.append(self._session.liveliness().declare_token(key))
 
-    def _declare(self, topic: str) -> Any:
+    def _publisher(self, topic: str, speaker: str = "") -> Any:
+        declared = self._publishers.get((topic, speaker))
+        if declared is not None:
+            return declared
         with self._lock:
-            if topic not in self._publishers:
-                self._publishers[topic] = self._session.declare_publisher(
-                    keys.key(self.robot, TOPICS[topic]), **quality(TOPICS[topic], self._lossless)
+            if (topic, speaker) not in self._publishers:
+                self._publishers[topic, speaker] = self._session.declare_publisher(
+                    keys.key(self.robot, TOPICS[topic], speaker), **quality(TOPICS[topic], self._lossless)
                 )
-            return self._publishers[topic]
+            return self._publishers[topic, speaker]
 
     def _answer_with_last(self, topic: str) -> None:
         with self._lock:
@@ -255,7 +258,11 @@ class Bus:
         kind = TOPICS[topic].type
         data = sample.payload.to_bytes()
         try:
-            return _ros().deserialise(kind, data) if isinstance(kind, str) else codec.unpack(data, kind)
+            message = _ros().deserialise(kind, data) if isinstance(kind, str) else codec.unpack(data, kind)
+            if TOPICS[topic].of_all and not str(sample.key_expr).endswith(f"/{message.process}"):
+                what = type(message).__name__
+                raise BusError(f"malformed {what} message: in the name of {message.process!r:.40}")
+            return message
         except BusError as error:
             if self.pulse.count("malformed") == 1:
                 log.warning("%s: %s (more are only counted)", sample.key_expr, error)

@@ -23,20 +23,22 @@ class Verdict:
     why: str = ""
 
 
-def judge(heartbeat: Heartbeat | None, age_s: float) -> Verdict:
+def judge(heartbeat: Heartbeat | None, age_s: float, longer_s: float = 0.0) -> Verdict:
     """What to think of a process whose last heartbeat came ``age_s`` seconds ago (receiver's clock).
 
     Nothing is held against a process that was never heard. Native code that holds the interpreter's lock
     silences heartbeats too, so declared work is given its whole budget before silence counts. Only
-    differences of the sender's clock are used: a process may run on another host.
+    differences of the sender's clock are used: a process may run on another host. What belongs to a start may
+    take ``longer_s`` beyond its budget.
     """
     if heartbeat is None:
         return Verdict(ALIVE)
     if heartbeat.state in ("starting", "working"):
         busy_s = (heartbeat.monotonic_ns - heartbeat.activity_since_ns) * 1e-9 + age_s
-        if busy_s > heartbeat.budget_s:
+        budget_s = heartbeat.budget_s + (longer_s if heartbeat.state == "starting" else 0.0)
+        if busy_s > budget_s:
             what = heartbeat.activity or heartbeat.state
-            return Verdict(OVERDUE, f"{what} has taken {busy_s:.1f} s of {heartbeat.budget_s:.1f} s")
+            return Verdict(OVERDUE, f"{what} has taken {busy_s:.1f} s of {budget_s:.1f} s")
         return Verdict(ALIVE)
     if age_s > SILENT_S:
         return Verdict(OVERDUE, f"silent for {age_s:.1f} s")

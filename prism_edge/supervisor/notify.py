@@ -39,6 +39,10 @@ class Notifier:
         self._unsent: deque[str] = deque(maxlen=_MOST_WAITING)
         self._failed = False
 
+    def starting(self, within_s: float) -> None:
+        """It may take so long, where the manager (TimeoutStartSec) would give it less."""
+        self._send(_longer(within_s))
+
     def ready(self) -> None:
         """Poses can flow; also the end of what :meth:`reloading` began."""
         self._send("READY=1")
@@ -47,9 +51,9 @@ class Notifier:
         """The configuration is being read again; :meth:`ready` follows."""
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
-    def stopping(self) -> None:
-        """The end has begun."""
-        self._send("STOPPING=1")
+    def stopping(self, within_s: float) -> None:
+        """The end has begun, and may take so long, where the manager (TimeoutStopSec) would give it less."""
+        self._send("STOPPING=1", _longer(within_s))
 
     def status(self, text: str) -> None:
         """One line for ``systemctl status``; sent only when it has changed. Call it often."""
@@ -92,3 +96,7 @@ class Notifier:
             if not self._failed:
                 self._failed = True
                 log.warning("the service manager can't be told: %s", error.strerror or error)
+
+
+def _longer(within_s: float) -> str:
+    return f"EXTEND_TIMEOUT_USEC={round(within_s * 1e6)}"

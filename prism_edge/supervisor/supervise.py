@@ -18,6 +18,9 @@ from prism_edge.workers.stopping import StopSignals
 
 log = logging.getLogger("prism_edge.supervisor")
 
+STARTS = 2.0  # times start_s: a start that hung once may still become one; the units' TimeoutStartSec
+CLOSING_S = 5.0  # for what comes after the processes have ended
+
 
 def supervise(
     config: Config,
@@ -40,6 +43,7 @@ def supervise(
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # a parent's `ignore` is inherited: children would be lost
     signals = StopSignals(reload=reread is not None)
     notifier = Notifier()
+    notifier.starting(STARTS * config.supervisor.start_s)
     announced = False
 
     def finished() -> bool:
@@ -64,7 +68,7 @@ def supervise(
                 supervisor.run(finished)
                 supervisor.ended_well()
             finally:
-                notifier.stopping()
+                notifier.stopping(supervisor.stop_s + CLOSING_S)
             log.info("stopping" if signals.stopped.is_set() else "the recording has ended; stopping")
     except StartRefusedError as error:
         log.error("%s; stopped", error)

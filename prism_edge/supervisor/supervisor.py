@@ -27,13 +27,13 @@ from prism_edge.supervisor.remote import RemoteWatch
 from prism_edge.supervisor.run_directory import RunDirectory
 from prism_edge.supervisor.start import Start, start_worker
 from prism_edge.supervisor.watch import StartRefusedError, Watch
+from prism_edge.workers.configured_network import CONFIG
 
 if TYPE_CHECKING:
     from prism_edge.bus.commands import Reply
 
 log = logging.getLogger("prism_edge.supervisor")
 
-CONFIG = "config.yaml"  # in the run's folder
 LOOK_S = 0.1  # a death is noticed within this
 HEALTH_S = 1.0
 PAUSED_S = 1.0  # a round later than this: we were stopped ourselves, and heartbeats with us
@@ -106,6 +106,11 @@ class Supervisor:
         now = time.monotonic()
         required = [watch for watch in self._watches.values() if watch.process.required]
         return all(watch.healthy(now) or watch.comes_back(now) for watch in required)
+
+    @property
+    def stop_s(self) -> float:
+        """How long :meth:`stop` gives the processes."""
+        return self._config.supervisor.stop_s
 
     @property
     def status(self) -> str:
@@ -192,19 +197,19 @@ class Supervisor:
 
     def stop(self) -> None:
         """End every process within ``supervisor.stop_s``, then close the bus and remove the run's files."""
+        if self._ended_well:  # first: a manager may have less patience than ``stop_s``
+            self._journal.ended()
         running = [child for child in self._children.values() if child.poll() is None]
         for child in running:
             child.terminate()
-        deadline = time.monotonic() + self._config.supervisor.stop_s
+        deadline = time.monotonic() + self.stop_s
         while running and time.monotonic() < deadline:
             time.sleep(0.02)
             running = [child for child in running if child.poll() is None]
         for name, child in self._children.items():
             if child.exit_code is None:
-                log.warning("%s did not end in %g s and is killed", name, self._config.supervisor.stop_s)
+                log.warning("%s did not end in %g s and is killed", name, self.stop_s)
                 child.kill()
-        if self._ended_well:
-            self._journal.ended()
         self._cleanup.close()
 
     def _open_bus(self) -> None:
@@ -276,7 +281,7 @@ class Supervisor:
                 watch.killed(verdict.why)
             child.kill()
         asked_s = watch.asked_to_end_s
-        if asked_s is not None and now - asked_s > self._config.supervisor.stop_s:
+        if asked_s is not None and now - asked_s > self.stop_s:
             child.kill()
         code = child.poll()
         if code is not None:
@@ -319,7 +324,7 @@ class Supervisor:
         values |= {name: row.message for name, row in rows.items()}
         if not self._config.depth.network:
             values["depth"] = no_network().message
-        return Reply(self.ready_s is not None and self.healthy and self._has_map(now), self._status, values)
+        return Reply(self.ready_s is not None and self.alive and self._has_map(now), self._status, values)
 
     def _has_map(self, now_s: float) -> bool:
         """Whether there is a map for poses, or a network to begin one; a loaded map needs none."""

@@ -15,6 +15,7 @@ from prism_edge.supervisor.restart import RestartPolicy
 if TYPE_CHECKING:
     from prism_edge.messages import Heartbeat
 
+USUAL_START_S = SupervisorConfig.start_s  # what budgets of work before `ready` are meant for
 HUNG_STARTS = 3  # in a row; a process that hangs in more of them is not about to come back
 USER_ERRORS = tuple(error.exit_code for error in (ConfigError, SourceError, ModelError, BusError))
 
@@ -136,10 +137,12 @@ class Watch:
         """Whether it lives, from its heartbeats and the time that it may take to start.
 
         That is ``start_s``, and longer where it declares work that takes longer, such as loading a network.
+        A longer one than usual is for machines on which each such work takes longer, too.
         """
         if self.restart_at_s is not None:
             return Verdict(ALIVE)
-        verdict = judge(self._heartbeat, now_s - self._heard_s)
+        longer_s = max(self._config.start_s - USUAL_START_S, 0.0)
+        verdict = judge(self._heartbeat, now_s - self._heard_s, longer_s)
         start_by_s = max(self._started_s + self._config.start_s, self._granted_s)
         if verdict.liveness != OVERDUE and not self.ready and now_s > start_by_s:
             return Verdict(OVERDUE, f"not ready after {start_by_s - self._started_s:.0f} s")

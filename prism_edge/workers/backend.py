@@ -341,6 +341,7 @@ class BackendWorker:
             self._absorb(keyframe)
             if self._solve(keyframe) is None:
                 self._bus.publish("map_update", self._mapper.nothing(keyframe))
+        self._rest()
 
     def _complete(self, keyframe: int) -> bool:
         here = any(waiting.id == keyframe for _, waiting in self._waiting)

@@ -29,6 +29,7 @@ _WAIT_S = 0.2
 _ONE_LIFE = 100_000  # no tracker gives so many keyframes between two that are seen here
 _LOADING_S = 120.0
 _INFERENCE_S = 20.0  # the slowest network in use takes a tenth of that on a small computer
+_SLOWEST_S = 120.0  # where loading, which ends with an inference, said that this one is slower
 # Lockstep: a picture that takes longer isn't coming (the tracker died with it), and all wait for us.
 _PATIENCE_S = 20.0
 
@@ -52,9 +53,12 @@ class DepthWorker:
         self._recent: deque[float] = deque(maxlen=100)
         self._doubted = False
         self._network: DepthNetwork | SensorNetwork | None = None
+        self._inference_s = _INFERENCE_S
         if config.depth.network:
             bus.pulse.working("loading the network", _LOADING_S)
+            began_s = time.monotonic()
             self._network = open_depth(config)
+            self._inference_s = min(max(2.0 * (time.monotonic() - began_s), _INFERENCE_S), _SLOWEST_S)
             bus.pulse.values.update(model=self._network.name, provider=self._network.provider)
             self._show_counters()
             log.info("%s runs on %s", self._network.name, self._network.provider)
@@ -125,7 +129,7 @@ class DepthWorker:
         return image
 
     def _answer(self, image: KeyframeImage) -> None:
-        self._bus.pulse.working(f"keyframe {image.keyframe}", _INFERENCE_S)
+        self._bus.pulse.working(f"keyframe {image.keyframe}", self._inference_s)
         depth = answer(self._network, image)
         self._bus.publish("depth", depth)
         self._bus.pulse.count("keyframes")

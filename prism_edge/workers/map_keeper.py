@@ -25,6 +25,7 @@ from prism_edge.config import Config
 from prism_edge.errors import BusError, MapError
 from prism_edge.geometry.mount import base_from_camera
 from prism_edge.messages import Keyframe, MapUpdate, WholeMap, same_network
+from prism_edge.workers.configured_network import ConfiguredNetwork
 from prism_edge.workers.cut_off import OWN_JOURNAL, goes_on
 from prism_edge.workers.map_flaw import map_flaw, pyramid_flaw, size_flaw
 from prism_edge.workers.state_directory import kept_journal, map_path, stored_map
@@ -44,6 +45,7 @@ class MapKeeper:
         self._journal: Journal | None = None
         self._failed_s, self._wait_s = float("-inf"), AGAIN_S
         self._overhauled = False
+        self._network, self._noted_network = ConfiguredNetwork(config, bus), ""
         self._run = "" if bus.run_directory is None else bus.run_directory.name
         folder = journal_folder(config, bus)
         if folder is not None:
@@ -96,7 +98,7 @@ class MapKeeper:
 
     def _foreign_flaw(self, info: Info, arrays: Arrays) -> str:
         """Why another run's map can't be gone on in; empty where it can, by the camera that made it."""
-        for what, ours in (("robot", self._config.robot), ("model", self._config.depth.network)):
+        for what, ours in (("robot", self._config.robot), ("model", self._network.name)):
             if info.get(what) != ours:
                 return f"it has another {what}, {info.get(what)!r:.60}"
         return pyramid_flaw(arrays, self._config.tracking)
@@ -110,7 +112,8 @@ class MapKeeper:
         if self._is_failing:
             return
         try:
-            if self._overhauled or self._journal.is_long or not self._journal.is_open:
+            is_news = self._overhauled or self._noted_network != self._network.name
+            if is_news or self._journal.is_long or not self._journal.is_open:
                 self._begin_journal(self._journal, scale)
             else:
                 self._journal.append(self._record(message.id, scale, codec.pack(message)))
@@ -209,7 +212,7 @@ class MapKeeper:
         # As it calls itself; where ours is yet to speak, PlaceIndex will see.
         if isinstance(theirs, str) and theirs:
             return bool(ours) and not same_network(theirs, ours)
-        return info.get("model") != self._config.depth.network
+        return info.get("model") != self._network.name
 
     def whole(self, scale: KnownScale) -> WholeMap | None:
         """Everything, for a tracker to go on from; None where there is nothing."""
@@ -222,6 +225,7 @@ class MapKeeper:
 
     def _begin_journal(self, journal: Journal, scale: KnownScale) -> None:
         self._bus.pulse.working("writing the journal", 30.0)
+        self._noted_network = self._network.name
         journal.begin(lambda generation: self._packed(scale, True, generation=generation, run=self._run))
         self._bus.pulse.values.pop("journal", None)
         self._overhauled, self._failed_s, self._wait_s = False, float("-inf"), AGAIN_S
@@ -248,7 +252,7 @@ class MapKeeper:
     def _packed(self, scale: KnownScale, in_use: bool, **info: str | int) -> bytes:
         own = {"program": f"prism_edge {__version__}", "robot": self._config.robot}
         stored, arrays = self._mapper.stored(in_use)
-        known = {**stored, **own, **scale.info, "model": self._config.depth.network, **info}
+        known = {**stored, **own, **scale.info, "model": self._network.name, **info}
         return map_file.pack(known, arrays)
 
     def _record(self, number: int, scale: KnownScale, message: bytes = b"") -> bytes:

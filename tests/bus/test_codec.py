@@ -44,6 +44,28 @@ def test_arrays_that_are_not_contiguous_are_sent_in_order():
     assert np.array_equal(unpack(pack(replace(frame(), image=image)), m.Frame).image, image)
 
 
+HALF = "half a character: \ud83d"
+
+
+def test_text_that_nobody_can_write_goes_with_a_question_mark_in_its_place():
+    """Names of files that are no UTF-8 hold such halves, and find their way into warnings."""
+    beat = m.Heartbeat("depth", 1, 2, "ready", HALF, 3, 4.0, {HALF: HALF})
+    come = unpack(pack(beat), m.Heartbeat)
+    assert come.activity == "half a character: ?"
+    assert come.values == {come.activity: come.activity}
+
+
+def test_text_that_nobody_can_write_is_refused_from_others():
+    """JSON can say it, and whoever passes it on (to ROS, to a file) would fail."""
+    good = pack(m.Heartbeat("depth", 1, 2, "ready", "??????", 3, 4.0, {"??????": "??????"}))
+    spots = [i for i in range(len(good)) if good.startswith(b"??????", i)]
+    assert len(spots) == 3
+    for spot in spots:
+        bad = good[:spot] + b"\\ud83d" + good[spot + 6 :]
+        with pytest.raises(BusError, match="malformed Heartbeat"):
+            unpack(bad, m.Heartbeat)
+
+
 def test_numpy_scalars_are_sent_as_numbers():
     message = replace(tracked(), index=np.int64(4), published=np.bool_(True))
     back = unpack(pack(message), m.Tracked)

@@ -164,16 +164,19 @@ def test_a_session_on_another_host_is_relayed(join, monkeypatch):
     assert inbox.take() is None
 
 
-@pytest.mark.parametrize("payload", [b"", b"PRSM garbage", pack(tracked(1))])
+FORGED = pack(m.Acknowledged("scale", 5))  # below another's key
+
+
+@pytest.mark.parametrize("payload", [b"", b"PRSM garbage", pack(tracked(1)), FORGED])
 def test_malformed_messages_are_counted_and_skipped(join, outside, caplog, payload):
     supervisor = join("supervisor", listen=True)
     inbox = supervisor.queue("acknowledged")
     client = outside()
-    client.put("prism/robot/internal/acknowledged", payload)
-    client.put("prism/robot/internal/acknowledged", pack(m.Acknowledged("depth", 5)))
+    client.put("prism/robot/internal/acknowledged/depth", payload)
+    client.put("prism/robot/internal/acknowledged/depth", pack(m.Acknowledged("depth", 5)))
     assert inbox.take(10.0) == m.Acknowledged("depth", 5)
     assert supervisor.pulse.values["malformed"] == "1"
-    assert "prism/robot/internal/acknowledged: malformed Acknowledged message" in caplog.text
+    assert "prism/robot/internal/acknowledged/depth: malformed Acknowledged message" in caplog.text
 
 
 def test_a_flood_of_malformed_messages_is_one_line(join, outside, caplog):
@@ -181,8 +184,8 @@ def test_a_flood_of_malformed_messages_is_one_line(join, outside, caplog):
     inbox = supervisor.queue("acknowledged")
     client = outside()
     for _ in range(50):
-        client.put("prism/robot/internal/acknowledged", b"garbage")
-    client.put("prism/robot/internal/acknowledged", pack(m.Acknowledged("depth", 5)))
+        client.put("prism/robot/internal/acknowledged/depth", b"garbage")
+    client.put("prism/robot/internal/acknowledged/depth", pack(m.Acknowledged("depth", 5)))
     assert inbox.take(10.0) == m.Acknowledged("depth", 5)
     assert supervisor.pulse.values["malformed"] == "50"
     assert len([r for r in caplog.records if "malformed" in r.message]) == 1

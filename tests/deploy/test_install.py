@@ -118,7 +118,7 @@ def test_a_service_that_an_upgrade_has_not_touched_goes_on_running(tmp_path: Pat
     environment = {**os.environ, "FAIL": "pip", "PATH": path, "CALLS": str(calls)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
     assert done.returncode != 0
-    assert [line.split()[0] for line in calls.read_text().splitlines()] == ["list-units"]
+    assert {line.split()[0] for line in calls.read_text().splitlines()} == {"list-units"}
     assert not any((tmp_path / "opt/releases").iterdir())
 
 
@@ -236,3 +236,12 @@ def test_whoever_asks_is_told_and_nothing_is_done(name: str) -> None:
     )
     assert (told.returncode, told.stderr) == (0, "")
     assert f"usage: deploy/{name}" in told.stdout
+
+
+def test_an_upgrade_keeps_optional_dependencies(tmp_path: Path) -> None:
+    current = tmp_path / "opt/prism-edge/current/bin/asked"
+    assert install(tmp_path, "--extra", "oak").returncode == 0
+    assert install(tmp_path).returncode == 0
+    assert current.read_text().splitlines()[-1].endswith("[oak]")
+    assert install(tmp_path, "--extra", "metrics", "--extra", "oak").returncode == 0
+    assert current.read_text().splitlines()[-1].endswith("[metrics,oak]")

@@ -52,3 +52,10 @@ def test_declared_work_has_its_whole_budget(since_s: float, age_s: float, livene
 def test_starting_is_declared_work() -> None:
     assert judge(beat("starting", 0.0, 60.0), 30.0).liveness == ALIVE
     assert judge(beat("starting", 0.0, 60.0), 61.0).liveness == OVERDUE
+
+
+def test_a_start_is_given_longer_where_that_is_asked_for_and_nothing_else_is() -> None:
+    assert judge(beat("starting", 0.0, 60.0), 300.0, 240.0).liveness == ALIVE
+    verdict = judge(beat("starting", 0.0, 60.0, "loading the network"), 301.0, 240.0)
+    assert (verdict.liveness, "of 300.0 s" in verdict.why) == (OVERDUE, True)
+    assert judge(beat("working", 0.0, 60.0), 61.0, 240.0).liveness == OVERDUE

@@ -22,17 +22,19 @@ def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Manager]
 
 def test_what_is_said(manager: Manager) -> None:
     notifier = Notifier({"NOTIFY_SOCKET": manager.address})
+    notifier.starting(90.5)
     notifier.ready()
     notifier.status("two\nlines  become one")
     notifier.status("two lines become one")  # has not changed
     notifier.reloading()
-    notifier.stopping()
+    notifier.stopping(7.0)
     heard = manager.hear()
-    assert heard[0] == "READY=1"
-    assert heard[1] == "STATUS=two lines become one"
-    assert heard[2] == "RELOADING=1"
-    assert heard[3].startswith("MONOTONIC_USEC=")
-    assert heard[4:] == ["STOPPING=1"]
+    assert heard[0] == "EXTEND_TIMEOUT_USEC=90500000"
+    assert heard[1] == "READY=1"
+    assert heard[2] == "STATUS=two lines become one"
+    assert heard[3] == "RELOADING=1"
+    assert heard[4].startswith("MONOTONIC_USEC=")
+    assert heard[5:] == ["STOPPING=1", "EXTEND_TIMEOUT_USEC=7000000"]
 
 
 def test_watchdog_is_fed_twice_a_period(manager: Manager) -> None:
@@ -97,4 +99,4 @@ def test_nobody_who_listens_is_no_error(address: str) -> None:
     notifier.ready()
     notifier.status("well")
     notifier.feed(0.0)
-    notifier.stopping()
+    notifier.stopping(1.0)

@@ -92,10 +92,10 @@ def test_ready_then_fed_then_stopping(serve: Callable[..., Service]) -> None:
     service = serve("source:steady", "tracker:steady")
     manager = service.manager
     manager.until(lambda heard: heard.count("WATCHDOG=1") >= 3)
-    assert "READY=1" in manager.heard
+    assert manager.heard.index("EXTEND_TIMEOUT_USEC=120000000") < manager.heard.index("READY=1")
     manager.until(lambda heard: any(line.startswith("STATUS=ready") for line in heard))
     service.process.terminate()
-    manager.until(lambda heard: "STOPPING=1" in heard)
+    manager.until(lambda heard: "EXTEND_TIMEOUT_USEC=6500000" in after(heard, "STOPPING=1"))
     assert service.process.wait(DEADLINE_S) == 0
 
 

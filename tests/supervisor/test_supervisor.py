@@ -34,6 +34,7 @@ from prism_edge.supervisor.run_directory import PREFIX
 from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.supervisor.watch import StartRefusedError
 from prism_edge.topics import COMMANDS
+from prism_edge.workers.cut_off import MARK
 from tests.supervisor.fake_daemon import cast
 from tests.supervisor.whole_runs import DEADLINE_S, in_time, running
 from tests.waiting import until
@@ -161,6 +162,33 @@ class TestSupervisor:
             until(lambda: any(values(h, "depth")["last_exit"] for h in health.heard()))
             assert any(levels(h)["depth"] == ERROR for h in health.heard())
             assert "inference has taken" in values(health.heard()[-1], "depth")["last_exit"]
+
+    def test_a_source_that_starts_again_and_waits_for_its_camera_is_no_reason_to_restart_all(
+        self, config: Config, tmp_path: Path
+    ) -> None:
+        away = tmp_path / "away"
+        with supervisor(config, f"source:waits={away}", "tracker:tracks=ok") as run:
+            run.run(in_time(lambda: run.ready_s is not None))
+            os.kill(run.processes["source"], signal.SIGKILL)
+            run.run(in_time(lambda: run.alive and not run.healthy))
+            assert told(run, config).ok
+
+    def test_an_end_that_was_asked_for_is_none_that_was_cut_off_though_it_takes_too_long(
+        self, config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A service manager has less patience than `stop_s`, and kills the supervisor too."""
+        live = SourceConfig(uri="http://127.0.0.1:9/video")
+        config = replace(config, source=live, state=StateConfig(directory=str(tmp_path / "state")))
+        mark, seen = tmp_path / "state" / "journal" / MARK, []
+        with supervisor(config, "source:steady", "tracker:steady") as run:
+            run.run(in_time(lambda: run.ready))
+            assert mark.exists()
+            terminate = Child.terminate
+            monkeypatch.setattr(
+                Child, "terminate", lambda child: (seen.append(mark.exists()), terminate(child))[1]
+            )
+            run.ended_well()
+        assert seen == [False, False]
 
     def test_stubborn_worker_is_killed(self, config: Config) -> None:
         with supervisor(config, "source:stubborn", "tracker:steady") as run:

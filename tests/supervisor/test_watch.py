@@ -108,6 +108,17 @@ def test_declared_work_has_its_budget_though_the_start_takes_longer_by_it(watch:
     assert (verdict.liveness, "loading the network has taken" in verdict.why) == (OVERDUE, True)
 
 
+def test_where_starts_may_take_longer_than_usual_so_may_each_work_of_one() -> None:
+    """A network that takes four minutes to load from a slow disk."""
+    watch = Watch(PROCESSES["depth"], SupervisorConfig(start_s=300.0))
+    watch.started(100, 0.0)
+    watch.heard(declared("", 0.0, 0.5, 60.0), 0.5)
+    assert watch.verdict(299.0).liveness == ALIVE
+    watch.heard(declared("loading the network", 200.0, 201.0, 120.0), 201.0)
+    assert watch.verdict(299.0).liveness == ALIVE
+    assert watch.verdict(321.0).liveness == OVERDUE, "more than 300 s in all, and than the work may take"
+
+
 def test_what_follows_declared_work_has_its_own_budget(watch: Watch) -> None:
     watch.heard(declared("estimating the camera", 2.0, 3.0, 180.0), 3.0)
     watch.heard(declared("opening the source", 170.0, 170.5, 60.0), 170.5)

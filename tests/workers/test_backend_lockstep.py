@@ -142,3 +142,14 @@ def test_a_reset_amid_a_keyframe_waits_until_that_is_done(caplog):
     assert [m.index for m in bus.of("acknowledged")] == list(range(8))
     assert [u.based_on for u in bus.of("map_update")] == [0, 1]
     assert made._mapper.epoch == 1
+
+
+def test_a_keyframe_that_never_came_is_no_hang_afterwards(monkeypatch):
+    """The source still waits for the tracker, so no tick comes, and the wait would be held against it."""
+    monkeypatch.setattr(worker, "_PATIENCE_S", 0.05)
+    bus = ListBus("tracked", patience=100)
+    bus.give("tracked", tick(0, 0))
+    worker.main(replace(NO_DEPTH, mode="lockstep"), bus)
+    assert bus.of("acknowledged")
+    waits = [i for i, state in enumerate(bus.states) if "waiting for keyframe 0" in state]
+    assert bus.states[waits[-1] + 1 :][:1] in (["idle"], ["ended"])

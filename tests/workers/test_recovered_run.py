@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from prism_edge.backend.map_file import Info
 from prism_edge.backend.stored_map import KnownScale, from_arrays, to_arrays
 from prism_edge.bus import codec
 from prism_edge.config import Config, DepthConfig, StateConfig, TrackingConfig
+from prism_edge.config_file import dump
 from prism_edge.messages import IDS_A_LIFE, INITIALISING, Epoch, MapLoaded, WholeMap
 from prism_edge.workers import backend as worker
 from prism_edge.workers.cut_off import TOLD
@@ -284,3 +286,27 @@ def test_a_map_that_is_loaded_before_the_first_image_is_no_earlier_run_s(
     assert {k.epoch for k in life.bus.of("keyframe")} <= {1001}
     assert positions(life.bus)
     assert not any("recovered" in word for word in words(life.bus))
+
+
+def test_a_network_that_was_reloaded_is_the_one_that_the_next_run_must_have(tmp_path: Path) -> None:
+    """Only `depth` and `scale` start anew with it; the backend is told by the run's file alone."""
+    runs = Runs(tmp_path, replace(CONFIG, depth=DepthConfig(model="first.onnx")))
+    teller, told = keyframes(5)
+    bus = ListBus("keyframe")
+    bus.run_directory = tmp_path / "run-0"
+    bus.run_directory.mkdir()
+    file = bus.run_directory / "config.yaml"
+    file.write_text(dump(runs.config))
+    made = worker.BackendWorker(runs.config, bus)  # type: ignore[arg-type]
+    hear(made, bus, told[:4], teller)
+    file.write_text(dump(replace(runs.config, depth=DepthConfig(model="second.onnx"))))
+    os.utime(file, ns=(1, 1))  # whatever the clock's grain
+    hear(made, bus, told[4:], teller)
+    made.run()
+    old = runs.backend([], teller, goes_on=True)
+    assert len(snapshot(old).keyframes) == 0
+    made = worker.BackendWorker(runs.config, bus)  # type: ignore[arg-type]
+    hear(made, bus, told, teller)
+    made.run()
+    new = runs.backend([], teller, goes_on=True, depth=DepthConfig(model="second.onnx"))
+    assert len(snapshot(new).keyframes) == 5
