@@ -71,12 +71,12 @@ def place(card: ModelCard, width: int, height: int) -> Placement:
 def tensor(rgb: NDArray[np.uint8], card: ModelCard, placement: Placement) -> NDArray[np.float32]:
     """The network's input (1, 3, h, w) float32 of an image (height, width, 3) uint8 RGB."""
     size = (placement.resized_width, placement.resized_height)
-    shrinks = size[0] <= rgb.shape[1] and size[1] <= rgb.shape[0]
-    # Averaging when shrinking keeps fine texture from turning into false structure; in floating point,
+    # Averaging a side that shrinks keeps fine texture from turning into false structure; in floating point,
     # as OpenCV's 8-bit blending loses 0.2 % of the brightness.
-    image = cv2.resize(
-        rgb.astype(np.float32), size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
-    )
+    shrunk = (min(size[0], rgb.shape[1]), min(size[1], rgb.shape[0]))
+    image = cv2.resize(rgb.astype(np.float32), shrunk, interpolation=cv2.INTER_AREA)
+    if shrunk != size:
+        image = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
     rows = slice(placement.top, placement.top + placement.input_height)
     image = image[rows, placement.left : placement.left + placement.input_width]
     if card.colours == "bgr":

@@ -14,7 +14,7 @@ from prism_edge.config import SourceConfig
 from prism_edge.named_path import named_path
 from prism_edge.sources import Source
 from prism_edge.sources.checks import UNCALIBRATED
-from prism_edge.sources.known_cameras import ROS_DEFAULT
+from prism_edge.sources.known_cameras import GUESSES
 from prism_edge.sources.listing import Listing
 from prism_edge.sources.open import AUTO, find_listing
 from prism_edge.sources.sim import is_simulated
@@ -49,7 +49,7 @@ def played(config: SourceConfig, source: Source, truth: Path | None) -> Played:
     layout = listing.layout if listing else "simulator" if is_simulated(config.uri) else "video file"
     own = truth_file(named_path(config.uri), listing) if listing else None
     file = truth or (Path(os.path.abspath(own)) if own else None)
-    guessed = source.camera_origin == ROS_DEFAULT[0]
+    guessed = source.camera_origin in [origin for origin, _ in GUESSES]
     images = images_of(config, listing) if listing else None
     return Played(camera_of(source), layout, str(file) if file else None, guessed, images)
 

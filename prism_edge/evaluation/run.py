@@ -29,6 +29,7 @@ from prism_edge.messages import MapSnapshot
 from prism_edge.processes import processes_for
 from prism_edge.sources import Slot, Source, open_source
 from prism_edge.sources.live.open import is_live
+from prism_edge.sources.schedule import GAP
 from prism_edge.sources.truth import read_truth
 
 # The first frame waits this long after the daemon is ready, so that we, who connect at the same time, are
@@ -198,6 +199,8 @@ def _listen(
         daemon.check()
         for beat in recorder.poll():
             meter.name(beat.pid, beat.process)
+            if GAP in beat.values:
+                heard_s = time.monotonic()
             if beat.process in awaited and beat.state != "starting":
                 awaited.remove(beat.process)
                 since = beat.activity_since_ns if beat.state == "ready" else beat.monotonic_ns

@@ -85,6 +85,10 @@ class Source(ABC):
     def skip(self) -> bool:
         """Pass over what :meth:`read` would give next, as cheaply as can be; False where that was the end."""
 
+    def leap(self, index: int) -> int:
+        """Pass over what lies before an index, as far as that costs nothing; how many images that were."""
+        return 0
+
     def read_ahead(self) -> None:
         """Before a wait for the next image: what follows may be brought nearer meanwhile."""
         return

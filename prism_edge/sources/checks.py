@@ -79,9 +79,9 @@ class FrameChecks:
         self.counts.frames += 1
         self.counts.skipped += 1
 
-    def earlier(self) -> None:
-        """An item had its turn before this process was started again."""
-        self.counts.frames += 1
+    def earlier(self, items: int) -> None:
+        """So many items had their turn before this process was started again."""
+        self.counts.frames += items
 
     def check(self, item: Image | Unreadable) -> Verdict:
         """Releases the item or says why not, and counts it.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Set
 from pathlib import Path
 
@@ -12,6 +13,9 @@ from prism_edge.sources.listing import Listing, files_in
 from prism_edge.sources.stamps import at_rate, from_names
 
 COVERAGE = ".coverage.png"  # what calibrate calls its picture, behind the stem of its camera file
+MASK = "mask.png"  # what `prism-edge mask` writes where nobody says otherwise
+_OWN = (MASK, f"camera{COVERAGE}")  # that is left of a calibration that was refused, too
+_DEPTH = re.compile(r"(?<![a-z])depth(?![a-z])")
 
 
 def find(folder: Path, rate_hz: float) -> Listing | None:
@@ -20,10 +24,9 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     Stamped by their names where those are nanoseconds, else at ``rate_hz`` (0: 30 Hz).
     """
     files = files_in(folder)
+    found = tuple(path for path in files if path.suffix.lower() in SUFFIXES)
     others = {path.stem for path in files if path.suffix.lower() not in SUFFIXES}
-    images = tuple(
-        path for path in files if path.suffix.lower() in SUFFIXES and not _is_coverage(path.name, others)
-    )
+    images = tuple(path for path in found if not _is_no_frame(path.name, others)) or found
     if not images:
         return None
     named = from_names([path.stem for path in images])
@@ -31,6 +34,10 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     return Listing("folder of images", images, stamps, lambda: by_full_name(folder), bool(named))
 
 
-def _is_coverage(name: str, stems: Set[str]) -> bool:
-    """Whether an image is the picture beside a camera file, by the stems of what is no image."""
-    return name.endswith(COVERAGE) and name.removesuffix(COVERAGE) in stems
+def _is_no_frame(name: str, stems: Set[str]) -> bool:
+    """Whether an image beside others is one that our own tools wrote, or the depth of another.
+
+    A picture of coverage is told by the ``stems`` of what is no image, a camera file among them.
+    """
+    is_coverage = name.endswith(COVERAGE) and name.removesuffix(COVERAGE) in stems
+    return name in _OWN or is_coverage or _DEPTH.search(name.lower()) is not None

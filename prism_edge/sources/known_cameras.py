@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -48,7 +49,10 @@ BY_NAME = {
     "new_tsukuba": ("New Tsukuba intrinsics", _vga((615.0, 615.0, 320.0, 240.0))),
 }
 SEVEN_SCENES = ("7-Scenes published intrinsics", _vga((525.0, 525.0, 320.0, 240.0)))
+SEVEN_SCENES_GUESS = (f"{SEVEN_SCENES[0]} (a guess by its files' names: give a camera file)", SEVEN_SCENES[1])
 ROS_DEFAULT = ("ROS default for a Kinect (a guess: give a camera file)", _vga((525.0, 525.0, 319.5, 239.5)))
+
+GUESSES = (SEVEN_SCENES_GUESS, ROS_DEFAULT)
 
 # What else people call them: only as whole words, for so short a name may be part of any other.
 SHORT = {
@@ -62,6 +66,10 @@ SHORT = {
 # Names that nobody gives to images of his own: for folders in which nothing else speaks for a dataset.
 _FULL = re.compile(
     r"(?<![a-z0-9])(?:rgbd_dataset_(freiburg[123])(?![0-9])|(rgbd_bonn)_|(tartanair)|(new_tsukuba)(?![a-z0-9]))"
+)
+
+_SCENE = re.compile(
+    r"(?<![a-z])(?:7[-_ ]?scenes|chess|fire|heads|office|pumpkin|redkitchen|stairs)(?![a-z])"
 )
 
 # A name further up says little about the folder; TartanAir's images lie four below its own.
@@ -86,5 +94,13 @@ def by_full_name(folder: Path) -> tuple[str, Camera] | None:
     return found and BY_NAME[next(filter(None, found.groups()))]
 
 
+def seven_scenes(folder: Path) -> tuple[str, Camera]:
+    """7-Scenes' camera; a guess where no name speaks for it, as other recorders name their files alike."""
+    return SEVEN_SCENES if any(map(_SCENE.search, _names(folder))) else SEVEN_SCENES_GUESS
+
+
 def _names(folder: Path) -> list[str]:
-    return [part.lower() for part in reversed(folder.absolute().parts[-_LEVELS:])]
+    """As it is called, nearest first, and then where links lead to."""
+    called, led = Path(os.path.abspath(folder)), folder.resolve()
+    paths = [called] if led == called else [called, led]
+    return [part.lower() for path in paths for part in reversed(path.parts[-_LEVELS:])]

@@ -21,12 +21,13 @@ class Looped(Source):
         self._source = source
         self._index_offset = self._stamp_offset = 0
         self._passed: list[Slot] = []  # first, and newest so far, of this round
+        self._round = 0, 0  # images and nanoseconds of a whole one; none before the first has ended
 
     def open(self) -> None:
         self._source.open()
         self.period_ns = self._source.period_ns  # a video knows it once it is open
         self._index_offset = self._stamp_offset = 0
-        self._passed = []
+        self._passed, self._round = [], (0, 0)
 
     def peek(self) -> Slot | None:
         slot = self._source.peek()
@@ -58,6 +59,14 @@ class Looped(Source):
             self._pass(slot)
         return skipped
 
+    def leap(self, index: int) -> int:
+        images, length_ns = self._round
+        slot = self.peek() if images else None
+        rounds = 0 if slot is None else max(index - slot.index, 0) // images
+        self._index_offset += rounds * images
+        self._stamp_offset += rounds * length_ns
+        return rounds * images
+
     def read_ahead(self) -> None:
         self._source.read_ahead()
 
@@ -74,8 +83,9 @@ class Looped(Source):
 
     def _rewind(self) -> None:
         first, newest = self._passed
-        self._index_offset += newest.index - first.index + 1
-        self._stamp_offset += newest.stamp_ns - first.stamp_ns + self.period_ns
+        self._round = newest.index - first.index + 1, newest.stamp_ns - first.stamp_ns + self.period_ns
+        self._index_offset += self._round[0]
+        self._stamp_offset += self._round[1]
         self._passed = []
         self._source.close()
         self._source.open()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
+from itertools import chain
 from pathlib import Path
 
 from prism_edge.config import SourceConfig
@@ -15,7 +17,7 @@ from prism_edge.sources.beginning import Beginning
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.image_sequence import ImageSequence
-from prism_edge.sources.known_cameras import ROS_DEFAULT
+from prism_edge.sources.known_cameras import GUESSES
 from prism_edge.sources.listing import Intrinsics, Listing
 from prism_edge.sources.live.open import is_live, open_live
 from prism_edge.sources.loop import Looped
@@ -64,7 +66,7 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
     elif path.is_file() and (words := no_video(path)):
         raise SourceError(f"{path} {words}")
     elif path.is_file():
-        known = _camera_file(path.parent, config) if calibrated else _UNKNOWN
+        known = _camera_file([path.parent], config) if calibrated else _UNKNOWN
         origin, camera = known or _no_camera(path)
         source = Video(path, camera, origin, config.rate_hz)
     elif path.exists():
@@ -93,9 +95,10 @@ def find_listing(folder: Path, rate_hz: float = 0.0) -> Listing:
 
 def _folder(folder: Path, config: SourceConfig, calibrated: bool) -> Source:
     listing = find_listing(folder, config.rate_hz)
-    known = (_camera_file(folder, config) or listing.intrinsics()) if calibrated else _UNKNOWN
+    folders = dict.fromkeys((folder, listing.files[0].parent))
+    known = (_camera_file(folders, config) or listing.intrinsics()) if calibrated else _UNKNOWN
     origin, camera = known or _no_camera(folder)
-    if known is ROS_DEFAULT:
+    if known in GUESSES:
         log.warning("%s names no known camera: taking the %s", folder, origin)
     if not listing.stamped and not config.rate_hz and (calibrated or config.camera == AUTO):
         words = "%s: nothing says when its images were taken: assuming %g Hz (else set source.rate_hz)"
@@ -103,11 +106,11 @@ def _folder(folder: Path, config: SourceConfig, calibrated: bool) -> Source:
     return ImageSequence(folder, listing, camera, origin)
 
 
-def _camera_file(folder: Path, config: SourceConfig) -> Intrinsics | None:
+def _camera_file(folders: Iterable[Path], config: SourceConfig) -> Intrinsics | None:
     """The configured camera file, else one that lies with the images."""
     if config.camera:
         return config.camera, read_camera(named_path(config.camera))
-    for path in camera_files(str(folder)):
+    for path in chain.from_iterable(camera_files(str(folder)) for folder in folders):
         if path.is_file():
             return str(path), read_camera(path)
     return None

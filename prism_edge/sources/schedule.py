@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from prism_edge.sources.base import Slot
 
+GAP = "next_image_s"  # on `health` while a pause in the stamps is waited for
 _ROW = 10  # images: one that takes long to decode says nothing yet
 
 

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 from prism_edge.errors import SourceError
-from prism_edge.sources.known_cameras import SEVEN_SCENES
+from prism_edge.sources.known_cameras import seven_scenes
 from prism_edge.sources.listing import Listing, files_in
 from prism_edge.sources.stamps import at_rate
 
@@ -29,7 +29,7 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
         "7-Scenes",
         tuple(path for _, path in found),
         tuple(at_rate(number, RATE_HZ) for number, _ in found),
-        lambda: SEVEN_SCENES,
+        lambda: seven_scenes(folder),
     )
 
 

@@ -24,7 +24,7 @@ from prism_edge.sources.live.open import check_mode
 from prism_edge.sources.mask import mask_for
 from prism_edge.sources.open import AUTO
 from prism_edge.sources.own_parts_watch import OwnPartsWatch
-from prism_edge.sources.schedule import CatchingUp, Schedule
+from prism_edge.sources.schedule import GAP, CatchingUp, Schedule
 from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.pause import Pause
 
@@ -95,9 +95,13 @@ class SourceWorker:
     def _resume(self) -> None:
         """Started again, a recording goes on after the last frame that was tracked."""
         last = self._bus.ask("tracked", _LAST_S)
-        while last is not None and (slot := self._source.peek()) is not None and slot.index <= last.index:
-            if self._source.skip():
-                self._checks.earlier()
+        if last is not None:
+            log.info("going on after frame %d", last.index)
+        while last is not None and not self._bus.stopped.is_set():
+            slot = self._source.peek()
+            if slot is None or slot.index > last.index:
+                return
+            self._checks.earlier(self._source.leap(last.index) or self._source.skip())
 
     def _play_live(self) -> None:
         """A camera: what it takes goes out at once; while it is away we say so, and wait for it."""
@@ -197,7 +201,9 @@ class SourceWorker:
             self._bus.pulse.idle()
             if ahead_ns > _GAP_NS:
                 log.warning("the stamps pause: the next image is due in %.1f s", ahead_ns / 1e9)
+                self._bus.pulse.values[GAP] = f"{ahead_ns / 1e9:.1f}"
         self._pause.wait(ahead_ns / 1e9)
+        self._bus.pulse.values.pop(GAP, None)
         return not self._bus.stopped.is_set()
 
     def _hold(self) -> int:

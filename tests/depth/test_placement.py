@@ -81,3 +81,17 @@ def test_texture_too_fine_for_the_network_is_averaged():
     card = replace(CARD, input_width=128, input_height=96, mean=(0.0,) * 3, std=(1.0,) * 3)
     values = tensor(image, card, place(card, 640, 480))
     assert values == pytest.approx(np.full_like(values, 0.2), abs=1e-4)
+
+
+@pytest.mark.parametrize(("width", "height"), [(128, 500), (700, 96)])
+def test_a_side_that_shrinks_is_averaged_though_the_other_grows(width, height):
+    """KITTI's 376 rows become 378 while its 1241 columns become 504."""
+    image = np.zeros((480, 640, 3), np.uint8)
+    if width < 640:
+        image[:, ::2] = 255
+    else:
+        image[::2] = 255
+    card = replace(CARD, input_width=width, input_height=height, mean=(0.0,) * 3, std=(1.0,) * 3)
+    values = tensor(image, card, place(card, 640, 480))
+    assert values.shape == (1, 3, height, width)
+    assert values == pytest.approx(np.full_like(values, 0.5), abs=0.11)

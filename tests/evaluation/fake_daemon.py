@@ -22,6 +22,7 @@ from prism_edge.config_file import load
 from prism_edge.geometry.mount import base_from_camera
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import EndOfStream, Heartbeat, MapSnapshot, Tracked
+from prism_edge.sources.schedule import GAP
 
 FRAMES = 24
 PERIOD_NS = 10_000_000
@@ -56,6 +57,14 @@ def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threadin
     for i in range(FRAMES):
         stamp, due = 100 * 10**9 + round(i * 1e6 / 30) * 1000, begin + i * PERIOD_NS
         stopped.wait(max(0.0, (due - time.monotonic_ns()) / 1e9))
+        if scenario in ("stalls", "pauses") and i == 6:
+            until_s = time.monotonic() + 3.0
+            while scenario == "stalls" or time.monotonic() < until_s:
+                now = time.monotonic_ns()
+                gap = {GAP: "3.0"} if scenario == "pauses" else {}
+                bus.publish("heartbeat", Heartbeat("source", worker, now, "idle", "", now, 5.0, gap))
+                if stopped.wait(0.1):
+                    return 0
         if scenario == "dies" and i == 6:
             print("prism-edge tracker: error: out of luck", file=sys.stderr, flush=True)
             return 7

@@ -31,11 +31,12 @@ def of(uri: Path | str, truth: Path | None = None, camera: str = "") -> Played:
 def test_layout_truth_and_camera_of_a_folder(
     write: Callable[[Path], Path], layout: str, truth: str, origin: str, tmp_path: Path
 ) -> None:
-    found = of(write(tmp_path))
+    folder = write(tmp_path / "chess")
+    found = of(folder)
     assert found.layout == layout
-    assert found.truth_file == (str(tmp_path / truth) if truth else None)
+    assert found.truth_file == (str(folder / truth) if truth else None)
     assert found.camera is not None
-    assert found.camera["origin"] == origin.format(tmp_path)
+    assert found.camera["origin"] == origin.format(folder)
     assert not found.guessed
 
 

@@ -20,6 +20,7 @@ import pytest
 from prism_edge.config import Config, DepthConfig, SourceConfig
 from prism_edge.config_file import load
 from prism_edge.errors import ConfigError, EvaluationError, SourceError
+from prism_edge.evaluation import run as evaluation
 from prism_edge.evaluation.daemon import DaemonError
 from prism_edge.evaluation.run import evaluate, extent
 from prism_edge.evaluation.scores import score
@@ -53,6 +54,15 @@ def _nothing_left() -> Any:
         if thread.name == "recorder":
             thread.join(10.0)
             assert not thread.is_alive()
+
+
+def test_a_pause_in_the_stamps_is_waited_for_and_silence_is_not(
+    tiny_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(evaluation, "_SILENCE_S", 1.5)
+    assert run("pauses", tiny_sequence, tmp_path / "pauses")["frames"] == 24
+    with pytest.raises(EvaluationError, match="no frame was tracked for"):
+        run("stalls", tiny_sequence, tmp_path / "stalls")
 
 
 def test_a_run_is_recorded_and_scored(tiny_sequence: Path, tmp_path: Path) -> None:

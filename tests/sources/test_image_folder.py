@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
 from sources.opening import all_of, opened
@@ -75,6 +76,37 @@ def test_names_that_may_be_something_else_are_no_stamps(tmp_path: Path, names: l
     (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
     stamps = [item.stamp_ns for item in all_of(opened(tmp_path))]
     assert stamps == [round(i * 1e9 / 30) for i in range(len(names))]
+
+
+def test_what_our_own_tools_leave_there_is_no_frame(tmp_path: Path) -> None:
+    """One name of another length, and nanoseconds would be none any more."""
+    first, step = 1403636579763555584, 50_000_128
+    for i in range(4):
+        tiny.write_image(tmp_path / f"{first + i * step}.png", tiny.picture(i))
+    for name in ("mask.png", "camera.coverage.png"):  # of a calibration that was refused
+        tiny.write_image(tmp_path / name, tiny.picture(9))
+    (tmp_path / "left.yaml").write_text(tiny.CAMERA)
+    items = all_of(opened(tmp_path, camera=str(tmp_path / "left.yaml")))
+    assert [item.stamp_ns for item in items] == [first + i * step for i in range(4)]
+
+
+@pytest.mark.parametrize("name", ["depth{:06d}.png", "{:06d}-depth.png", "{:06d}.Depth.png"])
+def test_depth_beside_colour_is_no_frame(tmp_path: Path, name: str) -> None:
+    """As Replica and RGB-D Scenes have it; all would be one recording, half of it no pictures."""
+    for i in range(3):
+        tiny.write_image(tmp_path / f"frame{i:06d}.png", tiny.picture(i))
+        tiny.write_image(tmp_path / name.format(i), np.full((48, 64), 1000 + i, np.uint16))
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    items = all_of(opened(tmp_path))
+    assert len(items) == 3
+    assert all(isinstance(item, Image) and item.pixels.ndim == 3 for item in items)
+
+
+def test_a_folder_of_nothing_else_is_played_as_it_is(tmp_path: Path) -> None:
+    for i in range(3):
+        tiny.write_image(tmp_path / f"in_depth_{i}.png", tiny.picture(i))
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    assert len(all_of(opened(tmp_path))) == 3
 
 
 def test_one_stamp_twice_is_none(tmp_path: Path) -> None:

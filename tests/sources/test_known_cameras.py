@@ -111,6 +111,37 @@ def test_images_of_ones_own_are_not_taken_for_a_datasets(tmp_path: Path, name: s
     assert "--camera" in str(error)
 
 
+def test_a_folder_that_is_left_on_the_way_has_no_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "tartanair_hospital").mkdir()
+    monkeypatch.chdir(tmp_path / "tartanair_hospital")
+    folder = tiny.write_tum(tmp_path / "office", count=1, width=640, height=480)
+    (folder / "camera.yaml").unlink()
+    assert "guess" in opened(Path("../office")).camera_origin
+    tiny.write_image(tmp_path / "photos" / "000001.png", tiny.picture(1, 640, 480))
+    assert "--camera" in str(refusal(Path("../photos")))
+
+
+def test_a_link_goes_by_its_own_name_and_then_by_where_it_leads(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path / "rgbd_bonn_balloon", count=1, width=640, height=480)
+    (folder / "camera.yaml").unlink()
+    for name, fx in (("current", 542.822841), ("freiburg1_of_mine", 517.306408)):
+        (tmp_path / name).symlink_to(folder)
+        assert opened(tmp_path / name).camera.fx == fx
+
+
+@pytest.mark.parametrize(
+    ("name", "known"),
+    [("7scenes_redkitchen/seq-01", True), ("chess/seq-03", True), ("data/7-Scenes/x", True), ("apt0", False)],
+)
+def test_files_called_as_those_of_7_scenes_are_its_own_by_their_folder(
+    tmp_path: Path, name: str, known: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """BundleFusion's recorder calls its files so, and has another camera."""
+    source = opened(tiny.write_seven_scenes(tmp_path / name, count=1))
+    assert source.camera.fx == 525.0
+    assert ("guess" in source.camera_origin) == ("guess" in caplog.text) == (not known)
+
+
 def test_an_unknown_tum_folder_is_guessed_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder = tiny.write_tum(tmp_path / "office", count=1, suffix="jpg", width=640, height=480)
     (folder / "camera.yaml").unlink()

@@ -72,3 +72,17 @@ def test_a_simulated_worlds_truth_goes_on() -> None:
             item = source.read()
             assert item is not None
             np.testing.assert_array_equal(source.true_pose(item.index), once.true_pose(i % 3))
+
+
+@pytest.mark.parametrize("kind", ["folder", "video"])
+def test_many_rounds_are_passed_at_once(tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tiny.write_tum(tmp_path) if kind == "folder" else tiny.write_video(tmp_path / "clip.avi", 5, 10.0)
+    with looped(path) as source:
+        first, skipped = source.peek(), 0
+        while (slot := source.peek()) is not None and slot.index < 1_000_003:
+            skipped += source.leap(1_000_002) == 0 and source.skip()
+        item = source.read()
+    assert skipped < 12
+    assert first is not None
+    assert item is not None
+    assert (item.index, item.stamp_ns - first.stamp_ns) == (1_000_003, 1_000_003 * 100_000_000)

@@ -49,6 +49,14 @@ def test_the_only_sequence_of_a_scene_is_meant(tmp_path: Path) -> None:
     assert len(all_of(opened(tmp_path))) == 2
 
 
+def test_a_camera_file_may_lie_with_the_scene_or_with_its_only_sequence(tmp_path: Path) -> None:
+    folder = tiny.write_seven_scenes(tmp_path / "seq-01", count=1, size=(64, 48))
+    (folder / "camera.yaml").write_text(tiny.CAMERA)
+    assert opened(tmp_path).camera_origin == str(folder / "camera.yaml")
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    assert opened(tmp_path).camera_origin == str(tmp_path / "camera.yaml")
+
+
 @pytest.mark.parametrize("write", [tiny.write_images, tiny.write_seven_scenes, tiny.write_kitti])
 def test_what_macos_notes_beside_images_is_none(tmp_path: Path, write: Callable[[Path], Path]) -> None:
     count = len(all_of(opened(write(tmp_path))))

@@ -247,6 +247,21 @@ def test_started_again_it_goes_on_though_the_tracker_takes_seconds_to_say_where(
     assert frames[0].index == 3
 
 
+def test_started_again_in_a_loop_it_does_not_play_all_rounds_again(tmp_path: Path) -> None:
+    config = settings(tiny.write_video(tmp_path / "clip.avi", 5), rate_hz=5.0, loop=True)
+    last = Tracked(5_000_002, 0, 0, "ok", True, -1, 0, np.eye(4))
+
+    def work(bus: Recorder) -> None:
+        bus.life = 1
+        bus.ask = lambda topic, timeout_s=1.0: last  # type: ignore[attr-defined]
+        main(config, bus)  # type: ignore[arg-type]
+
+    with running(work) as bus:
+        _, frame = bus.next()
+        until(lambda: int(bus.pulse.values["frames"]) > 5_000_003)
+    assert frame.index == 5_000_003
+
+
 def test_loop_plays_on(tmp_path: Path) -> None:
     with playing(settings(tiny.write_tum(tmp_path, count=3), "lockstep", loop=True)) as bus:
         frames = []
