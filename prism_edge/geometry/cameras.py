@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from prism_edge.errors import ConfigError
+from prism_edge.geometry import fisheye
 from prism_edge.geometry.poses import Array
 from prism_edge.geometry.radial import undistort_radial
 
@@ -168,8 +169,8 @@ class Camera:
             return xy
         if self.model == FISHEYE:
             r = np.hypot(xy[:, 0], xy[:, 1])
-            theta = np.arctan(r)
-            scale = np.where(r > 1e-9, self._fisheye_radius(theta) / np.maximum(r, 1e-9), 1.0)
+            bent = fisheye.radius_of(np.arctan(r), self.distortion)
+            scale = np.where(r > 1e-9, bent / np.maximum(r, 1e-9), 1.0)
             return xy * scale[:, None]
         k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
         x, y = xy[:, 0], xy[:, 1]
@@ -179,23 +180,13 @@ class Camera:
         dy = p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
         return np.stack([x * radial + dx, y * radial + dy], axis=1)
 
-    def _fisheye_radius(self, theta: Array) -> Array:
-        k = (*self.distortion, *(0.0,) * (4 - len(self.distortion)))
-        t2 = theta * theta
-        return theta * (1 + t2 * (k[0] + t2 * (k[1] + t2 * (k[2] + t2 * k[3]))))
-
     def _undistort(self, distorted: Array) -> Array:
         if self.is_ideal:
             return distorted
         if self.model == FISHEYE:
             radius = np.hypot(distorted[:, 0], distorted[:, 1])
-            theta = radius.copy()
-            for _ in range(_ITERATIONS):
-                step = 1e-6
-                slope = (self._fisheye_radius(theta + step) - self._fisheye_radius(theta - step)) / (2 * step)
-                theta -= (self._fisheye_radius(theta) - radius) / np.where(np.abs(slope) > 1e-6, slope, 1.0)
-                theta = np.clip(theta, 0.0, 1.55)  # tan() of a right angle is no point of a plane
-            scale = np.where(radius > 1e-9, np.tan(theta) / np.maximum(radius, 1e-9), 1.0)
+            straight = np.tan(fisheye.theta_of(radius, self.distortion))
+            scale = np.where(radius > 1e-9, straight / np.maximum(radius, 1e-9), 1.0)
             return distorted * scale[:, None]
         k1, k2, p1, p2, k3, *upper = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
         if not (p1 or p2 or any(upper)):

@@ -11,7 +11,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.geometry.cameras import PINHOLE, Camera
+from prism_edge.geometry.cameras import FISHEYE, Camera
+from prism_edge.geometry.fisheye import WIDEST, folds_at
 from prism_edge.geometry.poses import Array
 
 FARTHEST = 2.0  # image sizes from where it was taken: a fisheye's rim has no ideal pixel
@@ -28,8 +29,8 @@ def has_ideal_pixel(camera: Camera, raw: Array, ideal: Array) -> NDArray[np.bool
 
 
 def folded(camera: Camera) -> float:
-    """Share of the image that no ray through a pinhole camera's lens comes to."""
-    if camera.model != PINHOLE or camera.is_ideal:
+    """Share of the image that no ray comes to, through a lens that folds over."""
+    if not _may_fold(camera):
         return 0.0
     v, u = np.mgrid[0 : camera.height - 1 : 75j, 0 : camera.width - 1 : 100j]
     pixels = np.column_stack([u.ravel(), v.ravel()])
@@ -56,6 +57,13 @@ def in_image(camera: Camera, ideal: Array) -> NDArray[np.bool_]:
             there[there] = _returns(camera.undistort_pixels(raw[there]), ideal[at][there])
         inside[at] = there
     return inside
+
+
+def _may_fold(camera: Camera) -> bool:
+    """A sound fisheye has pixels that come back elsewhere too: those of rays from beside or behind it."""
+    if camera.model == FISHEYE:
+        return folds_at(camera.distortion) < WIDEST
+    return not camera.is_ideal
 
 
 def _near(camera: Camera, raw: Array, ideal: Array) -> NDArray[np.bool_]:
@@ -89,7 +97,7 @@ def _bounds(camera: Camera) -> tuple[tuple[float, ...], tuple[float, ...], bool]
     raw = [np.stack(side, axis=1) for side in sides]
     bent = [camera.undistort_pixels(side) for side in raw]
     returned = [_returns(camera.distort_pixels(b), side) for b, side in zip(bent, raw, strict=True)]
-    if camera.model == PINHOLE and not np.all(returned):
+    if _may_fold(camera) and not np.all(returned):
         return (low, high, low, high), (0.0, 0.0, 0.0, 0.0), True
     left, right, top, bottom = (np.clip(side, low, high) for side in bent)
     border = np.concatenate([left, right, top, bottom])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.field_of_view import folded
 
 OFF_CENTRE = 0.2  # of the image's size, from its middle
@@ -23,8 +23,9 @@ def doubts(camera: Camera) -> list[str]:
             "are these intrinsics of an image of another shape?"
         )
     if (share := folded(camera)) > FOLDED:
+        fisheye = "" if camera.model == FISHEYE else "is it a fisheye (model: fisheye), or "
         found.append(
             f"its lens folds over in {share:.1%} of the image, where nothing is tracked: "
-            "is it a fisheye (model: fisheye), or is the distortion another lens's?"
+            f"{fisheye}is the distortion another lens's?"
         )
     return found

@@ -51,3 +51,11 @@ def test_a_lens_that_folds_over_in_more_than_a_hundredth_of_the_image() -> None:
     assert line.startswith("its lens folds over in 2.3% of the image, where nothing is tracked")
     assert doubts(replace(wide, fx=420.0, fy=420.0)) == []  # 0.7 %
     assert doubts(replace(wide, model=FISHEYE, distortion=wide.distortion[:4])) == []
+
+
+def test_a_fisheye_that_folds_over_is_doubted_and_one_of_half_a_sphere_is_not() -> None:
+    folds = replace(VGA, fx=200.0, fy=200.0, model=FISHEYE, distortion=(-0.02, -0.01, 0.0, -0.02))
+    (line,) = doubts(folds)
+    assert line.startswith("its lens folds over in ")
+    assert "model: fisheye" not in line
+    assert doubts(replace(folds, fx=150.0, fy=150.0, distortion=(-0.01, 0.0, 0.0, 0.0))) == []
