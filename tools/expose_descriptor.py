@@ -14,7 +14,9 @@ need no such card, for any other use of them.
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -175,7 +177,7 @@ def middle_of_the_encoder(model: onnx.ModelProto, input_height: int) -> str:
 def write(
     source: Path, model: onnx.ModelProto, card: ModelCard, layer: str, pooling: str, out: Path
 ) -> ModelCard:
-    """Writes ``model`` with the descriptor to ``out`` and returns its card; leaves no file that fails.
+    """Writes ``model`` with the descriptor to ``out`` and returns its card; what fails changes nothing there.
 
     Raises ModelError where the result's depth is not the original's, or its descriptor has no norm.
     """
@@ -202,13 +204,13 @@ def write(
     weights = out.with_name(out.name + ".data")
     # Tensor by tensor: a message that is too large can't even be measured.
     external = sum(tensor.ByteSize() for tensor in model.graph.initializer) > _LARGEST_MESSAGE
-    try:
-        onnx.save(model, str(out), save_as_external_data=external, location=weights.name)
-        _compare(source, out, exposed)
-    except (PrismError, OSError):
-        for path in (out, weights) if external else (out,):
-            path.unlink(missing_ok=True)
-        raise
+    with tempfile.TemporaryDirectory(dir=out.parent) as folder:
+        made = Path(folder) / out.name
+        onnx.save(model, str(made), save_as_external_data=external, location=weights.name)
+        _compare(source, made, exposed)
+        if external:
+            shutil.move(made.with_name(weights.name), weights)
+        shutil.move(made, out)  # the graph last: it is what is looked for
     return exposed
 
 

@@ -53,6 +53,9 @@ class Board:
         columns, rows = int(match[1]), int(match[2])
         if min(columns, rows) < 3 or max(columns, rows) > _MOST:
             raise ConfigError(f"board {text!r}: 3 to {_MOST} each way")
+        corners = (columns - 1) * (rows - 1)
+        if kind == CHARUCO and corners < _LEAST_CORNERS:
+            raise ConfigError(f"board {text!r}: {corners} inner corners, and {_LEAST_CORNERS} are needed")
         dictionary = more[0].upper().removeprefix("DICT_") if more else _DICTIONARY
         if not hasattr(cv2.aruco, f"DICT_{dictionary}"):
             raise ConfigError(f"board {text!r}: dictionary {dictionary} is not known (4X4_50, 5X5_100, ...)")

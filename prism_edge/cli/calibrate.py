@@ -56,10 +56,10 @@ def run(args: argparse.Namespace) -> int:
 
     board = Board.parse(args.board)
     out = Path(args.out)
+    check_writable(out, args.overwrite)
     picture = Path(args.picture) if args.picture else out.with_suffix(COVERAGE)
     # A picture without its camera file is that of a run that was refused: the next one takes its place.
     left_over = not args.picture and not out.exists()
-    check_writable(out, args.overwrite)
     check_writable(picture, args.overwrite or left_over)
     if out == picture:
         raise ConfigError(f"{out} can't be both the camera file and the picture")

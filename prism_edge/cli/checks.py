@@ -93,6 +93,8 @@ def check_providers(config: Config) -> Iterator[Finding]:
     if len(installed) > 1:
         advice = "they overwrite each other: uninstall all, then install one (docs/MODELS.md)"
         yield Finding(FAIL, "providers", f"{' and '.join(installed)} are both installed", advice)
+    if "depth" in config.network.remote:
+        return
     try:
         import onnxruntime
 
@@ -115,6 +117,9 @@ def check_model(config: Config) -> Iterator[Finding]:
     """Whether the configured network loads, keeps its contract and runs."""
     if not config.depth.network:
         yield Finding(WARN, "model", "none given", "without --model there are no poses: depth begins the map")
+        return
+    if "depth" in config.network.remote:
+        yield Finding(OK, "model", f"{config.depth.network} runs on another host (network.remote)")
         return
     try:
         from prism_edge.workers.sensor_network import open_depth

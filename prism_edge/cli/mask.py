@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from prism_edge.cli.whole_file import check_writable, put_whole
 from prism_edge.config import SourceConfig
 from prism_edge.errors import CalibrationError, ConfigError, SourceError
+from prism_edge.sources.image_folder import MASK
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,7 +33,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "or too much. Exit code 9 where the camera hardly moved.",
     )
     parser.add_argument("source", metavar="SOURCE", help="recording, or camera such as v4l2:/dev/video0")
-    parser.add_argument("--out", metavar="FILE", default="mask.png", help="PNG to write (default: mask.png)")
+    parser.add_argument("--out", metavar="FILE", default=MASK, help=f"PNG to write (default: {MASK})")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
 
 
@@ -76,13 +77,17 @@ def run(args: argparse.Namespace) -> int:
 
 def _watch(source: Source, parts: Any) -> tuple[int, int]:
     """Show ``parts`` an open source's images until they suffice; their width and height."""
-    from prism_edge.sources import Absent, Image
+    from prism_edge.sources import Absent, Image, Unreadable
 
-    size, until = (0, 0), time.monotonic() + PATIENCE_S
+    size, until, problem = (0, 0), time.monotonic() + PATIENCE_S, ""
     while parts.taken < ENOUGH and (not source.live or time.monotonic() < until):
         item = source.read()
         if item is None:
             break
+        warning = item.reason if isinstance(item, Unreadable) else source.health().get("warning", "")
+        if warning != problem:
+            problem = warning
+            print(f"  {warning}" if warning else "  there are images again", flush=True)
         if isinstance(item, Absent):
             time.sleep(0.01)
         if not isinstance(item, Image):

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     threads = args.threads or _powers(_cores())
     providers, missing = _there(args.providers or _offered())
     base = load(args.config).depth
-    console = Console(highlight=False)
+    console = Console(highlight=False, markup=False)
     table = Table(title=f"{args.model}: {args.runs} inferences each on a {WIDTH}x{HEIGHT} image")
     for heading in ("provider", "threads", "median ms", "p90 ms", "CPU ms", "load s", "memory MB"):
         table.add_column(heading, justify="left" if heading == "provider" else "right")
@@ -64,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         raise ModelError(failures[0])
     console.print(table)
     for line in dict.fromkeys(failures):
-        console.print(line, markup=False, soft_wrap=True)
+        console.print(line, soft_wrap=True)
     busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     console.print(f"{_cores()} cores, load {busy:.1f}: on a busy machine these are upper bounds.")
     return 0

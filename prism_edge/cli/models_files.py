@@ -35,7 +35,7 @@ _AS_PULLED = {True: "as pulled (given digest)", False: "as pulled (unverified th
 
 def run(args: argparse.Namespace) -> int:
     """Do what was asked; returns the exit code. Raises ModelError where it can't be done."""
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, markup=False)
     if args.action == "pull":
         return _pull(console, args)
     return _verify(console, args.models) if args.action == "verify" else _remove(console, args.name, args.yes)
@@ -47,13 +47,13 @@ def _pull(console: Console, args: argparse.Namespace) -> int:
     here = entry.located() if entry and not entry.can_be_pulled else None
     if here is not None:
         said = f"{args.model} is here already, as {here}: use it with --model {args.model}"
-        console.print(said, markup=False)
+        console.print(said)
         return 0
     plan = _plan(args, into)
-    console.print(f"{plan.name} from {plan.files[0].url.rpartition('/')[0]}", markup=False)
+    console.print(f"{plan.name} from {plan.files[0].url.rpartition('/')[0]}")
 
     def approve(licence: str) -> None:
-        console.print(f"licence: {licence or 'the file states none'}", markup=False)
+        console.print(f"licence: {licence or 'the file states none'}")
         if is_non_commercial(licence) and not args.accept_licence:
             _confirm(console, f"{plan.name}: its licence {licence} forbids commercial use")
 
@@ -75,8 +75,8 @@ def _pull(console: Console, args: argparse.Namespace) -> int:
     with showing:
         done = pulling.pull(plan, _paused(bars, approve), progress_of, args.unverified, Patience(args.stall))
     for file in done.files:
-        console.print(f"{file.name}  {file.size} bytes  SHA-256 {file.sha256}", markup=False)
-    console.print(f"in {done.folder}", markup=False)
+        console.print(f"{file.name}  {file.size} bytes  SHA-256 {file.sha256}")
+    console.print(f"in {done.folder}")
     _say_next(console, done)
     return 0
 
@@ -117,16 +117,16 @@ def _confirm(console: Console, what: str) -> None:
 def _say_next(console: Console, done: Pulled) -> None:
     if not done.runnable:
         script = f"python tools/export_da3 {done.folder} {done.name}.onnx"
-        console.print(f"Next: export it to ONNX: {script} (docs/EXPORT.md)", markup=False)
+        console.print(f"Next: export it to ONNX: {script} (docs/EXPORT.md)")
         return
     try:
         network = open_onnx(str(done.path), DepthConfig())
     except ModelError as error:
-        console.print(f"It can't be run yet: {error}", markup=False)
+        console.print(f"It can't be run yet: {error}")
         return
     name = done.name if done.folder.parent in folders() else str(done.path)
     use = f"--model {name}" if network.card.has_metres else f"--model nested:{name},METRIC"
-    console.print(f"It loads and runs: use it with {use}", markup=False)
+    console.print(f"It loads and runs: use it with {use}")
 
 
 def _verify(console: Console, names: list[str]) -> int:
@@ -157,7 +157,7 @@ def _verify(console: Console, names: list[str]) -> int:
         if unfit:
             failed = True
             table.add_row(name, "", unfit)
-    Console(highlight=False).print(table)
+    Console(highlight=False, markup=False).print(table)
     return ModelError.exit_code if failed else 0
 
 
@@ -252,7 +252,7 @@ def _remove(console: Console, name: str, yes: bool) -> int:
             folder.rmdir()
     except OSError as error:
         raise ModelError(f"{folder}: can't be deleted ({error.strerror})") from None
-    console.print(f"deleted {len(files)} files in {folder}", markup=False)
+    console.print(f"deleted {len(files)} files in {folder}")
     return 0
 
 

@@ -18,7 +18,7 @@ from prism_edge.depth.registry import Entry, is_non_commercial, sha256_of
 
 def run(args: argparse.Namespace) -> int:
     """List or describe; returns the exit code. Raises ModelError for a network that can't be used."""
-    console = Console(highlight=False, soft_wrap=False)
+    console = Console(highlight=False, soft_wrap=False, markup=False)
     if args.action == "list":
         console.print(listing())
         console.print("`pull` brings a checkpoint that needs export; unverified: no digest of it is known.")
@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
         _describe(console, part)
     if len(parts) > 1:
         open_network(args.model, DepthConfig())
-        console.print(f"They are a pair: use it with --model {args.model}", markup=False, soft_wrap=True)
+        console.print(f"They are a pair: use it with --model {args.model}", soft_wrap=True)
     return 0
 
 

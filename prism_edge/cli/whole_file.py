@@ -10,6 +10,8 @@ from prism_edge.errors import ConfigError
 
 def check_writable(path: Path, overwrite: bool) -> None:
     """Before anybody takes the trouble. Raises ConfigError."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ConfigError(f"{path} is a pipe or a device; name a file")  # whole, or not at all
     if path.exists() and not overwrite:
         raise ConfigError(f"{path} is there already: name another, or give --overwrite")
     if not path.parent.is_dir():

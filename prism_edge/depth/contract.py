@@ -150,11 +150,11 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-def read_yaml(path: Path) -> Any:
+def read_yaml(path: Path, most: int = _LARGEST_FILE) -> Any:
     """The content of a small YAML file; ModelError in one line for whatever is wrong with it."""
     try:
-        if path.stat().st_size > _LARGEST_FILE:
-            raise ModelError(f"{path}: larger than {_LARGEST_FILE} bytes, which no model description needs")
+        if path.stat().st_size > most:
+            raise ModelError(f"{path}: larger than {most} bytes, which no model description needs")
         return yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         raise ModelError(f"{path}: can't be read ({error.strerror})") from None

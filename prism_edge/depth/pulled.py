@@ -19,6 +19,7 @@ from prism_edge.errors import ModelError
 log = logging.getLogger("prism_edge.depth")
 
 MANIFEST = "pulled.yaml"
+_LARGEST_MANIFEST = 4 << 20  # bytes, of as many files as a network may have (vetting.py)
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
 
@@ -44,7 +45,7 @@ def manifest_of(folder: Path) -> Pulled | None:
     path = folder / MANIFEST
     if not path.is_file():
         return None
-    content = contract.read_yaml(path)
+    content = contract.read_yaml(path, _LARGEST_MANIFEST)
     listed = content.get("files") if isinstance(content, Mapping) and content.get("pulled") == 1 else None
     files = tuple(read_file_item(item, str(path)) for item in listed) if isinstance(listed, list) else ()
     if not files or not all(file.sha256 for file in files):

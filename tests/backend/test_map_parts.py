@@ -71,3 +71,10 @@ def test_what_was_made_at_home_is_at_home_in_the_map_that_is_taken_up() -> None:
     }
     assert parts_of(again) == {numbers[3]: 4}
     assert {keyframe.part for keyframe in EXAMPLE[0].keyframes.values()} == {HOME}
+
+
+def test_a_map_of_which_nothing_is_at_home_is_refused() -> None:
+    told = [[k, 5] for k in EXAMPLE[0].keyframes]
+    with pytest.raises(MapError, match="at home"):
+        from_arrays({**STORED[0], FIELD: told}, STORED[1], max_carried=100)
+    from_arrays({**STORED[0], FIELD: told[1:]}, STORED[1], max_carried=100)

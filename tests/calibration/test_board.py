@@ -35,6 +35,7 @@ def test_names() -> None:
         "chessboard:9x600",
         "chessboard:9x6,4X4_50",
         "charuco:7x5,9X9_50",
+        "charuco:3x4",  # six corners, of which none are enough
         "charuco:7x5,4X4_50,big",
         "charuco:7x5,4X4_50,2",
         "charuco:7x5,4X4_50,0.7,1",

@@ -227,3 +227,8 @@ def test_a_live_camera_until_ctrl_c(monkeypatch: pytest.MonkeyPatch) -> None:
         gathered = board_views.gather(camera, Board.parse(SPEC), say)
     assert len(gathered.views) == 3
     assert said[-1] == "ended"
+
+
+@pytest.mark.parametrize("out", [".", "/"])
+def test_a_folder_is_no_camera_file(out: str, recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert out in refused(capsys, 3, recording, "--board", SPEC, "--out", out)

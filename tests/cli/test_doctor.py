@@ -164,3 +164,12 @@ def test_cameras_are_found_and_access_checked(tmp_path: Path, monkeypatch: pytes
     assert next(checks.check_cameras(pattern)).found.endswith("video0")
     monkeypatch.setattr("os.access", lambda path, mode: False)
     assert levels(checks.check_cameras(pattern)) == [WARN]
+
+
+def test_a_network_on_another_host_is_not_looked_for_here() -> None:
+    missing = ("AnExecutionProvider",)
+    depth = DepthConfig(model="there.onnx", providers=missing, required=missing)
+    config = Config(depth=depth, network=NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=("depth",)))
+    (finding,) = checks.check_model(config)
+    assert (finding.level, "another host" in finding.found) == (OK, True)
+    assert FAIL not in levels(checks.check_providers(config))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import stat
 from pathlib import Path
 
 import cv2
@@ -108,3 +110,22 @@ def test_images_that_differ_in_size_are_refused(tmp_path: Path, capsys: pytest.C
     cv2.imwrite(str(recording / "rgb/20.png"), np.zeros((100, 100), np.uint8))
     assert mask(recording, "--out", tmp_path / "mask.png") == 4
     assert "the images differ in size (320x240, then 100x100)" in capsys.readouterr().err
+
+
+def test_a_pipe_and_what_is_no_file_are_left_as_they_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pipe = tmp_path / "mask.png"
+    os.mkfifo(pipe)
+    for more in ((), ("--overwrite",)):
+        assert mask("/nowhere", "--out", pipe, *more) == 3
+        assert "is a pipe or a device" in capsys.readouterr().err
+    assert stat.S_ISFIFO(pipe.stat().st_mode)
+
+
+def test_images_that_can_not_be_read_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    recording = film(tmp_path / "film", 40)
+    for i in range(2, 40):
+        (recording / f"rgb/{i}.png").write_bytes(b"damaged")
+    assert mask(recording, "--out", tmp_path / "mask.png") == 9
+    assert "2.png is damaged" in capsys.readouterr().out

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from prism_edge.cli.main import main
 from prism_edge.depth import entries, find
-from tests.synthetic.network import TinyNetwork, write_tiny_network
+from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
 
 
 @pytest.fixture(autouse=True)
@@ -97,3 +98,15 @@ def test_what_can_not_be_done_is_one_line_and_a_code(capsys, arguments: list[str
     assert "Traceback" not in captured.err
     if code == 5:
         assert captured.err.count("\n") == 1
+
+
+def test_what_others_have_written_is_shown_as_it_is(tmp_path: Path, capsys):
+    """Rich reads [words] as styles, and fails where one ends that has not begun."""
+    folder = tmp_path / "[old]"
+    folder.mkdir()
+    what = TinyNetwork()
+    path = folder / "tiny.onnx"
+    save(path, tiny_graph(what), replace(what.card(), source="seen [/x] at a fair"))
+    for words in (["info", str(path)], ["verify", str(path)]):
+        assert main(["models", *words]) == 0
+        assert "[old]" in "".join(capsys.readouterr().out.split())

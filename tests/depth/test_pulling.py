@@ -15,9 +15,9 @@ import yaml
 from prism_edge.config import DepthConfig
 from prism_edge.depth import locate, open_onnx, pulling, registry
 from prism_edge.depth.download import Patience
-from prism_edge.depth.pulled import MANIFEST, all_pulled, find_pulled, manifest_of
+from prism_edge.depth.pulled import MANIFEST, Pulled, all_pulled, find_pulled, manifest_of, write_manifest
 from prism_edge.depth.pulling import from_entry, from_url, pull
-from prism_edge.depth.registry import Entry, find
+from prism_edge.depth.registry import Entry, File, find
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from tests.depth.test_vetting import split
@@ -384,3 +384,12 @@ def test_the_manifest_is_what_was_pulled(server, register, models: Path):
     done = get(from_entry(entry("tiny_tint"), models))
     assert manifest_of(done.folder) == done
     assert done == replace(done, licence="Apache-2.0", runnable=True)
+
+
+def test_a_manifest_of_as_many_files_as_a_network_may_have_is_read(tmp_path: Path) -> None:
+    url = f"https://hub.example/{'long' * 20}/resolve/main/"
+    files = [File(f"tensor_{i:05d}.weight", "0" * 64, 4, f"{url}tensor_{i:05d}.weight") for i in range(4096)]
+    plan = Pulled("many", "MIT", True, tuple(files), tmp_path / "many")
+    plan.folder.mkdir()
+    write_manifest(plan)
+    assert manifest_of(plan.folder) == plan

@@ -15,6 +15,7 @@ from onnx import TensorProto, helper, numpy_helper
 from prism_edge.depth.contract import card_from_metadata
 from prism_edge.depth.inner_tensor import POOLINGS, pool
 from prism_edge.depth.session import OnnxNetwork
+from prism_edge.errors import ModelError
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
 from tools import expose_descriptor, measure_places
 
@@ -190,3 +191,18 @@ def test_weights_of_gigabytes_are_not_handed_to_onnx_as_one_message(tmp_path, mo
     assert max(given) < 100_000
     assert out.with_name("places.onnx.data").stat().st_size >= 200_000
     assert OnnxNetwork(out).card.descriptor_output == expose_descriptor.OUTPUT
+
+
+def test_a_file_that_was_there_stays_where_the_new_one_is_not_what_it_should_be(
+    tmp_path, capsys, monkeypatch
+) -> None:
+    path, out = write_tiny_network(tmp_path / "net.onnx", TinyNetwork()), tmp_path / "out.onnx"
+    out.write_bytes(b"of last week")
+
+    def differs(*_: object) -> None:
+        raise ModelError("its depth is not the original's")
+
+    monkeypatch.setattr(expose_descriptor, "_compare", differs)
+    assert expose_descriptor.main([str(path), str(out)]) == 5
+    assert out.read_bytes() == b"of last week"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["net.onnx", "out.onnx"]
