@@ -109,8 +109,9 @@ inside kill -STOP "$(property MainPID)"
 is "a supervisor that stands still is found by the watchdog" await 40 restarts_are 2
 is "... and said to be" said "Watchdog timeout"
 
-printf 'robot: rear\nsource: {uri: "v4l2:/dev/video9", absent_s: 1}\nbus: {endpoint: "tcp/127.0.0.1:7450"}\n' |
-    inside tee /etc/prism-edge/rear.yaml > /dev/null
+echo '{width: 640, height: 480, fx: 500, fy: 500, cx: 320, cy: 240}' | inside tee /srv/models/rear.yaml > /dev/null
+printf 'robot: rear\nsource: {uri: "v4l2:/dev/video9", camera: /srv/models/rear.yaml, absent_s: 1}\n%s\n' \
+    'bus: {endpoint: "tcp/127.0.0.1:7450"}' | inside tee /etc/prism-edge/rear.yaml > /dev/null
 inside systemctl start --no-block prism-edge@rear
 is "one without its camera keeps trying" await 20 has_started_again prism-edge@rear
 before=$(current)

@@ -33,6 +33,7 @@ GUIDED_DISTANCE, GUIDED_RATIO = 64, 0.9
 GUIDED_RADII = (14.0, 7.0)  # pixels at the finest level
 DRIFT_RADIUS = 28.0
 MIN_EXPECTED = 30  # of the candidate's points in the query's image: else the map's pose is not worth a try
+AS_WELL = 0.8  # of what agrees with a pose: another with so much of it is as good
 NEIGHBOURS, NEIGHBOUR_INLIERS = 4, 15  # keyframes beside the query that must see the place too
 NEIGHBOUR_ANGLE, NEIGHBOUR_SHIFT = np.radians(3.0), 0.1  # how far they may disagree; of the median depth
 MIN_FRESH = 10  # points that the query did not know: else nothing would be closed
@@ -72,9 +73,11 @@ def verify(
     surroundings, found = Surroundings(world, candidate, without=query), None
     if pose is not None:
         found = surroundings.look(here, pose, GUIDED_RADII)
-    if (found is None or len(found.keypoints) < least) and expected >= MIN_EXPECTED:
+    if expected >= MIN_EXPECTED:
         # Seen from far aside few corners match blindly; where drift is small, the map's own pose leads there.
-        found = surroundings.look(here, here.world_from_camera, (DRIFT_RADIUS, *GUIDED_RADII))
+        # And steps or windows look alike one on: what agrees nearly as well where the map has it is right.
+        own = surroundings.look(here, here.world_from_camera, (DRIFT_RADIUS, *GUIDED_RADII))
+        found = _likelier(world, here, found, own, least)
     if found is None or len(found.keypoints) < least:
         return None
     pairs = list(zip(found.keypoints.tolist(), found.points.tolist(), strict=True))
@@ -83,6 +86,20 @@ def verify(
     scale, sigma = _unit_ratio(world, here, found)
     agreeing = _agreeing_neighbours(world, surroundings, here, found.world_from_camera, scale)
     return Loop(query, candidate, found.world_from_camera, scale, sigma, len(pairs), agreeing, pairs)
+
+
+def _likelier(
+    world: GlobalMap, here: GlobalKeyframe, blind: Found | None, own: Found | None, least: int
+) -> Found | None:
+    """What was found blindly; or from the map's own pose, where that is another place and as good."""
+    if blind is None or len(blind.keypoints) < least:
+        return own
+    enough = max(float(least), AS_WELL * len(blind.keypoints))
+    if own is None or len(own.keypoints) < enough:
+        return blind
+    off = inverse(own.world_from_camera) @ blind.world_from_camera
+    near = float(np.linalg.norm(off[:3, 3])) < NEIGHBOUR_SHIFT * median_depth(world, here)
+    return blind if near and rotation_angle(off[:3, :3]) < NEIGHBOUR_ANGLE else own
 
 
 def plausible(world: GlobalMap, loop: Loop, shortest: Way | None = None) -> bool:

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from prism_edge.tracking.first_map import CAN_WAIT_MATCHES, SecondView, begin_structure
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+
 DEPTH_PATIENCE_S = 10.0  # no answer at all for this long: the network never got the picture
 TRACKING_PATIENCE_S = 1.0  # from when the depth came, however slow the network is
+LOOK_AGAIN_NS = 100_000_000  # after a second view from too near: the look at it takes longer than tracking
 RETRY_S = 0.2  # after depth that is of no use; twice as long each time, for the network may be broken
 NONE = -1
 
@@ -16,11 +21,24 @@ class FirstKeyframe:
         self._depth_ns: int | None = None  # when its depth was taken in
         self._useless = False
         self._retry_s = RETRY_S
+        self._too_near_ns: int | None = None
 
     def begin(self, keyframe: int, stamp_ns: int) -> None:
         """It has been made."""
         self._id, self._began_ns, self._now_ns = keyframe, stamp_ns, stamp_ns
-        self._depth_ns, self._useless = None, False
+        self._depth_ns, self._useless, self._too_near_ns = None, False, None
+
+    def second_view(
+        self, world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, seed: int, stamp_ns: int
+    ) -> SecondView:
+        """What a frame says of the first map (:func:`begin_structure`); not asked each time it can wait."""
+        asked_ns = self._too_near_ns
+        waits = asked_ns is not None and 0 <= stamp_ns - asked_ns < LOOK_AGAIN_NS
+        if waits and frame.matched >= CAN_WAIT_MATCHES:
+            return SecondView.TOO_NEAR
+        said = begin_structure(world, first, frame, seed)
+        self._too_near_ns = stamp_ns if said is SecondView.TOO_NEAR else None
+        return said
 
     def has_depth(self) -> None:
         """Points have been seeded from its depth."""

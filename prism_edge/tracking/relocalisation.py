@@ -25,7 +25,8 @@ TRIES = 2  # keyframes tried with a frame; each takes some 10 ms
 RANKED = 8  # keyframes of the network's ranking that are tried before the round goes on
 NEAR = 3  # covisible keyframes beside the newest that are tried first
 CERTAIN = 2.0  # times the matches that tracking needs
-SAME_ANGLE, SAME_SHIFT = np.radians(10.0), 0.2  # a frame later; of the median depth
+SAME_ANGLE, SAME_SHIFT = np.radians(10.0), 0.2  # a frame later, at 30 Hz; of the median depth
+FRAME_NS, MOST_FRAMES = 33_333_333, 4.0  # slower cameras, and dropped frames, leave more time to move
 
 
 class Relocaliser:
@@ -36,6 +37,7 @@ class Relocaliser:
         self.index = PlaceIndex()
         self._round: deque[int] = deque()
         self._tentative: TrackedFrame | None = None
+        self._looked_ns = 0
 
     def begin(self) -> None:
         """Tracking has just been lost."""
@@ -71,16 +73,19 @@ class Relocaliser:
         features: Features,
         last: TrackedFrame | None,
         least: int,
+        stamp_ns: int,
     ) -> TrackedFrame | None:
         """The frame's place in the map once two frames agree on it; None so far.
 
         ``last`` is the last tracked frame, ``least`` the matches that tracking needs.
         """
         enough = int(CERTAIN * least)
+        passed = min(max((stamp_ns - self._looked_ns) / FRAME_NS, 1.0), MOST_FRAMES)
+        self._looked_ns = stamp_ns
         tentative, self._tentative = self._tentative, None
         if tentative is not None:
             frame = self._placed(world, frames, camera, features, tentative, enough)
-            if frame is not None and _near(world, tentative, frame):
+            if frame is not None and _near(world, tentative, frame, passed):
                 return frame
         if last is not None:  # a hand before the lens: it may not have moved
             self._tentative = self._placed(world, frames, camera, features, last, enough)
@@ -133,14 +138,14 @@ class Relocaliser:
         return deque([*first, *spread])
 
 
-def _near(world: LocalMap, before: TrackedFrame, after: TrackedFrame) -> bool:
-    """Whether two places of successive frames are within a frame's motion of each other."""
+def _near(world: LocalMap, before: TrackedFrame, after: TrackedFrame, frames: float) -> bool:
+    """Whether two places are within the motion of so many ``frames`` (at 30 Hz) of each other."""
     step = inverse(before.world_from_camera) @ after.world_from_camera
     ids = after.points[after.points >= 0]
     places = world.points.position[world.points.rows(ids)]
     pose = after.world_from_camera
     depth = float(np.median((places - pose[:3, 3]) @ pose[:3, 2])) if len(ids) else 1.0
     return (
-        rotation_angle(step[:3, :3]) < SAME_ANGLE
-        and float(np.linalg.norm(step[:3, 3])) < SAME_SHIFT * max(depth, 1e-9)
+        rotation_angle(step[:3, :3]) < frames * SAME_ANGLE
+        and float(np.linalg.norm(step[:3, 3])) < frames * SAME_SHIFT * max(depth, 1e-9)
     )

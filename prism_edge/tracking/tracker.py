@@ -19,7 +19,7 @@ from prism_edge.tracking import mapping
 from prism_edge.tracking.baseline import Baselines
 from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.first_keyframe import FirstKeyframe
-from prism_edge.tracking.first_map import SecondView, begin_structure
+from prism_edge.tracking.first_map import SecondView
 from prism_edge.tracking.frame_result import FrameResult, beside, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.keyframe_culling import keeping_bound, take_out
@@ -199,7 +199,7 @@ class Tracker:
         if not (self.world.points.alive.any() and len(features) >= enough):
             return None
         if self._lost:
-            return self.places.attempt(self.world, self._frames, camera, features, previous, enough)
+            return self.places.attempt(self.world, self._frames, camera, features, previous, enough, stamp_ns)
         raw, depth = features, self._at.depth
         if previous is not None:
             features = self._shutter.in_the_middle(raw, camera, self.motion.twist, depth)
@@ -254,7 +254,7 @@ class Tracker:
             at.move_to(here, self.world, self.parts, stamp_ns)
             return None
         if self._config.two_views and self.parts.size(self.world) == 1:
-            said = begin_structure(self.world, reference, frame, self._seed)
+            said = self._first.second_view(self.world, reference, frame, self._seed, stamp_ns)
             if said is SecondView.TOO_NEAR:
                 return None
             if said is SecondView.CONTRADICTS:

@@ -14,7 +14,7 @@ from prism_edge.backend.loops import Loop, Surroundings, _first_pose, plausible,
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
 from tests.backend.ring import Ring
 from tests.backend.world import Teller, chain
-from tests.tracking.cloud import pose_at
+from tests.tracking.cloud import descriptors, pose_at
 
 DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
 
@@ -77,6 +77,46 @@ def test_a_perfect_copy_elsewhere_asks_for_too_much_drift():
     assert loop is not None
     assert loop.neighbours >= 2  # nothing in the pictures gives it away
     assert not plausible(world, loop)
+
+
+PERIOD, AGAIN = 0.6, 10_000  # metres; what the points' numbers begin at when they are seen again
+
+
+def wall_of_windows() -> tuple[GlobalMap, np.ndarray]:
+    """Three views of a wall that repeats itself, and a fourth after a way, whose points are new to the map.
+
+    With where the fourth was in truth; the map has it 6 cm aside.
+    """
+    rng, first, again = np.random.default_rng(3), Teller(), Teller(first=20)
+    pattern, looks = rng.uniform((0, -1.5), (PERIOD, 1.5), (40, 2)), descriptors(rng, 40)
+    places = [np.pad(pattern, ((0, 0), (0, 1))) + np.array([PERIOD * i, 0.0, 4.0]) for i in range(-8, 8)]
+    for teller in (first, again):
+        teller.cloud.positions, teller.cloud.descriptors = np.concatenate(places), np.tile(looks, (16, 1))
+    world = GlobalMap()
+    for x in (-0.2, 0.0, 0.2):
+        world.absorb(first.keyframe(pose_at(x)))
+    for x in (0.5, 0.1):  # the second is what is looked at, the first one its neighbour
+        message = again.keyframe(pose_at(x, 0.02), correction=pose_at(0.06))
+        renamed = {"points": message.points + AGAIN, "new_points": message.new_points + AGAIN}
+        world.absorb(replace(message, **renamed))
+    return world, pose_at(0.1, 0.02)
+
+
+@pytest.mark.parametrize("aside", [PERIOD, -PERIOD, 0.0])
+def test_of_places_that_look_alike_it_is_the_one_where_the_map_has_it(monkeypatch, aside):
+    world, true = wall_of_windows()
+    monkeypatch.setattr(loops, "_first_pose", lambda *_: pose_at(aside) @ true)
+    loop = verify(world, 21, 1, 30)
+    assert loop is not None
+    assert np.linalg.norm((inverse(true) @ loop.world_from_query)[:3, 3]) < 0.01
+
+
+def test_a_blind_guess_stays_where_the_map_s_own_pose_is_far_off(drifted):
+    """Or drift of more than the search's radius could never be taken out."""
+    _, world = drifted
+    loop = verify(world, 41, 2, 30)
+    off = inverse(world.keyframes[41].world_from_camera) @ loop.world_from_query
+    assert np.linalg.norm(off[:3, 3]) > 0.1
 
 
 def test_descriptors_all_equal_make_no_wrong_loop():

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from prism_edge.messages import INITIALISING, OK
+from prism_edge.tracking import first_keyframe
 from prism_edge.tracking.first_keyframe import DEPTH_PATIENCE_S, RETRY_S, TRACKING_PATIENCE_S, FirstKeyframe
+from prism_edge.tracking.first_map import SecondView
 from prism_edge.tracking.tracker import Tracker
 from tests.tracking.film_run import BLACK, CONFIG, Run
 from tests.tracking.footage import IDENTITY, footage, other_room
@@ -156,3 +160,34 @@ def test_the_film_is_not_what_they_wait_for() -> None:
     run.feed(0)
     assert run.tracker.add_depth(0, footage().depths[0], IDENTITY, 0.1) > 100
     assert run.feed(1).odometry == OK
+
+
+def test_a_second_view_from_too_near_is_not_looked_at_again_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A camera that turns on the spot: each look costs more than tracking."""
+    asked: list[int] = []
+    said = [SecondView.TOO_NEAR]
+
+    def look(world: object, first_: object, frame: SimpleNamespace, seed: int) -> SecondView:
+        asked.append(frame.stamp_ns)
+        return said[0]
+
+    monkeypatch.setattr(first_keyframe, "begin_structure", look)
+    first = FirstKeyframe()
+    first.begin(0, 0)
+
+    def see(ms: int, matched: int = 300) -> SecondView:
+        frame: Any = SimpleNamespace(stamp_ns=ms, matched=matched)
+        nothing: Any = None
+        return first.second_view(nothing, nothing, frame, 0, ms * MS)
+
+    for ms in range(0, 400, 33):
+        assert see(ms) is SecondView.TOO_NEAR
+    assert asked == [0, 132, 264, 396]
+    see(400, matched=99)  # about to lose the first view: no time to wait
+    assert asked[-1] == 400
+    said[0] = SecondView.AGREES
+    assert see(450) is SecondView.TOO_NEAR
+    assert see(501) is SecondView.AGREES
+    first.begin(7, 510 * MS)
+    assert see(511) is SecondView.AGREES
+    assert asked[-2:] == [501, 511]

@@ -41,9 +41,12 @@ class Lost:
         for k in world.keyframes if known else ():
             self.relocaliser.add_place(k, looks(HEADINGS[k]))
         self.relocaliser.begin()
+        self.now_ns = 0
 
-    def see(self, features: Features) -> TrackedFrame | None:
-        return self.relocaliser.attempt(self.world, self.frames, CAMERA, features, None, 25)
+    def see(self, features: Features, after_ms: int = 33) -> TrackedFrame | None:
+        self.now_ns += after_ms * 1_000_000
+        known = self.world, self.frames, CAMERA, features, None, 25
+        return self.relocaliser.attempt(*known, self.now_ns)
 
 
 def at(heading: float) -> np.ndarray:
@@ -175,11 +178,15 @@ def test_a_turn_no_frame_makes_is_not_believed_though_both_see_the_same():
         pixels = wide.project(transform(inverse(pose), cloud.positions[shown]))
         return Features.build(pixels, features.octaves, features.descriptors, 640, 480)
 
-    def attempt(lost: Lost, pose: np.ndarray) -> TrackedFrame | None:
-        return lost.relocaliser.attempt(world, lost.frames, wide, seen(pose), None, 25)
+    def attempt(lost: Lost, pose: np.ndarray, after_ms: int = 33) -> TrackedFrame | None:
+        lost.now_ns += after_ms * 1_000_000
+        return lost.relocaliser.attempt(world, lost.frames, wide, seen(pose), None, 25, lost.now_ns)
 
     lost = Lost(world, known=False)
     assert not [i for i in range(8) if attempt(lost, turned if i % 2 else pose_at()) is not None]
     lost.relocaliser.begin()
     assert attempt(lost, turned) is None
     assert attempt(lost, turned) is not None, "twice in one place it is"
+    lost.relocaliser.begin()
+    assert attempt(lost, pose_at()) is None
+    assert attempt(lost, turned, 100) is not None, "ten images a second leave it the time"
