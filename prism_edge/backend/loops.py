@@ -97,9 +97,15 @@ def _likelier(
     enough = max(float(least), AS_WELL * len(blind.keypoints))
     if own is None or len(own.keypoints) < enough:
         return blind
-    off = inverse(own.world_from_camera) @ blind.world_from_camera
-    near = float(np.linalg.norm(off[:3, 3])) < NEIGHBOUR_SHIFT * median_depth(world, here)
-    return blind if near and rotation_angle(off[:3, :3]) < NEIGHBOUR_ANGLE else own
+    one = _agree(own.world_from_camera, blind.world_from_camera, median_depth(world, here))
+    return blind if one else own
+
+
+def _agree(one: Array, other: Array, depth: float) -> bool:
+    """Whether two poses (4, 4) of a view are as good as the same; ``depth``: of what it sees."""
+    off = inverse(one) @ other
+    near = float(np.linalg.norm(off[:3, 3])) < NEIGHBOUR_SHIFT * depth
+    return near and rotation_angle(off[:3, :3]) < NEIGHBOUR_ANGLE
 
 
 def plausible(world: GlobalMap, loop: Loop, shortest: Way | None = None) -> bool:
@@ -282,8 +288,5 @@ def _agreeing_neighbours(
         found = surroundings.look(view, expected, GUIDED_RADII)
         if found is None or len(found.keypoints) < NEIGHBOUR_INLIERS:
             continue
-        off = inverse(expected) @ found.world_from_camera
-        reach = NEIGHBOUR_SHIFT * scale * median_depth(world, view)
-        if rotation_angle(off[:3, :3]) < NEIGHBOUR_ANGLE and np.linalg.norm(off[:3, 3]) < reach:
-            agreeing += 1
+        agreeing += _agree(expected, found.world_from_camera, scale * median_depth(world, view))
     return agreeing

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import json
 import operator
-import re
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -39,7 +38,6 @@ MAX_HEADER = 64 * 1024
 _PREFIX = struct.Struct("<4sHHII")
 _PADDING = [b"\0" * n for n in range(8)]
 _INT64 = range(-(2**63), 2**63)
-_HALVES = re.compile("[\ud800-\udfff]")
 _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
@@ -86,9 +84,7 @@ def _writable(value: Any) -> Any:
 
 def _is_text(value: Any) -> bool:
     """Whether it is text that can be written: JSON has halves of characters, which nothing else takes."""
-    if type(value) is not str:
-        return False
-    return value.isascii() or not _HALVES.search(value)
+    return type(value) is str and _writable(value) == value
 
 
 @dataclass(frozen=True)

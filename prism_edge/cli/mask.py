@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 from prism_edge.cli.whole_file import check_writable, put_whole
 from prism_edge.config import SourceConfig
 from prism_edge.errors import CalibrationError, ConfigError, SourceError
-from prism_edge.sources.image_folder import MASK
 
 if TYPE_CHECKING:
     import numpy as np
@@ -33,7 +32,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "or too much. Exit code 9 where the camera hardly moved.",
     )
     parser.add_argument("source", metavar="SOURCE", help="recording, or camera such as v4l2:/dev/video0")
-    parser.add_argument("--out", metavar="FILE", default=MASK, help=f"PNG to write (default: {MASK})")
+    parser.add_argument("--out", metavar="FILE", help="PNG to write (default: mask.png)")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
 
 
@@ -42,10 +41,11 @@ def run(args: argparse.Namespace) -> int:
     import cv2
     import numpy as np
 
+    from prism_edge.sources.image_folder import MASK
     from prism_edge.sources.open import open_source
     from prism_edge.sources.own_parts import OwnParts
 
-    out = Path(args.out)
+    out = Path(MASK if args.out is None else args.out)
     check_writable(out, args.overwrite)
     if out.suffix.lower() != ".png":
         raise ConfigError(f"{out}: a mask is a PNG file, which keeps its black black")

@@ -75,7 +75,7 @@ def test_a_simulated_worlds_truth_goes_on() -> None:
 
 
 @pytest.mark.parametrize("kind", ["folder", "video"])
-def test_many_rounds_are_passed_at_once(tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_rounds_are_passed_at_once(tmp_path: Path, kind: str) -> None:
     path = tiny.write_tum(tmp_path) if kind == "folder" else tiny.write_video(tmp_path / "clip.avi", 5, 10.0)
     with looped(path) as source:
         first, skipped = source.peek(), 0

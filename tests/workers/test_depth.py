@@ -6,16 +6,18 @@ import logging
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from prism_edge.bus.pack import pack
 from prism_edge.config import Config, DepthConfig, FramesConfig
-from prism_edge.depth import open_network
+from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.errors import ModelError
 from prism_edge.geometry.mount import looking
 from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage
+from prism_edge.workers import depth as worker
 from prism_edge.workers.depth import DepthWorker, answer, main
 from tests.synthetic.messages import tick
 from tests.synthetic.network import TinyNetwork, write_tiny_network
@@ -90,6 +92,25 @@ def test_a_network_sees_upright_what_a_camera_that_is_not_has_taken(
     for x, y in ((320, 240), (100, 60), (600, 400)):
         assert depth.depth[round(c * y + d), round(a * x + b)] == pytest.approx(DEPTH[y, x], rel=0.05)
     assert bus.pulse.values["model"] == "tiny_tint"
+
+
+@pytest.mark.parametrize(("loading_s", "budget_s"), [(0.5, 20.0), (30.0, 60.0), (500.0, 120.0)])
+def test_what_took_long_to_load_may_take_long_to_answer(
+    tiny: str, loading_s: float, budget_s: float, monkeypatch: pytest.MonkeyPatch
+):
+    """Loading ends with an inference; one that takes longer than most is no hang at each keyframe."""
+    now_s = [0.0]
+
+    def slowly(config: Config) -> DepthNetwork:
+        now_s[0] += loading_s
+        return open_network(tiny, config.depth)
+
+    monkeypatch.setattr(worker, "open_depth", slowly)
+    monkeypatch.setattr(worker, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    bus, config = live(tiny)
+    bus.give("keyframe_image", picture(7))
+    main(config, bus)
+    assert bus.budgets_s["keyframe 7"] == pytest.approx(budget_s)
 
 
 def test_the_newest_keyframe_wins_and_those_passed_over_are_counted(tiny: str):
