@@ -65,8 +65,8 @@ class Service:
 
 
 def after(heard: list[str], line: str) -> list[str]:
-    """What came after the last time that a line was heard."""
-    return heard[len(heard) - heard[::-1].index(line) :]
+    """What came after the last time that a line was heard; nothing while it was not."""
+    return heard[len(heard) - heard[::-1].index(line) :] if line in heard else []
 
 
 @pytest.fixture
