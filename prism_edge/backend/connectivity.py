@@ -20,7 +20,7 @@ Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and 
 MANY_SHARED = 50  # every such pair is tied; of the others each keyframe with its best few
 BEST_FEW = 3
 FEW_SHARED = 10  # fewer may be chance matches: they tie nothing
-LOOPED = 30.0  # shared points that a loop counts as
+LOOPED = 30.0  # shared points that a loop counts as, or having been followed from one to the other
 
 
 class Way(NamedTuple):
@@ -75,6 +75,29 @@ def ties(world: GlobalMap, loops: list[tuple[int, int]]) -> Ties:
     for a, b in loops:
         if a in world.keyframes and b in world.keyframes:
             found.setdefault((min(a, b), max(a, b)), LOOPED)
+    return found
+
+
+def with_bridges(world: GlobalMap, by: Ties) -> Ties:
+    """Ties, and where they break within one part of the map one along the camera's own way.
+
+    Keyframes that were never heard of (the backend was started anew while the camera turned) leave the next
+    no point that it shares with those before; yet the camera was followed all along, so drift has its bounds.
+    """
+    found, piece = dict(by), {}
+    for k in world.keyframes:
+        if k not in piece:
+            piece.update(dict.fromkeys(reachable(by, {k}), k))
+    last: dict[int, int] = {}  # keyframe of each part
+    for k in sorted(world.keyframes):
+        of = world.keyframes[k].part
+        if of is None:
+            continue
+        before = last.get(of, k)
+        if piece[before] != piece[k]:
+            found[before, k] = LOOPED
+            piece.update({other: piece[before] for other, now in piece.items() if now == piece[k]})
+        last[of] = k
     return found
 
 

@@ -90,6 +90,7 @@ class GlobalMap:
         self.carried = Carried(max_carried)  # a culled keyframe still carries frames
         # Points that a loop made one: the tracker may still speak of the old identity until it hears of it.
         self._now: dict[int, int] = {}
+        self._grown: dict[int, float] = {}  # parts that a loop gave another unit, till the tracker has it too
 
     def absorb(self, message: Keyframe) -> GlobalKeyframe:
         """Take in a keyframe message.
@@ -99,7 +100,7 @@ class GlobalMap:
         ones where they are beside its anchor. Points that a loop made one here are taken for what they
         became. Its pixels are brought to the lens found here.
         """
-        message = self._in_own_lens(self._renamed(message))
+        message = self._in_present_unit(self._in_own_lens(self._renamed(message)))
         of_earlier, world_correction = self._corrections(message)
         told = message.new_points.tolist(), message.new_positions, message.new_by.tolist()
         for point, position, made_by in zip(*told, strict=True):
@@ -131,6 +132,7 @@ class GlobalMap:
             taken_ns=message.stamp_ns,
         )
         for newer, older in message.joined.tolist():
+            self._grown.pop(newer, None)
             for keyframe in self.keyframes.values():
                 keyframe.part = older if keyframe.part == newer else keyframe.part
         self.keyframes[message.id] = added
@@ -163,6 +165,20 @@ class GlobalMap:
             places = transform(motion, np.array([point.position for point in points]))
             for point, place in zip(points, places, strict=True):
                 point.position = place
+
+    def part_grew(self, part: int, factor: float) -> None:
+        """A loop has made the lengths of a part so many times as long."""
+        self._grown[part] = factor * self._grown.get(part, 1.0)
+
+    def _in_present_unit(self, message: Keyframe) -> Keyframe:
+        """The message as if the tracker had heard by then in what unit its part is now."""
+        factor, centre = self._grown.get(message.part, 1.0), message.world_from_anchor[:3, 3]
+        if factor == 1.0:
+            return message
+        camera = message.world_from_camera.copy()
+        camera[:3, 3] = centre + factor * (camera[:3, 3] - centre)
+        points = centre + factor * (message.new_positions - centre)
+        return replace(message, world_from_camera=camera, new_positions=points)
 
     def _in_own_lens(self, message: Keyframe) -> Keyframe:
         """The message as if the tracker had known what is known here of its camera's lens."""

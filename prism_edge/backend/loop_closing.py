@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from prism_edge.backend import global_adjustment, pose_graph
-from prism_edge.backend.connectivity import Way, reachable, tied_parts, ties, ways
+from prism_edge.backend.connectivity import Way, reachable, tied_parts, ties, ways, with_bridges
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common, radial
@@ -147,7 +148,7 @@ class LoopCloser:
 
     def _connected(self, loop: Loop) -> bool:
         if self._part is None:  # once for all candidates of a query: it goes through the whole map
-            by = ties(self._world, self._pairs())
+            by = with_bridges(self._world, ties(self._world, self._pairs()))
             self._part, self._ways = reachable(by, {loop.query}), ways(self._world, by, loop.query)
         return loop.candidate in self._part
 
@@ -157,17 +158,18 @@ class LoopCloser:
     def _close(self, loop: Loop) -> bool:
         world = self._world
         query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
-        joined = self._connected(loop)
         # As it was measured: what the loop moves may take the candidate along.
         relative = inverse(candidate.world_from_camera) @ loop.world_from_query
         units = None
-        if not joined or not self._slight(loop, query):
-            found = pose_graph.spread(world, loop, self._pairs(), joined)
+        if not self._connected(loop) or not self._slight(loop, query):
+            found = pose_graph.spread(world, loop, self._pairs())
             if found is None:
                 return False
             moved, log_unit = found
             units = None if log_unit is None else (log_unit, loop.log_scale_sigma)
             pose_graph.apply(world, moved)
+            if log_unit is not None and query.part is not None and candidate.part is not None:
+                world.part_grew(max(query.part, candidate.part), math.exp(log_unit))
         ends = loop.query, loop.candidate, query.index, candidate.index
         self.accepted.append(Accepted(*ends, relative, loop.inliers, units))
         if len(self.accepted) > MOST_ACCEPTED:

@@ -19,10 +19,11 @@ MOST = 2_000  # keyframes away from home: beside map_stamps.MOST stamps, map_fil
 def parts_info(parts: Mapping[int, int | None]) -> Info:
     """The part of each keyframe, None where nobody has said it, for a stored map.
 
-    Nothing where that is so of one, or where too many are away from home.
+    Nothing where that is so of one, where too many are away from home, or where all are: whoever takes that
+    map up has no other home than what is in it.
     """
     away = [[k, part] for k, part in sorted(parts.items()) if part != HOME]
-    if len(away) > MOST or None in parts.values():
+    if len(away) > MOST or None in parts.values() or (away and len(away) == len(parts)):
         return {}
     return {FIELD: away}
 

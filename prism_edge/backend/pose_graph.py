@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from prism_edge.backend.connectivity import hanging_together, reachable, ties
+from prism_edge.backend.connectivity import Ties, hanging_together, reachable, ties, with_bridges
 from prism_edge.backend.frame import take_references
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop, median_depth
@@ -44,19 +44,19 @@ Moved = dict[int, Similarity]  # keyframes
 
 
 def spread(
-    world: GlobalMap, loop: Loop, earlier: list[tuple[int, int]], joined: bool = True
+    world: GlobalMap, loop: Loop, earlier: list[tuple[int, int]]
 ) -> tuple[Moved, float | None] | None:
     """Where each keyframe belongs once ``loop`` holds; None where the solver fails.
 
     The first keyframe is held, and the map keeps its unit on the whole: the scale that everybody uses stays
     right. ``earlier`` are pairs that past loops joined. Keyframes that hang together with neither end stay
-    out. With ``joined`` False no ties lead from one end to the other, and the newer side moves as one; where
-    they share no point either they are separate parts of the map, and the older one's unit is kept. Then the
-    second of what is returned is the log of the newer one's unit in it, else None.
+    out. Where no ties lead from one end to the other the newer side moves as one; where they share no point
+    either, or the tracker has them in two parts of the map, the older one's unit is kept. Then the second of
+    what is returned is the log of the newer one's unit in it, else None.
     """
     if not (np.isfinite(loop.world_from_query).all() and np.isfinite(loop.scale) and loop.scale > 0):
         return None
-    edges = ties(world, earlier)
+    edges = with_bridges(world, ties(world, earlier))
     part = reachable(edges, {loop.query, loop.candidate})
     values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
     for k in part:
@@ -76,10 +76,10 @@ def spread(
             _noise(depths[loop.candidate], LOOP_SHARE, loop.log_scale_sigma),
         )
     )
-    home = part
-    if not joined:
-        home = min((reachable(edges, {end}) for end in (loop.candidate, loop.query)), key=min)
-    apart = not joined and loop.candidate not in hanging_together(world, loop.query)
+    home, apart = _older(world, loop, edges), False
+    if home != part:
+        told = {world.keyframes[end].part for end in (loop.candidate, loop.query)} - {None}
+        apart = len(told) == 2 or loop.candidate not in hanging_together(world, loop.query)
     held = min(home)
     tight = gtsam.noiseModel.Isotropic.Sigma(7, 1e-6)
     graph.add(
@@ -90,7 +90,7 @@ def spread(
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(ITERATIONS)
     parameters.setRelativeErrorTol(CONVERGED)
-    if not joined:  # one motion from where it was, however far
+    if home != part:  # one motion from where it was, however far
         _carry(world, values, part - home, loop)
     try:
         result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
@@ -107,6 +107,15 @@ def spread(
         out[k] = Similarity(normalised(from_rt(pose[:3, :3], centre)), scale / unit, own_unit)
     sound = all(np.isfinite(s.world_from_camera).all() and 0.1 < s.scale < 10.0 for s in out.values())
     return (out, log_unit) if sound else None
+
+
+def _older(world: GlobalMap, loop: Loop, edges: Ties) -> set[int]:
+    """The side of the older part, as the tracker has parts: it keeps that one. Untold, what begins first."""
+    told = [of for end in (loop.candidate, loop.query) if (of := world.keyframes[end].part) is not None]
+    sides = [reachable(edges, {end}) for end in (loop.candidate, loop.query)]
+    firsts = [min(side) for side in sides]
+    ages = list(zip(told, firsts, strict=True)) if len(told) == 2 else [(0, first) for first in firsts]
+    return sides[ages.index(min(ages))]
 
 
 def _unit(found: dict[int, tuple[Array, float]], keyframes: set[int]) -> float:

@@ -200,6 +200,8 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     cameras = _cameras(info, arrays["cameras"])
     _check_room(cameras, arrays)
     stamps, away = stamps_of(info, len(arrays["keyframes"])), parts_told(info)
+    if away and away.keys() >= set(arrays["keyframes"].tolist()):
+        away = None  # none is at home: earlier builds wrote that too
     world = GlobalMap(max_carried)
     world.rename(arrays["renamed"])
     ids = arrays["points"].tolist()
@@ -217,8 +219,6 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
         for keypoint, point in enumerate(arrays["seen"][part].tolist()):
             if point >= 0:
                 world.observe(number, point, keypoint)
-    if away and all(keyframe.part != HOME for keyframe in world.keyframes.values()):
-        raise MapError("none of the map's keyframes was made at home")
     for point in [p for p, seen in world.points.items() if not seen.keyframes]:
         del world.points[point]
     for (culled, anchor, frame), link in zip(arrays["carried"].tolist(), arrays["links"], strict=True):

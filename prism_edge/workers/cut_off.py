@@ -23,6 +23,7 @@ log = logging.getLogger("prism_edge.supervisor")
 MARK = "unfinished"
 TOLD = "goes-on"  # in a run's folder: its processes are to go on in what the journal holds
 OWN_JOURNAL = "own-journal"  # in a run's folder: its journal lies there too, as the kept one is not the run's
+JOURNAL = ("tail", "base")  # backend/journal.py's files: named here, as the supervisor needs no numpy
 STAMP_S = 10.0
 MARK_BYTES = 120  # always as many: written over in place, which a full disk allows too
 
@@ -61,10 +62,18 @@ class RunMark:
         self._stamped_s = float("-inf")
 
     def begin(self, recover_s: float, now: Moment | None = None) -> bool:
-        """Mark this run; whether it is to go on where an earlier one was cut off at most so long ago."""
+        """Mark this run; whether it is to go on where an earlier one was cut off at most so long ago.
+
+        Where it is not, the journal goes before the mark is there: cut off itself before its backend has
+        begun, this run would hand on a map that had ended long ago.
+        """
         now = now or Moment.now()
         last = self._read()
         self._found = last if last is not None and _recent(now.since(last), recover_s) else None
+        if self._found is None:
+            for name in JOURNAL:
+                with contextlib.suppress(OSError):
+                    (self.folder / name).unlink(missing_ok=True)
         self._stamp(now)
         return self._found is not None
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from prism_edge.geometry.alignment import align
 from prism_edge.geometry.poses import Array, from_rt, inverse, se3_exp, transform
-from prism_edge.messages import Keyframe
+from prism_edge.messages import HOME, Keyframe
 from prism_edge.tracking.features import Features
 from tests.synthetic.messages import blank
 from tests.tracking.cloud import CAMERA, descriptors, flipped
@@ -50,6 +50,7 @@ class Ring:
         self.points = np.column_stack([np.sin(heading) * distance, height, np.cos(heading) * distance])
         self.true: list[Array] = []
         self.told: list[Array] = []
+        self.part = HOME  # that the tracker has the next keyframes in
         self.unit = 1.0  # of the tracker, beside the true one
         self.ids: dict[int, tuple[int, int]] = {}  # point: identity, keyframe that saw it last
         self.positions: dict[int, Array] = {}  # identity: where the tracker has it
@@ -107,6 +108,7 @@ class Ring:
             new_points=np.array(new, np.int64),
             new_positions=np.array([self.positions[i] for i in new]).reshape(-1, 3),
             new_by=np.full(len(new), number),
+            part=self.part,
             anchor=max(number - 1, 0),
             world_from_anchor=before,
             travelled=number * 2.0 * np.pi * RADIUS / self.lap,

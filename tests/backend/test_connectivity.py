@@ -20,6 +20,7 @@ from prism_edge.backend.connectivity import (
     tied_parts,
     ties,
     ways,
+    with_bridges,
 )
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.messages import HOME
@@ -149,3 +150,25 @@ def test_what_the_tracker_has_at_home_is_at_home() -> None:
         world.keyframes[k].part = None
     world.keyframes[101].part = 90
     assert parts_of(world) == {100: 90, 101: 90, 102: 90}
+
+
+@pytest.mark.parametrize("newer", [HOME, 90, None])
+def test_a_bridge_leads_where_the_camera_was_followed(newer: int | None) -> None:
+    """Within one part of the map alone, and one for each break: from the last before to the first after."""
+    world = two_chains()
+    for k, keyframe in world.keyframes.items():
+        keyframe.part = newer if k >= 100 else HOME
+    by = ties(world, [])
+    bridged = with_bridges(world, by)
+    assert bridged.items() - by.items() == ({((5, 100), LOOPED)} if newer == HOME else set())
+    assert by.items() <= bridged.items()
+
+
+def test_no_bridge_where_ties_lead_another_way() -> None:
+    """A part that a loop tied to the middle of the other, and a piece between them that nothing ties."""
+    world = two_chains()
+    chain([pose_at(80.0 + 0.3 * i) for i in range(2)], first=50, world=world)
+    for keyframe in world.keyframes.values():
+        keyframe.part = HOME
+    by = ties(world, [(100, 2)])
+    assert with_bridges(world, by).keys() - by.keys() == {(5, 50)}

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from prism_edge.backend.global_map import GlobalMap, GlobalPoint
+from prism_edge.backend.pose_graph import Similarity, apply
 from prism_edge.geometry.poses import inverse, se3_log, transform
+from prism_edge.messages import HOME
 from tests.backend.world import Teller, check, quiet
 from tests.tracking.cloud import pose_at
 
@@ -298,6 +300,41 @@ def test_of_two_keypoints_that_show_one_point_now_the_first_keeps_it(told):
     assert observed[second] == points.index(first)
     assert observed[known[14]] == points.index(known[14])
     check(world)
+
+
+@pytest.mark.parametrize("has_heard", [False, True])
+def test_what_was_under_way_while_a_loop_gave_its_part_another_unit_is_in_that_unit(has_heard):
+    """Until the tracker has heard of it and joined the part too."""
+    teller, world, factor = Teller(3000), GlobalMap(), 2.0
+    poses = [pose_at(0.25 * i, 0.0, 0.0, 0.0, -0.1 * i) for i in range(4)]
+    messages = [replace(teller.keyframe(pose), part=5) for pose in poses]
+    for message in messages[:3]:
+        world.absorb(message)
+    motion = pose_at(7.0, 0.0, 0.0, 0.0, 0.3)
+
+    def moved(pose):
+        there = pose.copy()
+        there[:3, 3] *= factor
+        return motion @ there
+
+    similarities = {
+        k: Similarity(moved(keyframe.world_from_camera), factor, factor)
+        for k, keyframe in world.keyframes.items()
+    }
+    apply(world, similarities)
+    world.part_grew(5, factor)
+    message = messages[3]
+    if has_heard:  # what it sends of its own accord is in the new unit
+        joined, units = np.array([[5, HOME]]), np.zeros((1, 2))
+        message, factor = replace(message, joined=joined, joined_units=units, part=HOME), 1.0
+    keyframe = world.absorb(message)
+    assert len(message.new_points) > 3
+    if not has_heard:
+        assert keyframe.world_from_camera == pytest.approx(moved(message.world_from_camera), abs=1e-6)
+    for point, told in zip(message.new_points.tolist(), message.new_positions, strict=True):
+        depth = transform(inverse(message.world_from_camera), told[None])[0, 2]
+        here = transform(inverse(keyframe.world_from_camera), world.points[point].position[None])[0, 2]
+        assert here == pytest.approx(factor * depth, rel=1e-6)
 
 
 def test_a_culled_keyframe_that_was_never_told_is_no_matter(told):

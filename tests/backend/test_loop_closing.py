@@ -26,11 +26,18 @@ DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
 
 
 def walk(
-    ring: Ring, count: int, places: bool = True, mapper: Mapper | None = None, odometer: float = 1.0
+    ring: Ring,
+    count: int,
+    places: bool = True,
+    mapper: Mapper | None = None,
+    odometer: float = 1.0,
+    unheard: range = range(0),
 ) -> Mapper:
-    """A mapper that has heard ``count`` keyframes, and closed what loops there were."""
+    """A mapper that has heard ``count`` keyframes, but for some, and closed what loops there were."""
     mapper = mapper or Mapper(CONFIG, use_depth=False)
     for message in ring.keyframes(count):
+        if message.id in unheard:
+            continue
         far = replace(message, travelled=odometer * message.travelled)
         hear(mapper, ring, far, ring.looks_like(message.id) if places else None)
     return mapper
@@ -148,6 +155,29 @@ def test_a_place_that_only_looks_the_same_is_refused(odometer):
     assert position_error(mapper.world.poses(), ring.true) < 0.01
 
 
+BROKEN = range(22, 27)  # keyframes without which the ring is in two pieces
+
+
+@pytest.mark.parametrize("odometer", [1.0, 1000.0])
+def test_nor_is_it_believed_where_keyframes_between_were_never_heard_of(odometer):
+    """A backend was started anew meanwhile: nothing ties the two pieces, but the camera was followed."""
+    ring = Ring(alike=True)
+    mapper = walk(ring, 38, odometer=odometer, unheard=BROKEN)
+    assert len(tied_parts(mapper.world, [])) == 2
+    assert not mapper.loops.accepted
+    assert position_error(mapper.world.poses(), ring.true) < 0.02
+
+
+def test_a_right_loop_between_two_pieces_of_home_is_believed(closed):
+    _, _, before = closed
+    ring = Ring(drift=DRIFT, stretch=1.004)
+    mapper = walk(ring, 46, unheard=BROKEN)
+    assert mapper.loops.accepted
+    assert all(loop.units is None for loop in mapper.loops.accepted)
+    finish(mapper)
+    assert position_error(mapper.world.poses(), ring.true) < 0.2 * before
+
+
 def test_without_descriptors_there_are_no_loops():
     assert not walk(Ring(drift=DRIFT), 44, places=False).loops.accepted
 
@@ -246,6 +276,7 @@ def test_two_walks_are_the_same_to_the_last_bit():
 def carried_off(ring: Ring) -> None:
     """What the tracker's next keyframe sees is new to it, and where that is it doesn't know."""
     ring.ids.clear()
+    ring.part = len(ring.told)
     ring.told[-1] = se3_exp(np.array([4.0, -2.0, 1.0, 0.4, -0.9, 0.3])) @ ring.told[-1]
 
 

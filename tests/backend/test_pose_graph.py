@@ -11,6 +11,7 @@ from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop
 from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, _carry, _similarity, apply, spread
 from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
+from prism_edge.messages import HOME
 from tests.backend.world import SHARED, chain
 from tests.tracking.cloud import pose_at
 
@@ -107,7 +108,7 @@ def test_a_part_of_its_own_is_moved_as_one():
     poses = [far @ pose_at(0.2 * i) for i in range(4)]
     chain(poses, first=100, world=world)
     there = pose_at(0.7, 0.2, 0.0, 0.0, 0.1, 0.0)
-    moved, _ = spread(world, loop(world, 102, 3, there, 2.0), [], joined=False)
+    moved, _ = spread(world, loop(world, 102, 3, there, 2.0), [])
     for k in range(6):
         assert moved[k].world_from_camera == pytest.approx(world.keyframes[k].world_from_camera, abs=1e-4)
         assert moved[k].scale == pytest.approx(1.0, abs=1e-4)
@@ -136,7 +137,7 @@ def test_the_unit_of_the_older_part_is_kept_however_small_it_is():
     world = chain([pose_at(1.0 + 0.3 * i) for i in range(3)])
     poses = [pose_at(50.0 + 0.2 * i) for i in range(6)]
     chain(poses, first=100, world=world)
-    moved, log_unit = spread(world, loop(world, 102, 1, pose_at(1.3), 2.0), [], joined=False)
+    moved, log_unit = spread(world, loop(world, 102, 1, pose_at(1.3), 2.0), [])
     for k in range(3):
         assert moved[k].world_from_camera == pytest.approx(world.keyframes[k].world_from_camera, abs=1e-3)
         assert moved[k].scale == pytest.approx(1.0, abs=1e-3)
@@ -149,7 +150,7 @@ def test_the_newer_part_may_be_the_candidate_s():
     world = chain([pose_at(0.3 * i) for i in range(4)])
     chain([pose_at(50.0 + 0.2 * i) for i in range(3)], first=100, world=world)
     back = loop(world, 2, 101, pose_at(50.3), 0.5)  # what is 1 in the query's is half in the candidate's
-    moved, log_unit = spread(world, back, [], joined=False)
+    moved, log_unit = spread(world, back, [])
     assert moved[3].scale == pytest.approx(1.0, abs=1e-3)
     assert moved[100].scale == pytest.approx(2.0, abs=1e-3)
     assert log_unit == pytest.approx(np.log(2.0), abs=1e-3)
@@ -162,7 +163,7 @@ def test_one_part_whose_ties_are_broken_keeps_its_unit_on_the_whole():
     own, keypoint = next(iter(world.keyframes[100].observed.items()))
     world.drop_observation(100, own)
     world.observe(100, next(iter(world.keyframes[2].observed)), keypoint)
-    moved, log_unit = spread(world, loop(world, 102, 1, pose_at(1.3), 2.0), [], joined=False)
+    moved, log_unit = spread(world, loop(world, 102, 1, pose_at(1.3), 2.0), [])
     assert log_unit is None
     assert moved[0].scale == pytest.approx(0.5, abs=1e-3)
     assert moved[100].scale == pytest.approx(1.0, abs=1e-3)
@@ -198,3 +199,35 @@ def test_a_map_in_another_unit_is_spread_alike():
         expected = moved.world_from_camera.copy()
         expected[:3, 3] *= 5.0
         assert found[1][k].world_from_camera == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize("pieces", [1, 2])
+def test_home_stays_though_its_ties_are_broken_and_its_newest_piece_is_newer_than_the_part(pieces):
+    """The tracker has it stay, and takes the unit that is told for the part's."""
+    home = [pose_at(0.3 * i) for i in range(6)]
+    world = chain(home[: 6 if pieces == 1 else 3])
+    chain([pose_at(50.0 + 0.2 * i) for i in range(4)], first=10, world=world)
+    chain(home[3:], first=20, world=world)
+    for k, keyframe in world.keyframes.items():
+        keyframe.part = 10 if 10 <= k < 20 else HOME
+    moved, log_unit = spread(world, loop(world, 22, 11, pose_at(50.3), 0.5), [])
+    for k in (0, 1, 2, 20, 21, 22):
+        assert moved[k].world_from_camera == pytest.approx(world.keyframes[k].world_from_camera, abs=1e-3)
+        assert (moved[k].scale, moved[k].unit) == (pytest.approx(1.0, abs=1e-3), 1.0)
+    assert moved[10].scale == pytest.approx(2.0, abs=1e-3)
+    assert log_unit == pytest.approx(np.log(2.0), abs=1e-3)
+
+
+def test_a_loop_between_two_pieces_of_one_part_tells_of_no_unit():
+    """Nobody could take it: the tracker knows of one part. Its drift is spread over the way, as else."""
+    world = chain([pose_at(0.3 * i) for i in range(3)])
+    chain([pose_at(0.9 + 0.3 * i) for i in range(3)], first=20, world=world)
+    for keyframe in world.keyframes.values():
+        keyframe.part = HOME
+    moved, log_unit = spread(world, loop(world, 22, 0, pose_at(1.4, 0.2)), [])
+    assert log_unit is None
+    assert set(moved) == set(world.keyframes)
+    assert {similarity.unit for similarity in moved.values()} == {1.0}
+    shifts = [float(moved[k].world_from_camera[1, 3]) for k in (0, 1, 2, 20, 21, 22)]
+    assert shifts == sorted(shifts)
+    assert shifts[2] > 0.02

@@ -9,8 +9,19 @@ from types import SimpleNamespace
 
 import pytest
 
+from prism_edge.backend.journal import Journal
 from prism_edge.config import Config, SourceConfig, StateConfig
-from prism_edge.workers.cut_off import MARK, MARK_BYTES, STAMP_S, TOLD, Moment, RunMark, goes_on, run_mark
+from prism_edge.workers.cut_off import (
+    JOURNAL,
+    MARK,
+    MARK_BYTES,
+    STAMP_S,
+    TOLD,
+    Moment,
+    RunMark,
+    goes_on,
+    run_mark,
+)
 
 LIVE = "http://127.0.0.1:9/video"
 NOW = Moment("boot-a", 5000.0, 1.7e9)
@@ -38,6 +49,30 @@ def test_a_run_that_ended_is_not(tmp_path: Path) -> None:
     mark.end()
     assert os.listdir(tmp_path) == []
     assert not RunMark(tmp_path).begin(600.0, later(20.0))
+
+
+@pytest.mark.parametrize("ended", [True, False])
+def test_what_a_run_does_not_go_on_in_is_no_later_run_s_either(tmp_path: Path, ended: bool) -> None:
+    """One that is killed before its backend has begun would hand on the map of the run before it."""
+    earlier = RunMark(tmp_path)
+    earlier.begin(600.0, NOW)
+    left = Journal(tmp_path)
+    left.begin(lambda generation: b"a map")
+    left.close()
+    assert sorted(os.listdir(tmp_path)) == sorted([MARK, *JOURNAL])
+    if ended:
+        earlier.end()
+    assert RunMark(tmp_path).begin(600.0, later(601.0)) is False
+    assert os.listdir(tmp_path) == [MARK]
+
+
+def test_what_a_run_goes_on_in_stays(tmp_path: Path) -> None:
+    RunMark(tmp_path).begin(600.0, NOW)
+    left = Journal(tmp_path)
+    left.begin(lambda generation: b"a map")
+    left.close()
+    assert RunMark(tmp_path).begin(600.0, later(20.0))
+    assert sorted(os.listdir(tmp_path)) == sorted([MARK, *JOURNAL])
 
 
 @pytest.mark.parametrize(
