@@ -8,6 +8,7 @@ Arrays carry their dtype and shape in the field's metadata; -1 stands for a free
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass, field
 from typing import Any
@@ -144,6 +145,7 @@ class Keyframe:
     )
     trust: F32 = optional("float32", -1)  # weight in (0, 1] of each keypoint's point, 0 for none
     travelled: float = 0.0  # path length since start, map units
+    log_scale: float = math.nan  # of the map's unit there, as the tracker had it (NaN: earlier builds)
     scale_factor: float = 1.2  # between pyramid levels: a keypoint is as much less precise a level up
     stands_in: bool = False  # for an older one that shows the same: what is there has been placed before
     part: int = HOME  # of the map: each has a unit of its own until it is joined to an older one

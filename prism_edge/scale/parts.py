@@ -1,13 +1,14 @@
 """What is known of the scale of each part of a map: they have units of their own (tracking/submaps.py).
 
-A part is seeded by its first depth, turned to map units with the log scale that was published then. Whatever
-that image errs by is the part's own error, not that of the part that was left, which waits as it was. Joined
-to an older part it has that one's unit: its keyframes bear the older one's number from then on, and what was
-learned in both counts.
+A part is seeded by its first depth, turned to map units with the log scale that the tracker had then.
+Whatever that image errs by is the part's own error, not that of the part that was left, which waits as it
+was. Joined to an older part it has that one's unit: its keyframes bear the older one's number from then on,
+and what was learned in both counts.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 from prism_edge.config import ScaleConfig
@@ -68,14 +69,16 @@ class PartScales:
         """A keyframe is next; whether it belongs to another part than the one before."""
         if self.is_here(keyframe):
             return False
-        left, published = self.here, self.here.steady.log_scale
+        left, begun_at = self.here, self.here.steady.log_scale
+        if math.isfinite(keyframe.log_scale):  # the camera may have been in another part since, unheard of
+            begun_at = keyframe.log_scale
         if left.filter.is_open:  # nothing is known of it: it had no depth
             del self._parts[self._part]
         self._part = keyframe.part
         if self._part in self._parts:
             self.here.filter.resume(keyframe.travelled)
         else:
-            self._parts[self._part] = PartScale(config, self._kalman, published)
+            self._parts[self._part] = PartScale(config, self._kalman, begun_at)
             besides = [part for part in self._parts if part != HOME]
             if len(besides) > MOST:
                 del self._parts[besides[0]]  # the oldest, which is likely to have gone from the map

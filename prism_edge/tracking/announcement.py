@@ -74,6 +74,7 @@ def keyframe_message(
         anchor=anchor,
         world_from_anchor=world.keyframes[anchor].world_from_camera,
         travelled=travelled,
+        log_scale=tracker.log_scale,
         scale_factor=tracker.scale_factor,
         stands_in=keyframe.stands_in,
         part=tracker.parts.of(keyframe.id),

@@ -8,7 +8,7 @@ SILENT_NS = 5_000_000_000  # a keyframe without depth for this long; a slow netw
 REFUSED = 3  # more observations of the scale refused than accepted lately; one is an outlier like any other
 MOST_REFUSED = 10  # that count
 MUTE = 10  # keyframes in a row whose depth says nothing of the scale; a map's first few may not
-MOST_WAITING = 64  # keyframes remembered: the oldest tells how long it has been, also for days
+MOST_WAITING = 64  # keyframes remembered, the newest and the oldest: that tells how long it has been
 
 
 class DepthWatch:
@@ -23,8 +23,13 @@ class DepthWatch:
 
     def keyframe(self, number: int, stamp_ns: int) -> None:
         """A keyframe's picture has gone to the network."""
-        if len(self._waiting) < MOST_WAITING:
-            self._waiting[number] = stamp_ns
+        if len(self._waiting) >= MOST_WAITING:
+            self._waiting.popitem()
+        self._waiting[number] = stamp_ns
+
+    def is_waiting(self, keyframe: int) -> bool:
+        """Whether a keyframe has no answer yet."""
+        return keyframe in self._waiting
 
     def depth(self, keyframe: int, valid: bool, reason: str) -> None:
         """A keyframe's depth has come; those before it won't, since the newest picture wins."""

@@ -33,7 +33,7 @@ Front = list[tuple[float, int]]  # a heap of keyframes and their variances (m^2)
 FORGET_ABOVE = 2  # times as many keyframes remembered as there are
 COHERENT_S = 1.0  # for so long the local map is off by the same share; speed is averaged over as long
 COHERENT_M = 1.0  # and, between two places, at least over so much of the way, however slow the camera is now
-LONGEST_S = 0.5  # between two frames: longer than that nothing was seen
+LONGEST_S = 3.0  # between two frames: longer than that nothing was seen; slow cameras take an image a second
 MOST_DETOUR = 4.0  # a moving camera has 1.1 to 2.5: the walk's numbers were fitted with that
 # Of a camera that nobody sees: one that is covered or carried off often stood before, and is then carried.
 UNSEEN_M_S, UNSEEN_RAD_S = 0.5, 0.5

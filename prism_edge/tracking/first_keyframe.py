@@ -7,6 +7,9 @@ from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 
 DEPTH_PATIENCE_S = 10.0  # no answer at all for this long: the network never got the picture
+SLOWER = 2.0  # times as long as an answer took that came too late the next one is waited for
+MOST_PATIENCE_S = 300.0  # the depth worker gives its network two minutes
+GIVEN_UP = 64  # keyframes remembered that gave way without an answer
 TRACKING_PATIENCE_S = 1.0  # from when the depth came, however slow the network is
 LOOK_AGAIN_NS = 100_000_000  # after a second view from too near: the look at it takes longer than tracking
 RETRY_S = 0.2  # after depth that is of no use; twice as long each time, for the network may be broken
@@ -22,6 +25,8 @@ class FirstKeyframe:
         self._useless = False
         self._retry_s = RETRY_S
         self._too_near_ns: int | None = None
+        self._patience_s = DEPTH_PATIENCE_S
+        self._given_up: dict[int, int] = {}  # when each was made that gave way without an answer
 
     def begin(self, keyframe: int, stamp_ns: int) -> None:
         """It has been made."""
@@ -48,6 +53,13 @@ class FirstKeyframe:
         """Its depth, if it is this keyframe's, is of no use: another image may be better."""
         self._useless |= keyframe == self._id and self._depth_ns is None
 
+    def heard(self, keyframe: int) -> None:
+        """An answer for any keyframe has come. For one that gave way it says how slow the network is."""
+        began_ns = self._given_up.pop(keyframe, None)
+        if began_ns is not None:
+            slow_s = SLOWER * (self._now_ns - began_ns) * 1e-9
+            self._patience_s = min(max(self._patience_s, slow_s), MOST_PATIENCE_S)
+
     @property
     def awaits_answer(self) -> bool:
         """Whether the network may yet say what its depth is; a probe would take its picture's place."""
@@ -60,7 +72,12 @@ class FirstKeyframe:
             return (stamp_ns - self._depth_ns) * 1e-9 > TRACKING_PATIENCE_S
         waited_s = (stamp_ns - self._began_ns) * 1e-9
         if not self._useless:
-            return waited_s > DEPTH_PATIENCE_S
+            if waited_s <= self._patience_s:
+                return False
+            self._given_up[self._id] = self._began_ns
+            if len(self._given_up) > GIVEN_UP:
+                del self._given_up[next(iter(self._given_up))]
+            return True
         if waited_s <= self._retry_s:
             return False
         self._retry_s = min(2.0 * self._retry_s, DEPTH_PATIENCE_S)

@@ -6,7 +6,7 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array, inverse, se3_exp, se3_log
 
-LONGEST_S = 0.5  # between two frames that still say how fast the camera is
+LONGEST_S = 0.6  # between two frames that still say how fast the camera is
 
 
 class ConstantVelocity:

@@ -6,6 +6,9 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array, inverse, normalised, scaled, se3_log
 
+# A step that took longer, and more than twice as long as the one before, tells how far the camera went, not
+# how fast it is: images were missing.
+GAP_S = 0.5
 STILL_S = 0.1  # for so long, or for two intervals, a velocity holds through exact copies
 
 
@@ -17,6 +20,7 @@ class MetricOdometry:
         self.twist = np.zeros(6)  # m/s and rad/s in the camera frame
         self.interval_s = 0.0  # over which it was measured; 0: nothing is known of it
         self._stamp_ns: int | None = None
+        self._pace_s = 0.0  # the last step's time
 
     def advance(self, before: Array | None, after: Array, log_scale: float, stamp_ns: int) -> Array:
         """odom_from_camera of a frame at ``after`` (world_from_camera, map units).
@@ -30,7 +34,9 @@ class MetricOdometry:
             self.odom_from_camera = normalised(self.odom_from_camera @ step)
             elapsed = (stamp_ns - (self._stamp_ns or 0)) * 1e-9
             if self._stamp_ns is not None and elapsed > 0:
-                self.twist, self.interval_s = se3_log(step) / elapsed, elapsed
+                if not self._pace_s or elapsed <= max(GAP_S, 2.0 * self._pace_s):
+                    self.twist, self.interval_s = se3_log(step) / elapsed, elapsed
+                self._pace_s = elapsed
         self._stamp_ns = stamp_ns
         return self.odom_from_camera
 

@@ -66,7 +66,7 @@ class Tracker:
         self.motion, self._shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
         self._seen_at: int | None = None  # stamp of the last tracked frame
         self._began_at: int | None = None  # of this map's first; None for one that was there before
-        self._at, self._first, self._since_refresh = Reference(), FirstKeyframe(), 0
+        self._at, self.first, self._since_refresh = Reference(), FirstKeyframe(), 0
         self.initialised = False  # True once a frame was tracked in this map
         self._result: FrameResult | None = None
         self._fresh: tuple[int, TrackedFrame] | None = None  # tracked, not yet judged as a keyframe
@@ -111,7 +111,7 @@ class Tracker:
     def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
         if len(features) >= MIN_FIRST_FEATURES and self._shutter.may_begin:
             self._pending = self._insert(index, stamp_ns, camera, features, self._begins_at)
-            self._first.begin(self._pending.id, stamp_ns)
+            self.first.begin(self._pending.id, stamp_ns)
             self._seen_at = self._began_at = stamp_ns
         return nothing(INITIALISING)
 
@@ -121,7 +121,7 @@ class Tracker:
         self._extractor.want(0 if frame is None else frame.matched)
         if frame is None:
             if not self.initialised:
-                if self._first.gives_way(stamp_ns):
+                if self.first.gives_way(stamp_ns):
                     log.info("the first keyframe could not be tracked: starting again")
                     self._restart(self._begins_at)
                 return nothing(INITIALISING)
@@ -130,7 +130,7 @@ class Tracker:
                 self._lost, self._looked_ns, self._looking_at = True, 0, stamp_ns
                 self.places.begin()
                 log.info("lost at frame %d", index)
-            awaited = self.may_map and self._waiting is not None and self._first.awaits_answer
+            awaited = self.may_map and self._waiting is not None and self.first.awaits_answer
             self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES and not awaited
             if self._lost and self.may_map:
                 self._look_on(index, stamp_ns, camera, features)
@@ -155,7 +155,7 @@ class Tracker:
             self._looked_ns += min(stamp_ns - self._looking_at, MOST_BETWEEN_NS)
         self._looking_at = stamp_ns
         if self._waiting is not None:
-            if not self._first.gives_way(stamp_ns):
+            if not self.first.gives_way(stamp_ns):
                 return
             self.give_up_waiting()
         looked_s, patience_s = self._looked_ns * 1e-9, self._config.submap_after_s
@@ -173,7 +173,7 @@ class Tracker:
         self.parts.begin(self._next_keyframe)
         self._baselines.begin(self.parts.current)  # it rests on one view's depth, as the first map did
         self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose)
-        self._first.begin(self._waiting.id, stamp_ns)
+        self.first.begin(self._waiting.id, stamp_ns)
         log.info("nothing is known here: a new part of the map begins at frame %d", index)
 
     def _age_s(self) -> float:
@@ -254,7 +254,7 @@ class Tracker:
             at.move_to(here, self.world, self.parts, stamp_ns)
             return None
         if self._config.two_views and self.parts.size(self.world) == 1:
-            said = self._first.second_view(self.world, reference, frame, self._seed, stamp_ns)
+            said = self.first.second_view(self.world, reference, frame, self._seed, stamp_ns)
             if said is SecondView.TOO_NEAR:
                 return None
             if said is SecondView.CONTRADICTS:
@@ -330,9 +330,9 @@ class Tracker:
             self.world, keyframe, depth, image_to_depth, float(np.exp(-self.log_scale)), relative_sigma, most
         )
         if first and len(ids) < self._config.min_matches:
-            self._first.has_no_depth(keyframe_id)
+            self.first.has_no_depth(keyframe_id)
         elif first:
-            self._first.has_depth()
+            self.first.has_depth()
             if self._waiting is not None:  # a slow network is no reason to be lost again
                 self._waiting, self._lost, self.wants_probe = None, False, False
                 self._seen_at = self._looking_at
@@ -345,7 +345,7 @@ class Tracker:
 
     def add_no_depth(self, keyframe_id: int) -> None:
         """What the network has for a keyframe is of no use."""
-        self._first.has_no_depth(keyframe_id)
+        self.first.has_no_depth(keyframe_id)
         keyframe = self.world.keyframes.get(keyframe_id)
         if keyframe is not None:
             seed_at_middle(self.world, keyframe, self._config.features // 3)

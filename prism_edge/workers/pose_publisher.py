@@ -14,6 +14,9 @@ from prism_edge.geometry.poses import Array, inverse, scaled, skew
 from prism_edge.tracking.drift import NO_DRIFT, Walk
 from prism_edge.tracking.tracker import FrameResult
 
+# Sigma of how a velocity changes within the interval that it was measured over, m/s^2 and rad/s^2: a hand's
+# goes by 0.1 m/s and 0.1 rad/s however long that is, from 0.1 s on.
+ACCELERATION = 1.0
 UNKNOWN_SPEED = 100.0  # m/s and rad/s: sigma of a velocity that nothing was measured of
 
 
@@ -114,12 +117,15 @@ class PosePublisher:
     def _velocity_covariance(of_pose: Array, velocity: Array, interval_s: float, scale_sigma: float) -> Array:
         """Of the difference of two poses, as if both erred for themselves; what they share is scale.
 
+        Beside that it is the mean over an interval, at whose end the velocity is another.
+
         ``of_pose`` (6, 6) and ``velocity`` (3), the part that scale multiplies, are along the base's axes.
         """
         if interval_s <= 0.0:
             return np.eye(6) * UNKNOWN_SPEED**2
         most = UNKNOWN_SPEED**2 / max(float(np.diag(of_pose).max()), 1e-12)
-        return with_scale_error(of_pose * min(2.0 / interval_s**2, most), velocity, scale_sigma)
+        changed = min(0.5 * ACCELERATION * interval_s, UNKNOWN_SPEED) ** 2 * np.eye(6)
+        return with_scale_error(of_pose * min(2.0 / interval_s**2, most) + changed, velocity, scale_sigma)
 
     def _twist(self, twist: Array) -> Array:
         """Twist of the base in its own axes, of the camera's in its own."""

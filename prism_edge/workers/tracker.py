@@ -32,10 +32,9 @@ from prism_edge.messages import (
     Scale,
     Tracked,
     WholeMap,
-    probe_of,
 )
 from prism_edge.processes import peers_of
-from prism_edge.tracking.announcement import keyframe_message, picture_message
+from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.drift import Drift
 from prism_edge.tracking.local_map import LocalKeyframe
 from prism_edge.tracking.map_correction import flaw
@@ -47,6 +46,7 @@ from prism_edge.workers.answers_due import PATIENCE_S, AnswersDue
 from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.frame_camera import FrameCamera
 from prism_edge.workers.map_adoption import MapAdoption
+from prism_edge.workers.pictures import Pictures
 from prism_edge.workers.pose_publisher import PosePublisher
 from prism_edge.workers.tracker_status import TrackerStatus
 
@@ -55,7 +55,6 @@ log = logging.getLogger("prism_edge.tracker")
 _LOOK_S = 0.02  # between frames, for what the others have sent
 _FRAME_S = 5.0
 _MOST_BETWEEN = 2  # frames tracked while a keyframe joins the map: more would put that off for long
-_PROBE_NS = 300_000_000  # between two looks of the network at what a lost camera sees
 SEED_DEPTH_SIGMA = 0.2  # relative error of one pixel of network depth
 
 
@@ -84,7 +83,7 @@ class TrackerWorker:
         self._update_sequence = -1
         self._answers = AnswersDue(bus, self._inboxes, self._peers, config.lockstep)
         self._last_index, self._dropped, self._between = -1, 0, 0
-        self._probed_ns = -_PROBE_NS
+        self._pictures = Pictures(bus, "depth" in self._peers)
         self._now_ns = 0  # stamp of the newest frame
         self._localise_only = False
         # The map of a run that was cut off: the first image says whether it is this camera's.
@@ -171,6 +170,8 @@ class TrackerWorker:
         self._tick(frame, result.odometry, published, made, reference, offset, probe)
         self._show(result.odometry, result.matched, frame.stamp_ns)
         if keyframe is None:
+            if not self._lockstep:
+                self._pictures.once_more(frame.stamp_ns, self._status.metres)
             return
         travelled, self._between = self._drift.travelled, 0
         if tracker.map_keyframe(self._track_waiting):
@@ -239,21 +240,15 @@ class TrackerWorker:
 
     def _probe(self, frame: Frame) -> bool:
         """Show the depth worker what a lost camera sees, now and then; whether this frame was shown."""
-        if "depth" not in self._peers or frame.stamp_ns - self._probed_ns < _PROBE_NS:
-            return False
-        self._probed_ns = frame.stamp_ns
-        picture = picture_message(frame, probe_of(frame.index), self._tracker.epoch)
-        self._bus.publish("keyframe_image", picture)
-        if self._lockstep:
+        picture = self._pictures.probe(frame, self._tracker.epoch)
+        if picture is not None and self._lockstep:
             self._answers.probe(frame.index, picture.keyframe)
-        return True
+        return picture is not None
 
     def _announce(self, keyframe: LocalKeyframe, frame: Frame, travelled: float) -> None:
         mount = self._maps.mount(self._tracker.epoch)
         self._bus.publish("keyframe", keyframe_message(self._tracker, keyframe, travelled, mount))
-        self._bus.publish("keyframe_image", picture_message(frame, keyframe.id, self._tracker.epoch))
-        if "depth" in self._peers:
-            self._status.metres.keyframe(keyframe.id, keyframe.stamp_ns)
+        self._pictures.keyframe(frame, keyframe.id, self._tracker.epoch, self._status.metres)
         if self._lockstep:
             self._answers.keyframe(frame.index, keyframe.id)
 
@@ -275,6 +270,7 @@ class TrackerWorker:
                 apply[topic](message)
 
     def _apply_depth(self, message: Depth) -> None:
+        self._tracker.first.heard(message.keyframe)  # of whatever map
         if message.epoch != self._tracker.epoch:
             return
         self._tracker.recognise(message.keyframe, message.descriptor, message.model)

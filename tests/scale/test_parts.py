@@ -45,6 +45,17 @@ def test_a_new_part_begins_at_what_was_published_as_little_known_as_any_first_de
     assert there[-1].log_scale == pytest.approx(np.log(1.5), abs=0.04)
 
 
+def test_a_new_part_begins_in_the_unit_that_the_tracker_had_wherever_the_camera_was_last_heard_of():
+    """At home again, in a known place, no keyframe is made: the next part begins from there all the same."""
+    estimator, home = at_home()
+    there = play(estimator, range(60, 100), part=60, unit=1.6)
+    keyframe = keyframe_of_wall(200, 80.0, 1.1, parallax_deg=0.0)
+    told = replace(keyframe, part=200, log_scale=home[-1].log_scale)
+    begins, _ = estimator.process(told, depth_of(keyframe, **FITTED))
+    assert begins.log_scale == pytest.approx(home[-1].log_scale)
+    assert abs(there[-1].log_scale - home[-1].log_scale) > 0.2
+
+
 def test_back_at_home_nothing_of_the_part_is_left_in_its_scale():
     estimator, home = at_home()
     play(estimator, range(60, 90), part=60, unit=1.5)

@@ -24,6 +24,7 @@ from tests.tracking.cloud import Cloud, check, observations, pose_at
 def teller(world: LocalMap) -> SimpleNamespace:
     """What the message needs of a tracker."""
     told = SimpleNamespace(world=world, epoch=3, told=[], scale_factor=1.2, proven_after_s=0.0)
+    told.log_scale = 0.3
     told.parts = Parts()
     told.announced = lambda keyframe: told.told.append(keyframe.id)
     return told
@@ -43,6 +44,7 @@ def test_a_message_carries_the_keyframe_and_survives_the_codec():
     for f in fields(Keyframe):
         assert np.array_equal(getattr(message, f.name), getattr(made, f.name)), f.name
     assert (message.id, message.index, message.epoch, message.travelled) == (1, 10, 3, 1.5)
+    assert message.log_scale == tracker.log_scale
     assert message.base_from_camera.tolist() == pose_at(0.3, -0.1, 0.5, 0.2).tolist()
     assert tracker.told == [1]
     assert not message.stands_in

@@ -32,6 +32,7 @@ def test_days_without_depth_cost_nothing_and_are_told_from_their_beginning() -> 
     for number in range(5000):
         watch.keyframe(number, number * 1_000_000_000)
     assert len(watch._waiting) <= 64
+    assert watch.is_waiting(4999)
     assert watch.trouble(5000 * 1_000_000_000) == "no depth for 5000 s"
     watch.depth(4999, True, "")
     assert watch.trouble(5000 * 1_000_000_000) == ""

@@ -332,3 +332,20 @@ def test_the_way_goes_on_from_what_a_map_has_that_is_taken_over():
     drift.advance(None, result(pose_at(40.0)), 0.0, depth=2.0)
     drift.advance(pose_at(40.0), result(pose_at(42.0)), 0.0, depth=2.0)
     assert drift.travelled == pytest.approx(9.0)
+
+
+@pytest.mark.parametrize("rate", [1.0, 2.0, 10.0])
+def test_a_slow_camera_is_as_unsure_of_its_way_as_a_fast_one(rate):
+    """Per metre and by speed; and what nobody sees goes on at that speed."""
+    sigmas = []
+    for hz in (30.0, rate):
+        drift, before = Drift(CovarianceConfig()), None
+        for i in range(int(20 * hz) + 1):
+            pose = pose_at(0.0, 0.0, 5.0 * i / hz)
+            drift.advance(before, result(pose, 0, np.eye(4)), 0.0, round(i / hz * 1e9), 3.0)
+            before = pose
+        seen = drift.total.sigmas()[0]
+        drift.miss(10.0)
+        sigmas.append((seen, drift.total.sigmas()[0]))
+    assert sigmas[1] == pytest.approx(sigmas[0], rel=0.1)
+    assert sigmas[1][1] > 40.0

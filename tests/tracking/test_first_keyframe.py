@@ -11,7 +11,13 @@ import pytest
 
 from prism_edge.messages import INITIALISING, OK
 from prism_edge.tracking import first_keyframe
-from prism_edge.tracking.first_keyframe import DEPTH_PATIENCE_S, RETRY_S, TRACKING_PATIENCE_S, FirstKeyframe
+from prism_edge.tracking.first_keyframe import (
+    DEPTH_PATIENCE_S,
+    MOST_PATIENCE_S,
+    RETRY_S,
+    TRACKING_PATIENCE_S,
+    FirstKeyframe,
+)
 from prism_edge.tracking.first_map import SecondView
 from prism_edge.tracking.tracker import Tracker
 from tests.tracking.film_run import BLACK, CONFIG, Run
@@ -65,6 +71,55 @@ def test_others_depth_says_nothing_of_it() -> None:
     first.has_depth()
     first.has_no_depth(3)
     assert not first.gives_way(5_500 * MS)
+
+
+def test_an_answer_that_came_too_late_says_how_long_the_next_one_takes() -> None:
+    first = FirstKeyframe()
+    first.begin(3, 0)
+    assert first.gives_way(10_500 * MS)
+    first.begin(4, 10_500 * MS)
+    assert not first.gives_way(14_000 * MS)
+    first.heard(4)  # of the one that waits: that is has_depth's affair
+    first.heard(99)
+    assert gives_way_after(first, 10_500) == pytest.approx(1000 * DEPTH_PATIENCE_S, abs=10)
+    first.begin(5, 30_000 * MS)
+    assert not first.gives_way(34_000 * MS)
+    first.heard(3)  # after 34 s
+    assert not first.gives_way(97_000 * MS)
+    assert first.gives_way(99_000 * MS)
+
+
+def test_nobody_waits_for_ever() -> None:
+    first = FirstKeyframe()
+    first.begin(3, 0)
+    assert first.gives_way(900_000 * MS)
+    first.heard(3)
+    first.begin(4, 900_000 * MS)
+    assert first.gives_way(900_000 * MS + round(1.001 * MOST_PATIENCE_S * 1000) * MS)
+
+
+@pytest.mark.parametrize("takes_s", [9.5, 12.5])
+def test_a_map_begins_however_long_the_network_takes_for_a_picture(takes_s: float) -> None:
+    """It works on the newest picture, one after the other, and answers for maps that were given up too."""
+    run, busy, newest, heard = Run(), None, None, 0
+    for at in range(0, 3 * 30 * 15, 15):  # two images a second
+        if busy is not None and at >= busy[1]:
+            keyframe, epoch = busy[0], busy[2]
+            run.tracker.first.heard(keyframe)
+            if epoch == run.tracker.epoch:
+                heard += run.tracker.add_depth(keyframe, footage().depths[0], IDENTITY, 0.1) > 0
+            busy = None
+        known = set(run.keyframes)
+        result = run.feed(0, at=at)
+        for keyframe in set(run.keyframes) - known:
+            newest = keyframe, run.tracker.epoch
+        if busy is None and newest is not None:
+            busy, newest = (newest[0], at + 30 * takes_s, newest[1]), None
+        if result.odometry == OK:
+            break
+    assert result.odometry == OK
+    assert heard == 1
+    assert run.tracker.epoch == (takes_s > DEPTH_PATIENCE_S)
 
 
 @pytest.mark.parametrize("answer", ["invalid", "nowhere of use"])

@@ -126,6 +126,19 @@ def test_after_a_loss_the_way_counts_and_the_velocity_is_unknown():
     assert (odometry.twist[0], odometry.interval_s) == pytest.approx((1.0, 1.0))
 
 
+@pytest.mark.parametrize("pace_s", [1 / 30, 0.5, 1.0])
+def test_where_images_were_missing_the_way_counts_and_the_velocity_is_unknown(pace_s):
+    """However far the camera went meanwhile, and though each image was tracked; a slow camera misses none."""
+    odometry, at_s, x = MetricOdometry(), 0.0, 0.0
+    odometry.advance(None, np.eye(4), 0.0, 0)
+    for elapsed_s, known in [(pace_s, True), (pace_s, True), (10.0, False), (pace_s, True)]:
+        before, at_s, x = x, at_s + elapsed_s, x + 0.1
+        odometry.advance(pose_at(before), pose_at(x), 0.0, round(at_s * SECOND))
+        assert odometry.odom_from_camera[0, 3] == pytest.approx(x)
+        assert odometry.interval_s == pytest.approx(elapsed_s if known else 0.0)
+        assert odometry.twist[0] == pytest.approx(0.1 / elapsed_s if known else 0.0)
+
+
 def test_it_stays_a_rigid_pose_over_thousands_of_steps():
     odometry, step = MetricOdometry(), pose_at(0.001, 0.0, 0.002, 0.01, -0.02, 0.005)
     for _ in range(5_000):

@@ -14,7 +14,7 @@ from prism_edge.messages import OK
 from prism_edge.topics import TOPICS
 from prism_edge.tracking.drift import Walk
 from prism_edge.tracking.tracker import FrameResult
-from prism_edge.workers.pose_publisher import PosePublisher, with_scale_error
+from prism_edge.workers.pose_publisher import ACCELERATION, PosePublisher, with_scale_error
 from tests.tracking.cloud import pose_at
 
 STAMP = 12_345_678_901
@@ -227,7 +227,8 @@ def test_the_twist_s_covariance_is_that_of_two_disturbed_cameras_and_of_scale(in
         step = inverse(pose @ se3_exp(first)) @ after @ se3_exp(second)
         step[:3, 3] *= np.exp(rng.normal(0.0, sigma))
         moved = base @ step @ inverse(base)
-        found.append(np.r_[moved[:3, 3], so3_log(moved[:3, :3])] / interval_s)
+        changed = rng.normal(0.0, 0.5 * ACCELERATION * interval_s, 6)  # from the mean to the interval's end
+        found.append(np.r_[moved[:3, 3], so3_log(moved[:3, :3])] / interval_s + changed)
     sampled = np.cov(np.array(found).T)
     size = np.sqrt(np.outer(np.diag(stated), np.diag(stated)))
     assert np.abs((sampled - stated) / size).max() < 0.12
