@@ -110,7 +110,7 @@ class TrackingConfig:
     """The ORB tracker (the paper has N_f = 1000; an even spread needs fewer: docs/PERFORMANCE.md)."""
 
     features: int = limits(600, 100, 5000, "ORB features kept a frame of 640 x 480; larger ones more")
-    max_features: int = limits(1400, 200, 10000, "and when few of them match: a fast motion, a low rate")
+    max_features: int = limits(1400, 200, 10000, "and when few match: a fast motion, a low rate; never fewer")
     levels: int = limits(6, 1, 12, "pyramid levels")
     scale_factor: float = limits(1.3, 1.05, 2.0, "ratio between pyramid levels")
     fast_threshold: int = limits(

@@ -140,10 +140,17 @@ def card_from_sidecar(path: Path) -> ModelCard:
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML in which a card's text is as written, where YAML sees a number (1.10, 0276) or a date."""
+    """YAML in which a card's text is as written, where YAML sees a number (1.10, 0276) or a date.
+
+    What is given twice is refused: the last of two scales would count, and nobody would know.
+    """
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        seen: set[object] = set()
         for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                raise ModelError(f"line {key.start_mark.line + 1}: {key.value!r:.60} is given twice")
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else key)
             is_said = isinstance(value, yaml.ScalarNode) and value.tag != "tag:yaml.org,2002:null"
             if is_said and _is_text(key.value):
                 value.tag = "tag:yaml.org,2002:str"
@@ -156,6 +163,8 @@ def read_yaml(path: Path, most: int = _LARGEST_FILE) -> Any:
         if path.stat().st_size > most:
             raise ModelError(f"{path}: larger than {most} bytes, which no model description needs")
         return yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except ModelError as error:
+        raise ModelError(f"{path} {error}" if str(error).startswith("line ") else str(error)) from None
     except OSError as error:
         raise ModelError(f"{path}: can't be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:

@@ -76,7 +76,8 @@ def evaluate(
     first, frame_count = _extent(source)
     made_of = played(config.source, source, truth)
     if truth is not None and not truth.is_file():
-        raise EvaluationError(f"{truth}: no such file: nothing to score against")
+        what = "a folder: a TUM file is wanted" if truth.is_dir() else "no such file"
+        raise EvaluationError(f"{truth}: {what}: nothing to score against")
     if truth is not None and truth.resolve() in {(out / name).resolve() for name in PATHS}:
         raise EvaluationError(f"{truth} would be overwritten by this run's own: name another folder for it")
     true_path = _truth(config, truth)

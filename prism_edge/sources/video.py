@@ -69,6 +69,8 @@ class Video(Source):
         if image is None:
             raise SourceError(f"{self._path} has no readable frame")
         check_camera_size(self.camera, self.camera_origin, image.pixels, str(self._path))
+        if (1.0 - _EARLY) * count < capture.get(cv2.CAP_PROP_PTS) < count:
+            count = self._said_ns = 0  # Matroska's goes by its last stamp, wherever the first one is
         stamps_ns = [self._position_ns()]
         while len(stamps_ns) < _LOOKED_AT and self._advance() is not None:
             stamps_ns.append(self._position_ns())

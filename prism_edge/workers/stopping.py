@@ -7,14 +7,16 @@ import os
 import signal
 import sys
 import threading
+import time
 from types import FrameType
 
 STOPPING = (signal.SIGTERM, signal.SIGINT)
+AGAIN_S = 0.5  # so soon after the first it is the same wish: timeout(1) tells a process, and then its group
 _PR_SET_PDEATHSIG = 1
 
 
 class StopSignals:
-    """Sets its events at the first SIGTERM or SIGINT; a second one ends the process on the spot.
+    """Sets its events at the first SIGTERM or SIGINT; another, AGAIN_S later, ends the process on the spot.
 
     A thread of its own does it: a Python signal handler would wait for the main thread to come back from
     native code, and may not touch an event's lock, which the main thread may be holding.
@@ -47,6 +49,7 @@ class StopSignals:
             event.set()
 
     def _wait(self) -> None:
+        first_s = 0.0
         while data := os.read(self._read, 64):
             for number in data:
                 if number in self._hangup:
@@ -54,7 +57,10 @@ class StopSignals:
                 if number not in STOPPING:
                     continue
                 if self.stopped.is_set():
-                    os._exit(128 + number)
+                    if time.monotonic() - first_s >= AGAIN_S:
+                        os._exit(128 + number)
+                    continue
+                first_s = time.monotonic()
                 self.stopped.set()
                 for event in self._also:
                     event.set()

@@ -80,13 +80,13 @@ def test_a_missing_sequence_is_one_line(tmp_path: Path, capsys: pytest.CaptureFi
     assert "does not exist" in one_line(capsys)
 
 
-def test_a_missing_truth_is_found_before_the_run(
-    tiny_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("name", "said"), [("no.tum", "no.tum: no such file"), ("", ": a folder")])
+def test_a_truth_that_is_none_is_found_before_the_run(
+    name: str, said: str, tiny_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    absent = tmp_path / "no.tum"
-    code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "o"), "--truth", str(absent)])
+    code = main(["eval", str(tiny_sequence), "--out", str(tmp_path / "o"), "--truth", str(tmp_path / name)])
     assert code == EvaluationError.exit_code
-    assert "no.tum" in one_line(capsys)
+    assert said in one_line(capsys)
 
 
 def test_only_the_first_frames_may_be_played(tiny_sequence: Path) -> None:

@@ -176,11 +176,13 @@ class TestExport:
         good = lab(state).read_bytes()
         (tmp_path / "lab.tum").write_bytes(good)
         (tmp_path / "other.prismmap").write_bytes(good)
+        (tmp_path / "kept.map").write_bytes(good)
         (tmp_path / "here").symlink_to(tmp_path)
-        for what, name in (("--ply", "other.prismmap"), ("--tum", "lab.tum"), ("--ply", "here/lab.tum")):
+        names = ("other.prismmap", "lab.tum", "here/lab.tum", "kept.map")
+        for what, name in zip(("--ply", "--tum") * 2, names, strict=True):
             assert call("export", tmp_path / "lab.tum", what, tmp_path / name, "--overwrite") == 3
             assert re.fullmatch(rf"prism-edge: error: .*{name}.*\n", capsys.readouterr().err)
-        assert (tmp_path / "lab.tum").read_bytes() == (tmp_path / "other.prismmap").read_bytes() == good
+        assert {(tmp_path / name).read_bytes() for name in names} == {good}
 
     @pytest.mark.parametrize(
         ("words", "why"),

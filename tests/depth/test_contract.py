@@ -153,6 +153,16 @@ def test_what_is_no_text_in_a_sidecar_is_refused_still(tmp_path: Path, line: str
         card_from_sidecar(path)
 
 
+def test_what_a_sidecar_gives_twice_is_refused(tmp_path: Path):
+    """The last of two scales would count, and the metres be off without a word."""
+    path = write_sidecar(tmp_path / "net.onnx", TinyNetwork().card())
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines, "depth_scale: 0.5"]) + "\n")
+    said = rf"net.onnx.yaml line {len(lines) + 1}: 'depth_scale' is given twice"
+    with pytest.raises(ModelError, match=said):
+        card_from_sidecar(path)
+
+
 @pytest.mark.parametrize("content", BROKEN)
 def test_a_broken_sidecar_is_one_line(tmp_path: Path, content: bytes):
     path = tmp_path / "net.onnx.yaml"

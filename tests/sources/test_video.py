@@ -132,6 +132,31 @@ def test_the_usual_time_between_frames_is_that_of_their_stamps(tmp_path: Path) -
         assert [source.skip() for _ in range(22)] == [True] * 20 + [False] * 2
 
 
+@pytest.mark.parametrize(("begins_s", "counted"), [(0, 60), (5, None), (600, None)])
+def test_a_recording_whose_stamps_begin_late_is_not_said_to_be_cut_short(
+    tmp_path: Path, begins_s: int, counted: int | None, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Matroska says when it ends, and not how long it is: FFmpeg counts frames from 0 s on."""
+    av = pytest.importorskip("av", reason="OpenCV can't write stamps of one's own")
+    path = tmp_path / "clip.mkv"
+    path.with_name("camera.yaml").write_text(tiny.CAMERA)
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"bf": "0"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+        for i in range(60):
+            frame = av.VideoFrame.from_ndarray(tiny.picture(i % 8), format="bgr24")
+            frame.pts, frame.time_base = 1000 * begins_s + round(i * 1000 / 30), Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    with opened(path) as source:
+        assert source.frame_count == counted
+        stamps = [item.stamp_ns for item in iter(source.read, None) if item]
+    assert (stamps[0], len(stamps)) == (0, 60)
+    assert stamps[-1] == pytest.approx(59e9 / 30, abs=2e6)
+    assert "cut short" not in caplog.text
+
+
 def test_a_stamp_that_goes_back_is_left_to_the_checks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from prism_edge.workers.stopping import AGAIN_S
+
 CHECKOUT = Path(__file__).resolve().parents[2]
 DEADLINE_S = 30.0
 
@@ -63,8 +65,25 @@ def test_second_signal_ends_a_worker_that_does_not_listen(
 ) -> None:
     process = start(script)
     process.send_signal(signal.SIGINT)
+    with pytest.raises(subprocess.TimeoutExpired):
+        process.wait(AGAIN_S)
     process.send_signal(signal.SIGTERM)
-    assert process.wait(DEADLINE_S) in (128 + signal.SIGTERM, 128 + signal.SIGINT)
+    assert process.wait(DEADLINE_S) == 128 + signal.SIGTERM
+
+
+def test_one_wish_told_twice_is_one() -> None:
+    """timeout(1) signals its child and then its own group, of which that is: the run ends in order."""
+    script = (
+        "import os, signal, time\n"
+        "from prism_edge.workers.stopping import StopSignals\n"
+        "signals = StopSignals(); signals.listen()\n"
+        "for _ in range(2): os.kill(os.getpid(), signal.SIGTERM)\n"
+        "assert signals.stopped.wait(60)\n"
+        "os.kill(os.getpid(), signal.SIGTERM); time.sleep(0.1); print('in order')\n"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, cwd=CHECKOUT, timeout=DEADLINE_S, capture_output=True, check=False)
+    assert (done.returncode, done.stdout) == (0, b"in order\n")
 
 
 def test_a_signal_before_it_listens_is_heard_then() -> None:
