@@ -15,7 +15,7 @@ from prism_edge.backend.loops import Loop
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.places import SOME_SHARED
 from prism_edge.config import BackendConfig
-from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log, transform
 from prism_edge.messages import F32
 from tests.backend.ring import Ring, position_error
 from tests.backend.world import chain, check, quiet
@@ -303,6 +303,27 @@ def test_a_part_mapped_apart_is_merged_when_its_place_is_recognised():
     for k, pose in before.items():
         assert np.abs(se3_log(inverse(pose) @ poses[k])).max() < 0.05
     check(mapper.world)
+
+
+def test_what_a_part_still_sends_in_its_own_unit_after_it_was_joined_is_understood():
+    """The tracker has not heard of the loop yet."""
+    ring = Ring(lap=32)
+    mapper = walk(ring, 10)
+    carried_off(ring)
+    ring.unit = 2.0
+    for poses in (ring.true, ring.told):
+        poses += 4 * [poses[-1]]
+    while not mapper.loops.accepted:
+        mapper = walk(ring, 1, mapper=mapper)
+    assert mapper.loops.accepted[0].units[0] == pytest.approx(-np.log(2.0), abs=0.05)
+    message = ring.keyframe()
+    assert len(message.new_points) > 5
+    here = mapper.world.absorb(message).world_from_camera
+    to_true, to_here = inverse(ring.true[message.id]), inverse(here)
+    for point in message.new_points.tolist():
+        true = transform(to_true, ring.points[ring.point_of[point]][None])[0, 2]
+        found = transform(to_here, mapper.world.points[point].position[None])[0, 2]
+        assert found == pytest.approx(true, rel=0.08)
 
 
 def test_a_part_of_its_own_is_adjusted_without_being_merged():
