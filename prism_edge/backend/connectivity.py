@@ -84,10 +84,8 @@ def with_bridges(world: GlobalMap, by: Ties) -> Ties:
     Keyframes that were never heard of (the backend was started anew while the camera turned) leave the next
     no point that it shares with those before; yet the camera was followed all along, so drift has its bounds.
     """
-    found, piece = dict(by), {}
-    for k in world.keyframes:
-        if k not in piece:
-            piece.update(dict.fromkeys(reachable(by, {k}), k))
+    found = dict(by)
+    piece = {k: number for number, tied in enumerate(_pieces(world, by)) for k in tied}
     last: dict[int, int] = {}  # keyframe of each part
     for k in sorted(world.keyframes):
         of = world.keyframes[k].part
@@ -135,7 +133,11 @@ def reachable(by: Ties, start: set[int]) -> set[int]:
 
 def tied_parts(world: GlobalMap, loops: list[tuple[int, int]]) -> list[set[int]]:
     """Keyframes that are tied together; the first keyframe's come first."""
-    by, left, found = ties(world, loops), set(world.keyframes), []
+    return _pieces(world, ties(world, loops))
+
+
+def _pieces(world: GlobalMap, by: Ties) -> list[set[int]]:
+    left, found = set(world.keyframes), []
     while left:
         found.append(reachable(by, {min(left)}) & left)
         left -= found[-1]

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from prism_edge.backend.connectivity import Ties, hanging_together, reachable, ties, with_bridges
+from prism_edge.backend.connectivity import hanging_together, reachable, ties, with_bridges
 from prism_edge.backend.frame import take_references
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop, median_depth
@@ -76,10 +76,14 @@ def spread(
             _noise(depths[loop.candidate], LOOP_SHARE, loop.log_scale_sigma),
         )
     )
-    home, apart = _older(world, loop, edges), False
-    if home != part:
-        told = {world.keyframes[end].part for end in (loop.candidate, loop.query)} - {None}
-        apart = len(told) == 2 or loop.candidate not in hanging_together(world, loop.query)
+    sides = [reachable(edges, {end}) for end in (loop.candidate, loop.query)]
+    told = [of for end in (loop.candidate, loop.query) if (of := world.keyframes[end].part) is not None]
+    home, apart = part, False
+    if sides[0] != part:
+        differ = len(set(told)) == 2
+        # The tracker keeps the older part too. Where nobody tells them apart, what begins first stays.
+        home = sides[told.index(min(told))] if differ else min(sides, key=min)
+        apart = differ or loop.candidate not in hanging_together(world, loop.query)
     held = min(home)
     tight = gtsam.noiseModel.Isotropic.Sigma(7, 1e-6)
     graph.add(
@@ -107,15 +111,6 @@ def spread(
         out[k] = Similarity(normalised(from_rt(pose[:3, :3], centre)), scale / unit, own_unit)
     sound = all(np.isfinite(s.world_from_camera).all() and 0.1 < s.scale < 10.0 for s in out.values())
     return (out, log_unit) if sound else None
-
-
-def _older(world: GlobalMap, loop: Loop, edges: Ties) -> set[int]:
-    """The side of the older part, as the tracker has parts: it keeps that one. Untold, what begins first."""
-    told = [of for end in (loop.candidate, loop.query) if (of := world.keyframes[end].part) is not None]
-    sides = [reachable(edges, {end}) for end in (loop.candidate, loop.query)]
-    firsts = [min(side) for side in sides]
-    ages = list(zip(told, firsts, strict=True)) if len(told) == 2 else [(0, first) for first in firsts]
-    return sides[ages.index(min(ages))]
 
 
 def _unit(found: dict[int, tuple[Array, float]], keyframes: set[int]) -> float:

@@ -149,7 +149,8 @@ class _Loader(yaml.SafeLoader):
         seen: set[object] = set()
         for key, value in node.value if isinstance(node, yaml.MappingNode) else ():
             if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                raise ModelError(f"line {key.start_mark.line + 1}: {key.value!r:.60} is given twice")
+                problem = f"{key.value!r:.60} is given twice"
+                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
             seen.add(key.value if isinstance(key, yaml.ScalarNode) else key)
             is_said = isinstance(value, yaml.ScalarNode) and value.tag != "tag:yaml.org,2002:null"
             if is_said and _is_text(key.value):
@@ -163,14 +164,13 @@ def read_yaml(path: Path, most: int = _LARGEST_FILE) -> Any:
         if path.stat().st_size > most:
             raise ModelError(f"{path}: larger than {most} bytes, which no model description needs")
         return yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except ModelError as error:
-        raise ModelError(f"{path} {error}" if str(error).startswith("line ") else str(error)) from None
     except OSError as error:
         raise ModelError(f"{path}: can't be read ({error.strerror})") from None
     except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
         line = getattr(getattr(error, "problem_mark", None), "line", None)
         place = f" line {line + 1}" if line is not None else ""
-        raise ModelError(f"{path}{place}: no valid YAML") from None
+        problem = " ".join(str(getattr(error, "problem", None) or "").split())[:100]
+        raise ModelError(f"{path}{place}: no valid YAML{problem and ': ' + problem}") from None
 
 
 def _scalar(key: str, value: str, where: str) -> Any:

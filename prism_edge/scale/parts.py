@@ -69,9 +69,9 @@ class PartScales:
         """A keyframe is next; whether it belongs to another part than the one before."""
         if self.is_here(keyframe):
             return False
-        left, begun_at = self.here, self.here.steady.log_scale
-        if math.isfinite(keyframe.log_scale):  # the camera may have been in another part since, unheard of
-            begun_at = keyframe.log_scale
+        left, begun_at = self.here, keyframe.log_scale
+        if not math.isfinite(begun_at):  # an earlier build's: what was published last, maybe of another part
+            begun_at = left.steady.log_scale
         if left.filter.is_open:  # nothing is known of it: it had no depth
             del self._parts[self._part]
         self._part = keyframe.part

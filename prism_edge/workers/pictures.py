@@ -5,9 +5,8 @@ from __future__ import annotations
 from prism_edge.bus.session import Bus
 from prism_edge.messages import Frame, KeyframeImage, probe_of
 from prism_edge.tracking.announcement import picture_message
-from prism_edge.tracking.depth_watch import DepthWatch
+from prism_edge.tracking.depth_watch import SILENT_NS, DepthWatch
 
-AGAIN_NS = 5_000_000_000  # without an answer: then the newest keyframe is shown again
 PROBE_NS = 300_000_000  # between two looks of the network at what a lost camera sees
 
 
@@ -34,7 +33,7 @@ class Pictures:
         way, the map would have no depth there, and say so, until the camera moves.
         """
         picture = self._newest
-        if picture is None or now_ns - self._shown_ns <= AGAIN_NS or not watch.is_waiting(picture.keyframe):
+        if picture is None or now_ns - self._shown_ns <= SILENT_NS or not watch.is_waiting(picture.keyframe):
             return
         self._shown_ns = now_ns
         self._bus.publish("keyframe_image", picture)

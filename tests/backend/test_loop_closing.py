@@ -8,51 +8,15 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import loop_closing as module
-from prism_edge.backend.connectivity import tied_parts
 from prism_edge.backend.global_adjustment import Adjusted, GlobalAdjustment
-from prism_edge.backend.loop_closing import LoopCloser
 from prism_edge.backend.loops import Loop
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.places import SOME_SHARED
-from prism_edge.config import BackendConfig
-from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log, transform
-from prism_edge.messages import F32
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
+from tests.backend.closing import CONFIG, DRIFT, finish, hear, two_parts, walk
 from tests.backend.ring import Ring, position_error
-from tests.backend.world import chain, check, quiet
+from tests.backend.world import check, quiet
 from tests.tracking.cloud import pose_at
-
-CONFIG = BackendConfig()
-DRIFT = np.array([0.012, 0.006, -0.012, 0.002, -0.004, 0.002])
-
-
-def walk(
-    ring: Ring,
-    count: int,
-    places: bool = True,
-    mapper: Mapper | None = None,
-    odometer: float = 1.0,
-    unheard: range = range(0),
-) -> Mapper:
-    """A mapper that has heard ``count`` keyframes, but for some, and closed what loops there were."""
-    mapper = mapper or Mapper(CONFIG, use_depth=False)
-    for message in ring.keyframes(count):
-        if message.id in unheard:
-            continue
-        far = replace(message, travelled=odometer * message.travelled)
-        hear(mapper, ring, far, ring.looks_like(message.id) if places else None)
-    return mapper
-
-
-def hear(mapper: Mapper, ring: Ring, message, descriptor: F32 | None) -> None:
-    mapper.absorb(message)
-    if descriptor is not None:
-        mapper.loops.add_place(message.id, descriptor)
-    mapper.loops.look(message.id)
-
-
-def finish(mapper: Mapper) -> None:
-    while mapper.loops.unfinished:
-        mapper.loops.adjust(1.0)
 
 
 @pytest.fixture(scope="module")
@@ -155,29 +119,6 @@ def test_a_place_that_only_looks_the_same_is_refused(odometer):
     assert position_error(mapper.world.poses(), ring.true) < 0.01
 
 
-BROKEN = range(22, 27)  # keyframes without which the ring is in two pieces
-
-
-@pytest.mark.parametrize("odometer", [1.0, 1000.0])
-def test_nor_is_it_believed_where_keyframes_between_were_never_heard_of(odometer):
-    """A backend was started anew meanwhile: nothing ties the two pieces, but the camera was followed."""
-    ring = Ring(alike=True)
-    mapper = walk(ring, 38, odometer=odometer, unheard=BROKEN)
-    assert len(tied_parts(mapper.world, [])) == 2
-    assert not mapper.loops.accepted
-    assert position_error(mapper.world.poses(), ring.true) < 0.02
-
-
-def test_a_right_loop_between_two_pieces_of_home_is_believed(closed):
-    _, _, before = closed
-    ring = Ring(drift=DRIFT, stretch=1.004)
-    mapper = walk(ring, 46, unheard=BROKEN)
-    assert mapper.loops.accepted
-    assert all(loop.units is None for loop in mapper.loops.accepted)
-    finish(mapper)
-    assert position_error(mapper.world.poses(), ring.true) < 0.2 * before
-
-
 def test_without_descriptors_there_are_no_loops():
     assert not walk(Ring(drift=DRIFT), 44, places=False).loops.accepted
 
@@ -273,75 +214,6 @@ def test_two_walks_are_the_same_to_the_last_bit():
     assert found[0] == found[1]
 
 
-def carried_off(ring: Ring) -> None:
-    """What the tracker's next keyframe sees is new to it, and where that is it doesn't know."""
-    ring.ids.clear()
-    ring.part = len(ring.told)
-    ring.told[-1] = se3_exp(np.array([4.0, -2.0, 1.0, 0.4, -0.9, 0.3])) @ ring.told[-1]
-
-
-def test_a_part_mapped_apart_is_merged_when_its_place_is_recognised():
-    """A third of the ring, carried off blind, the rest on its own: the new part moves, the old stays."""
-    ring = Ring(lap=32)
-    mapper = walk(ring, 10)
-    carried_off(ring)
-    for poses in (ring.true, ring.told):
-        poses += 4 * [poses[-1]]  # it comes to itself four steps on
-    before = {k: pose.copy() for k, pose in mapper.world.poses().items()}
-    mapper = walk(ring, 26, mapper=mapper)
-    first = mapper.loops.accepted[0]
-    assert first.candidate < 10 <= first.query
-    unit, sigma = first.units
-    assert abs(unit) < 0.02  # the new part was told in the old one's unit
-    assert 0.0 < sigma < 0.02
-    assert all(later.units is None for later in mapper.loops.accepted[1:])
-    assert mapper.whole(35, mapper.loops.take_changes(), closed=first).loop_units.tolist() == [unit, sigma]
-    assert not len(mapper.whole(35, mapper.loops.take_changes()).loop_units)
-    finish(mapper)
-    poses = mapper.world.poses()
-    assert position_error(poses, ring.true) < 0.05
-    for k, pose in before.items():
-        assert np.abs(se3_log(inverse(pose) @ poses[k])).max() < 0.05
-    check(mapper.world)
-
-
-def test_what_a_part_still_sends_in_its_own_unit_after_it_was_joined_is_understood():
-    """The tracker has not heard of the loop yet."""
-    ring = Ring(lap=32)
-    mapper = walk(ring, 10)
-    carried_off(ring)
-    ring.unit = 2.0
-    for poses in (ring.true, ring.told):
-        poses += 4 * [poses[-1]]
-    while not mapper.loops.accepted:
-        mapper = walk(ring, 1, mapper=mapper)
-    assert mapper.loops.accepted[0].units[0] == pytest.approx(-np.log(2.0), abs=0.05)
-    message = ring.keyframe()
-    assert len(message.new_points) > 5
-    here = mapper.world.absorb(message).world_from_camera
-    to_true, to_here = inverse(ring.true[message.id]), inverse(here)
-    for point in message.new_points.tolist():
-        true = transform(to_true, ring.points[ring.point_of[point]][None])[0, 2]
-        found = transform(to_here, mapper.world.points[point].position[None])[0, 2]
-        assert found == pytest.approx(true, rel=0.08)
-
-
-def test_a_part_of_its_own_is_adjusted_without_being_merged():
-    ring = Ring(lap=32)
-    mapper = walk(ring, 10)
-    carried_off(ring)
-    mapper = walk(ring, 6, places=False, mapper=mapper)
-    for k in (0, 10):
-        apart = tied_parts(mapper.world, [])
-        assert any(k == min(part) for part in apart)
-    mapper.loops._wanted, before = True, mapper.world.poses()
-    finish(mapper)
-    poses = mapper.world.poses()
-    assert poses[0] == pytest.approx(ring.told[0], abs=0.01)
-    assert poses[10] == pytest.approx(before[10], abs=0.01)
-    assert all(np.isfinite(pose).all() for pose in poses.values())
-
-
 def test_no_more_loops_are_remembered_than_need_be(monkeypatch):
     """A camera that goes round for weeks: first go the loops whose keyframes were culled, then the oldest."""
     mapper = walk(Ring(drift=DRIFT), 44)
@@ -373,24 +245,6 @@ def test_a_loop_ends_the_adjustment_that_was_under_way():
     while mapper.loops.unfinished:
         mapper.loops.adjust(1.0)
         assert position_error(mapper.world.poses(), ring.true) < 0.1 * drifted
-
-
-def two_parts() -> LoopCloser:
-    world = chain([pose_at(0.3 * i) for i in range(6)])
-    return LoopCloser(chain([pose_at(50.0 + 0.3 * i) for i in range(4)], 100, world), CONFIG, False)
-
-
-def between_parts(loops: LoopCloser, query: int, neighbours: int) -> Loop:
-    there = pose_at(-49.0, 0.5) @ loops._world.keyframes[query].world_from_camera
-    return Loop(query, 3, there, 1.0, 0.01, 50, neighbours, [])
-
-
-@pytest.mark.parametrize(("neighbours", "believed"), [(0, False), (1, True)])
-def test_between_parts_of_a_map_a_loop_needs_a_neighbour_and_another_loop(neighbours, believed):
-    """No way bounds what a place that looks alike may ask for."""
-    loops = two_parts()
-    assert not loops._confirmed(between_parts(loops, 102, 4))  # nothing but neighbours
-    assert loops._confirmed(between_parts(loops, 103, neighbours)) == believed
 
 
 def test_an_adjustment_that_fits_worse_than_what_there_was_is_not_taken(monkeypatch):

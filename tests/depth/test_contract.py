@@ -158,7 +158,7 @@ def test_what_a_sidecar_gives_twice_is_refused(tmp_path: Path):
     path = write_sidecar(tmp_path / "net.onnx", TinyNetwork().card())
     lines = path.read_text().splitlines()
     path.write_text("\n".join([*lines, "depth_scale: 0.5"]) + "\n")
-    said = rf"net.onnx.yaml line {len(lines) + 1}: 'depth_scale' is given twice"
+    said = rf"net.onnx.yaml line {len(lines) + 1}: no valid YAML: 'depth_scale' is given twice"
     with pytest.raises(ModelError, match=said):
         card_from_sidecar(path)
 

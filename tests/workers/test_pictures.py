@@ -7,8 +7,8 @@ import pytest
 
 from prism_edge.bus import ros
 from prism_edge.messages import DEGRADED, OK, KeyframeImage
-from prism_edge.tracking.depth_watch import DepthWatch
-from prism_edge.workers.pictures import AGAIN_NS, PROBE_NS, Pictures
+from prism_edge.tracking.depth_watch import SILENT_NS, DepthWatch
+from prism_edge.workers.pictures import PROBE_NS, Pictures
 from prism_edge.workers.tracker import TrackerWorker
 from tests.tracking.footage import footage
 from tests.workers.list_bus import ListBus
@@ -32,15 +32,15 @@ def test_a_picture_without_an_answer_is_shown_again_and_again_until_there_is_one
     assert shown(bus) == []
     pictures.keyframe(frame(0, stamp_ns=SHOWN_NS), 7, 2, watch)
     for n in (1, 2):
-        pictures.once_more(SHOWN_NS + n * (AGAIN_NS + 1) - 1, watch)
+        pictures.once_more(SHOWN_NS + n * (SILENT_NS + 1) - 1, watch)
         assert shown(bus) == n * [7]
-        pictures.once_more(SHOWN_NS + n * (AGAIN_NS + 1), watch)
+        pictures.once_more(SHOWN_NS + n * (SILENT_NS + 1), watch)
         assert shown(bus) == (n + 1) * [7]
     first, _, again = bus.of("keyframe_image")
     assert (again.epoch, again.index, again.stamp_ns) == (first.epoch, first.index, first.stamp_ns)
     assert np.array_equal(again.image, first.image)
     watch.depth(7, True, "")
-    pictures.once_more(SHOWN_NS + 100 * AGAIN_NS, watch)
+    pictures.once_more(SHOWN_NS + 100 * SILENT_NS, watch)
     assert shown(bus) == [7, 7, 7]
 
 
@@ -48,9 +48,9 @@ def test_only_the_newest_is_and_only_in_the_map_that_it_is_of(bus: ListBus) -> N
     pictures, watch = Pictures(bus, answered=True), DepthWatch()
     for number in (7, 8):
         pictures.keyframe(frame(number, stamp_ns=SHOWN_NS), number, 2, watch)
-    pictures.once_more(SHOWN_NS + 2 * AGAIN_NS, watch)
+    pictures.once_more(SHOWN_NS + 2 * SILENT_NS, watch)
     assert shown(bus) == [7, 8, 8]
-    pictures.once_more(SHOWN_NS + 4 * AGAIN_NS, DepthWatch())
+    pictures.once_more(SHOWN_NS + 4 * SILENT_NS, DepthWatch())
     assert shown(bus) == [7, 8, 8]
 
 
@@ -58,9 +58,9 @@ def test_where_nobody_answers_nothing_is_waited_for(bus: ListBus) -> None:
     pictures, watch = Pictures(bus, answered=False), DepthWatch()
     pictures.keyframe(frame(0, stamp_ns=SHOWN_NS), 7, 2, watch)
     assert pictures.probe(frame(1), 2) is None
-    pictures.once_more(SHOWN_NS + 2 * AGAIN_NS, watch)
+    pictures.once_more(SHOWN_NS + 2 * SILENT_NS, watch)
     assert shown(bus) == [7]
-    assert watch.trouble(SHOWN_NS + 100 * AGAIN_NS) == ""
+    assert watch.trouble(SHOWN_NS + 100 * SILENT_NS) == ""
 
 
 def test_a_lost_camera_is_looked_at_now_and_then(bus: ListBus) -> None:

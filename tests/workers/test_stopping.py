@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -65,25 +67,27 @@ def test_second_signal_ends_a_worker_that_does_not_listen(
 ) -> None:
     process = start(script)
     process.send_signal(signal.SIGINT)
-    with pytest.raises(subprocess.TimeoutExpired):
-        process.wait(AGAIN_S)
-    process.send_signal(signal.SIGTERM)
-    assert process.wait(DEADLINE_S) == 128 + signal.SIGTERM
+    ends_s = time.monotonic() + DEADLINE_S
+    # When it heard of the first is not known here: one of those that follow is late enough.
+    while process.poll() is None and time.monotonic() < ends_s:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(AGAIN_S)
+        process.send_signal(signal.SIGTERM)
+    assert process.wait(0) == 128 + signal.SIGTERM
 
 
 def test_one_wish_told_twice_is_one() -> None:
     """timeout(1) signals its child and then its own group, of which that is: the run ends in order."""
     script = (
-        "import os, signal, time\n"
+        "import os, signal\n"
         "from prism_edge.workers.stopping import StopSignals\n"
-        "signals = StopSignals(); signals.listen()\n"
-        "for _ in range(2): os.kill(os.getpid(), signal.SIGTERM)\n"
-        "assert signals.stopped.wait(60)\n"
-        "os.kill(os.getpid(), signal.SIGTERM); time.sleep(0.1); print('in order')\n"
+        "signals = StopSignals(reload=True); signals.listen()\n"
+        "for number in (signal.SIGTERM, signal.SIGTERM, signal.SIGHUP): os.kill(os.getpid(), number)\n"
+        "assert signals.reload_wanted.wait(60); assert signals.stopped.is_set()\n"  # heard in their order
     )
     command = [sys.executable, "-c", script]
-    done = subprocess.run(command, cwd=CHECKOUT, timeout=DEADLINE_S, capture_output=True, check=False)
-    assert (done.returncode, done.stdout) == (0, b"in order\n")
+    done = subprocess.run(command, cwd=CHECKOUT, timeout=DEADLINE_S, start_new_session=True, check=False)
+    assert done.returncode == 0
 
 
 def test_a_signal_before_it_listens_is_heard_then() -> None:
