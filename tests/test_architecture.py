@@ -24,6 +24,7 @@ BELOW = {
     "backend": {"geometry", "tracking"},
     "sources": {"geometry"},
     "calibration": {"geometry"},
+    "reconstruction": {"geometry", "tracking", "depth", "scale", "backend"},
     "bus": {"geometry"},
     "workers": {"geometry", "tracking", "depth", "scale", "backend", "sources", "bus"},
     "supervisor": {"bus", "sources", "workers"},

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prism_edge.backend.connectivity import parts_of
 from prism_edge.backend.global_map import GlobalMap
@@ -56,17 +55,3 @@ def metric_map(world: GlobalMap, log_scale: float, mount: Array) -> MetricMap:
     places = metres * np.array([p.position for p in there]).reshape(-1, 3)
     stamps = tuple(k.taken_ns for k in home)
     return MetricMap(stamps, mount @ poses, transform(mount, places), mount, len(part))
-
-
-def ply(points: Array, keyframes: int) -> bytes:
-    """Points (m, 3), metres, as a binary PLY file; ``keyframes`` are how many the map has of them."""
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"comment points of a prism_edge map of {keyframes} keyframes, metres in its frame map",
-        f"element vertex {len(points)}",
-        *(f"property float {axis}" for axis in "xyz"),
-        "end_header",
-    ]
-    rows: NDArray[np.float32] = points.astype("<f4")
-    return "".join(line + "\n" for line in header).encode() + rows.tobytes()

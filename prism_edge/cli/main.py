@@ -20,6 +20,7 @@ COMMANDS = {
     "calibrate": ("prism_edge.cli.calibrate", "make a camera file from views of a calibration board"),
     "mask": ("prism_edge.cli.mask", "find what of the images is the robot itself, and write a mask"),
     "map": ("prism_edge.cli.map", "describe a saved map, or export its path and points in metres"),
+    "reconstruct": ("prism_edge.cli.reconstruct", "make a dense coloured cloud of a finished map"),
     "models": ("prism_edge.cli.models", "list, describe, pull, verify, time and remove depth networks"),
     "doctor": ("prism_edge.cli.doctor", "check that this machine has what the daemon needs"),
     "config": ("prism_edge.cli.config", "print the effective configuration, or check a file"),

@@ -105,8 +105,8 @@ def _is_map(path: Path) -> bool:
 
 def _export(found: Opened, args: argparse.Namespace) -> None:
     """Write what was asked for, each file whole or not at all. Raises MapError or OSError."""
-    from prism_edge.backend.map_export import ply
     from prism_edge.evaluation.trajectory import Trajectory, tum_line
+    from prism_edge.geometry.ply import ply
 
     metric, count = found.metric, len(found.metric.stamps)
     warning = f"{found.path}: warning: left out:"
@@ -126,5 +126,6 @@ def _export(found: Opened, args: argparse.Namespace) -> None:
         put_whole(args.tum, "".join(lines).encode())
         print(f"{args.tum}: {len(rows)} keyframe poses of the {args.of or 'camera'}, metres in map")
     if args.ply is not None:
-        put_whole(args.ply, ply(metric.points, count))
+        whose = f"points of a prism_edge map of {count} keyframes, metres in its frame map"
+        put_whole(args.ply, ply(whose, metric.points))
         print(f"{args.ply}: {len(metric.points)} points, metres in map")

@@ -31,9 +31,9 @@ class Progress:
         """So many frames are behind us."""
         self._bars.update(self._task, completed=frames, refresh=True)
 
-    def say(self, what: str) -> None:
-        """What is being done now."""
-        self._bars.update(self._task, description=what, refresh=True)
+    def say(self, what: str, total: int | None = None) -> None:
+        """What is being done now, and of how many where that is another number."""
+        self._bars.update(self._task, description=what, total=total, refresh=True)
 
     def __enter__(self) -> Self:
         self._bars.start()

@@ -25,7 +25,7 @@ from prism_edge.evaluation.recorder import Recorder
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import Meter, Usage
 from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
-from prism_edge.messages import MapSnapshot
+from prism_edge.messages import MapSnapshot, WholeMap
 from prism_edge.processes import processes_for
 from prism_edge.sources import Slot, Source, open_source
 from prism_edge.sources.live.open import is_live
@@ -38,9 +38,11 @@ _WAIT_S = 1.0
 _SAMPLE_S = 1.0
 _LOOK_S = 0.1
 _LAST_FRAME_S = 10.0  # for the last frames to be tracked once the source has ended
+_MAP_S = 20.0  # for all of the map, a large one's hundreds of megabytes too
 _SILENCE_S = 120.0  # without any frame: the run is given up
 PATHS = ("live.tum", "final.tum")
-FILES = ("live.tum", "final.tum", "truth.tum", "metrics.json", "effective.yaml", "daemon.log")
+MAP = "map.prismmap"
+FILES = (*PATHS, "truth.tum", MAP, "metrics.json", "effective.yaml", "daemon.log")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +51,7 @@ class Heard:
 
     recording: Recording
     snapshot: MapSnapshot | None  # None: the backend never answered
+    map: WholeMap | None  # None: there is none
     usage: Usage
     ready_s: float | None
 
@@ -62,7 +65,9 @@ def evaluate(
     quiet: bool = False,
     keep_endpoint: bool = False,
 ) -> dict[str, Any]:
-    """Runs ``config`` through the daemon, and writes live.tum, final.tum, metrics.json and more to ``out``.
+    """Runs ``config`` through the daemon, and writes live.tum, final.tum, metrics.json, the map and more.
+
+    All of them go to ``out``.
 
     ``truth`` is a TUM file to score against instead of the sequence's own; either is read before the run, so
     that a damaged one is said at once, and stays in this process. ``settle_s`` is how long the last
@@ -95,6 +100,8 @@ def evaluate(
         final, missing = heard.recording.final(heard.snapshot, heard.snapshot.base_from_camera)
     write_tum(out / "live.tum", live)
     write_tum(out / "final.tum", final)
+    if heard.map is not None:
+        (out / MAP).write_bytes(heard.map.data.tobytes())
     if true_path is not None and (out / "truth.tum").resolve() not in kept:
         write_tum(out / "truth.tum", true_path)
     report = metrics(
@@ -184,7 +191,8 @@ def _run(
         ready_s = _listen(config, daemon, recorder, meter, progress)
         progress.say("waiting for the last optimisation")
         snapshot = _settled(bus, daemon, settle_s)
-        return Heard(recorder.close(), snapshot, meter.usage, ready_s)
+        whole = bus.ask("whole_map", _MAP_S) if snapshot is not None else None
+        return Heard(recorder.close(), snapshot, whole, meter.usage, ready_s)
 
 
 def _listen(

@@ -1,14 +1,12 @@
-"""A map in metres against one that was worked out by hand, and PLY files against their bytes."""
+"""A map in metres against one that was worked out by hand."""
 
 from __future__ import annotations
-
-import struct
 
 import numpy as np
 import pytest
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
-from prism_edge.backend.map_export import MetricMap, metric_map, ply
+from prism_edge.backend.map_export import MetricMap, metric_map
 from prism_edge.geometry.poses import from_rt, so3_exp
 from tests.tracking.cloud import CAMERA
 
@@ -98,14 +96,3 @@ def test_a_map_of_one_keyframe_and_no_points() -> None:
     assert made.points.shape == (0, 3)
     assert made.trajectory(True)[0][0] == 0, "a stamp of 0 is one"
     np.testing.assert_array_equal(made.extent, np.zeros(3))
-    assert b"element vertex 0\n" in ply(made.points, 1)
-
-
-def test_a_ply_file_is_its_header_and_three_floats_a_point() -> None:
-    data = ply(np.array([[1.0, -2.0, 0.5], [1e6, 0.1, 0.0]]), 17)
-    expected = (
-        b"ply\nformat binary_little_endian 1.0\n"
-        b"comment points of a prism_edge map of 17 keyframes, metres in its frame map\n"
-        b"element vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
-    )
-    assert data == expected + struct.pack("<6f", 1.0, -2.0, 0.5, 1e6, 0.1, 0.0)

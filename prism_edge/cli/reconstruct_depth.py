@@ -1,0 +1,102 @@
+"""Whom `prism-edge reconstruct` asks for depth: a network of one picture or several, or a depth camera."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.config import NO_NETWORK, SENSOR, Config
+from prism_edge.depth import DepthNetwork
+from prism_edge.depth.offline import UnscaledNetwork, open_offline
+from prism_edge.depth.prediction import Prediction
+from prism_edge.depth.several_views import SeveralViewsNetwork
+from prism_edge.depth.upright import UprightNetwork, quarter_turns
+from prism_edge.errors import ModelError
+from prism_edge.geometry.mount import base_from_camera
+from prism_edge.reconstruction.viewpoints import Viewpoint
+from prism_edge.workers.sensor_network import SensorNetwork
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A keyframe's picture (height, width, 3) RGB, and its number in the recording."""
+
+    viewpoint: Viewpoint
+    index: int
+    rgb: NDArray[np.uint8]
+
+
+Answers = Callable[[Iterable[Taken]], Iterator[tuple[Taken, Prediction]]]
+
+
+@dataclass(frozen=True)
+class DepthOf:
+    """Who answers, and how: pictures in, each one's depth out, in their order."""
+
+    name: str
+    dsug: tuple[float, float]  # the gate's tau and T as fitted for it; nan where they are not
+    answers: Answers
+    is_inverse: bool = False  # whether what is answered is inverse depth in no unit
+
+
+def depth_for(config: Config) -> DepthOf:
+    """Who answers for ``depth.model``. Raises ModelError."""
+    spec = config.depth.model
+    if spec == SENSOR:
+        return _of_sensor(SensorNetwork(config.source))
+    if spec == NO_NETWORK:
+        raise ModelError("a cloud needs depth: --model names a network")
+    network = open_offline(spec, config.depth)
+    if isinstance(network, SeveralViewsNetwork):
+        return _of_several(network)
+    turns = quarter_turns(base_from_camera(config.frames))
+    is_inverse = isinstance(network, UnscaledNetwork) and network.is_inverse
+    return _of_one(UprightNetwork(network, turns) if turns else network, is_inverse)
+
+
+def _of_sensor(sensor: SensorNetwork) -> DepthOf:
+    def answers(pictures: Iterable[Taken]) -> Iterator[tuple[Taken, Prediction]]:
+        for taken in pictures:
+            yield taken, sensor.measure(taken.index, taken.viewpoint.camera)
+
+    return DepthOf(sensor.name, sensor.dsug, answers)
+
+
+def _of_one(network: DepthNetwork, is_inverse: bool) -> DepthOf:
+    def answers(pictures: Iterable[Taken]) -> Iterator[tuple[Taken, Prediction]]:
+        for taken in pictures:
+            yield taken, network.infer(taken.rgb, taken.viewpoint.camera)
+
+    return DepthOf(f"{network.name} ({network.provider})", network.dsug, answers, is_inverse)
+
+
+def _of_several(network: SeveralViewsNetwork) -> DepthOf:
+    """Keyframes that follow each other go together; those left at the end, with the ones before them."""
+
+    def infer(together: Iterable[Taken]) -> list[tuple[Taken, Prediction]]:
+        taken = list(together)
+        poses = np.array([t.viewpoint.map_from_camera for t in taken])
+        found = network.infer([t.rgb for t in taken], [t.viewpoint.camera for t in taken], poses)
+        return list(zip(taken, found, strict=True))
+
+    def answers(pictures: Iterable[Taken]) -> Iterator[tuple[Taken, Prediction]]:
+        last: deque[Taken] = deque(maxlen=network.views)
+        waiting = 0
+        for taken in pictures:
+            last.append(taken)
+            waiting += 1
+            if waiting == network.views:
+                yield from infer(last)
+                waiting = 0
+        if last and len(last) < network.views:
+            raise ModelError(
+                f"{network.name} takes {network.views} keyframes at once, and {len(last)} have a picture"
+            )
+        if waiting:
+            yield from infer(last)[-waiting:]
+
+    return DepthOf(f"{network.name} ({network.provider})", network.dsug, answers)

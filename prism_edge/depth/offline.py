@@ -1,0 +1,43 @@
+"""Networks of any kind for work after the run, where a finished map gives their depth its metres."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.config import DepthConfig
+from prism_edge.depth import DepthNetwork, locate, networks_of, open_network, open_onnx, pinned_files
+from prism_edge.depth.cards import card_of
+from prism_edge.depth.contract import INVERSE_RELATIVE
+from prism_edge.depth.prediction import Prediction, checked
+from prism_edge.depth.session import OnnxNetwork
+from prism_edge.depth.several_views import SeveralViewsNetwork
+from prism_edge.depth.vetting import vet
+from prism_edge.geometry.cameras import Camera
+
+
+class UnscaledNetwork:
+    """A relative network, as it is: its answers are depth, or inverse depth, in no unit."""
+
+    def __init__(self, network: OnnxNetwork) -> None:
+        self._network = network
+        self.is_inverse = network.card.depth_kind == INVERSE_RELATIVE
+        self.name, self.identity, self.provider = network.name, network.identity, network.provider
+        self.bias_sigma, self.dsug, self.counters = network.bias_sigma, network.dsug, network.counters
+
+    def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
+        """What it says of an image (height, width, 3) uint8 RGB; nan or 0 for nothing."""
+        raw, _ = self._network.raw(rgb)
+        return raw if self.is_inverse else checked(raw)
+
+
+def open_offline(spec: str, config: DepthConfig) -> DepthNetwork | SeveralViewsNetwork:
+    """The network that ``spec`` names, of any kind and number of views. Raises ModelError."""
+    if len(networks_of(spec)) == 2:
+        return open_network(spec, config)
+    path = locate(spec)
+    pinned = pinned_files(spec)
+    if card_of(path, vet(path, pinned[0].sha256 if pinned else ""), pinned).views > 1:
+        return SeveralViewsNetwork(path, config, pinned)
+    network = open_onnx(spec, config)
+    return network if network.card.has_metres else UnscaledNetwork(network)

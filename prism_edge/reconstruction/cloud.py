@@ -1,0 +1,94 @@
+"""Depth maps laid together as one cloud: a point a voxel, the mean of what fell into it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.geometry.poses import Array, transform
+from prism_edge.scale.gate import DepthView, image_pixels
+
+_SUMS = 10  # weight, position, normal, colour
+_MOST_STEPS = 1 << 20  # voxels along an axis, either way: three of them fit into 64 bits
+_FLUSH = 4_000_000  # points that are waited with until they are laid together
+_BENT = 1.25  # a surface's depth changes by less from a pixel to the next: else it is an edge
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """Points (n, 3) in metres, unit normals (n, 3) towards who saw them, and colours (n, 3) RGB."""
+
+    points: Array
+    normals: Array
+    colours: NDArray[np.uint8]
+
+
+@dataclass
+class Voxels:
+    """Sums over what fell into each voxel of a grid; nearer views, which know better, weigh more."""
+
+    size: float  # m
+    _keys: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    _sums: Array = field(default_factory=lambda: np.zeros((0, _SUMS)))
+    _waiting: list[tuple[NDArray[np.int64], Array]] = field(default_factory=list)
+    _count: int = 0
+
+    def add(self, points: Array, normals: Array, colours: NDArray[np.uint8], weights: Array) -> None:
+        """Points, normals, colours (n, 3) and weights (n,) above 0; what lies beyond the grid is left out."""
+        steps = np.floor(points / self.size)
+        inside = np.all(np.abs(steps) < _MOST_STEPS, axis=1)
+        steps = steps[inside].astype(np.int64) + _MOST_STEPS
+        keys = (steps[:, 0] << 42) | (steps[:, 1] << 21) | steps[:, 2]
+        w = weights[inside, None]
+        rows = np.hstack([w, w * points[inside], w * normals[inside], w * colours[inside]])
+        self._waiting.append((keys, rows))
+        self._count += len(keys)
+        if self._count >= _FLUSH:
+            self._lay_together()
+
+    def cloud(self) -> Cloud:
+        """One point a voxel, by the order of the voxels."""
+        self._lay_together()
+        sums = self._sums
+        means = sums[:, 1:] / sums[:, :1]
+        length = np.linalg.norm(means[:, 3:6], axis=1, keepdims=True)
+        normals = means[:, 3:6] / np.where(length > 0, length, 1.0)
+        return Cloud(means[:, :3], normals, np.clip(np.rint(means[:, 6:]), 0, 255).astype(np.uint8))
+
+    def _lay_together(self) -> None:
+        keys = np.concatenate([self._keys, *(k for k, _ in self._waiting)])
+        rows = np.concatenate([self._sums, *(r for _, r in self._waiting)])
+        self._keys, where = np.unique(keys, return_inverse=True)
+        self._sums = np.stack(
+            [np.bincount(where, rows[:, i], len(self._keys)) for i in range(_SUMS)], axis=1
+        )
+        self._waiting, self._count = [], 0
+
+
+def lay(voxels: Voxels, view: DepthView, kept: NDArray[np.bool_], colours: NDArray[np.uint8]) -> None:
+    """Add a view's pixels (h, w) that are ``kept``; ``colours`` (h, w, 3) are theirs."""
+    height, width = view.depth.shape
+    rays = view.camera.normalise(image_pixels(view)).reshape(height, width, 2)
+    z = view.depth.astype(np.float64) * view.units_per_metre
+    local = np.dstack([rays * z[..., None], z])
+    normals, smooth = _normals(local)
+    chosen = kept & smooth
+    points = transform(view.world_from_camera, local[chosen])
+    turned = normals[chosen] @ view.world_from_camera[:3, :3].T
+    voxels.add(points, turned, colours[chosen], 1.0 / z[chosen] ** 2)
+
+
+def _normals(local: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Unit normals (h, w, 3) towards the camera of points (h, w, 3), and where (h, w) there is a surface."""
+    across, down = np.zeros_like(local), np.zeros_like(local)
+    across[:, 1:-1], down[1:-1] = local[:, 2:] - local[:, :-2], local[2:] - local[:-2]
+    normals = np.cross(down, across)
+    length = np.linalg.norm(normals, axis=2, keepdims=True)
+    z = local[..., 2]
+    smooth = np.zeros(z.shape, bool)
+    around = np.stack([z[1:-1, 1:-1], z[1:-1, :-2], z[1:-1, 2:], z[:-2, 1:-1], z[2:, 1:-1]])
+    low, high = around.min(axis=0), around.max(axis=0)
+    smooth[1:-1, 1:-1] = (low > 0) & (high < _BENT * low)
+    return normals / np.where(length > 0, length, 1.0), smooth & (length[..., 0] > 0)

@@ -1,0 +1,80 @@
+"""A network's depth of one keyframe in the map's metres: held to the points that the map has there.
+
+A network's own metres, or its unit where it has none, waver from image to image and within one; a finished
+map's triangulated points don't. Depth is bent to them as seeds are (tracking/depth_alignment.py), inverse
+depth, which is known up to a shift as well, by a line first (depth/pairing.py).
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from prism_edge.depth.pairing import fit_inverse_depth, metres
+from prism_edge.geometry.poses import Array
+from prism_edge.reconstruction.viewpoints import Viewpoint
+from prism_edge.tracking.depth_alignment import DepthAlignment
+from prism_edge.tracking.seeding import MIN_ALIGNED, sample_depth
+
+F32 = NDArray[np.float32]
+
+STEP = 4  # pixels between those that the ratio is worked out at; it bends over some ten of them
+FARTHEST = 3.0  # times the farthest point: inverse depth blows up beyond
+
+
+def from_inverse(inverse_depth: F32, image_to_depth: Array, viewpoint: Viewpoint) -> F32 | None:
+    """Depth (h, w) in metres of inverse depth (h, w) known up to scale and shift; 0 where there is none.
+
+    None where the points say too little, or contradict it.
+    """
+    x, y = _places(inverse_depth, image_to_depth, viewpoint.pixels)
+    there = (x >= 0) & (y >= 0) & (x < inverse_depth.shape[1]) & (y < inverse_depth.shape[0])
+    if not there.any():
+        return None
+    told = inverse_depth[y[there], x[there]].astype(np.float64)
+    fit = fit_inverse_depth(told, viewpoint.depths[there])
+    return None if fit is None else metres(inverse_depth, fit, FARTHEST * float(viewpoint.depths.max()))
+
+
+def aligned(depth: F32, image_to_depth: Array, viewpoint: Viewpoint) -> F32 | None:
+    """Depth (h, w), 0 for none, in whatever unit, as metres that agree with the points round each pixel.
+
+    None where there are too few of those, or where the depth doesn't tell near from far.
+    """
+    good, told = sample_depth(depth, image_to_depth, viewpoint.pixels)
+    if good.sum() < MIN_ALIGNED:
+        return None
+    camera = viewpoint.camera
+    size = (camera.width, camera.height)
+    fit = DepthAlignment.of(viewpoint.pixels[good], viewpoint.depths[good], told[good], size)
+    if not fit.overall.informative:
+        return None
+    height, width = depth.shape
+    a, b, c, d = image_to_depth
+    rows, columns = _steps(height), _steps(width)
+    x, y = np.meshgrid((columns - b) / a, (rows - d) / c)
+    coarse = fit.at(np.column_stack([x.ravel(), y.ravel()]))[0].reshape(x.shape)
+    at_x, at_y = np.meshgrid(np.arange(width) / STEP, np.arange(height) / STEP)
+    ratio = cv2.remap(
+        coarse.astype(np.float32),
+        at_x.astype(np.float32),
+        at_y.astype(np.float32),
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
+    )
+    return np.asarray(depth * ratio, np.float32)
+
+
+def _steps(extent: int) -> Array:
+    """Each STEP-th pixel, one beyond the last so that all lie between two."""
+    return np.arange(0, extent + STEP, STEP, dtype=np.float64)
+
+
+def _places(
+    plane: F32, image_to_depth: Array, pixels: Array
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    a, b, c, d = image_to_depth
+    x, y = np.rint(pixels[:, 0] * a + b), np.rint(pixels[:, 1] * c + d)
+    most = max(plane.shape)
+    return np.clip(x, -1, most).astype(np.intp), np.clip(y, -1, most).astype(np.intp)

@@ -1,0 +1,66 @@
+"""From where a finished map was seen: its keyframes in metres, and what each saw of its points."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from prism_edge.backend.connectivity import parts_of
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array, inverse, scaled, transform
+
+FIRM_PARALLAX_DEG = 1.0  # of points that the network had no say in: triangulated ones
+_NEAREST = 1e-3  # m before a camera
+
+
+@dataclass(frozen=True)
+class Viewpoint:
+    """A keyframe, metres in `map`, and the triangulated points that it shows."""
+
+    keyframe: int
+    stamp_ns: int
+    map_from_camera: Array  # (4, 4)
+    camera: Camera
+    pixels: Array  # (m, 2) of those points, raw: as the camera took them
+    depths: Array  # (m,) their depth along z
+    beside: tuple[int, ...]  # keyframes that share points with it, those that share most first
+
+
+def viewpoints(world: GlobalMap, log_scale: float, mount: Array) -> list[Viewpoint]:
+    """Keyframes with a place in `map` and a stamp, by their stamps.
+
+    ``log_scale`` and ``mount`` (4, 4) are as in :func:`prism_edge.backend.map_export.metric_map`.
+    """
+    apart = parts_of(world)
+    home = {k: keyframe for k, keyframe in world.keyframes.items() if k not in apart}
+    there = [k for k in home.values() if k.taken_ns is not None]
+    metres = float(np.exp(log_scale))
+    return sorted(
+        (_viewpoint(world, keyframe, metres, mount, home) for keyframe in there), key=lambda v: v.stamp_ns
+    )
+
+
+def _viewpoint(
+    world: GlobalMap, keyframe: GlobalKeyframe, metres: float, mount: Array, home: dict[int, GlobalKeyframe]
+) -> Viewpoint:
+    shared: Counter[int] = Counter()
+    for point in keyframe.observed:
+        shared.update(world.points[point].keyframes & home.keys())
+    del shared[keyframe.id]
+    firm = {p: k for p, k in keyframe.observed.items() if world.points[p].parallax_deg >= FIRM_PARALLAX_DEG}
+    places = np.array([world.points[p].position for p in firm]).reshape(-1, 3)
+    z = metres * transform(inverse(keyframe.world_from_camera), places)[:, 2]
+    raw = keyframe.camera.distort_pixels(keyframe.pixels[list(firm.values())].reshape(-1, 2))
+    before = z > _NEAREST
+    return Viewpoint(
+        keyframe.id,
+        int(keyframe.taken_ns or 0),
+        mount @ scaled(keyframe.world_from_camera, metres),
+        keyframe.camera,
+        raw[before],
+        z[before],
+        tuple(k for k, _ in sorted(shared.items(), key=lambda item: (-item[1], item[0]))),
+    )

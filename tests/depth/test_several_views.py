@@ -1,0 +1,167 @@
+"""A network of several pictures and poses, whose every answer follows from what it is given."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from prism_edge.config import DepthConfig
+from prism_edge.depth import open_onnx
+from prism_edge.depth.contract import ModelCard
+from prism_edge.depth.offline import open_offline
+from prism_edge.depth.several_views import LEAST_UNIT, SeveralViewsNetwork
+from prism_edge.errors import ModelError
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import from_rt, so3_exp
+from tests.synthetic.network import TinyNetwork, save, write_tiny_network
+
+VIEWS, WIDTH, HEIGHT = 3, 32, 24
+UNIT = 5.0  # how much larger its own world is than the one it is given
+CAMERA = Camera(64, 48, 60.0, 50.0, 31.5, 23.5)
+POSES = np.array(
+    [
+        from_rt(so3_exp(np.array([0.1, 0.3, -0.2])), np.array([4.0, -1.0, 2.0])),
+        from_rt(so3_exp(np.array([0.1, 0.2, -0.2])), np.array([4.8, -1.0, 2.3])),
+        from_rt(so3_exp(np.array([0.0, 0.3, -0.1])), np.array([4.0, 0.5, 1.5])),
+    ]
+)
+
+
+def write(path: Path, outputs: tuple[str, ...] = ("depth", "predicted_extrinsics"), **card: object) -> Path:
+    """depth: 1 + the red of each pixel; poses: those given, with translations times UNIT."""
+    sizes = {"image": [VIEWS, 3, HEIGHT, WIDTH], "extrinsics": [VIEWS, 4, 4], "intrinsics": [VIEWS, 3, 3]}
+    constants = {
+        "red": np.array([0], np.int64),
+        "channel": np.array([1], np.int64),
+        "one": np.ones(1, np.float32),
+        "stretch": np.where(np.arange(4) < 3, 1.0, UNIT).astype(np.float32).reshape(1, 1, 4),
+        "rows": np.arange(3, dtype=np.int64),
+    }
+    nodes = [
+        helper.make_node("Gather", ["image", "red"], ["reds"], axis=1),
+        helper.make_node("Squeeze", ["reds", "channel"], ["plane"]),
+        helper.make_node("Add", ["plane", "one"], ["depth"]),
+        helper.make_node("Add", ["depth", "one"], ["confidence"]),
+        helper.make_node("Gather", ["extrinsics", "rows"], ["top"], axis=1),
+        helper.make_node("Mul", ["top", "stretch"], ["predicted_extrinsics"]),
+        helper.make_node("Identity", ["intrinsics"], ["predicted_intrinsics"]),
+    ]
+    plane = [VIEWS, HEIGHT, WIDTH]
+    shapes = {"depth": plane, "confidence": plane}
+    shapes |= {"predicted_extrinsics": [VIEWS, 3, 4], "predicted_intrinsics": [VIEWS, 3, 3]}
+    graph = helper.make_graph(
+        nodes,
+        "several",
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, size) for name, size in sizes.items()],
+        [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, shapes[name])
+            for name in (*outputs, "predicted_intrinsics")
+        ],
+        [numpy_helper.from_array(value, name) for name, value in constants.items()],
+    )
+    values = {
+        "name": "several",
+        "revision": "1",
+        "licence": "Apache-2.0",
+        "depth_kind": "relative",
+        "input_width": WIDTH,
+        "input_height": HEIGHT,
+        "input_name": "image",
+        "depth_output": "depth",
+        "views": VIEWS,
+    }
+    save(path, graph, ModelCard(**(values | card)))
+    return path
+
+
+def pictures(seed: int = 0) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [np.full((48, 64, 3), rng.integers(10, 250, 3), np.uint8) for _ in range(VIEWS)]
+
+
+def opened(path: Path) -> SeveralViewsNetwork:
+    network = open_offline(str(path), DepthConfig())
+    assert isinstance(network, SeveralViewsNetwork)
+    return network
+
+
+def test_depth_is_in_the_unit_of_the_poses(tmp_path: Path) -> None:
+    """Its world is given with the median distance from the first view as 1, and it sees that UNIT times."""
+    network = opened(write(tmp_path / "net.onnx"))
+    given = pictures()
+    made = network.infer(given, [CAMERA] * VIEWS, POSES)
+    distances = np.linalg.norm(POSES[:, :3, 3] - POSES[0, :3, 3], axis=1)
+    metres = np.median(distances) / UNIT
+    for rgb, answer in zip(given, made, strict=True):
+        # A picture of one colour has one depth, which counts as none.
+        assert not answer.valid
+        assert f"{metres * (1 + rgb[0, 0, 0] / 255):.3g} m" in answer.reason
+
+
+def test_what_it_is_given(tmp_path: Path) -> None:
+    outputs = ("depth", "predicted_extrinsics", "confidence")
+    network = opened(write(tmp_path / "net.onnx", outputs, confidence_output="confidence"))
+    fed: dict[str, np.ndarray] = {}
+    session = network._session
+
+    class Spy:
+        def run(self, outputs: list[str], feed: dict[str, np.ndarray]) -> list[np.ndarray]:
+            fed.update(feed)
+            return session.run(outputs, feed)
+
+    network._session = Spy()  # type: ignore[assignment]
+    rng = np.random.default_rng(1)
+    given = [rng.integers(0, 255, (48, 64, 3), dtype=np.uint8) for _ in range(VIEWS)]
+    made = network.infer(given, [CAMERA] * VIEWS, POSES)
+    unit = np.median(np.linalg.norm(POSES[:, :3, 3] - POSES[0, :3, 3], axis=1))
+    np.testing.assert_allclose(fed["extrinsics"][0], np.eye(4), atol=1e-6)
+    for i in range(VIEWS):
+        camera_from_first = np.linalg.inv(POSES[i]) @ POSES[0]
+        np.testing.assert_allclose(fed["extrinsics"][i][:3, :3], camera_from_first[:3, :3], atol=1e-6)
+        np.testing.assert_allclose(fed["extrinsics"][i][:3, 3] * unit, camera_from_first[:3, 3], atol=1e-6)
+    np.testing.assert_allclose(fed["intrinsics"][0], [[30, 0, 15.5], [0, 25, 11.5], [0, 0, 1]], atol=1e-5)
+    assert all(answer.valid for answer in made)
+    np.testing.assert_allclose(made[1].image_to_depth, [0.5, -0.25, 0.5, -0.25])
+    reds = given[1][..., 0].reshape(24, 2, 32, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(made[1].depth, unit / UNIT * (1 + reds / 255), rtol=1e-4)
+    np.testing.assert_allclose(made[1].confidence, 2 + reds / 255, rtol=1e-4)
+
+
+def test_cameras_in_one_place_have_the_unit_that_they_were_given(tmp_path: Path) -> None:
+    network = opened(write(tmp_path / "net.onnx"))
+    rng = np.random.default_rng(1)
+    given = [rng.integers(0, 255, (48, 64, 3), dtype=np.uint8) for _ in range(VIEWS)]
+    made = network.infer(given, [CAMERA] * VIEWS, np.tile(POSES[0], (VIEWS, 1, 1)))
+    reds = given[2][..., 0].reshape(24, 2, 32, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(made[2].depth, LEAST_UNIT * (1 + reds / 255), rtol=1e-4)
+
+
+def test_pictures_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    network = opened(write(tmp_path / "net.onnx"))
+    with pytest.raises(ModelError, match="takes 3 pictures, not 2"):
+        network.infer(pictures()[:2], [CAMERA] * 2, POSES[:2])
+    with pytest.raises(ModelError, match=r"is not of its 64x48 camera"):
+        network.infer([np.zeros((48, 60, 3), np.uint8)] * 3, [CAMERA] * 3, POSES)
+
+
+def test_files_that_are_not_what_they_say_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="has no output predicted_extrinsics"):
+        opened(write(tmp_path / "a.onnx", ("depth",)))
+    with pytest.raises(ModelError, match="a network of 4 views takes image"):
+        opened(write(tmp_path / "b.onnx", views=4))
+    path = write_tiny_network(tmp_path / "c.onnx", TinyNetwork(describes_itself=False))
+    model = onnx.load(path)
+    card = TinyNetwork().card()
+    helper.set_model_props(model, {**card.to_metadata(), "prism_edge.views": "2"})
+    onnx.save(model, str(path))
+    with pytest.raises(ModelError, match="a network of 2 views takes"):
+        opened(path)
+
+
+def test_the_daemon_has_no_use_for_it(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="the daemon runs networks of one"):
+        open_onnx(str(write(tmp_path / "net.onnx")), DepthConfig())

@@ -1,0 +1,88 @@
+"""Depth held to a map's points, where by how much it is off is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.reconstruction.in_the_map import aligned, from_inverse
+from prism_edge.reconstruction.viewpoints import Viewpoint
+
+CAMERA = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)
+TO_DEPTH = np.array([0.5, -0.25, 0.5, -0.25])
+Y, X = np.mgrid[0:240, 0:320]
+DEPTH = (2.0 + 1.5 * np.sin(X / 40.0) * np.cos(Y / 50.0)).astype(np.float32)  # metres, smooth
+
+
+def viewpoint(count: int = 300, seed: int = 0) -> Viewpoint:
+    """Points of the true surface, at pixels of the depth map's own grid."""
+    rng = np.random.default_rng(seed)
+    x, y = rng.integers(2, 318, count), rng.integers(2, 238, count)
+    pixels = np.column_stack([(x + 0.25) / 0.5, (y + 0.25) / 0.5])
+    return Viewpoint(0, 0, np.eye(4), CAMERA, pixels, DEPTH[y, x].astype(np.float64), ())
+
+
+def test_a_networks_unit_becomes_the_map_s() -> None:
+    for factor in (0.3, 1.0, 40.0):
+        made = aligned(DEPTH * np.float32(factor), TO_DEPTH, viewpoint())
+        assert made is not None
+        np.testing.assert_allclose(made, DEPTH, rtol=1e-5)
+
+
+def test_a_ratio_that_wavers_from_place_to_place_is_followed() -> None:
+    off = np.exp(0.12 * np.sin(X / 60.0)).astype(np.float32)
+    made = aligned(DEPTH * off, TO_DEPTH, viewpoint(800))
+    assert made is not None
+    before, after = (np.abs(np.log(d / DEPTH)) for d in (DEPTH * off, made))
+    assert np.median(after) < 0.25 * np.median(before)
+
+
+def test_wrong_points_hardly_matter() -> None:
+    view = viewpoint()
+    view.depths[::40] *= 4.0
+    made = aligned(DEPTH, TO_DEPTH, view)
+    assert made is not None
+    assert np.median(np.abs(np.log(made / DEPTH))) < 0.02
+
+
+def test_holes_stay_and_their_points_are_not_asked() -> None:
+    holed = DEPTH.copy()
+    holed[:, :100] = 0.0
+    made = aligned(holed, TO_DEPTH, viewpoint())
+    assert made is not None
+    assert (made[:, :100] == 0).all()
+    np.testing.assert_allclose(made[:, 101:], DEPTH[:, 101:], rtol=1e-5)
+
+
+@pytest.mark.parametrize("depth", [np.ones_like(DEPTH), DEPTH.max() + 0.5 - DEPTH, np.zeros_like(DEPTH)])
+def test_depth_that_tells_nothing_is_none(depth: np.ndarray) -> None:
+    assert aligned(depth, TO_DEPTH, viewpoint()) is None
+
+
+def test_too_few_points_are_none() -> None:
+    assert aligned(DEPTH, TO_DEPTH, viewpoint(19)) is None
+    assert aligned(DEPTH, TO_DEPTH, viewpoint(0)) is None
+    assert from_inverse(1 / DEPTH, TO_DEPTH, viewpoint(50)) is None
+    assert from_inverse(1 / DEPTH, TO_DEPTH, viewpoint(0)) is None
+
+
+def test_inverse_depth_gets_its_scale_and_its_shift() -> None:
+    relative = (7.0 / DEPTH - 3.0).astype(np.float32)
+    made = from_inverse(relative, TO_DEPTH, viewpoint())
+    assert made is not None
+    np.testing.assert_allclose(made, DEPTH, rtol=1e-3)
+
+
+def test_inverse_depth_is_none_where_it_says_none_or_far_beyond_the_points() -> None:
+    relative = (7.0 / DEPTH).astype(np.float32)
+    relative[:20] = np.nan  # sky
+    relative[20:40] = 0.001  # seven kilometres
+    made = from_inverse(relative, TO_DEPTH, viewpoint(600))
+    assert made is not None
+    assert (made[:40] == 0).all()
+    np.testing.assert_allclose(made[40:], DEPTH[40:], rtol=0.05)
+
+
+def test_what_grows_with_depth_is_no_inverse_depth() -> None:
+    assert from_inverse(DEPTH, TO_DEPTH, viewpoint()) is None

@@ -1,0 +1,78 @@
+"""Pictures and depths laid out by an ideal lens, against surfaces that are known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.geometry.cameras import FISHEYE, Camera
+from prism_edge.reconstruction.look import look
+from prism_edge.reconstruction.viewpoints import Viewpoint
+from prism_edge.scale.gate import image_pixels
+
+NONE = np.zeros((0, 0), np.float32)
+CAMERAS = {
+    "ideal": Camera(640, 480, 520.0, 530.0, 310.0, 250.0),
+    "bent": Camera(640, 480, 520.0, 530.0, 310.0, 250.0, "pinhole", (-0.2, 0.05, 0.001, -0.002)),
+    "fisheye": Camera(640, 480, 330.0, 330.0, 315.0, 245.0, FISHEYE, (0.01, -0.002, 0.0, 0.0)),
+}
+NORMAL = np.array([0.2, -0.1, 1.0])  # of a slanted plane: normal . point = 2
+
+
+def viewpoint(camera: Camera) -> Viewpoint:
+    return Viewpoint(7, 5, np.eye(4), camera, np.zeros((0, 2)), np.zeros(0), ())
+
+
+def plane_depth(rays: np.ndarray) -> np.ndarray:
+    return 2.0 / (rays @ NORMAL[:2] + NORMAL[2])
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("width", [160, 333, 640, 4000])
+def test_depth_and_picture_are_where_their_rays_are(name: str, width: int) -> None:
+    """The network's map is another grid than the picture's, and sees the lens's distortion."""
+    camera = CAMERAS[name]
+    image_to_depth = np.array([0.35, -0.3, 0.31, 0.2])
+    x, y = np.meshgrid(np.arange(224.0), np.arange(150.0))
+    raw = np.column_stack([(x.ravel() + 0.3) / 0.35, (y.ravel() - 0.2) / 0.31])
+    depth = plane_depth(camera.normalise(raw)).reshape(150, 224).astype(np.float32)
+    x, y = np.meshgrid(np.arange(640.0), np.arange(480.0))
+    seen = plane_depth(camera.normalise(np.column_stack([x.ravel(), y.ravel()]))).reshape(480, 640)
+    shade = 60 + 100 * seen / 4
+    rgb = np.repeat(np.clip(shade, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+    made = look(viewpoint(camera), rgb, depth, depth + 1, image_to_depth, width)
+    small = made.view.camera
+    assert small.is_ideal
+    assert made.view.depth.shape == made.grey.shape == (small.height, small.width)
+    assert small.width == min(width, 640)
+    truth = plane_depth(small.normalise(image_pixels(made.view))).reshape(made.view.depth.shape)
+    there = made.view.depth > 0
+    assert there.mean() > 0.85
+    inner = np.zeros(there.shape, bool)
+    inner[4:-4, 4:-4] = True  # the rim is drawn from what is beside it
+    np.testing.assert_allclose(made.view.depth[there], truth[there], rtol=2e-3)
+    np.testing.assert_allclose(made.view.confidence[there], truth[there] + 1, rtol=2e-3)
+    grey = 60 + 100 * truth / 4
+    assert np.abs(made.grey[there & inner] - grey[there & inner]).max() < 2.5
+    assert (made.colours[..., 0] == made.colours[..., 2]).all()
+
+
+def test_holes_stay_holes() -> None:
+    camera = CAMERAS["ideal"]
+    depth = np.full((240, 320), 3.0, np.float32)
+    depth[100:140, 150:200] = 0.0
+    depth[10:20, 10:20] = np.nan
+    halves = np.array([0.5, -0.25, 0.5, -0.25])
+    made = look(viewpoint(camera), np.zeros((480, 640, 3), np.uint8), depth, NONE, halves, 320)
+    expected = np.where(depth > 0, depth, 0)
+    np.testing.assert_allclose(made.view.depth[1:-1, 1:-1], expected[1:-1, 1:-1], atol=1e-5)
+    assert made.view.confidence.size == 0
+
+
+def test_colours_are_red_green_blue() -> None:
+    rgb = np.zeros((480, 640, 3), np.uint8)
+    rgb[..., 0] = 200
+    depth, tenth = np.ones((48, 64), np.float32), np.array([0.1, 0.0, 0.1, 0.0])
+    made = look(viewpoint(CAMERAS["ideal"]), rgb, depth, NONE, tenth, 64)
+    assert made.colours[20, 30].tolist() == [200, 0, 0]
+    assert made.grey[20, 30] == 60  # 0.299 of it
