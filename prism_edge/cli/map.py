@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prism_edge.cli.settings import add_configuration, config_from
-from prism_edge.cli.whole_file import check_writable, put_whole
+from prism_edge.cli.whole_file import check_writable, is_map, put_whole
 from prism_edge.errors import ConfigError, MapError, say
 
 if TYPE_CHECKING:
     from prism_edge.cli.map_opened import Opened
 
-SUFFIX, BEGINNING = ".prismmap", b"PRISMMAP"  # of map_file.py, which help does not wait for
+SUFFIX = ".prismmap"  # of map_file.py, which help does not wait for
 
 
 def add_parser(subparsers: Any, help_line: str) -> None:
@@ -87,20 +87,11 @@ def run(args: argparse.Namespace) -> int:
     for path in wanted:
         if path.suffix == SUFFIX:
             raise ConfigError(f"{path}: files in {SUFFIX} are maps, which no export replaces: name another")
-        if _is_map(path):
+        if is_map(path):
             raise ConfigError(f"{path} is a map, which no export replaces: name another file")
         check_writable(path, args.overwrite)
     _export(opened(args.map, config), args)
     return 0
-
-
-def _is_map(path: Path) -> bool:
-    """Whether there is a file that begins as a map does, whatever it is called."""
-    try:
-        with path.open("rb") as file:
-            return file.read(len(BEGINNING)) == BEGINNING
-    except OSError:
-        return False
 
 
 def _export(found: Opened, args: argparse.Namespace) -> None:

@@ -7,8 +7,14 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prism_edge.cli.settings import RECORDING_HELP, add_configuration, config_from, whole_from_one_to
-from prism_edge.cli.whole_file import check_writable, put_whole
+from prism_edge.cli.settings import (
+    BUNDLED,
+    RECORDING_HELP,
+    add_configuration,
+    config_from,
+    whole_from_one_to,
+)
+from prism_edge.cli.whole_file import check_writable, is_map, put_whole
 from prism_edge.errors import ConfigError, MapError, say
 
 if TYPE_CHECKING:
@@ -38,8 +44,8 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     parser.add_argument(
         "--model",
         metavar="MODEL",
-        required=True,
-        help="depth network of any kind, as `run` takes it; one without metres and one of several views too",
+        help="depth network, as `run` takes it; one without metres, or of several views, too "
+        f"(default: depth.model, {BUNDLED} for simulated worlds)",
     )
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="PLY file to write")
     parser.add_argument(
@@ -92,6 +98,8 @@ def run(args: argparse.Namespace) -> int:
 
     if args.out.suffix.lower() != ".ply":
         raise ConfigError(f"{args.out}: what is written is a PLY file: give it that ending")
+    if is_map(args.out):
+        raise ConfigError(f"{args.out} is a map, which no cloud replaces: name another file")
     check_writable(args.out, args.overwrite)
     config = config_from(args)
     found = opened(args.map, config)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.config import NO_NETWORK, SENSOR, Config
+from prism_edge.config import SENSOR, Config
 from prism_edge.depth import DepthNetwork
 from prism_edge.depth.offline import UnscaledNetwork, open_offline
 from prism_edge.depth.prediction import Prediction
@@ -48,7 +48,7 @@ def depth_for(config: Config) -> DepthOf:
     spec = config.depth.model
     if spec == SENSOR:
         return _of_sensor(SensorNetwork(config.source))
-    if spec == NO_NETWORK:
+    if not config.depth.network:
         raise ModelError("a cloud needs depth: --model names a network")
     network = open_offline(spec, config.depth)
     if isinstance(network, SeveralViewsNetwork):

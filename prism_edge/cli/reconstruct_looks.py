@@ -19,7 +19,7 @@ from prism_edge.sources import Image, Source, open_source
 
 NO_PICTURE = "the recording has no picture of their time"
 NO_DEPTH = "the network gives no depth"
-NO_FIT = "the network's depth contradicts the map, or the map has too few points there"
+NO_FIT = "the map has too few points there, or they contradict the network's depth"
 
 
 @dataclass

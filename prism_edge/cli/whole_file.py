@@ -7,6 +7,8 @@ from pathlib import Path
 
 from prism_edge.errors import ConfigError
 
+MAP_BEGINS = b"PRISMMAP"  # of map_file.py, which help does not wait for
+
 
 def check_writable(path: Path, overwrite: bool) -> None:
     """Before anybody takes the trouble. Raises ConfigError."""
@@ -24,6 +26,15 @@ def check_writable(path: Path, overwrite: bool) -> None:
         temporary.unlink()
     except OSError as error:
         raise ConfigError(f"{path} can't be written ({error.strerror})") from None
+
+
+def is_map(path: Path) -> bool:
+    """Whether there is a file that begins as a map does, whatever it is called."""
+    try:
+        with path.open("rb") as file:
+            return file.read(len(MAP_BEGINS)) == MAP_BEGINS
+    except OSError:
+        return False
 
 
 def put_whole(path: Path, data: bytes) -> None:

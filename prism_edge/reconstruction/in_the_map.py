@@ -40,7 +40,8 @@ def from_inverse(inverse_depth: F32, image_to_depth: Array, viewpoint: Viewpoint
 def aligned(depth: F32, image_to_depth: Array, viewpoint: Viewpoint) -> F32 | None:
     """Depth (h, w), 0 for none, in whatever unit, as metres that agree with the points round each pixel.
 
-    None where there are too few of those, or where the depth doesn't tell near from far.
+    None where there are too few of those. Whether it tells near from far is not asked, as it is of seeds:
+    what pictures and other keyframes don't bear out is left out anyway (docs/RECONSTRUCTION.md).
     """
     good, told = sample_depth(depth, image_to_depth, viewpoint.pixels)
     if good.sum() < MIN_ALIGNED:
@@ -48,8 +49,6 @@ def aligned(depth: F32, image_to_depth: Array, viewpoint: Viewpoint) -> F32 | No
     camera = viewpoint.camera
     size = (camera.width, camera.height)
     fit = DepthAlignment.of(viewpoint.pixels[good], viewpoint.depths[good], told[good], size)
-    if not fit.overall.informative:
-        return None
     height, width = depth.shape
     a, b, c, d = image_to_depth
     rows, columns = _steps(height), _steps(width)

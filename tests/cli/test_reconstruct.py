@@ -194,14 +194,38 @@ def test_keyframes_without_a_picture_are_counted(
 
 
 def test_several_views_go_together(
+    call: Call, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Eight keyframes in threes: the last two with the one before."""
+    write_several(tmp_path / "several.onnx", size=(320, 240), tinted=True)
+    assert call("--voxel", 0.05, "--no-pictures", "--width", 160, model=tmp_path / "several.onnx") == 0
+    points, _ = cloud(tmp_path / "out.ply")
+    assert len(points) > 2000
+    assert np.median(from_the_walls(points)) < 0.01
+    assert "depth by several (CPUExecutionProvider): 8 of 8 keyframes" in capsys.readouterr().out
+
+
+def test_fewer_keyframes_than_it_takes_views_are_refused(
     call: Call, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Eight keyframes in threes: the last two with the one before. What this network says is no depth."""
-    write_several(tmp_path / "several.onnx")
-    assert call("--agree", 1, "--no-pictures", model=tmp_path / "several.onnx") == 10
+    write_several(tmp_path / "several.onnx", size=(320, 240), tinted=True)
+    two = shutil.copytree(room / "seq", tmp_path / "seq")
+    lines = (two / "rgb.txt").read_text().splitlines()
+    (two / "rgb.txt").write_text("\n".join(lines[: APART + 3]) + "\n")
+    assert call(source=two, model=tmp_path / "several.onnx") == 5
+    assert "takes 3 keyframes at once, and 2 have a picture" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("misbehaviour", ["constant", "nan", "negative"])
+def test_depth_of_nothing_is_no_cloud(
+    call: Call, tmp_path: Path, capsys: pytest.CaptureFixture[str], misbehaviour: str
+) -> None:
+    path = write_tiny_network(tmp_path / "bad.onnx", TinyNetwork(misbehaviour=misbehaviour))
+    assert call(model=path) == 10
     error = capsys.readouterr().err
-    assert "8 keyframes are left out: the network's depth contradicts the map" in error
-    assert "no surface that 1 keyframes agree on" in error
+    assert "8 keyframes are left out: the network gives no depth" in error
+    assert "no surface that 3 keyframes agree on" in error
+    assert not (tmp_path / "out.ply").exists()
 
 
 @pytest.mark.parametrize(
@@ -242,6 +266,9 @@ def test_files_that_are_there_and_other_endings_are_refused(
     assert (tmp_path / "out.ply").read_text() == "mine"
     assert call("--out", tmp_path / "out.pcd") == 3
     assert "PLY" in capsys.readouterr().err
+    shutil.copy(room / "room.prismmap", tmp_path / "map.ply")
+    assert call("--out", tmp_path / "map.ply", "--overwrite") == 3
+    assert "is a map, which no cloud replaces" in capsys.readouterr().err
 
 
 def test_a_map_without_stamps_and_one_of_another_camera_are_refused(

@@ -17,7 +17,8 @@ from prism_edge.depth.several_views import LEAST_UNIT, SeveralViewsNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import from_rt, so3_exp
-from tests.synthetic.network import TinyNetwork, save, write_tiny_network
+from tests.synthetic.network import POOL, TinyNetwork, save, write_tiny_network
+from tests.synthetic.tint import log_depth_weights
 
 VIEWS, WIDTH, HEIGHT = 3, 32, 24
 UNIT = 5.0  # how much larger its own world is than the one it is given
@@ -31,34 +32,55 @@ POSES = np.array(
 )
 
 
-def write(path: Path, outputs: tuple[str, ...] = ("depth", "predicted_extrinsics"), **card: object) -> Path:
-    """depth: 1 + the red of each pixel; poses: those given, with translations times UNIT."""
-    sizes = {"image": [VIEWS, 3, HEIGHT, WIDTH], "extrinsics": [VIEWS, 4, 4], "intrinsics": [VIEWS, 3, 3]}
+def write(
+    path: Path,
+    outputs: tuple[str, ...] = ("depth", "predicted_extrinsics"),
+    size: tuple[int, int] = (WIDTH, HEIGHT),
+    tinted: bool = False,
+    **card: object,
+) -> Path:
+    """depth: 1 + the red of each pixel, or what its tint says; poses: those given, UNIT times as far."""
+    width, height = size
+    weights, offset = log_depth_weights()
     constants = {
         "red": np.array([0], np.int64),
         "channel": np.array([1], np.int64),
         "one": np.ones(1, np.float32),
+        "weights": weights.reshape(1, 3, 1, 1).astype(np.float32),
+        "offset": np.array([offset], np.float32),
         "stretch": np.where(np.arange(4) < 3, 1.0, UNIT).astype(np.float32).reshape(1, 1, 4),
         "rows": np.arange(3, dtype=np.int64),
     }
-    nodes = [
+    pool = [POOL, POOL]
+    says_red = [
         helper.make_node("Gather", ["image", "red"], ["reds"], axis=1),
         helper.make_node("Squeeze", ["reds", "channel"], ["plane"]),
         helper.make_node("Add", ["plane", "one"], ["depth"]),
+    ]
+    says_tint = [
+        helper.make_node("AveragePool", ["image"], ["small"], kernel_shape=pool, strides=pool),
+        helper.make_node("Conv", ["small", "weights", "offset"], ["log_depth"]),
+        helper.make_node("Exp", ["log_depth"], ["deep"]),
+        helper.make_node("Squeeze", ["deep", "channel"], ["depth"]),
+    ]
+    nodes = [
+        *(says_tint if tinted else says_red),
         helper.make_node("Add", ["depth", "one"], ["confidence"]),
         helper.make_node("Gather", ["extrinsics", "rows"], ["top"], axis=1),
         helper.make_node("Mul", ["top", "stretch"], ["predicted_extrinsics"]),
         helper.make_node("Identity", ["intrinsics"], ["predicted_intrinsics"]),
     ]
-    plane = [VIEWS, HEIGHT, WIDTH]
-    shapes = {"depth": plane, "confidence": plane}
-    shapes |= {"predicted_extrinsics": [VIEWS, 3, 4], "predicted_intrinsics": [VIEWS, 3, 3]}
+    takes = {"image": [VIEWS, 3, height, width], "extrinsics": [VIEWS, 4, 4], "intrinsics": [VIEWS, 3, 3]}
+    shrunk = POOL if tinted else 1
+    plane = [VIEWS, height // shrunk, width // shrunk]
+    gives = {"depth": plane, "confidence": plane, "predicted_extrinsics": [VIEWS, 3, 4]}
+    gives["predicted_intrinsics"] = [VIEWS, 3, 3]
     graph = helper.make_graph(
         nodes,
         "several",
-        [helper.make_tensor_value_info(name, TensorProto.FLOAT, size) for name, size in sizes.items()],
+        [helper.make_tensor_value_info(name, TensorProto.FLOAT, size) for name, size in takes.items()],
         [
-            helper.make_tensor_value_info(name, TensorProto.FLOAT, shapes[name])
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, gives[name])
             for name in (*outputs, "predicted_intrinsics")
         ],
         [numpy_helper.from_array(value, name) for name, value in constants.items()],
@@ -68,8 +90,8 @@ def write(path: Path, outputs: tuple[str, ...] = ("depth", "predicted_extrinsics
         "revision": "1",
         "licence": "Apache-2.0",
         "depth_kind": "relative",
-        "input_width": WIDTH,
-        "input_height": HEIGHT,
+        "input_width": width,
+        "input_height": height,
         "input_name": "image",
         "depth_output": "depth",
         "views": VIEWS,

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from prism_edge.cli.map_opened import opened
+from prism_edge.config import Config
 from prism_edge.evaluation.trajectory import read_tum
 from tests.end_to_end.conftest import FRAMES, SLOW_HZ
 from tests.end_to_end.processes import prism_edge
@@ -49,6 +51,13 @@ def test_in_real_time_metres_arrive_and_every_figure_is_there(
     assert len(live) == report["tracked"]
     # The recording's own stamps, to the nanosecond.
     assert np.isin(live.stamps, [round(float(f"{i / SLOW_HZ:.6f}") * 1e9) for i in range(FRAMES)]).all()
+    kept = opened(str(tmp_path / "map.prismmap"), Config())
+    assert len(kept.world.keyframes) == report["keyframes"]
+    final = read_tum(tmp_path / "final.tum")
+    for stamp, pose in kept.metric.trajectory(of_base=False):
+        if stamp in final.stamps:
+            # final.tum carries a frame by the keyframe that it was tracked by, which is an earlier one.
+            np.testing.assert_allclose(final.poses[final.stamps == stamp][0], pose, atol=0.02)
 
 
 def test_in_lockstep_nothing_is_dropped_and_poses_repeat_to_the_last_digit(
@@ -70,8 +79,10 @@ def test_in_lockstep_nothing_is_dropped_and_poses_repeat_to_the_last_digit(
 def test_without_a_network_there_is_no_metre_but_no_failure_either(
     room: Path, camera: Path, tmp_path: Path
 ) -> None:
+    (tmp_path / "map.prismmap").write_bytes(b"of an earlier run")
     done = prism_edge("eval", room, "--camera", camera, "--out", tmp_path, "--lockstep")
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "metrics.json").read_text())
     assert report["dropped_frames"] == 0
     assert report["scale"] is None
+    assert not (tmp_path / "map.prismmap").exists()
