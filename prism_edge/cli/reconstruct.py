@@ -18,6 +18,7 @@ from prism_edge.cli.whole_file import check_writable, is_map, put_whole
 from prism_edge.errors import ConfigError, MapError, say
 
 if TYPE_CHECKING:
+    from prism_edge.cli.reconstruct_looks import Gathered
     from prism_edge.config import Config
     from prism_edge.reconstruction.dense import Options
 
@@ -113,7 +114,7 @@ def run(args: argparse.Namespace) -> int:
             bar.at(done)
 
         gathered = gather(config, seen, args.width, progress)
-        options = _options(args, config, gathered.dsug)
+        options = _options(args, config, gathered)
         beside = {view.keyframe: view.beside for view in seen}
         made = reconstruct(gathered.looks, beside, options, progress)
     print(f"depth by {gathered.network}: {len(gathered.looks)} of {len(seen)} keyframes of {found.path}")
@@ -134,18 +135,17 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _options(args: argparse.Namespace, config: Config, dsug: tuple[float, float]) -> Options:
-    """``dsug``: tau and T as the network's card has them; nan where they were not fitted."""
+def _options(args: argparse.Namespace, config: Config, gathered: Gathered) -> Options:
     from prism_edge.reconstruction.dense import Options
     from prism_edge.scale.gate import GateParameters
 
-    tau, temperature = config.gate.tau or dsug[0], config.gate.temperature or dsug[1]
+    tau, temperature = config.gate.tau or gathered.dsug[0], config.gate.temperature or gathered.dsug[1]
     is_fitted = math.isfinite(tau) and math.isfinite(temperature)
     gate = GateParameters(config.gate.alpha, tau, temperature)
     return Options(
         voxel=args.voxel,
         agreeing=args.agree,
         farthest=args.far,
-        by_pictures=not args.no_pictures,
+        by_pictures=not (args.no_pictures or gathered.is_measured),
         gate=gate if is_fitted and "dsug" not in config.ablate else None,
     )

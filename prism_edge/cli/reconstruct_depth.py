@@ -41,6 +41,7 @@ class DepthOf:
     dsug: tuple[float, float]  # the gate's tau and T as fitted for it; nan where they are not
     answers: Answers
     is_inverse: bool = False  # whether what is answered is inverse depth in no unit
+    is_measured: bool = False  # by a depth camera: pictures know no better
 
 
 def depth_for(config: Config) -> DepthOf:
@@ -63,7 +64,7 @@ def _of_sensor(sensor: SensorNetwork) -> DepthOf:
         for taken in pictures:
             yield taken, sensor.measure(taken.index, taken.viewpoint.camera)
 
-    return DepthOf(sensor.name, sensor.dsug, answers)
+    return DepthOf(sensor.name, sensor.dsug, answers, is_measured=True)
 
 
 def _of_one(network: DepthNetwork, is_inverse: bool) -> DepthOf:

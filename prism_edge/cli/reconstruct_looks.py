@@ -28,6 +28,7 @@ class Gathered:
 
     network: str
     dsug: tuple[float, float]
+    is_measured: bool
     looks: dict[int, Look] = field(default_factory=dict)
     without: Counter[str] = field(default_factory=Counter)
 
@@ -37,7 +38,7 @@ def gather(config: Config, seen: Sequence[Viewpoint], width: int, progress: Prog
     depth, source = depth_for(config), open_source(config.source, calibrated=False)
     if source.live:
         raise SourceError(f"{source.name} is a camera, which has no past: give the recording of the map")
-    gathered = Gathered(depth.name, depth.dsug)
+    gathered = Gathered(depth.name, depth.dsug, depth.is_measured)
     with source:
         answered = 0
         for taken, answer in depth.answers(_pictures(source, seen, progress)):
@@ -46,7 +47,7 @@ def gather(config: Config, seen: Sequence[Viewpoint], width: int, progress: Prog
             if metres is not None and depth.is_inverse:
                 metres = from_inverse(metres, answer.image_to_depth, taken.viewpoint)
             if metres is not None:
-                metres = aligned(metres, answer.image_to_depth, taken.viewpoint)
+                metres = aligned(metres, answer.image_to_depth, taken.viewpoint, depth.is_measured)
             if metres is None:
                 gathered.without[NO_FIT if answer.valid else NO_DEPTH] += 1
                 continue

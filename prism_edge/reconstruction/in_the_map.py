@@ -37,11 +37,14 @@ def from_inverse(inverse_depth: F32, image_to_depth: Array, viewpoint: Viewpoint
     return None if fit is None else metres(inverse_depth, fit, FARTHEST * float(viewpoint.depths.max()))
 
 
-def aligned(depth: F32, image_to_depth: Array, viewpoint: Viewpoint) -> F32 | None:
+def aligned(
+    depth: F32, image_to_depth: Array, viewpoint: Viewpoint, as_a_whole: bool = False
+) -> F32 | None:
     """Depth (h, w), 0 for none, in whatever unit, as metres that agree with the points round each pixel.
 
     None where there are too few of those. Whether it tells near from far is not asked, as it is of seeds:
     what pictures and other keyframes don't bear out is left out anyway (docs/RECONSTRUCTION.md).
+    ``as_a_whole``: by one ratio, for depth that was measured and has no more to learn from points.
     """
     good, told = sample_depth(depth, image_to_depth, viewpoint.pixels)
     if good.sum() < MIN_ALIGNED:
@@ -49,6 +52,8 @@ def aligned(depth: F32, image_to_depth: Array, viewpoint: Viewpoint) -> F32 | No
     camera = viewpoint.camera
     size = (camera.width, camera.height)
     fit = DepthAlignment.of(viewpoint.pixels[good], viewpoint.depths[good], told[good], size)
+    if as_a_whole:
+        return np.asarray(depth * np.float32(fit.overall.units_per_metre), np.float32)
     height, width = depth.shape
     a, b, c, d = image_to_depth
     rows, columns = _steps(height), _steps(width)

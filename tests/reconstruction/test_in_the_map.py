@@ -37,6 +37,15 @@ def test_a_ratio_that_wavers_from_place_to_place_is_followed() -> None:
     assert np.median(after) < 0.25 * np.median(before)
 
 
+def test_measured_depth_is_brought_over_by_one_ratio() -> None:
+    off = np.exp(0.12 * np.sin(X / 60.0)).astype(np.float32)
+    made = aligned(3 * DEPTH * off, TO_DEPTH, viewpoint(800), as_a_whole=True)
+    assert made is not None
+    ratio = made / (DEPTH * off)
+    np.testing.assert_allclose(ratio, ratio[0, 0], rtol=1e-6)
+    assert abs(np.log(ratio[0, 0])) < 0.13
+
+
 def test_wrong_points_hardly_matter() -> None:
     view = viewpoint()
     view.depths[::40] *= 4.0
