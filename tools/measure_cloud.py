@@ -83,10 +83,10 @@ def main(arguments: list[str] | None = None) -> int:
         found = opened(args.map, load(None, {})).metric
         guess, scale = first_guess(found.trajectory(False), truth, args.up_to_scale)
         seen = reference(args.folder, truth, args.voxel, args.far)
+        scores = score(scale * points, seen, guess)
     except (PrismError, OSError, ValueError) as error:
         print(f"measure_cloud: error: {error}", file=sys.stderr)
         return getattr(error, "exit_code", 1)
-    scores = score(scale * points, seen, guess)
     print(f"{args.cloud.name}: {len(points)} points, reference {len(seen.points)}, scale {scale:.3f}")
     print(
         f"  Chamfer {100 * scores.chamfer:.1f} cm (to the reference {100 * scores.to_reference.mean():.1f}, "
@@ -159,12 +159,15 @@ def reference(folder: Path, truth: Trajectory, voxel: float, farthest: float) ->
 
 
 def score(points: F64, seen: Cloud, guess: F64) -> Scores:
-    """Distances both ways after ICP from a first guess (4, 4)."""
+    """Distances both ways after ICP from a first guess (4, 4). Raises EvaluationError for hardly any."""
+    if min(len(points), len(seen.points)) < NEIGHBOURS:
+        counts = f"{len(points)} points, and the depth camera's {len(seen.points)}"
+        raise EvaluationError(f"the cloud has {counts}: {NEIGHBOURS} are needed")
     rng, tree = np.random.default_rng(0), cKDTree(seen.points)
     placed = transform(icp(points[rng.permutation(len(points))[:SAMPLED]], seen, tree, guess), points)
     mine = cKDTree(placed)
     chosen = placed[rng.permutation(len(placed))[:SAMPLED]]
-    around = placed[mine.query(chosen, k=min(NEIGHBOURS, len(placed)))[1]]
+    around = placed[mine.query(chosen, k=NEIGHBOURS)[1]]
     around = around - around.mean(axis=1, keepdims=True)
     least = np.linalg.eigvalsh(np.einsum("nki,nkj->nij", around, around) / around.shape[1])[:, 0]
     thickness = float(np.sqrt(np.maximum(least, 0.0)).mean())

@@ -23,7 +23,8 @@ if TYPE_CHECKING:
     from prism_edge.reconstruction.dense import Options
 
 VOXEL, AGREEING, WIDTH = 0.02, 3, 320
-MOST_AGREEING, MOST_WIDTH = 100, 4096
+MOST_AGREEING = 9  # a keyframe, and the eight beside it that it is held to
+LEAST_WIDTH, MOST_WIDTH = 64, 1920
 
 
 def add_parser(subparsers: Any, help_line: str) -> None:
@@ -33,7 +34,8 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         help=help_line,
         description="Give every keyframe of a finished map a depth map, hold those to the map's points, to "
         "the pictures and to each other, and write what they agree on as one cloud of points with normals "
-        "and colours: metres in the frame `map` (docs/RECONSTRUCTION.md). No daemon need run.",
+        "and colours: metres in the frame `map` (docs/RECONSTRUCTION.md). The camera is as the map knows it. "
+        "No daemon need run.",
     )
     parser.add_argument("source", metavar="RECORDING", help=f"what the map was made of: {RECORDING_HELP}")
     parser.add_argument(
@@ -50,6 +52,9 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     )
     parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="PLY file to write")
     parser.add_argument(
+        "--mask", metavar="FILE", help="image, black where the camera sees its own robot (as for `run`)"
+    )
+    parser.add_argument(
         "--voxel", metavar="METRES", type=_length, default=VOXEL, help=f"a point for each (default: {VOXEL})"
     )
     parser.add_argument(
@@ -57,7 +62,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         metavar="N",
         type=whole_from_one_to(MOST_AGREEING),
         default=AGREEING,
-        help=f"keyframes that must see a surface alike (default: {AGREEING}; 1: all depth counts)",
+        help=f"keyframes that must see a surface alike (default: {AGREEING}, at most {MOST_AGREEING})",
     )
     parser.add_argument(
         "--far", metavar="METRES", type=_length, default=math.inf, help="leave out what is farther away"
@@ -65,7 +70,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     parser.add_argument(
         "--width",
         metavar="PIXELS",
-        type=whole_from_one_to(MOST_WIDTH),
+        type=_width,
         default=WIDTH,
         help=f"width of the depth maps (default: {WIDTH}); more shows more, and takes longer",
     )
@@ -88,6 +93,13 @@ def _length(text: str) -> float:
     return metres
 
 
+def _width(text: str) -> int:
+    width = whole_from_one_to(MOST_WIDTH)(text)
+    if width < LEAST_WIDTH:
+        raise argparse.ArgumentTypeError(f"expected {LEAST_WIDTH} to {MOST_WIDTH} pixels, got {text!r}")
+    return width
+
+
 def run(args: argparse.Namespace) -> int:
     """Read, reconstruct, write; the exit code. Raises MapError, SourceError, ModelError or ConfigError."""
     from prism_edge.cli.map_opened import opened
@@ -105,6 +117,8 @@ def run(args: argparse.Namespace) -> int:
     config = config_from(args)
     found = opened(args.map, config)
     seen = viewpoints(found.world, found.scale.log_scale, found.metric.mount)
+    if not found.scale.is_known:
+        say(f"{found.path}: warning: no depth has said how long its unit is: metres are a guess")
     if not seen:
         raise MapError(f"{found.path}: none of its keyframes says when it was taken, or has a place in map")
     with Progress(None) as bar:
@@ -113,22 +127,25 @@ def run(args: argparse.Namespace) -> int:
             bar.say(what, of)
             bar.at(done)
 
-        gathered = gather(config, seen, args.width, progress)
+        gathered = gather(config, found.metric.mount, seen, args.width, progress)
         options = _options(args, config, gathered)
         beside = {view.keyframe: view.beside for view in seen}
         made = reconstruct(gathered.looks, beside, options, progress)
-    print(f"depth by {gathered.network}: {len(gathered.looks)} of {len(seen)} keyframes of {found.path}")
     for reason, count in gathered.without.items():
-        say(f"warning: {count} keyframes are left out: {reason}")
-    if options.by_pictures:
-        print(f"pictures say the depth of {made.sure:.0%} of their pixels")
+        say(f"warning: left out: {count} keyframes, {reason}")
+    if made.beyond:
+        say(f"warning: {made.beyond} pixels lie too far out for voxels of {args.voxel:g} m: take larger ones")
     points = made.cloud.points
     if not len(points):
-        what = f"no surface that {args.agree} keyframes agree on and the gate trusts"
+        near = "" if math.isinf(args.far) else f" within {args.far:g} m"
+        what = f"no surface{near} that {args.agree} keyframes agree on and the gate trusts"
         raise MapError(f"{found.path}: {what}: try a smaller --agree, or another network")
     size = points.max(axis=0) - points.min(axis=0)
     words = f"dense cloud of {len(gathered.looks)} keyframes by prism_edge, metres in its frame map"
     put_whole(args.out, ply(words, points, made.cloud.normals, made.cloud.colours))
+    print(f"depth by {gathered.network}: {len(gathered.looks)} of {len(seen)} keyframes of {found.path}")
+    if options.by_pictures:
+        print(f"pictures say the depth of {made.sure:.0%} of their pixels")
     print(f"{made.kept:.0%} of the pixels agree")
     extent = " x ".join(f"{length:.2f}" for length in size)
     print(f"{args.out}: {len(points)} points, {extent} m along map's axes")

@@ -14,9 +14,15 @@ from prism_edge.depth import DepthNetwork
 from prism_edge.depth.offline import UnscaledNetwork, open_offline
 from prism_edge.depth.prediction import Prediction
 from prism_edge.depth.several_views import SeveralViewsNetwork
-from prism_edge.depth.upright import UprightNetwork, quarter_turns
+from prism_edge.depth.upright import (
+    UprightNetwork,
+    camera_from_turned,
+    quarter_turns,
+    turned_back,
+    turned_camera,
+)
 from prism_edge.errors import ModelError
-from prism_edge.geometry.mount import base_from_camera
+from prism_edge.geometry.poses import Array
 from prism_edge.reconstruction.viewpoints import Viewpoint
 from prism_edge.workers.sensor_network import SensorNetwork
 
@@ -40,23 +46,24 @@ class DepthOf:
     name: str
     dsug: tuple[float, float]  # the gate's tau and T as fitted for it; nan where they are not
     answers: Answers
-    is_inverse: bool = False  # whether what is answered is inverse depth in no unit
+    relative: str = ""  # the kind of depth that is known up to scale and shift; empty: up to scale at most
     is_measured: bool = False  # by a depth camera: pictures know no better
 
 
-def depth_for(config: Config) -> DepthOf:
-    """Who answers for ``depth.model``. Raises ModelError."""
-    spec = config.depth.model
-    if spec == SENSOR:
+def depth_for(config: Config, mount: Array) -> DepthOf:
+    """Who answers for ``depth.model``; networks see pictures upright where ``mount`` (4, 4) says so.
+
+    Raises ModelError.
+    """
+    if config.depth.model == SENSOR:
         return _of_sensor(SensorNetwork(config.source))
     if not config.depth.network:
         raise ModelError("a cloud needs depth: --model names a network")
-    network = open_offline(spec, config.depth)
+    network, turns = open_offline(config.depth.model, config.depth), quarter_turns(mount)
     if isinstance(network, SeveralViewsNetwork):
-        return _of_several(network)
-    turns = quarter_turns(base_from_camera(config.frames))
-    is_inverse = isinstance(network, UnscaledNetwork) and network.is_inverse
-    return _of_one(UprightNetwork(network, turns) if turns else network, is_inverse)
+        return _of_several(network, turns)
+    relative = network.kind if isinstance(network, UnscaledNetwork) else ""
+    return _of_one(UprightNetwork(network, turns) if turns else network, relative)
 
 
 def _of_sensor(sensor: SensorNetwork) -> DepthOf:
@@ -67,22 +74,28 @@ def _of_sensor(sensor: SensorNetwork) -> DepthOf:
     return DepthOf(sensor.name, sensor.dsug, answers, is_measured=True)
 
 
-def _of_one(network: DepthNetwork, is_inverse: bool) -> DepthOf:
+def _of_one(network: DepthNetwork, relative: str) -> DepthOf:
     def answers(pictures: Iterable[Taken]) -> Iterator[tuple[Taken, Prediction]]:
         for taken in pictures:
             yield taken, network.infer(taken.rgb, taken.viewpoint.camera)
 
-    return DepthOf(f"{network.name} ({network.provider})", network.dsug, answers, is_inverse)
+    return DepthOf(f"{network.name} ({network.provider})", network.dsug, answers, relative)
 
 
-def _of_several(network: SeveralViewsNetwork) -> DepthOf:
+def _of_several(network: SeveralViewsNetwork, turns: int) -> DepthOf:
     """Keyframes that follow each other go together; those left at the end, with the ones before them."""
 
     def infer(together: Iterable[Taken]) -> list[tuple[Taken, Prediction]]:
         taken = list(together)
+        cameras = [t.viewpoint.camera for t in taken]
         poses = np.array([t.viewpoint.map_from_camera for t in taken])
-        found = network.infer([t.rgb for t in taken], [t.viewpoint.camera for t in taken], poses)
-        return list(zip(taken, found, strict=True))
+        if not turns:
+            return list(zip(taken, network.infer([t.rgb for t in taken], cameras, poses), strict=True))
+        upright = [np.ascontiguousarray(np.rot90(t.rgb, turns)) for t in taken]
+        turned = [turned_camera(camera, turns) for camera in cameras]
+        found = network.infer(upright, turned, poses @ camera_from_turned(turns))
+        back = [turned_back(answer, turns, camera) for answer, camera in zip(found, cameras, strict=True)]
+        return list(zip(taken, back, strict=True))
 
     def answers(pictures: Iterable[Taken]) -> Iterator[tuple[Taken, Prediction]]:
         last: deque[Taken] = deque(maxlen=network.views)

@@ -4,22 +4,31 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
+import numpy as np
 
 from prism_edge.cli.reconstruct_depth import Taken, depth_for
 from prism_edge.config import Config
+from prism_edge.depth.contract import INVERSE_RELATIVE
 from prism_edge.errors import SourceError
+from prism_edge.geometry.poses import Array
+from prism_edge.named_path import named_path
 from prism_edge.reconstruction.dense import Progress
-from prism_edge.reconstruction.in_the_map import aligned, from_inverse
+from prism_edge.reconstruction.in_the_map import aligned, from_relative, shown_in
 from prism_edge.reconstruction.look import Look, look
+from prism_edge.reconstruction.same_picture import is_picture_of
 from prism_edge.reconstruction.viewpoints import Viewpoint
-from prism_edge.sources import Image, Source, open_source
+from prism_edge.sources import Image, Source, Unreadable, open_source
+from prism_edge.sources.mask import mask_for
+from prism_edge.tracking.features import OrbExtractor
 
-NO_PICTURE = "the recording has no picture of their time"
-NO_DEPTH = "the network gives no depth"
-NO_FIT = "the map has too few points there, or they contradict the network's depth"
+NO_PICTURE = "of whose time the recording has no picture"
+OTHER_PICTURE = "of whose time the recording's picture is another: the map is of several recordings"
+UNREADABLE = "whose picture can't be read"
+NO_DEPTH = "of which the network gives no depth"
+NO_FIT = "where the map has too few points, or they contradict the network's depth"
 
 
 @dataclass
@@ -27,57 +36,91 @@ class Gathered:
     """Looks by keyframe, and how many keyframes have none, by reason."""
 
     network: str
-    dsug: tuple[float, float]
+    dsug: tuple[float, float]  # tau and T as its card has them; nan where they were not fitted
     is_measured: bool
     looks: dict[int, Look] = field(default_factory=dict)
     without: Counter[str] = field(default_factory=Counter)
 
 
-def gather(config: Config, seen: Sequence[Viewpoint], width: int, progress: Progress) -> Gathered:
-    """Every keyframe's look. Raises SourceError where the recording is not the map's, and ModelError."""
-    depth, source = depth_for(config), open_source(config.source, calibrated=False)
+def gather(
+    config: Config, mount: Array, seen: Sequence[Viewpoint], width: int, progress: Progress
+) -> Gathered:
+    """Every keyframe's look; ``mount`` (4, 4) is base_from_camera of who made the map.
+
+    Raises SourceError where the recording is not the map's, and ModelError.
+    """
+    source = open_source(replace(config.source, loop=False), calibrated=False)
     if source.live:
         raise SourceError(f"{source.name} is a camera, which has no past: give the recording of the map")
+    depth = depth_for(config, mount)
     gathered = Gathered(depth.name, depth.dsug, depth.is_measured)
+    camera, mask = seen[0].camera, config.source.mask
+    shown = mask_for(named_path(mask), camera.width, camera.height) if mask else None
+    pictures = Pictures(config, seen, gathered.without)
     with source:
-        answered = 0
-        for taken, answer in depth.answers(_pictures(source, seen, progress)):
-            answered += 1
+        for taken, answer in depth.answers(pictures.of(source, progress)):
             metres = answer.depth if answer.valid else None
-            if metres is not None and depth.is_inverse:
-                metres = from_inverse(metres, answer.image_to_depth, taken.viewpoint)
+            if metres is not None and depth.relative:
+                is_inverse = depth.relative == INVERSE_RELATIVE
+                metres = from_relative(metres, answer.image_to_depth, taken.viewpoint, is_inverse)
             if metres is not None:
                 metres = aligned(metres, answer.image_to_depth, taken.viewpoint, depth.is_measured)
             if metres is None:
                 gathered.without[NO_FIT if answer.valid else NO_DEPTH] += 1
                 continue
+            if shown is not None:
+                metres = np.where(shown_in(shown, metres.shape, answer.image_to_depth), metres, np.float32(0))
             seen_so = taken.viewpoint, taken.rgb, metres, answer.confidence, answer.image_to_depth
             gathered.looks[taken.viewpoint.keyframe] = look(*seen_so, width)
-    if not answered:
+    if not pictures.found:
         raise SourceError(f"{source.name} has no picture of any keyframe: is it the recording of this map?")
-    if answered < len(seen):
-        gathered.without[NO_PICTURE] = len(seen) - answered
     return gathered
 
 
-def _pictures(source: Source, seen: Sequence[Viewpoint], progress: Progress) -> Iterator[Taken]:
-    """The keyframes' pictures, in the recording's order. Raises SourceError for one of another camera."""
-    at = {view.stamp_ns: view for view in seen}
-    done = 0
-    while at and (slot := source.peek()) is not None:
-        view = at.pop(slot.stamp_ns, None)
-        if view is None:
-            source.skip()
-            continue
-        progress("depth", done, len(seen))
-        done += 1
-        item = source.read()
-        if isinstance(item, Image):
-            shape = item.pixels.shape[:2]
-            if shape != (view.camera.height, view.camera.width):
-                raise SourceError(
-                    f"{source.name} has pictures of {shape[1]}x{shape[0]}, but the map is of "
-                    f"{view.camera.width}x{view.camera.height}"
-                )
-            code = cv2.COLOR_GRAY2RGB if item.pixels.ndim == 2 else cv2.COLOR_BGR2RGB
-            yield Taken(view, item.index, cv2.cvtColor(item.pixels, code))
+class Pictures:
+    """The keyframes' pictures; those that have none are counted in ``without``."""
+
+    def __init__(self, config: Config, seen: Sequence[Viewpoint], without: Counter[str]) -> None:
+        self.found = 0
+        self._extractor = OrbExtractor(config.tracking)
+        self._seen, self._without = seen, without
+
+    def of(self, source: Source, progress: Progress) -> Iterator[Taken]:
+        """From an open source, in its order. Raises SourceError for a picture of another camera's size."""
+        at: dict[int, list[Viewpoint]] = {}
+        for view in self._seen:
+            at.setdefault(view.stamp_ns, []).append(view)
+        while at and (slot := source.peek()) is not None:
+            # A video's next stamp is expected, not known, before it is decoded.
+            if min(abs(stamp - slot.stamp_ns) for stamp in at) > source.period_ns:
+                source.skip()
+                continue
+            item = source.read()
+            views = at.pop(item.stamp_ns, []) if isinstance(item, Image | Unreadable) else []
+            if not isinstance(item, Image):
+                self._without[UNREADABLE] += len(views)
+                continue
+            progress("depth", len(self._seen) - sum(map(len, at.values())) - len(views), len(self._seen))
+            for view in views:
+                _check_size(source, item, view)
+                yield from self._taken(view, item)
+        if at:
+            self._without[NO_PICTURE] += sum(map(len, at.values()))
+
+    def _taken(self, view: Viewpoint, item: Image) -> Iterator[Taken]:
+        """The picture as the keyframe's, if it is."""
+        is_grey = item.pixels.ndim == 2
+        grey = item.pixels if is_grey else cv2.cvtColor(item.pixels, cv2.COLOR_BGR2GRAY)
+        if not is_picture_of(self._extractor.extract(grey, view.camera), view.features):
+            self._without[OTHER_PICTURE] += 1
+            return
+        self.found += 1
+        code = cv2.COLOR_GRAY2RGB if is_grey else cv2.COLOR_BGR2RGB
+        yield Taken(view, item.index, cv2.cvtColor(item.pixels, code))
+
+
+def _check_size(source: Source, item: Image, view: Viewpoint) -> None:
+    shape = item.pixels.shape[:2]
+    if shape != (view.camera.height, view.camera.width):
+        of = f"{view.camera.width}x{view.camera.height}"
+        raise SourceError(f"{source.name} has pictures of {shape[1]}x{shape[0]}, but the map is of {of}")

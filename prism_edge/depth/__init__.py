@@ -67,9 +67,15 @@ def networks_of(spec: str) -> list[str]:
 def open_onnx(spec: str, config: DepthConfig) -> OnnxNetwork:
     """One network of any kind by file or registered name, warmed up. Raises ModelError."""
     path = locate(spec)
-    # Files found through a name, or that were pulled, must be those files; any other may be any.
-    by_path = path == named_path(spec)
-    return OnnxNetwork(path, config, pulled_files(path) if by_path else pinned_files(spec))
+    return OnnxNetwork(path, config, pinned_for(spec, path))
+
+
+def pinned_for(spec: str, path: Path) -> tuple[File, ...]:
+    """What the files must be of a network that was located by ``spec``; empty: anything.
+
+    Files found through a name, or that were pulled, must be those files; any other may be any.
+    """
+    return pulled_files(path) if path == named_path(spec) else pinned_files(spec)
 
 
 def pinned_files(name: str) -> tuple[File, ...]:

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.config import DepthConfig
-from prism_edge.depth import DepthNetwork, locate, networks_of, open_network, open_onnx, pinned_files
+from prism_edge.depth import DepthNetwork, locate, networks_of, open_network, open_onnx, pinned_for
 from prism_edge.depth.cards import card_of
-from prism_edge.depth.contract import INVERSE_RELATIVE
-from prism_edge.depth.prediction import Prediction, checked
+from prism_edge.depth.prediction import Prediction
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.depth.several_views import SeveralViewsNetwork
 from prism_edge.depth.vetting import vet
@@ -21,14 +20,13 @@ class UnscaledNetwork:
 
     def __init__(self, network: OnnxNetwork) -> None:
         self._network = network
-        self.is_inverse = network.card.depth_kind == INVERSE_RELATIVE
+        self.kind = network.card.depth_kind
         self.name, self.identity, self.provider = network.name, network.identity, network.provider
         self.bias_sigma, self.dsug, self.counters = network.bias_sigma, network.dsug, network.counters
 
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
-        """What it says of an image (height, width, 3) uint8 RGB; nan or 0 for nothing."""
-        raw, _ = self._network.raw(rgb)
-        return raw if self.is_inverse else checked(raw)
+        """What it says of an image (height, width, 3) uint8 RGB, unchecked; nan for nothing."""
+        return self._network.raw(rgb)[0]
 
 
 def open_offline(spec: str, config: DepthConfig) -> DepthNetwork | SeveralViewsNetwork:
@@ -36,7 +34,7 @@ def open_offline(spec: str, config: DepthConfig) -> DepthNetwork | SeveralViewsN
     if len(networks_of(spec)) == 2:
         return open_network(spec, config)
     path = locate(spec)
-    pinned = pinned_files(spec)
+    pinned = pinned_for(spec, path)
     if card_of(path, vet(path, pinned[0].sha256 if pinned else ""), pinned).views > 1:
         return SeveralViewsNetwork(path, config, pinned)
     network = open_onnx(spec, config)

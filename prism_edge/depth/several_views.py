@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from prism_edge.config import DepthConfig
 from prism_edge.depth.cards import card_of
+from prism_edge.depth.contract import INVERSE_RELATIVE
 from prism_edge.depth.fingerprint import fingerprint
 from prism_edge.depth.placement import Placement, place, tensor
 from prism_edge.depth.prediction import Prediction, checked, in_its_range, no_confidence, no_descriptor
@@ -40,6 +41,8 @@ class SeveralViewsNetwork:
         self.card = card_of(path, vetted, pinned)
         self.views, self.name, self.dsug = self.card.views, self.card.name, self.card.dsug
         self._path = path
+        if self.card.depth_kind == INVERSE_RELATIVE or self.card.sky_output:
+            raise ModelError(f"{path.name}: networks of several views are of depth, without sky")
         engines = with_own_engines(config, fingerprint(self.card, vetted))
         started = start(vetted, engines)
         self._session, self.provider = started.session, started.provider
@@ -97,6 +100,9 @@ class SeveralViewsNetwork:
         if rest:
             kind = self.card.confidence_kind
             confidences = [in_its_range(plane, kind) for plane in self._planes(rest[0], "confidence")]
+            if confidences[0].shape != planes[0].shape:
+                sizes = f"confidence is {confidences[0].shape}, depth {planes[0].shape}"
+                raise ModelError(f"{self._path.name}: {sizes}; they must be of one size")
         metres = self._metres(predicted, centres, unit)
         return [
             checked(

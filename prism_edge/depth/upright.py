@@ -58,6 +58,12 @@ def turned_camera(camera: Camera, turns: int) -> Camera:
     return Camera(width, height, fx, fy, cx, cy)
 
 
+def camera_from_turned(turns: int) -> Array:
+    """Pose (4, 4) of that camera in the frame of the one that took the picture."""
+    camera_from_quarter = np.array([[0.0, -1, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]])
+    return np.linalg.matrix_power(camera_from_quarter, turns)
+
+
 def turned_back(prediction: Prediction, turns: int, camera: Camera) -> Prediction:
     """What a network said of ``camera``'s picture after ``turns`` quarter turns, of the picture as it was."""
     depth, confidence = (np.rot90(x, -turns) for x in (prediction.depth, prediction.confidence))

@@ -101,7 +101,10 @@ def evaluate(
     write_tum(out / "live.tum", live)
     write_tum(out / "final.tum", final)
     if heard.map is not None:
-        (out / MAP).write_bytes(heard.map.data.tobytes())
+        (out / f".{MAP}").write_bytes(heard.map.data.tobytes())
+        (out / f".{MAP}").replace(out / MAP)
+    elif heard.snapshot is not None and len(heard.snapshot.points):
+        print(f"prism-edge: warning: the map did not come in {_MAP_S:.0f} s: no {MAP}", file=sys.stderr)
     if true_path is not None and (out / "truth.tum").resolve() not in kept:
         write_tum(out / "truth.tum", true_path)
     report = metrics(

@@ -14,6 +14,7 @@ _SUMS = 10  # weight, position, normal, colour
 _MOST_STEPS = 1 << 20  # voxels along an axis, either way: three of them fit into 64 bits
 _FLUSH = 4_000_000  # points that are waited with until they are laid together
 _BENT = 1.25  # a surface's depth changes by less from a pixel to the next: else it is an edge
+_STEEPEST = 0.15  # cosine between normal and ray: what is seen under less than 9 degrees is mostly an outline
 
 
 @dataclass(frozen=True)
@@ -35,8 +36,8 @@ class Voxels:
     _waiting: list[tuple[NDArray[np.int64], Array]] = field(default_factory=list)
     _count: int = 0
 
-    def add(self, points: Array, normals: Array, colours: NDArray[np.uint8], weights: Array) -> None:
-        """Points, normals, colours (n, 3) and weights (n,) above 0; what lies beyond the grid is left out."""
+    def add(self, points: Array, normals: Array, colours: NDArray[np.uint8], weights: Array) -> int:
+        """Points, normals, colours (n, 3) and weights (n,) above 0; how many lie on the grid, and are in."""
         steps = np.floor(points / self.size)
         inside = np.all(np.abs(steps) < _MOST_STEPS, axis=1)
         steps = steps[inside].astype(np.int64) + _MOST_STEPS
@@ -47,6 +48,7 @@ class Voxels:
         self._count += len(keys)
         if self._count >= _FLUSH:
             self._lay_together()
+        return len(keys)
 
     def cloud(self) -> Cloud:
         """One point a voxel, by the order of the voxels."""
@@ -67,17 +69,24 @@ class Voxels:
         self._waiting, self._count = [], 0
 
 
-def lay(voxels: Voxels, view: DepthView, kept: NDArray[np.bool_], colours: NDArray[np.uint8]) -> None:
-    """Add a view's pixels (h, w) that are ``kept``; ``colours`` (h, w, 3) are theirs."""
+def lay(
+    voxels: Voxels, view: DepthView, kept: NDArray[np.bool_], colours: NDArray[np.uint8]
+) -> tuple[int, int]:
+    """Add a view's pixels (h, w) that are ``kept``; ``colours`` (h, w, 3) are theirs.
+
+    How many came in, and how many lie beyond the grid; outlines and the picture's rim are neither.
+    """
     height, width = view.depth.shape
     rays = view.camera.normalise(image_pixels(view)).reshape(height, width, 2)
     z = view.depth.astype(np.float64) * view.units_per_metre
     local = np.dstack([rays * z[..., None], z])
     normals, smooth = _normals(local)
-    chosen = kept & smooth
+    facing = -np.sum(normals * local, axis=2) > _STEEPEST * np.linalg.norm(local, axis=2)
+    chosen = kept & smooth & facing
     points = transform(view.world_from_camera, local[chosen])
     turned = normals[chosen] @ view.world_from_camera[:3, :3].T
-    voxels.add(points, turned, colours[chosen], 1.0 / z[chosen] ** 2)
+    laid = voxels.add(points, turned, colours[chosen], 1.0 / z[chosen] ** 2)
+    return laid, len(points) - laid
 
 
 def _normals(local: Array) -> tuple[Array, NDArray[np.bool_]]:

@@ -37,6 +37,7 @@ class Reconstruction:
 
     cloud: Cloud
     kept: float
+    beyond: int  # pixels that lie farther from map's origin than voxels of this size can be counted
     sure: float  # share of them whose depth the pictures say; nan where they were not asked
 
 
@@ -56,16 +57,16 @@ def reconstruct(
     if options.by_pictures:
         looks, sure = _held_to_pictures(looks, near, progress)
         sure /= pixels
-    voxels, kept = Voxels(options.voxel), 0
+    voxels, kept, beyond = Voxels(options.voxel), 0, 0
     for done, (keyframe, look) in enumerate(looks.items()):
         progress("agreeing", done, len(looks))
         others = [looks[j] for j in near[keyframe][:MOST_BESIDE]]
         found = consensus(look, others, TOLERANCE, options.gate)
         chosen = found.kept(options.agreeing) & (found.depth <= options.farthest)
-        lay(voxels, look.with_depth(found.depth).view, chosen, look.colours)
-        kept += int(chosen.sum())
+        laid, lost = lay(voxels, look.with_depth(found.depth).view, chosen, look.colours)
+        kept, beyond = kept + laid, beyond + lost
     progress("agreeing", len(looks), len(looks))
-    return Reconstruction(voxels.cloud(), kept / pixels, sure)
+    return Reconstruction(voxels.cloud(), kept / pixels, beyond, sure)
 
 
 def _held_to_pictures(

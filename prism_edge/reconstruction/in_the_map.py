@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.depth.pairing import fit_inverse_depth, metres
+from prism_edge.depth.pairing import fit_depth, fit_inverse_depth, metres
 from prism_edge.geometry.poses import Array
 from prism_edge.reconstruction.viewpoints import Viewpoint
 from prism_edge.tracking.depth_alignment import DepthAlignment
@@ -21,20 +21,30 @@ F32 = NDArray[np.float32]
 
 STEP = 4  # pixels between those that the ratio is worked out at; it bends over some ten of them
 FARTHEST = 3.0  # times the farthest point: inverse depth blows up beyond
+_AT_ONCE = 8192  # places
 
 
-def from_inverse(inverse_depth: F32, image_to_depth: Array, viewpoint: Viewpoint) -> F32 | None:
-    """Depth (h, w) in metres of inverse depth (h, w) known up to scale and shift; 0 where there is none.
+def from_relative(
+    said: F32, image_to_depth: Array, viewpoint: Viewpoint, is_inverse: bool
+) -> F32 | None:
+    """Depth (h, w) in metres of depth, or inverse depth, (h, w) known up to scale and shift; 0 for none.
 
     None where the points say too little, or contradict it.
     """
-    x, y = _places(inverse_depth, image_to_depth, viewpoint.pixels)
-    there = (x >= 0) & (y >= 0) & (x < inverse_depth.shape[1]) & (y < inverse_depth.shape[0])
+    x, y = _places(said, image_to_depth, viewpoint.pixels)
+    there = (x >= 0) & (y >= 0) & (x < said.shape[1]) & (y < said.shape[0])
     if not there.any():
         return None
-    told = inverse_depth[y[there], x[there]].astype(np.float64)
-    fit = fit_inverse_depth(told, viewpoint.depths[there])
-    return None if fit is None else metres(inverse_depth, fit, FARTHEST * float(viewpoint.depths.max()))
+    told, depths = said[y[there], x[there]].astype(np.float64), viewpoint.depths[there]
+    fit = fit_inverse_depth(told, depths) if is_inverse else fit_depth(told, depths)
+    if fit is None:
+        return None
+    values = said
+    if not is_inverse:  # exactly 0 is no depth, and below 0 it has no inverse
+        usable = said != 0 if fit.of_depth else said > 0
+        known = np.where(usable, said, np.float32(np.nan))
+        values = np.asarray(known if fit.of_depth else 1.0 / known, np.float32)
+    return metres(values, fit, FARTHEST * float(viewpoint.depths.max()))
 
 
 def aligned(
@@ -58,7 +68,9 @@ def aligned(
     a, b, c, d = image_to_depth
     rows, columns = _steps(height), _steps(width)
     x, y = np.meshgrid((columns - b) / a, (rows - d) / c)
-    coarse = fit.at(np.column_stack([x.ravel(), y.ravel()]))[0].reshape(x.shape)
+    places = np.column_stack([x.ravel(), y.ravel()])
+    some = range(0, len(places), _AT_ONCE)  # times as many points
+    coarse = np.concatenate([fit.at(places[i : i + _AT_ONCE])[0] for i in some]).reshape(x.shape)
     at_x, at_y = np.meshgrid(np.arange(width) / STEP, np.arange(height) / STEP)
     ratio = cv2.remap(
         coarse.astype(np.float32),
@@ -68,6 +80,16 @@ def aligned(
         borderMode=cv2.BORDER_REPLICATE,
     )
     return np.asarray(depth * ratio, np.float32)
+
+
+def shown_in(
+    shown: NDArray[np.bool_], shape: tuple[int, ...], image_to_depth: Array
+) -> NDArray[np.bool_]:
+    """Which pixels of a depth map (h, w) show the world, by a mask of the whole image."""
+    a, b, c, d = image_to_depth
+    x, y = np.meshgrid((np.arange(shape[1]) - b) / a, (np.arange(shape[0]) - d) / c)
+    at = cv2.remap(shown.astype(np.uint8), x.astype(np.float32), y.astype(np.float32), cv2.INTER_NEAREST)
+    return np.asarray(at > 0)
 
 
 def _steps(extent: int) -> Array:

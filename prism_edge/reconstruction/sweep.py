@@ -8,7 +8,7 @@ is its depth. Where a surface shows too little, it follows those round it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -23,7 +23,7 @@ SPAN, STEPS = 0.2, 41  # of log depth to either side, and depths tried
 WINDOW = 7  # pixels
 LEAST_ALIKE, LEAST_APART = 0.6, 0.03  # correlation, and by how much it is above that of any other depth
 DISTRUST = 1.0  # correlation that log depth 1 off the network's costs
-MOST_OTHERS, BEST = 4, 2  # keyframes asked, and those that count: from others it may be hidden
+MOST_OTHERS = 4  # keyframes asked, of which the two most alike count: from others it may be hidden
 BASELINES = (0.03, 0.5)  # of the median depth
 _OTHER_PEAK = 3  # steps away
 _FLAT = 9.0  # variance of grey values below which there is nothing to compare
@@ -55,7 +55,7 @@ def sweep(look: Look, others: Sequence[Look]) -> Correction:
     """The depth of each pixel by the pictures of ``others``, one at least."""
     steps = np.linspace(-SPAN, SPAN, STEPS, dtype=np.float32)
     mine = _Patches.of(look.grey.astype(np.float32))
-    alike = np.sort([_alike(look, mine, other, steps) for other in others], axis=0)[::-1][:BEST].mean(axis=0)
+    alike = _best_two(_alike(look, mine, other, steps) for other in others)
     score = alike - DISTRUST * (steps**2)[:, None, None]
     best = score.argmax(axis=0)
     rows, columns = np.indices(best.shape)
@@ -83,6 +83,22 @@ def corrected(look: Look, found: Correction) -> Look:
     firm = found.sure & (np.abs(middle - found.log_depth) < _ASIDE)
     log_depth = np.where(firm, found.log_depth, np.where(found.sure, middle, smooth))
     return look.with_depth((look.view.depth * np.exp(log_depth)).astype(np.float32))
+
+
+def _best_two(said: Iterable[F32]) -> F32:
+    """The mean of the two largest at each place; one at a time, as a large picture's take gigabytes."""
+    best = second = None
+    for values in said:
+        if best is None:
+            best = values
+        elif second is None:
+            best, second = np.maximum(best, values), np.minimum(best, values)
+        else:
+            np.maximum(second, np.minimum(best, values), out=second)
+            np.maximum(best, values, out=best)
+    if best is None:
+        raise ValueError("nobody was asked")
+    return best if second is None else 0.5 * (best + second)
 
 
 @dataclass(frozen=True)

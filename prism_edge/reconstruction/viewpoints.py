@@ -11,6 +11,7 @@ from prism_edge.backend.connectivity import parts_of
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, scaled, transform
+from prism_edge.tracking.features import Features
 
 FIRM_PARALLAX_DEG = 1.0  # of points that the network had no say in: triangulated ones
 _NEAREST = 1e-3  # m before a camera
@@ -27,6 +28,7 @@ class Viewpoint:
     pixels: Array  # (m, 2) of those points, raw: as the camera took them
     depths: Array  # (m,) their depth along z
     beside: tuple[int, ...]  # keyframes that share points with it, those that share most first
+    features: Features  # of its picture
 
 
 def viewpoints(world: GlobalMap, log_scale: float, mount: Array) -> list[Viewpoint]:
@@ -63,4 +65,5 @@ def _viewpoint(
         raw[before],
         z[before],
         tuple(k for k, _ in sorted(shared.items(), key=lambda item: (-item[1], item[0]))),
+        keyframe.features,
     )

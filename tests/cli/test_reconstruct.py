@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 
@@ -14,15 +17,21 @@ from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.map_mount import mount_info
 from prism_edge.backend.stored_map import KnownScale, to_arrays
 from prism_edge.cli.main import main
-from prism_edge.config import FramesConfig
+from prism_edge.config import FramesConfig, TrackingConfig
 from prism_edge.depth.contract import INVERSE_RELATIVE
+from prism_edge.depth.session import OnnxNetwork
+from prism_edge.depth.several_views import SeveralViewsNetwork
+from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.mount import base_from_camera
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.messages import Keyframe
+from prism_edge.sources.base import Slot
+from prism_edge.sources.image_sequence import ImageSequence
+from prism_edge.tracking.features import OrbExtractor
 from prism_edge.tracking.place_index import PlaceIndex
 from tests.depth.test_several_views import write as write_several
 from tests.synthetic.messages import blank
-from tests.synthetic.network import TinyNetwork, write_tiny_network
+from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
 from tests.synthetic.render import Renderer
 from tests.synthetic.scene import furnished_room, hand_held_path
 from tests.synthetic.sequence import RATE_HZ, synthetic_camera, write_sequence
@@ -51,20 +60,29 @@ def path() -> list[np.ndarray]:
     return [inverse(poses[0]) @ pose for pose in poses[::APART]]
 
 
-def true_map(stamped: bool = True, camera: object = CAMERA) -> bytes:
-    """Keyframes where they are, and points of the surfaces that the first sees, wherever they are seen."""
+def true_map(
+    stamped: bool = True, camera: Camera = CAMERA, mount: np.ndarray = MOUNT, twice: bool = False
+) -> bytes:
+    """Keyframes where they are, and points of the surfaces that they see, wherever they are seen.
+
+    ``twice``: a second recording, with the same stamps, has gone the way back in the map.
+    """
     renderer = Renderer(furnished_room(SEED), CAMERA)
     first = hand_held_path(FRAMES, RATE_HZ)[0]
-    draw = [renderer.draw(first @ pose)[1] for pose in path()]
+    way = path() + (path()[::-1] if twice else [])
+    drawn = [renderer.draw(first @ pose) for pose in way]
+    draw = [depth for _, depth in drawn]
+    found = [OrbExtractor(TrackingConfig()).extract(luma, CAMERA) for luma, _ in drawn]
     unit, rng = np.exp(-LOG_SCALE), np.random.default_rng(0)
     places: list[np.ndarray] = []
-    for pose, depth in zip(path(), draw, strict=True):
+    for pose, depth in zip(way, draw, strict=True):
         x, y = rng.integers(8, 312, POINTS), rng.integers(8, 232, POINTS)
         z = depth[y, x].astype(float)
         rays = CAMERA.normalise(np.column_stack([x, y]))
         places.append(transform(pose, np.column_stack([rays * z[:, None], z])))
+    unlike = np.zeros((POINTS * len(way), 4), np.uint64)
     everything, world, told = np.vstack(places), GlobalMap(), set()
-    for k, (pose, depth) in enumerate(zip(path(), draw, strict=True)):
+    for k, (pose, depth, corners) in enumerate(zip(way, draw, found, strict=True)):
         local = transform(inverse(pose), everything)
         pixels = CAMERA.project(np.where(local[:, 2:] > 0.1, local, (0, 0, 1)))
         inside = np.all((pixels > 1) & (pixels < (318, 238)), axis=1) & (local[:, 2] > 0.1)
@@ -75,22 +93,24 @@ def true_map(stamped: bool = True, camera: object = CAMERA) -> bytes:
         told |= set(shown.tolist())
         placed = pose.copy()
         placed[:3, 3] *= unit
+        shows = np.concatenate([shown, np.full(len(corners), -1)])
+        stamp_ns = round(k % len(path()) * APART / RATE_HZ * 1e6) * 1000
         world.absorb(
             blank(
                 Keyframe,
                 id=k,
                 index=k * APART,
-                stamp_ns=round(k * APART / RATE_HZ * 1e6) * 1000,
+                stamp_ns=stamp_ns,
                 epoch=0,
                 camera_model=camera.model,
                 camera=camera.to_array(),
                 world_from_camera=placed,
-                pixels=pixels[shown].astype(np.float32),
-                octaves=np.zeros(len(shown), np.uint8),
-                descriptors=np.zeros((len(shown), 32), np.uint8),
-                points=shown.astype(np.int64),
-                depths=(local[shown, 2] * unit).astype(np.float32),
-                parallax_deg=np.full(len(shown), 3.0, np.float32),
+                pixels=np.vstack([pixels[shown], corners.pixels]).astype(np.float32),
+                octaves=np.concatenate([np.zeros(len(shown)), corners.octaves]).astype(np.uint8),
+                descriptors=np.vstack([unlike[: len(shown)], corners.descriptors]).view(np.uint8),
+                points=shows.astype(np.int64),
+                depths=np.where(shows >= 0, local[shows, 2] * unit, 0).astype(np.float32),
+                parallax_deg=np.where(shows >= 0, 3.0, 0).astype(np.float32),
                 new_points=new,
                 new_positions=everything[new] * unit,
                 new_by=np.full(len(new), k),
@@ -105,7 +125,7 @@ def true_map(stamped: bool = True, camera: object = CAMERA) -> bytes:
         for keyframe in world.keyframes.values():
             keyframe.taken_ns = None
     info, arrays = to_arrays(world, PlaceIndex())
-    return map_file.pack({**info, **KnownScale(LOG_SCALE, 0.01).info, **mount_info(MOUNT)}, arrays)
+    return map_file.pack({**info, **KnownScale(LOG_SCALE, 0.01).info, **mount_info(mount)}, arrays)
 
 
 Call = Callable[..., int]
@@ -190,7 +210,7 @@ def test_keyframes_without_a_picture_are_counted(
     assert call("--no-pictures", source=shorter) == 0
     heard = capsys.readouterr()
     assert "5 of 8 keyframes" in heard.out
-    assert "3 keyframes are left out: the recording has no picture of their time" in heard.err
+    assert "left out: 3 keyframes, of whose time the recording has no picture" in heard.err
 
 
 def test_several_views_go_together(
@@ -223,7 +243,7 @@ def test_depth_of_nothing_is_no_cloud(
     path = write_tiny_network(tmp_path / "bad.onnx", TinyNetwork(misbehaviour=misbehaviour))
     assert call(model=path) == 10
     error = capsys.readouterr().err
-    assert "8 keyframes are left out: the network gives no depth" in error
+    assert "left out: 8 keyframes, of which the network gives no depth" in error
     assert "no surface that 3 keyframes agree on" in error
     assert not (tmp_path / "out.ply").exists()
 
@@ -245,6 +265,142 @@ def test_what_can_not_be_is_said_in_a_line(
     error = capsys.readouterr().err.strip().splitlines()
     assert words in error[-1]
     assert not (tmp_path / "out.ply").exists()
+
+
+def test_of_a_map_of_two_recordings_each_gives_its_own_keyframes(
+    call: Call, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Stamps begin anew in the second, which went the way back: half of its pictures are of other places."""
+    (tmp_path / "both.prismmap").write_bytes(true_map(twice=True))
+    assert call("--no-pictures", "--width", 160, "--voxel", 0.05, map=tmp_path / "both.prismmap") == 0
+    heard = capsys.readouterr()
+    assert "8 of 16 keyframes" in heard.out
+    assert "left out: 8 keyframes, of whose time the recording's picture is another" in heard.err
+    assert np.median(from_the_walls(cloud(tmp_path / "out.ply")[0])) < 0.01
+
+
+def test_a_recording_that_is_looped_in_the_configuration_ends(
+    call: Call, room: Path, tmp_path: Path
+) -> None:
+    shorter = shutil.copytree(room / "seq", tmp_path / "seq")
+    lines = (shorter / "rgb.txt").read_text().splitlines()
+    (shorter / "rgb.txt").write_text("\n".join(lines[:60]) + "\n")
+    assert call("--no-pictures", "--set", "source.loop=true", source=shorter) == 0
+
+
+def test_a_picture_that_can_not_be_read_is_counted(
+    call: Call, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damaged = shutil.copytree(room / "seq", tmp_path / "seq")
+    sorted((damaged / "rgb").iterdir())[APART].write_bytes(b"no picture")
+    assert call("--no-pictures", source=damaged) == 0
+    heard = capsys.readouterr()
+    assert "7 of 8 keyframes" in heard.out
+    assert "left out: 1 keyframes, whose picture can't be read" in heard.err
+
+
+@pytest.mark.parametrize("model", ["metric.onnx", "several.onnx"])
+def test_networks_see_pictures_upright(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, model: str
+) -> None:
+    """A map that says that its camera hung upside down, whatever the configuration says of today's."""
+    over = MOUNT @ np.diag([-1.0, -1.0, 1.0, 1.0])
+    (tmp_path / "over.prismmap").write_bytes(true_map(mount=over))
+    shown: list[np.ndarray] = []
+    for kind, name in ((OnnxNetwork, "raw"), (SeveralViewsNetwork, "infer")):
+        method = getattr(kind, name)
+
+        def spied(self: object, pictures: Any, *more: Any, method: Any = method) -> Any:
+            shown.extend([pictures] if isinstance(pictures, np.ndarray) else pictures)
+            return method(self, pictures, *more)
+
+        monkeypatch.setattr(kind, name, spied)
+    write_several(tmp_path / "several.onnx", size=(320, 240), tinted=True)
+    path = tmp_path / model if model == "several.onnx" else model
+    assert call("--no-pictures", "--width", 160, map=tmp_path / "over.prismmap", model=path) == 0
+    truth = Renderer(furnished_room(SEED), CAMERA).draw(hand_held_path(FRAMES, RATE_HZ)[0])[0]
+    # Before it are those of the warm-up.
+    taken = [p for p in shown if p.shape == (240, 320, 3)][-9 if model == "several.onnx" else -8 :]
+    first = cv2.cvtColor(taken[0], cv2.COLOR_RGB2GRAY)
+    turned = truth[::-1, ::-1].astype(float)
+    assert np.corrcoef(first.ravel(), turned.ravel())[0, 1] > 0.95
+    world = cloud(tmp_path / "out.ply")[0]
+    assert np.median(from_the_walls(transform(MOUNT @ inverse(over), world))) < 0.01
+
+
+def test_the_gate_takes_out_what_the_network_doubts(call: Call, tmp_path: Path) -> None:
+    """tau of the configuration, or of the card; open where the gate is ablated."""
+    shut = ("--set", "gate.tau=0.0001", "--set", "gate.temperature=0.00001")
+    counts = []
+    for gate in ((), (*shut, "--set", "ablate=[dsug]"), shut):
+        code = call("--no-pictures", "--width", 160, "--overwrite", *gate)
+        counts.append(len(cloud(tmp_path / "out.ply")[0]) if code == 0 else 0)
+    assert counts[0] == counts[1] > 2000
+    assert counts[2] < 100
+    card = replace(TinyNetwork().card(), dsug_tau=0.0001, dsug_temperature=0.00001)
+    save(tmp_path / "doubts.onnx", tiny_graph(TinyNetwork()), card)
+    code = call("--no-pictures", "--width", 160, "--overwrite", model=tmp_path / "doubts.onnx")
+    assert code == 10 or len(cloud(tmp_path / "out.ply")[0]) < 100
+
+
+def test_what_the_mask_hides_is_not_in_the_cloud(call: Call, tmp_path: Path) -> None:
+    mask = np.full((240, 320), 255, np.uint8)
+    mask[:, :160] = 0
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    assert call("--no-pictures", "--width", 160, "--agree", 1) == 0
+    whole = len(cloud(tmp_path / "out.ply")[0])
+    masked = ("--overwrite", "--mask", tmp_path / "mask.png")
+    assert call("--no-pictures", "--width", 160, "--agree", 1, *masked) == 0
+    assert len(cloud(tmp_path / "out.ply")[0]) < 0.75 * whole
+    cv2.imwrite(str(tmp_path / "small.png"), mask[:100])
+    assert call("--overwrite", "--mask", tmp_path / "small.png") == 3
+
+
+def test_a_video_s_stamps_are_those_of_the_pictures_that_were_read(
+    call: Call, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is expected before they are read is a little off."""
+    peek = ImageSequence.peek
+
+    def expected(self: ImageSequence) -> Slot | None:
+        slot = peek(self)
+        return None if slot is None else Slot(slot.index, slot.stamp_ns + 7_000_000 * (slot.index % 3))
+
+    def truly(self: ImageSequence) -> Any:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(ImageSequence, "peek", peek)
+            return read(self)
+
+    read = ImageSequence.read
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ImageSequence, "peek", expected)
+        patch.setattr(ImageSequence, "read", truly)
+        assert call("--no-pictures", "--width", 160) == 0
+    assert "8 of 8 keyframes" in capsys.readouterr().out
+
+
+def test_a_unit_that_nobody_knows_is_told(
+    call: Call, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    info, arrays = map_file.unpack(true_map())
+    (tmp_path / "guess.prismmap").write_bytes(map_file.pack({**info, **KnownScale().info}, arrays))
+    assert call("--no-pictures", "--width", 160, map=tmp_path / "guess.prismmap") == 0
+    assert "metres are a guess" in capsys.readouterr().err
+
+
+def test_voxels_too_small_for_the_place_are_told(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("prism_edge.reconstruction.cloud._MOST_STEPS", 32)
+    assert call("--no-pictures", "--width", 160, "--voxel", 0.1) == 0
+    assert "pixels lie too far out for voxels of 0.1 m" in capsys.readouterr().err
+
+
+def test_what_a_depth_camera_measured_is_not_held_to_pictures(
+    call: Call, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call("--width", 160, model="sensor") == 0
+    assert "pictures say" not in capsys.readouterr().out
 
 
 def test_another_recording_is_refused(
@@ -282,7 +438,8 @@ def test_a_map_without_stamps_and_one_of_another_camera_are_refused(
     assert "pictures of 320x240, but the map is of 640x480" in capsys.readouterr().err
 
 
-WRONG = [("--voxel", "0"), ("--voxel", "nan"), ("--agree", "0"), ("--far", "-1"), ("--width", "x")]
+WRONG = [("--voxel", "0"), ("--voxel", "nan"), ("--agree", "0"), ("--agree", "10"), ("--far", "-1")]
+WRONG += [("--width", "x"), ("--width", "63"), ("--width", "1921")]
 
 
 @pytest.mark.parametrize("more", WRONG)

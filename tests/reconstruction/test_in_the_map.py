@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
+from prism_edge.backend.global_map import no_features
 from prism_edge.geometry.cameras import Camera
-from prism_edge.reconstruction.in_the_map import aligned, from_inverse
+from prism_edge.reconstruction import in_the_map
+from prism_edge.reconstruction.in_the_map import aligned, from_relative
 from prism_edge.reconstruction.viewpoints import Viewpoint
 
 CAMERA = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)
@@ -19,7 +22,8 @@ def viewpoint(count: int = 300, seed: int = 0) -> Viewpoint:
     rng = np.random.default_rng(seed)
     x, y = rng.integers(2, 318, count), rng.integers(2, 238, count)
     pixels = np.column_stack([(x + 0.25) / 0.5, (y + 0.25) / 0.5])
-    return Viewpoint(0, 0, np.eye(4), CAMERA, pixels, DEPTH[y, x].astype(np.float64), ())
+    depths = DEPTH[y, x].astype(np.float64)
+    return Viewpoint(0, 0, np.eye(4), CAMERA, pixels, depths, (), no_features())
 
 
 def test_a_networks_unit_becomes_the_map_s() -> None:
@@ -70,13 +74,13 @@ def test_no_depth_at_all_is_none() -> None:
 def test_too_few_points_are_none() -> None:
     assert aligned(DEPTH, TO_DEPTH, viewpoint(19)) is None
     assert aligned(DEPTH, TO_DEPTH, viewpoint(0)) is None
-    assert from_inverse(1 / DEPTH, TO_DEPTH, viewpoint(50)) is None
-    assert from_inverse(1 / DEPTH, TO_DEPTH, viewpoint(0)) is None
+    assert from_relative(1 / DEPTH, TO_DEPTH, viewpoint(50), True) is None
+    assert from_relative(1 / DEPTH, TO_DEPTH, viewpoint(0), True) is None
 
 
 def test_inverse_depth_gets_its_scale_and_its_shift() -> None:
     relative = (7.0 / DEPTH - 3.0).astype(np.float32)
-    made = from_inverse(relative, TO_DEPTH, viewpoint())
+    made = from_relative(relative, TO_DEPTH, viewpoint(), True)
     assert made is not None
     np.testing.assert_allclose(made, DEPTH, rtol=1e-3)
 
@@ -85,11 +89,30 @@ def test_inverse_depth_is_none_where_it_says_none_or_far_beyond_the_points() -> 
     relative = (7.0 / DEPTH).astype(np.float32)
     relative[:20] = np.nan  # sky
     relative[20:40] = 0.001  # seven kilometres
-    made = from_inverse(relative, TO_DEPTH, viewpoint(600))
+    made = from_relative(relative, TO_DEPTH, viewpoint(600), True)
     assert made is not None
     assert (made[:40] == 0).all()
     np.testing.assert_allclose(made[40:], DEPTH[40:], rtol=0.05)
 
 
 def test_what_grows_with_depth_is_no_inverse_depth() -> None:
-    assert from_inverse(DEPTH, TO_DEPTH, viewpoint()) is None
+    assert from_relative(DEPTH, TO_DEPTH, viewpoint(), True) is None
+
+
+@pytest.mark.parametrize("shift", [-1.5, 0.0, 3.0])
+def test_relative_depth_gets_its_scale_and_its_shift(shift: float) -> None:
+    """Also where it lies below 0, but for exactly 0, which is none."""
+    said = (0.4 * DEPTH + shift).astype(np.float32)
+    said[:10] = 0.0
+    made = from_relative(said, TO_DEPTH, viewpoint(600), False)
+    assert made is not None
+    assert (made[:10] == 0).all()
+    assert np.median(np.abs(made[10:] / DEPTH[10:] - 1)) < 0.01
+    assert (made[10:] > 0).mean() > 0.99
+
+
+def test_large_maps_are_aligned_in_portions(monkeypatch: pytest.MonkeyPatch) -> None:
+    off = np.exp(0.12 * np.sin(X / 60.0)).astype(np.float32)
+    whole = aligned(DEPTH * off, TO_DEPTH, viewpoint(800))
+    monkeypatch.setattr(in_the_map, "_AT_ONCE", 100)
+    np.testing.assert_array_equal(aligned(DEPTH * off, TO_DEPTH, viewpoint(800)), whole)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prism_edge.backend.global_map import no_features
 from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.reconstruction.look import look
 from prism_edge.reconstruction.viewpoints import Viewpoint
@@ -20,7 +21,7 @@ NORMAL = np.array([0.2, -0.1, 1.0])  # of a slanted plane: normal . point = 2
 
 
 def viewpoint(camera: Camera) -> Viewpoint:
-    return Viewpoint(7, 5, np.eye(4), camera, np.zeros((0, 2)), np.zeros(0), ())
+    return Viewpoint(7, 5, np.eye(4), camera, np.zeros((0, 2)), np.zeros(0), (), no_features())
 
 
 def plane_depth(rays: np.ndarray) -> np.ndarray:

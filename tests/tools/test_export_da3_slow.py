@@ -10,8 +10,11 @@ import pytest
 
 from prism_edge.config import DepthConfig
 from prism_edge.depth import open_network
+from prism_edge.depth.offline import open_offline
 from prism_edge.depth.session import OnnxNetwork
+from prism_edge.depth.several_views import SeveralViewsNetwork
 from prism_edge.errors import ModelError
+from prism_edge.geometry.alignment import align
 from prism_edge.geometry.cameras import Camera
 from tests.tools.exporter import export
 
@@ -102,3 +105,29 @@ def test_five_views_are_conditioned_on_their_poses_and_not_for_the_daemon(tmp_pa
     assert np.abs(moved / still - 1).max() > 1e-3
     with pytest.raises(ModelError, match="5 images at once"):
         OnnxNetwork(path)
+    _what_reconstruct_makes_of_it(path, session)
+
+
+def _what_reconstruct_makes_of_it(path: Path, session: onnxruntime.InferenceSession) -> None:
+    """Its depth times the scale between the cameras that it predicts and those that it was given."""
+    network = open_offline(str(path), DepthConfig())
+    assert isinstance(network, SeveralViewsNetwork)
+    poses = np.tile(np.eye(4), (5, 1, 1))
+    poses[:, :3, 3] = np.random.default_rng(1).normal(size=(5, 3))
+    pictures = [_noise(i) for i in range(5)]
+    answers = network.infer(pictures, [CAMERA] * 5, poses)
+    fed: dict[str, np.ndarray] = {}
+
+    class Spy:
+        def run(self, names: list[str], feed: dict[str, np.ndarray]) -> list[np.ndarray]:
+            fed.update(feed)
+            return session.run(names, feed)
+
+    network._session = Spy()  # type: ignore[assignment]
+    network.infer(pictures, [CAMERA] * 5, poses)
+    depth, predicted = session.run(["depth", "predicted_extrinsics"], fed)
+    centres = -np.einsum("nji,nj->ni", predicted[:, :, :3], predicted[:, :, 3])
+    scale = align(centres, poses[:, :3, 3] - poses[0, :3, 3], with_scale=True).scale
+    for answer, own in zip(answers, depth, strict=True):
+        assert answer.valid
+        assert answer.depth == pytest.approx(own * scale, rel=1e-3)
