@@ -22,14 +22,12 @@ from prism_edge.scale.gate import image_pixels
 SPAN, STEPS = 0.2, 41  # of log depth to either side, and depths tried
 WINDOW = 7  # pixels
 LEAST_ALIKE, LEAST_APART = 0.6, 0.03  # correlation, and by how much it is above that of any other depth
-DISTRUST = 1.0  # correlation that log depth 1 off the network's costs
 MOST_OTHERS = 4  # keyframes asked, of which the two most alike count: from others it may be hidden
 BASELINES = (0.03, 0.5)  # of the median depth
 _OTHER_PEAK = 3  # steps away
 _FLAT = 9.0  # variance of grey values below which there is nothing to compare
 _NEAREST = 0.05  # m before a camera
 _REACH, _FAR_REACH, _FAR_SHARE, _DAMPING = 12.0, 48.0, 0.1, 0.005  # pixels that a correction holds for
-_ASIDE = 0.02  # of log depth by which a pixel may differ from the middle of those round it
 
 
 @dataclass(frozen=True)
@@ -56,17 +54,16 @@ def sweep(look: Look, others: Sequence[Look]) -> Correction:
     steps = np.linspace(-SPAN, SPAN, STEPS, dtype=np.float32)
     mine = _Patches.of(look.grey.astype(np.float32))
     alike = _best_two(_alike(look, mine, other, steps) for other in others)
-    score = alike - DISTRUST * (steps**2)[:, None, None]
-    best = score.argmax(axis=0)
+    best = alike.argmax(axis=0)
     rows, columns = np.indices(best.shape)
     inner = np.clip(best, 1, STEPS - 2)
-    before, at, after = (score[inner + i, rows, columns] for i in (-1, 0, 1))
+    before, at, after = (alike[inner + i, rows, columns] for i in (-1, 0, 1))
     bend = np.minimum(before - 2.0 * at + after, -1e-6)
     between = np.clip(0.5 * (before - after) / bend, -1.0, 1.0)  # the peak of a parabola through the three
     apart = np.abs(np.arange(STEPS)[:, None, None] - best) > _OTHER_PEAK
-    second = np.where(apart, score, -2.0).max(axis=0)
-    sure = (alike[best, rows, columns] > LEAST_ALIKE) & (best == inner) & (look.view.depth > 0)
-    sure &= score[best, rows, columns] - second > LEAST_APART
+    second = np.where(apart, alike, -2.0).max(axis=0)
+    most = alike[best, rows, columns]
+    sure = (most > LEAST_ALIKE) & (most - second > LEAST_APART) & (best == inner) & (look.view.depth > 0)
     return Correction((steps[inner] + between * (steps[1] - steps[0])).astype(np.float32), sure)
 
 
@@ -78,10 +75,7 @@ def corrected(look: Look, found: Correction) -> Look:
     for reach, part in ((_REACH, 1.0), (_FAR_REACH, _FAR_SHARE)):
         share = share + part * cv2.GaussianBlur(said, (0, 0), reach)
         total = total + part * cv2.GaussianBlur(weights, (0, 0), reach)
-    smooth = share / total
-    middle = cv2.medianBlur(np.where(found.sure, found.log_depth, smooth).astype(np.float32), 5)
-    firm = found.sure & (np.abs(middle - found.log_depth) < _ASIDE)
-    log_depth = np.where(firm, found.log_depth, np.where(found.sure, middle, smooth))
+    log_depth = np.where(found.sure, found.log_depth, share / total)
     return look.with_depth((look.view.depth * np.exp(log_depth)).astype(np.float32))
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,6 +11,7 @@ from hypothesis import strategies as st
 
 from prism_edge.reconstruction import cloud as cloud_module
 from prism_edge.reconstruction.cloud import Voxels, lay
+from prism_edge.scale.gate import image_pixels
 from tests.reconstruction.room import distances, faces, looks
 
 
@@ -95,3 +98,33 @@ def test_edges_and_what_is_not_kept_are_left_out() -> None:
     lay(voxels, look.with_depth(depth).view, kept, look.colours)
     made = voxels.cloud()
     assert len(made.points) == 160 - 2 - 2, "without the picture's rim, and the two at the step"
+
+
+def test_the_nearer_view_weighs_more() -> None:
+    """By the square: a view at half the distance counts four times."""
+    look, voxels = looks()[2], Voxels(1000.0)
+    near, far = np.full_like(look.view.depth, 1.0), np.full_like(look.view.depth, 2.0)
+    pose, back = np.eye(4), np.eye(4)
+    pose[:3, 3] = 500.0  # amid one voxel
+    back[:3, 3] = 500.0
+    back[2, 3] -= 0.5  # sees its plane half a metre behind the other's
+    for depth, seen_from in ((near, pose), (far, back)):
+        view = replace(look.with_depth(depth).view, world_from_camera=seen_from)
+        assert lay(voxels, view, depth > 0, look.colours) == (158 * 118, 0)
+    (point,) = voxels.cloud().points
+    assert point[2] == pytest.approx(501.0 + 0.5 * 0.2, abs=1e-6)
+
+
+def test_what_is_seen_along_its_surface_is_left_out() -> None:
+    """A plane that rises away from the camera under four degrees, and under thirty."""
+    look = looks()[2]
+    rays = look.view.camera.normalise(image_pixels(look.view))
+    for degrees, seen in ((4.0, False), (30.0, True)):
+        # through the middle of the picture at 2 m, inclined to the ray there
+        slope = np.tan(np.radians(degrees))
+        depth = (2.0 * slope / (slope + rays[:, 1])).reshape(look.view.depth.shape).astype(np.float32)
+        middle = np.zeros(depth.shape, bool)
+        middle[58:63, 70:90] = True
+        voxels = Voxels(0.0001)
+        laid, _ = lay(voxels, look.with_depth(np.maximum(depth, 0)).view, middle, look.colours)
+        assert (laid > 0) == seen

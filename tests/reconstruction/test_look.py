@@ -77,3 +77,19 @@ def test_colours_are_red_green_blue() -> None:
     made = look(viewpoint(CAMERAS["ideal"]), rgb, depth, NONE, tenth, 64)
     assert made.colours[20, 30].tolist() == [200, 0, 0]
     assert made.grey[20, 30] == 60  # 0.299 of it
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_an_edge_is_where_its_ray_is_to_a_twentieth_of_a_pixel(name: str) -> None:
+    camera = CAMERAS[name]
+    rgb = np.zeros((480, 640, 3), np.uint8)
+    rgb[:, 400:] = 200  # from half a pixel before column 400
+    depth, whole = np.ones((480, 640), np.float32), np.array([1.0, 0.0, 1.0, 0.0])
+    made = look(viewpoint(camera), rgb, depth, NONE, whole, 160)
+    small = made.view.camera
+    row = round(small.cy)
+    ray = camera.normalise(np.array([[399.5, camera.cy]]))[0]
+    expected = small.project(np.array([[*ray, 1.0]]))[0, 0]
+    low, high = round(expected) - 8, round(expected) + 8
+    found = high + 0.5 - made.colours[row, low : high + 1, 0].sum() / 200.0
+    assert found == pytest.approx(expected, abs=0.05 if name == "ideal" else 0.1)

@@ -1,0 +1,50 @@
+"""Pictures told from others by their corners."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.global_map import no_features
+from prism_edge.config import TrackingConfig
+from prism_edge.reconstruction.same_picture import is_picture_of
+from prism_edge.tracking.features import Features, OrbExtractor
+from tests.synthetic.render import Renderer
+from tests.synthetic.scene import furnished_room, hand_held_path
+from tests.synthetic.sequence import synthetic_camera
+
+CAMERA = synthetic_camera(320, 240)
+
+
+def drawn(frame: int, seed: int = 3) -> np.ndarray:
+    return Renderer(furnished_room(seed), CAMERA).draw(hand_held_path(120, 30.0)[frame])[0]
+
+
+def corners(luma: np.ndarray, **changes: int) -> Features:
+    return OrbExtractor(TrackingConfig(**changes)).extract(luma, CAMERA)
+
+
+def noisy(luma: np.ndarray) -> np.ndarray:
+    grain = np.random.default_rng(0).normal(0.0, 2.0, luma.shape)
+    return np.clip(np.rint(luma + grain), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("frame", [0, 40, 100])
+def test_a_picture_is_its_own_with_noise_and_other_numbers_of_corners(frame: int) -> None:
+    luma = drawn(frame)
+    assert is_picture_of(corners(noisy(luma)), corners(luma))
+    assert is_picture_of(corners(luma, features=300, max_features=300), corners(luma))
+    assert is_picture_of(corners(luma), corners(luma, features=500, max_features=500))
+
+
+@pytest.mark.parametrize("frame", [0, 40, 100])
+def test_another_is_not(frame: int) -> None:
+    mine = corners(drawn(frame))
+    assert not is_picture_of(corners(drawn(frame, seed=4)), mine)
+    assert not is_picture_of(corners(drawn((frame + 60) % 120)), mine)
+    assert not is_picture_of(corners(np.ascontiguousarray(drawn(frame)[::-1, ::-1])), mine)
+
+
+def test_nothing_can_be_told_of_the_dark() -> None:
+    assert is_picture_of(corners(np.zeros((240, 320), np.uint8)), corners(drawn(0)))
+    assert is_picture_of(corners(drawn(0)), no_features())
