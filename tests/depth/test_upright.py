@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from prism_edge.config import FramesConfig
 from prism_edge.depth.prediction import Prediction
-from prism_edge.depth.upright import UprightNetwork, quarter_turns, turned_back, turned_camera
+from prism_edge.depth.upright import (
+    UprightNetwork,
+    camera_from_turned,
+    quarter_turns,
+    turned_back,
+    turned_camera,
+)
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.mount import base_from_camera, looking
 from prism_edge.geometry.poses import Array, inverse, transform
@@ -141,3 +147,15 @@ def test_it_is_the_network_but_for_whose_answers_its_are_compared_with() -> None
     assert upright.identity not in (inner.identity, UprightNetwork(inner, 1).identity)
     upright.infer(np.zeros((48, 64, 3), np.uint8), CAMERA)
     assert upright.counters == {"seen": 1}
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+def test_the_turned_camera_sees_a_point_where_the_turned_picture_shows_it(turns: int) -> None:
+    camera = Camera(64, 48, 60.0, 50.0, 30.0, 25.0)
+    point = np.array([[0.3, -0.2, 1.7]])
+    column, row = np.rint(camera.project(point)[0]).astype(int)
+    picture = np.zeros((48, 64))
+    picture[row, column] = 1.0
+    seen = transform(inverse(camera_from_turned(turns)), point)
+    expected = np.argwhere(np.rot90(picture, turns) == 1.0)[0][::-1]
+    np.testing.assert_allclose(turned_camera(camera, turns).project(seen)[0], expected, atol=0.51)
