@@ -34,7 +34,7 @@ from prism_edge.geometry.poses import from_rt, so3_exp, transform
 from prism_edge.reconstruction.cloud import Cloud, Voxels, lay
 from prism_edge.scale.gate import DepthView
 from prism_edge.sources import open_source
-from prism_edge.sources.sensor_depth import SensorDepth
+from prism_edge.sources.sensor_depth import SensorDepth, image_to_depth
 from prism_edge.sources.truth import read_truth
 
 F64 = NDArray[np.float64]
@@ -150,8 +150,7 @@ def reference(folder: Path, truth: Trajectory, voxel: float, farthest: float) ->
             depth = None if pose is None else sensor.in_colour(slot.index, source.camera)
             if pose is None or depth is None:
                 continue
-            across, down = depth.shape[1] / source.camera.width, depth.shape[0] / source.camera.height
-            placed = np.array([across, 0.5 * across - 0.5, down, 0.5 * down - 0.5])
+            placed = image_to_depth(depth, source.camera)
             near = np.where(depth < farthest, depth, np.float32(0))
             view = DepthView(slot.index, pose, source.camera, near, placed, NO_CONFIDENCE, 1.0)
             lay(voxels, view, near > 0, np.zeros((*depth.shape, 3), np.uint8))

@@ -19,9 +19,11 @@ class MetricMap:
     in it either.
     """
 
+    keyframes: tuple[int, ...]
     stamps: tuple[int | None, ...]  # ns, of each keyframe; None where the map doesn't say
     map_from_camera: Array  # (k, 4, 4) metres
     points: Array  # (m, 3) metres
+    metres: float  # per map unit
     mount: Array  # (4, 4) base_from_camera of who began the map, metres
     elsewhere: int  # keyframes without a place there
 
@@ -53,5 +55,6 @@ def metric_map(world: GlobalMap, log_scale: float, mount: Array) -> MetricMap:
     poses = scaled(np.array([k.world_from_camera for k in home]), metres)
     there = [p for p in world.points.values() if not p.keyframes <= part.keys()]
     places = metres * np.array([p.position for p in there]).reshape(-1, 3)
-    stamps = tuple(k.taken_ns for k in home)
-    return MetricMap(stamps, mount @ poses, transform(mount, places), mount, len(part))
+    numbers, stamps = tuple(k.id for k in home), tuple(k.taken_ns for k in home)
+    points = transform(mount, places)
+    return MetricMap(numbers, stamps, mount @ poses, points, metres, mount, len(part))

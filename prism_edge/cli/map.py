@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prism_edge.cli.settings import add_configuration, config_from
-from prism_edge.cli.whole_file import check_writable, is_map, put_whole
+from prism_edge.cli.whole_file import check_writable, put_whole
 from prism_edge.errors import ConfigError, MapError, say
 
 if TYPE_CHECKING:
@@ -87,8 +87,6 @@ def run(args: argparse.Namespace) -> int:
     for path in wanted:
         if path.suffix == SUFFIX:
             raise ConfigError(f"{path}: files in {SUFFIX} are maps, which no export replaces: name another")
-        if is_map(path):
-            raise ConfigError(f"{path} is a map, which no export replaces: name another file")
         check_writable(path, args.overwrite)
     _export(opened(args.map, config), args)
     return 0

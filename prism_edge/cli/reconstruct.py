@@ -14,7 +14,7 @@ from prism_edge.cli.settings import (
     config_from,
     whole_from_one_to,
 )
-from prism_edge.cli.whole_file import check_writable, is_map, put_whole
+from prism_edge.cli.whole_file import check_writable, put_whole
 from prism_edge.errors import ConfigError, MapError, say
 
 if TYPE_CHECKING:
@@ -111,12 +111,10 @@ def run(args: argparse.Namespace) -> int:
 
     if args.out.suffix.lower() != ".ply":
         raise ConfigError(f"{args.out}: what is written is a PLY file: give it that ending")
-    if is_map(args.out):
-        raise ConfigError(f"{args.out} is a map, which no cloud replaces: name another file")
     check_writable(args.out, args.overwrite)
     config = config_from(args)
     found = opened(args.map, config)
-    seen = viewpoints(found.world, found.scale.log_scale, found.metric.mount)
+    seen = viewpoints(found.world, found.metric)
     if not found.scale.is_known:
         say(f"{found.path}: warning: no depth has said how long its unit is: metres are a guess")
     if not seen:

@@ -89,8 +89,6 @@ def _of_several(network: SeveralViewsNetwork, turns: int) -> DepthOf:
         taken = list(together)
         cameras = [t.viewpoint.camera for t in taken]
         poses = np.array([t.viewpoint.map_from_camera for t in taken])
-        if not turns:
-            return list(zip(taken, network.infer([t.rgb for t in taken], cameras, poses), strict=True))
         upright = [np.ascontiguousarray(np.rot90(t.rgb, turns)) for t in taken]
         turned = [turned_camera(camera, turns) for camera in cameras]
         found = network.infer(upright, turned, poses @ camera_from_turned(turns))

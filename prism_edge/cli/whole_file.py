@@ -14,6 +14,8 @@ def check_writable(path: Path, overwrite: bool) -> None:
     """Before anybody takes the trouble. Raises ConfigError."""
     if path.exists() and not path.is_file() and not path.is_dir():
         raise ConfigError(f"{path} is a pipe or a device; name a file")  # whole, or not at all
+    if _is_map(path):
+        raise ConfigError(f"{path} is a map, which no command replaces: name another file")
     if path.exists() and not overwrite:
         raise ConfigError(f"{path} is there already: name another, or give --overwrite")
     if not path.parent.is_dir():
@@ -28,7 +30,7 @@ def check_writable(path: Path, overwrite: bool) -> None:
         raise ConfigError(f"{path} can't be written ({error.strerror})") from None
 
 
-def is_map(path: Path) -> bool:
+def _is_map(path: Path) -> bool:
     """Whether there is a file that begins as a map does, whatever it is called."""
     try:
         with path.open("rb") as file:

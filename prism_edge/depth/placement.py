@@ -34,6 +34,17 @@ class Placement:
         """Geometric mean of the focal lengths in pixels of the network's input."""
         return math.sqrt(camera.fx * self.scale_x * camera.fy * self.scale_y)
 
+    def to_input(self, camera: Camera) -> NDArray[np.float64]:
+        """(4,) fx, fy, cx, cy of a camera in pixels of the network's input; its distortion is left out."""
+        return np.array(
+            [
+                camera.fx * self.scale_x,
+                camera.fy * self.scale_y,
+                (camera.cx + 0.5) * self.scale_x - 0.5 - self.left,
+                (camera.cy + 0.5) * self.scale_y - 0.5 - self.top,
+            ]
+        )
+
     def to_image(self, fx: float, fy: float, cx: float, cy: float) -> NDArray[np.float64]:
         """(4,) of a camera given in pixels of the network's input: the same in pixels of the image."""
         return np.array(

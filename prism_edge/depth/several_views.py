@@ -138,8 +138,5 @@ class SeveralViewsNetwork:
 
 def _matrix(camera: Camera, placement: Placement) -> NDArray[np.float32]:
     """Camera matrix (3, 3) in pixels of the network's input."""
-    fx, fy = camera.fx * placement.scale_x, camera.fy * placement.scale_y
-    cx = (camera.cx + 0.5) * placement.scale_x - 0.5 - placement.left
-    cy = (camera.cy + 0.5) * placement.scale_y - 0.5 - placement.top
+    fx, fy, cx, cy = placement.to_input(camera)
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]], np.float32)
-

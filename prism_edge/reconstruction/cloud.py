@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array, transform
-from prism_edge.scale.gate import DepthView, image_pixels
+from prism_edge.reconstruction.look import surface
+from prism_edge.scale.gate import DepthView
 
 _SUMS = 10  # weight, position, normal, colour
 _MOST_STEPS = 1 << 20  # voxels along an axis, either way: three of them fit into 64 bits
@@ -76,16 +77,13 @@ def lay(
 
     How many came in, and how many lie beyond the grid; outlines and the picture's rim are neither.
     """
-    height, width = view.depth.shape
-    rays = view.camera.normalise(image_pixels(view)).reshape(height, width, 2)
-    z = view.depth.astype(np.float64) * view.units_per_metre
-    local = np.dstack([rays * z[..., None], z])
+    local = surface(view)
     normals, smooth = _normals(local)
     facing = -np.sum(normals * local, axis=2) > _STEEPEST * np.linalg.norm(local, axis=2)
     chosen = kept & smooth & facing
     points = transform(view.world_from_camera, local[chosen])
     turned = normals[chosen] @ view.world_from_camera[:3, :3].T
-    laid = voxels.add(points, turned, colours[chosen], 1.0 / z[chosen] ** 2)
+    laid = voxels.add(points, turned, colours[chosen], 1.0 / local[chosen][:, 2] ** 2)
     return laid, len(points) - laid
 
 

@@ -10,17 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array, inverse, transform
-from prism_edge.reconstruction.look import Look
-from prism_edge.scale.gate import Floats, GateParameters, combined, image_pixels, spatial_uncertainty, weigh
+from prism_edge.reconstruction.look import Look, between_four, surface
+from prism_edge.scale.gate import Floats, GateParameters, combined, spatial_uncertainty, weigh
 
 LEAST_WEIGHT = 0.5  # of the gate, at which u is tau
 _NEAREST = 1e-3  # m before a camera
-_WHOLE = 0.99  # of four pixels' weights
 
 
 @dataclass(frozen=True)
@@ -50,9 +48,9 @@ def consensus(
     through, heard = np.zeros(shape, np.int64), np.zeros(shape, np.int64)
     total, differing = np.zeros(shape), np.zeros(shape)
     hidden = tolerance if gate is None else max(gate.tau, tolerance)
-    points = _points(look)
+    points = surface(look.view)
     for other in others:
-        ratios = _log_ratios(points, other, shape)
+        ratios = _log_ratios(look, points, other)
         agrees = np.abs(ratios) <= tolerance  # not nan either
         agreeing += agrees
         through += ratios > tolerance
@@ -71,23 +69,15 @@ def consensus(
     return Consensus(depth, agreeing, through, weights)
 
 
-def _points(look: Look) -> Array:
-    """Where (h w, 3) each pixel's surface is, in the frame of the poses; nan for those without depth."""
-    rays = look.view.camera.normalise(image_pixels(look.view))
-    z = np.where(look.view.depth > 0, look.view.depth, np.nan).astype(np.float64).reshape(-1, 1)
-    return transform(look.view.world_from_camera, np.hstack([rays * z, z]))
-
-
-def _log_ratios(points: Array, other: Look, shape: tuple[int, ...]) -> Array:
-    """log(depth that ``other`` has at points (h w, 3) / their depth from there), (h, w); nan for none."""
-    seen = transform(inverse(other.view.world_from_camera), points)
-    before = seen[:, 2] > _NEAREST  # not nan either
+def _log_ratios(look: Look, points: Array, other: Look) -> Array:
+    """log(depth that ``other`` has at ``look``'s points (h, w, 3) / their depth there), (h, w); nan: none."""
+    other_from_here = inverse(other.view.world_from_camera) @ look.view.world_from_camera
+    seen = transform(other_from_here, points.reshape(-1, 3))
+    before = seen[:, 2] > _NEAREST
     seen = np.where(before[:, None], seen, (0.0, 0.0, 1.0))
     pixels = np.where(before[:, None], other.view.camera.project(seen), -10.0)
+    shape = look.view.depth.shape
     x, y = (np.clip(p, -10.0, 1e6).astype(np.float32).reshape(shape) for p in pixels.T)
-    # Between four pixels that all have depth: with the 0 of one that has none it would be no depth at all.
-    whole = cv2.remap((other.view.depth > 0).astype(np.float32), x, y, cv2.INTER_LINEAR) > _WHOLE
-    depth = cv2.remap(other.view.depth, x, y, cv2.INTER_LINEAR)
-    there = whole & before.reshape(shape)
-    expected = seen[:, 2].reshape(shape)
-    return np.where(there, np.log(np.where(there, depth, 1.0) / expected), np.nan)
+    depth = between_four(other.view.depth, x, y)
+    there = (depth > 0) & before.reshape(shape) & (look.view.depth > 0)
+    return np.where(there, np.log(np.where(there, depth, 1.0) / seen[:, 2].reshape(shape)), np.nan)

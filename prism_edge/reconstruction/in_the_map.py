@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from prism_edge.depth.pairing import fit_depth, fit_inverse_depth, metres
 from prism_edge.geometry.poses import Array
 from prism_edge.reconstruction.viewpoints import Viewpoint
+from prism_edge.scale.gate import nearest
 from prism_edge.tracking.depth_alignment import DepthAlignment
 from prism_edge.tracking.seeding import MIN_ALIGNED, sample_depth
 
@@ -31,11 +32,10 @@ def from_relative(
 
     None where the points say too little, or contradict it.
     """
-    x, y = _places(said, image_to_depth, viewpoint.pixels)
-    there = (x >= 0) & (y >= 0) & (x < said.shape[1]) & (y < said.shape[0])
+    row, column, there = nearest(said.shape, image_to_depth, viewpoint.pixels)
     if not there.any():
         return None
-    told, depths = said[y[there], x[there]].astype(np.float64), viewpoint.depths[there]
+    told, depths = said[row[there], column[there]].astype(np.float64), viewpoint.depths[there]
     fit = fit_inverse_depth(told, depths) if is_inverse else fit_depth(told, depths)
     if fit is None:
         return None
@@ -95,12 +95,3 @@ def shown_in(
 def _steps(extent: int) -> Array:
     """Each STEP-th pixel, one beyond the last so that all lie between two."""
     return np.arange(0, extent + STEP, STEP, dtype=np.float64)
-
-
-def _places(
-    plane: F32, image_to_depth: Array, pixels: Array
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    a, b, c, d = image_to_depth
-    x, y = np.rint(pixels[:, 0] * a + b), np.rint(pixels[:, 1] * c + d)
-    most = max(plane.shape)
-    return np.clip(x, -1, most).astype(np.intp), np.clip(y, -1, most).astype(np.intp)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.reconstruction.viewpoints import Viewpoint
-from prism_edge.scale.gate import DepthView
+from prism_edge.scale.gate import DepthView, image_pixels
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -48,22 +48,36 @@ def look(
     raw = taken.distort_pixels(ideal)
     colours = cv2.resize(rgb, (small.width, small.height), interpolation=cv2.INTER_AREA)
     if not taken.is_ideal:
-        colours = _at(colours, (raw + 0.5) * (across, down) - 0.5, small)
+        places = _places((raw + 0.5) * (across, down) - 0.5, small)
+        colours = cv2.remap(colours, *places, cv2.INTER_LINEAR)
     a, b, c, d = image_to_depth
     at = raw * (a, c) + (b, d)
-    there = _at((depth > 0).astype(np.float32), at, small)
-    metres = _at(np.where(depth > 0, depth, 0.0).astype(np.float32), at, small)
-    whole = there > _WHOLE
     view = DepthView(
         viewpoint.keyframe,
         viewpoint.map_from_camera,
         small,
-        np.where(whole, metres / np.where(whole, there, 1.0), 0.0).astype(np.float32),
+        between_four(depth, *_places(at, small)),
         np.array([1.0, 0.0, 1.0, 0.0]),
-        _at(confidence, at, small) if confidence.size else confidence,
+        cv2.remap(confidence, *_places(at, small), cv2.INTER_LINEAR) if confidence.size else confidence,
         1.0,
     )
     return Look(view, cv2.cvtColor(colours, cv2.COLOR_RGB2GRAY), np.ascontiguousarray(colours))
+
+
+def surface(view: DepthView) -> Array:
+    """Where (h, w, 3) each pixel's surface is, in the camera's frame; the camera's centre without depth."""
+    height, width = view.depth.shape
+    rays = view.camera.normalise(image_pixels(view)).reshape(height, width, 2)
+    z = view.depth.astype(np.float64) * view.units_per_metre
+    return np.dstack([rays * z[..., None], z])
+
+
+def between_four(depth: F32, x: F32, y: F32) -> F32:
+    """Depth at places x, y (h, w) of a depth map; 0 unless all four pixels round one have depth."""
+    there = cv2.remap((depth > 0).astype(np.float32), x, y, cv2.INTER_LINEAR)
+    blended = cv2.remap(np.where(depth > 0, depth, np.float32(0)), x, y, cv2.INTER_LINEAR)
+    whole = there > _WHOLE
+    return np.where(whole, blended / np.where(whole, there, np.float32(1)), np.float32(0))
 
 
 def _small(taken: Camera, width: int) -> Camera:
@@ -80,8 +94,7 @@ def _small(taken: Camera, width: int) -> Camera:
     )
 
 
-def _at(plane: NDArray, pixels: Array, camera: Camera) -> NDArray:
-    """Values of a plane at pixels (h w, 2) of it, for a picture of ``camera``; 0 outside."""
-    shape = (camera.height, camera.width)
-    x, y = pixels.astype(np.float32).T
-    return cv2.remap(plane, x.reshape(shape), y.reshape(shape), cv2.INTER_LINEAR)
+def _places(pixels: Array, camera: Camera) -> tuple[F32, F32]:
+    """x and y (h, w) of pixels (h w, 2), one for each of a picture of ``camera``."""
+    x, y = pixels.astype(np.float32).T.reshape(2, camera.height, camera.width)
+    return x, y

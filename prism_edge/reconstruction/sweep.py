@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import inverse
-from prism_edge.reconstruction.look import F32, Look
-from prism_edge.scale.gate import image_pixels
+from prism_edge.reconstruction.look import F32, Look, surface
 
 SPAN, STEPS = 0.2, 41  # of log depth to either side, and depths tried
 WINDOW = 7  # pixels
@@ -112,16 +111,13 @@ class _Patches:
 def _alike(look: Look, mine: _Patches, other: Look, steps: F32) -> F32:
     """Correlation (n, h, w) of the windows with what ``other`` shows there; -1 where it shows nothing."""
     view, camera = look.view, other.view.camera
-    height, width = mine.grey.shape
-    rays = view.camera.normalise(image_pixels(view)).reshape(height, width, 2)
     other_from_here = inverse(other.view.world_from_camera) @ view.world_from_camera
-    points = np.dstack([rays, np.ones((height, width))]) * view.depth[..., None]
-    turned = (points @ other_from_here[:3, :3].T).astype(np.float32)
+    turned = (surface(view) @ other_from_here[:3, :3].T).astype(np.float32)
     x, y, z = (np.ascontiguousarray(turned[..., i]) for i in range(3))
     dx, dy, dz = other_from_here[:3, 3].astype(np.float32)
     fx, fy, cx, cy = map(np.float32, (camera.fx, camera.fy, camera.cx, camera.cy))
     theirs = other.grey.astype(np.float32)
-    found = np.empty((len(steps), height, width), np.float32)
+    found = np.empty((len(steps), *mine.grey.shape), np.float32)
     for i, factor in enumerate(np.exp(steps)):
         far = z * factor + dz
         before = far > _NEAREST

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from prism_edge.backend.connectivity import parts_of
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.backend.map_export import MetricMap
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.poses import Array, inverse, scaled, transform
+from prism_edge.geometry.poses import Array, inverse, transform
 from prism_edge.tracking.features import Features
 
 FIRM_PARALLAX_DEG = 1.0  # of points that the network had no say in: triangulated ones
@@ -31,26 +31,24 @@ class Viewpoint:
     features: Features  # of its picture
 
 
-def viewpoints(world: GlobalMap, log_scale: float, mount: Array) -> list[Viewpoint]:
-    """Keyframes with a place in `map` and a stamp, by their stamps.
-
-    ``log_scale`` and ``mount`` (4, 4) are as in :func:`prism_edge.backend.map_export.metric_map`.
-    """
-    apart = parts_of(world)
-    home = {k: keyframe for k, keyframe in world.keyframes.items() if k not in apart}
-    there = [k for k in home.values() if k.taken_ns is not None]
-    metres = float(np.exp(log_scale))
-    return sorted(
-        (_viewpoint(world, keyframe, metres, mount, home) for keyframe in there), key=lambda v: v.stamp_ns
-    )
+def viewpoints(world: GlobalMap, metric: MetricMap) -> list[Viewpoint]:
+    """Keyframes with a place in `map` and a stamp, by their stamps; ``metric`` is the same map in metres."""
+    home = set(metric.keyframes)
+    placed = zip(metric.keyframes, metric.stamps, metric.map_from_camera, strict=True)
+    made = [
+        _viewpoint(world, world.keyframes[number], stamp_ns, pose, metric.metres, home)
+        for number, stamp_ns, pose in placed
+        if stamp_ns is not None
+    ]
+    return sorted(made, key=lambda viewpoint: viewpoint.stamp_ns)
 
 
 def _viewpoint(
-    world: GlobalMap, keyframe: GlobalKeyframe, metres: float, mount: Array, home: dict[int, GlobalKeyframe]
+    world: GlobalMap, keyframe: GlobalKeyframe, stamp_ns: int, pose: Array, metres: float, home: set[int]
 ) -> Viewpoint:
     shared: Counter[int] = Counter()
     for point in keyframe.observed:
-        shared.update(world.points[point].keyframes & home.keys())
+        shared.update(world.points[point].keyframes & home)
     del shared[keyframe.id]
     firm = {p: k for p, k in keyframe.observed.items() if world.points[p].parallax_deg >= FIRM_PARALLAX_DEG}
     places = np.array([world.points[p].position for p in firm]).reshape(-1, 3)
@@ -59,8 +57,8 @@ def _viewpoint(
     before = z > _NEAREST
     return Viewpoint(
         keyframe.id,
-        int(keyframe.taken_ns or 0),
-        mount @ scaled(keyframe.world_from_camera, metres),
+        stamp_ns,
+        pose,
         keyframe.camera,
         raw[before],
         z[before],

@@ -52,13 +52,7 @@ class DepthView:
 
     def at(self, raw: Array) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
         """Row and column of the depth pixel at each raw pixel (n, 2), and which lie on the map."""
-        height, width = self.depth.shape
-        x = raw[:, 0] * self.image_to_depth[0] + self.image_to_depth[1]
-        y = raw[:, 1] * self.image_to_depth[2] + self.image_to_depth[3]
-        inside = (x >= -0.5) & (y >= -0.5) & (x < width - 0.5) & (y < height - 0.5)
-        column = np.rint(np.where(inside, x, 0.0)).astype(np.intp)
-        row = np.rint(np.where(inside, y, 0.0)).astype(np.intp)
-        return row, column, inside
+        return nearest(self.depth.shape, self.image_to_depth, raw)
 
 
 @dataclass(frozen=True)
@@ -67,6 +61,19 @@ class Gated:
 
     uncertainty: Floats
     weights: Floats
+
+
+def nearest(
+    shape: tuple[int, ...], image_to_depth: Array, raw: Array
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+    """Row and column of a depth map of a ``shape`` at each raw pixel (n, 2), and which lie on it."""
+    height, width = shape
+    x = raw[:, 0] * image_to_depth[0] + image_to_depth[1]
+    y = raw[:, 1] * image_to_depth[2] + image_to_depth[3]
+    inside = (x >= -0.5) & (y >= -0.5) & (x < width - 0.5) & (y < height - 0.5)
+    column = np.rint(np.where(inside, x, 0.0)).astype(np.intp)
+    row = np.rint(np.where(inside, y, 0.0)).astype(np.intp)
+    return row, column, inside
 
 
 def weigh(uncertainty: Floats, parameters: GateParameters) -> Floats:

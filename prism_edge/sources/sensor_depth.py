@@ -6,6 +6,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
@@ -70,6 +71,12 @@ class SensorDepth:
             return None
         raw[raw == _NO_RETURN] = 0
         return raw.astype(np.float32) / np.float32(self._units)
+
+
+def image_to_depth(depth: F32, camera: Camera) -> NDArray[np.float64]:
+    """(4,) a, b, c, d: pixel (x, y) of ``camera``'s image is at (a x + b, c y + d) of its depth."""
+    across, down = depth.shape[1] / camera.width, depth.shape[0] / camera.height
+    return np.array([across, 0.5 * across - 0.5, down, 0.5 * down - 0.5])
 
 
 def seen_by_colour(depth: F32, camera: Camera) -> F32:

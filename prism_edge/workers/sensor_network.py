@@ -18,7 +18,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.mount import base_from_camera
 from prism_edge.named_path import named_path
 from prism_edge.sources.address import shown_address
-from prism_edge.sources.sensor_depth import SensorDepth
+from prism_edge.sources.sensor_depth import SensorDepth, image_to_depth
 from prism_edge.sources.sim import is_simulated
 from prism_edge.sources.sim.depth_camera import SimulatedDepth
 
@@ -66,11 +66,10 @@ class SensorNetwork:
         depth = self._sensor.in_colour(index % self._round, camera)
         if depth is None:
             depth = np.zeros((3, 3), np.float32)
-        across, down = depth.shape[1] / camera.width, depth.shape[0] / camera.height
         return checked(
             Prediction(
                 depth,
-                np.array([across, 0.5 * across - 0.5, down, 0.5 * down - 0.5]),
+                image_to_depth(depth, camera),
                 no_confidence(),
                 no_descriptor(),
                 inference_ms=1e3 * (time.perf_counter() - started),

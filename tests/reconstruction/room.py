@@ -8,9 +8,9 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array, transform
 from prism_edge.reconstruction.look import F32, Look
-from prism_edge.scale.gate import DepthView, image_pixels
+from prism_edge.scale.gate import DepthView
 from tests.synthetic.render import Renderer
-from tests.synthetic.scene import Face, cuboid, furnished_room, hand_held_path
+from tests.synthetic.scene import Face, cuboid, distances, furnished_room, hand_held_path
 from tests.synthetic.sequence import synthetic_camera
 
 WIDTH, HEIGHT = 160, 120
@@ -60,19 +60,6 @@ def log_errors(depth: F32, number: int) -> Array:
     return np.log(depth[there] / looks()[number].view.depth[there])
 
 
-def distances(points: Array) -> Array:
+def from_the_walls(points: Array) -> Array:
     """From points (n, 3) to the nearest face of the room (n,)."""
-    best = np.full(len(points), np.inf)
-    for face in faces():
-        local = points - face.corner
-        u, v = local @ face.right, local @ face.down
-        aside = np.maximum(0, np.maximum(-u, u - face.width)), np.maximum(0, np.maximum(-v, v - face.height))
-        best = np.minimum(best, np.sqrt((local @ face.normal) ** 2 + aside[0] ** 2 + aside[1] ** 2))
-    return best
-
-
-def world_points(look: Look) -> Array:
-    """Where every pixel's surface is (h w, 3)."""
-    rays = CAMERA.normalise(image_pixels(look.view))
-    z = look.view.depth.reshape(-1, 1).astype(np.float64)
-    return transform(look.view.world_from_camera, np.hstack([rays * z, z]))
+    return distances(points, faces())

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from prism_edge.reconstruction import cloud as cloud_module
 from prism_edge.reconstruction.cloud import Voxels, lay
 from prism_edge.scale.gate import image_pixels
-from tests.reconstruction.room import distances, faces, looks
+from tests.reconstruction.room import faces, from_the_walls, looks
 
 
 def grey(values: list[int]) -> np.ndarray:
@@ -82,7 +82,7 @@ def test_a_rooms_depth_lies_on_its_faces_with_their_normals() -> None:
     lay(voxels, look.view, np.ones(look.view.depth.shape, bool), look.colours)
     made = voxels.cloud()
     assert len(made.points) > 10_000
-    assert distances(made.points).max() < 0.003
+    assert from_the_walls(made.points).max() < 0.003
     normals = np.array([face.normal for face in faces()])
     assert np.median((made.normals @ normals.T).max(axis=1)) > 0.9999
     to_camera = look.view.world_from_camera[:3, 3] - made.points

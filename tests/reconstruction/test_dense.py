@@ -6,7 +6,7 @@ import numpy as np
 
 from prism_edge.reconstruction.dense import Options, reconstruct
 from prism_edge.scale.gate import GateParameters
-from tests.reconstruction.room import COUNT, all_others, distances, looks, wavering
+from tests.reconstruction.room import COUNT, all_others, from_the_walls, looks, wavering
 
 
 def wavering_room() -> dict:
@@ -17,7 +17,7 @@ def test_pictures_and_agreement_bring_a_network_s_depth_to_the_walls() -> None:
     plain = reconstruct(wavering_room(), all_others(), Options(agreeing=1, by_pictures=False))
     agreed = reconstruct(wavering_room(), all_others(), Options(by_pictures=False))
     by_pictures = reconstruct(wavering_room(), all_others(), Options())
-    errors = [np.median(distances(made.cloud.points)) for made in (plain, agreed, by_pictures)]
+    errors = [np.median(from_the_walls(made.cloud.points)) for made in (plain, agreed, by_pictures)]
     assert errors[1] < 0.9 * errors[0]
     assert errors[2] < 0.25 * errors[0]
     assert errors[2] < 0.01
@@ -30,10 +30,10 @@ def test_what_passed_by_is_not_in_the_cloud() -> None:
     with_box, gate = looks(with_box_in=3), GateParameters(0.5, 0.1, 0.02)
     alone = reconstruct(with_box, all_others(), Options(agreeing=1, by_pictures=False))
     made = reconstruct(with_box, all_others(), Options(by_pictures=False, gate=gate))
-    assert (distances(alone.cloud.points) > 0.1).mean() < 0.001, "even alone it is outvoted"
+    assert (from_the_walls(alone.cloud.points) > 0.1).mean() < 0.001, "even alone it is outvoted"
     one = reconstruct({3: with_box[3]}, {}, Options(agreeing=1, by_pictures=False))
-    assert (distances(one.cloud.points) > 0.1).sum() > 50, "but where nobody else has looked"
-    assert (distances(made.cloud.points) > 0.05).mean() < 0.001
+    assert (from_the_walls(one.cloud.points) > 0.1).sum() > 50, "but where nobody else has looked"
+    assert (from_the_walls(made.cloud.points) > 0.05).mean() < 0.001
 
 
 def test_what_is_farther_than_asked_is_left_out() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
+from prism_edge.backend.map_export import metric_map
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import from_rt, so3_exp
 from prism_edge.reconstruction.viewpoints import Viewpoint, viewpoints
@@ -45,9 +46,13 @@ def world() -> GlobalMap:
     return made
 
 
+def seen_in(world: GlobalMap, metres: float = 1.0) -> list[Viewpoint]:
+    return viewpoints(world, metric_map(world, float(np.log(metres)), MOUNT))
+
+
 @pytest.fixture(scope="module")
 def made() -> list[Viewpoint]:
-    return viewpoints(world(), float(np.log(METRES)), MOUNT)
+    return seen_in(world(), METRES)
 
 
 def test_those_with_a_stamp_and_a_place_by_their_stamps(made: list[Viewpoint]) -> None:
@@ -77,7 +82,7 @@ def test_those_that_share_most_come_first(made: list[Viewpoint]) -> None:
 def test_a_point_behind_its_camera_is_left_out() -> None:
     turned = world()
     turned.points[1].position = np.array([0.0, 0.0, -2.0])
-    view = viewpoints(turned, 0.0, MOUNT)[2]
+    view = seen_in(turned)[2]
     np.testing.assert_allclose(view.depths, [6.0])
     assert len(view.pixels) == 1
 
@@ -86,4 +91,4 @@ def test_a_map_without_stamps_has_none() -> None:
     bare = world()
     for keyframe in bare.keyframes.values():
         keyframe.taken_ns = None
-    assert viewpoints(bare, 0.0, MOUNT) == []
+    assert seen_in(bare) == []

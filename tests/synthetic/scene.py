@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import cv2
@@ -122,3 +123,14 @@ def hand_held_path(frames: int, rate_hz: float) -> F64:
     poses[:, :3, 0], poses[:, :3, 1], poses[:, :3, 2] = c * right + s * down, c * down - s * right, forward
     poses[:, :3, 3] = eye
     return poses
+
+
+def distances(points: F64, faces: Iterable[Face]) -> F64:
+    """From points (n, 3) to the nearest of the faces (n,)."""
+    best = np.full(len(points), np.inf)
+    for face in faces:
+        local = points - face.corner
+        u, v = local @ face.right, local @ face.down
+        over = np.maximum(0, np.maximum(-u, u - face.width)), np.maximum(0, np.maximum(-v, v - face.height))
+        best = np.minimum(best, np.sqrt((local @ face.normal) ** 2 + over[0] ** 2 + over[1] ** 2))
+    return best

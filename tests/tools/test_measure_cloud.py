@@ -11,9 +11,8 @@ from prism_edge.cli.main import main as prism_edge
 from prism_edge.geometry.ply import ply
 from prism_edge.geometry.poses import from_rt, inverse, so3_exp, transform
 from prism_edge.reconstruction.cloud import Cloud
-from tests.cli.test_reconstruct import CAMERA, FRAMES, MOUNT, SEED, true_map
+from tests.cli.mapped_room import FRAMES, MOUNT, write_room
 from tests.synthetic.scene import hand_held_path
-from tests.synthetic.sequence import write_sequence
 from tools.measure_cloud import main, read_ply, score
 
 MOVED = from_rt(so3_exp(np.array([0.01, -0.02, 0.015])), np.array([0.03, -0.02, 0.02]))
@@ -58,10 +57,7 @@ def test_thickness_is_what_a_surface_is_spread_by() -> None:
 
 @pytest.fixture(scope="module")
 def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("room")
-    write_sequence(folder / "seq", FRAMES, CAMERA.width, CAMERA.height, seed=SEED)
-    (folder / "room.prismmap").write_bytes(true_map())
-    return folder
+    return write_room(tmp_path_factory.mktemp("room"))
 
 
 def test_a_reconstruction_from_true_depth_is_the_reference(
