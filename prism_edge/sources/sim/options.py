@@ -9,8 +9,9 @@ from prism_edge.errors import SourceError
 from prism_edge.sources.address import parse_options
 
 SCHEME = "sim:"
-STREET = "street"
-KINDS = ("room", "loop", "static", STREET)
+STREET, TOWN = "street", "town"
+OUTDOORS = (STREET, TOWN)
+KINDS = ("room", "loop", "static", *OUTDOORS)
 HANDHELD, WHEELED, STOPS, TURN, STILL = "handheld", "wheeled", "stops", "turn", "still"
 DRIVE = "drive"
 INDOORS_MPS = 5.0
@@ -20,9 +21,9 @@ INDOORS_MPS = 5.0
 class Options:
     """What a ``sim:`` address says. 0 stands for 'as the kind and path have it' where noted."""
 
-    kind: str = one_of("room", *KINDS, help="world: a room, a ring of eight, a room from a tripod, streets")
+    kind: str = one_of("room", *KINDS, help="world: a room, a ring of eight, from a tripod, streets, a town")
     seed: int = limits(0, 0, 2**31 - 1, "the world, the way and the noise; equal seeds, equal pictures")
-    frames: int = limits(0, 0, 100_000_000, "length; 0: 900, or one lap of loop or street and a little more")
+    frames: int = limits(0, 0, 100_000_000, "length; 0: 900, or one lap of a closed way and a little more")
     path: str = one_of(HANDHELD, HANDHELD, WHEELED, STOPS, TURN, STILL, DRIVE, help="how the camera moves")
     rate: float = limits(30.0, 0.1, 1000.0, "frames a second")
     width: int = limits(640, 32, 4096, "pixels of a row, even")
@@ -64,14 +65,14 @@ def parse(uri: str) -> Options:
         raise SourceError(f"{uri}: follow is the whole way, with nobody in it; leave out path and actors")
     if kind == "static" and values.setdefault("path", STILL) != STILL:
         raise SourceError(f"{uri}: the camera of static stands still; use room for path={values['path']}")
-    if kind == STREET and values.setdefault("path", DRIVE) != DRIVE:
-        raise SourceError(f"{uri}: the camera of street is on a car; path={values['path']} is for rooms")
+    if kind in OUTDOORS and values.setdefault("path", DRIVE) != DRIVE:
+        raise SourceError(f"{uri}: the camera of {kind} is on a car; path={values['path']} is for rooms")
     options = Options(**values)
-    if options.path == DRIVE and kind != STREET:
+    if options.path == DRIVE and kind not in OUTDOORS:
         raise SourceError(f"{uri}: path=drive needs room for a car; use street")
-    if options.actors and kind == STREET:
-        raise SourceError(f"{uri}: nobody walks in street; actors are for rooms")
-    if options.speed > INDOORS_MPS and kind != STREET:
+    if options.actors and kind in OUTDOORS:
+        raise SourceError(f"{uri}: nobody walks in {kind}; actors are for rooms")
+    if options.speed > INDOORS_MPS and kind not in OUTDOORS:
         raise SourceError(f"{uri}: speed is at most {INDOORS_MPS:g} indoors, not {options.speed:g}")
     if options.path == STOPS and options.several_rooms:
         raise SourceError(f"{uri}: path=stops keeps to one room; use room, or path=wheeled")

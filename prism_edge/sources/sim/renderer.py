@@ -23,6 +23,7 @@ from prism_edge.sources.sim.visibility import Visible, see
 from prism_edge.sources.sim.world import World
 
 _MOST_OCTAVES = 5  # octaves a texture is shrunk by at most
+_MOST_KEPT = 128 << 20  # bytes of shrunk textures: a town has more than fit, and shows few of them at a time
 _SHIFT = 4  # binary places of polygon corners
 _WARP = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
 _OVERSAMPLING = 2  # of the numbers, to smooth edges
@@ -53,7 +54,8 @@ class Renderer:
         self._warped = np.zeros(area * 4, dtype=np.uint8)
         self._weights = np.zeros(area * 4, dtype=np.uint8)
         self._sizes = np.array([t.shape[1::-1] for t in world.textures], dtype=np.float64) - 2 * MARGIN
-        self._shrunk: dict[tuple[int, tuple[int, int]], U8] = {}
+        self._shrunk: dict[tuple[int, tuple[int, int]], U8] = {}  # last used last
+        self._kept = 0  # bytes of them
 
     def draw(self, world_from_camera: Array, walkers: Mapping[int, Surfaces]) -> Picture:
         """The picture from a pose, without any of a lens's or sensor's faults."""
@@ -112,11 +114,14 @@ class Renderer:
         base = self.world.textures[number]
         if size == (base.shape[1] - 2 * MARGIN, base.shape[0] - 2 * MARGIN):
             return base
-        found = self._shrunk.get((number, size))
+        found = self._shrunk.pop((number, size), None)
         if found is None:
             inside = base[MARGIN:-MARGIN, MARGIN:-MARGIN]
             found = with_margin(cv2.resize(inside, size, interpolation=cv2.INTER_AREA))
-            self._shrunk[number, size] = found
+            self._kept += found.nbytes
+            while self._kept > _MOST_KEPT and self._shrunk:
+                self._kept -= self._shrunk.pop(next(iter(self._shrunk))).nbytes
+        self._shrunk[number, size] = found
         return found
 
 

@@ -18,7 +18,7 @@ from prism_edge.sources.sim.actors import Walker, walkers_at
 from prism_edge.sources.sim.effects import Sensor
 from prism_edge.sources.sim.floorplan import Plan, make_plan, room_about
 from prism_edge.sources.sim.followed import Followed
-from prism_edge.sources.sim.options import STREET, Options, parse
+from prism_edge.sources.sim.options import OUTDOORS, TOWN, Options, parse
 from prism_edge.sources.sim.paths import (
     DRIVEN_OVERLAP,
     OVERLAP,
@@ -58,7 +58,7 @@ class SimSource(Source):
             raise SourceError(f"{uri}: {error}") from None
         self.camera_origin = "the simulator's own"
         self.period_ns = at_rate(1, o.rate)
-        self._outdoors = o.kind == STREET
+        self._outdoors = o.kind in OUTDOORS
         self.plan, self.path = _plan_and_path(o)
         self.frame_count: int = o.frames or self._usual_frames()
         self._next = 0
@@ -162,6 +162,10 @@ def _plan_and_path(options: Options) -> tuple[Plan, CameraPath]:
         assert plan.zone is not None
         way.place(plan.zone.mean(axis=0))
         return plan, way
-    outdoors = options.kind == STREET
-    plan = streets.make_plan(options.seed) if outdoors else make_plan(options.several_rooms, options.seed)
+    if options.kind == TOWN:
+        plan = streets.make_town(options.seed)
+    elif options.kind in OUTDOORS:
+        plan = streets.make_plan(options.seed)
+    else:
+        plan = make_plan(options.several_rooms, options.seed)
     return plan, make_path(plan, options.path, options.speed, options.seed)

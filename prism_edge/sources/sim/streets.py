@@ -1,4 +1,4 @@
-"""Four streets round a block of houses: a world as wide as roads are, for a camera on a car."""
+"""Streets between houses: a world as wide as roads are, for a camera on a car. Round one block, or a town."""
 
 from __future__ import annotations
 
@@ -6,14 +6,15 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import U8
-from prism_edge.sources.sim import roadside
+from prism_edge.sources.sim import roadside, town
 from prism_edge.sources.sim.floorplan import Plan, Room, rounded
-from prism_edge.sources.sim.shell import panel, walls
+from prism_edge.sources.sim.shell import Wall, panel, walls
 from prism_edge.sources.sim.surfaces import DECAL, Shop
 from prism_edge.sources.sim.textures import colour, forget_sheets, plain
 from prism_edge.sources.sim.world import Cell, Portal, World
 
 WIDTH, SKY = 16.0, 16.0  # m: from house to house, and up to where the sky is drawn
+CROSSING = 20.0  # m, of a town: wider than its streets, so that a house's corner stands between any two
 BEND = 4.0  # m; the way round a corner is rounded by a Gaussian of that
 _PIECE, _SKY_PIECE = 4.0, 40.0
 _MARK = np.array([2.0, 0.15])  # m, a line in the middle of the road
@@ -37,39 +38,69 @@ def make_plan(seed: int) -> Plan:
     return Plan(tuple(rooms), (), (), None, rounded(corners, BEND))
 
 
+def make_town(seed: int) -> Plan:
+    """Nine crossings, twelve streets, and a drive through all of them, some of them twice and back again."""
+    rng = np.random.default_rng([seed, 1])
+    sizes = rng.uniform(60.0, 120.0, (2, town.SIDE - 1))
+    edges = [np.concatenate([[0.0], np.cumsum(CROSSING + row)]) for row in sizes]
+    place = {node: np.array([edges[0][node[0]], edges[1][node[1]]]) for node in town.NODES}
+    rooms = [Room(low, low + CROSSING, SKY, "street") for low in place.values()]
+    for start, end in town.STREETS:
+        axis = 0 if start[1] == end[1] else 1
+        low, high = place[start].copy(), place[end].copy()
+        low[axis] += CROSSING
+        low[1 - axis] += (CROSSING - WIDTH) / 2
+        high[1 - axis] = low[1 - axis] + WIDTH
+        rooms.append(Room(low, high, SKY, "street"))
+    corners = np.array([place[node] + CROSSING / 2 for node in town.tour(rng)])
+    return Plan(tuple(rooms), (), (), None, rounded(corners, BEND))
+
+
 def build_streets(plan: Plan, seed: int) -> World:
     """The world of such a plan and a seed: equal seeds give equal worlds, to the bit."""
     textures: list[U8] = []
     cells = []
     for number, room in enumerate(plan.rooms):
         shop = Shop(np.random.default_rng([seed, 2, number]), textures)
-        beside = [(number + step) % len(plan.rooms) for step in (1, -1)]
-        portals = tuple(Portal(_opening(room, plan.rooms[other]), other) for other in beside)
+        beside = [(number + step) % len(plan.rooms) for step in (1, -1, *range(2, len(plan.rooms) - 1))]
+        openings = [(_opening(room, plan.rooms[other]), other) for other in beside]
+        portals = tuple(Portal(corners, other) for corners, other in openings if corners is not None)
         low, high = np.array([*room.low, 0.0]), np.array([*room.high, room.height])
         _ground_and_sky(shop, low, high)
         for wall in walls(room, []):
-            middle = wall.start + wall.along * wall.length / 2
-            if any(np.ptp(p.corners @ wall.normal) < 1e-9 and _inside(middle, p.corners) for p in portals):
-                continue
-            roadside.line_up(shop, wall, room.height)
-            roadside.park(shop, wall)
-        if number % 2:  # between two corners
+            for stretch in _closed(wall, portals):
+                roadside.line_up(shop, stretch, room.height)
+                roadside.park(shop, stretch)
+        if np.ptp(room.high - room.low) > 1.0:  # a street, not a corner or crossing
             _mark_lines(shop, room)
         cells.append(Cell(low, high, shop.done(), portals))
     forget_sheets()
     return World(tuple(cells), textures, plan)
 
 
-def _inside(point: Array, corners: Array) -> bool:
-    low, high = corners.min(axis=0) - 1e-9, corners.max(axis=0) + 1e-9
-    return bool(np.all((point >= low) & (point <= high)))
+def _closed(wall: Wall, portals: tuple[Portal, ...]) -> list[Wall]:
+    """The stretches of a wall that no portal opens."""
+    spans = [(wall.length, wall.length)]
+    for portal in portals:
+        corners = portal.corners - wall.start
+        if np.abs(corners @ wall.normal).max() < 1e-9:
+            along = corners @ wall.along
+            spans.append((float(along.min()), float(along.max())))
+    x, out = 0.0, []
+    for low, high in sorted(spans):
+        if low - x > 1e-6:
+            out.append(Wall(wall.start + wall.along * x, wall.along, wall.normal, low - x, []))
+        x = high
+    return out
 
 
-def _opening(room: Room, other: Room) -> Array:
-    """The corners (4, 3) of the side that two neighbours share."""
+def _opening(room: Room, other: Room) -> Array | None:
+    """The corners (4, 3) of the side that two places share; None where they have no side in common."""
     low, high = np.maximum(room.low, other.low), np.minimum(room.high, other.high)
-    corners = np.array([[*low, 0.0], [*low, SKY], [*high, SKY], [*high, 0.0]])
-    return corners
+    shared = high - low
+    if shared.min() < -1e-9 or shared.max() < 1e-9:
+        return None
+    return np.array([[*low, 0.0], [*low, SKY], [*high, SKY], [*high, 0.0]])
 
 
 def _ground_and_sky(shop: Shop, low: Array, high: Array) -> None:

@@ -31,3 +31,10 @@ def street() -> Iterator[SimSource]:
     """Streets round a block, from a car, through a faultless camera."""
     with SimSource(f"sim:street?seed=4&rate=10&{CLEAN}") as source:
         yield source
+
+
+@pytest.fixture(scope="session")
+def town_() -> Iterator[SimSource]:
+    """A town of crossings and streets, from a car, through a faultless camera."""
+    with SimSource(f"sim:town?seed=4&rate=10&{CLEAN}") as source:
+        yield source

@@ -28,10 +28,12 @@ def test_defaults_need_no_query() -> None:
     assert parse("sim:loop?") == Options(kind="loop")
     assert parse("sim:static").path == "still"
     assert parse("sim:street").path == "drive"
+    assert parse("sim:town").path == "drive"
 
 
 def test_a_car_may_be_faster_than_a_robot_indoors() -> None:
     assert parse("sim:street?speed=20").speed == 20.0
+    assert parse("sim:town?speed=20").speed == 20.0
     assert parse("sim:loop?speed=5").speed == 5.0
 
 
@@ -70,6 +72,8 @@ def test_focal_length_follows_the_width() -> None:
         ("sim:street?path=still", "car"),
         ("sim:room?path=drive", "street"),
         ("sim:street?actors=1", "actors"),
+        ("sim:town?path=wheeled", "car"),
+        ("sim:town?actors=1", "actors"),
         ("sim:street?speed=20.5", "speed"),
         ("sim:loop?speed=5.1", "speed"),
         ("sim:room?seed=1?frames=3", "seed"),

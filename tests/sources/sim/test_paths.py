@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import Array, rotation_angle
 from prism_edge.sources.sim import SimSource, streets
-from prism_edge.sources.sim.floorplan import make_plan, rounded, smoothed
+from prism_edge.sources.sim.floorplan import Plan, make_plan, rounded, smoothed
 from prism_edge.sources.sim.options import DRIVE, HANDHELD, STILL, STOPS, TURN, WHEELED
 from prism_edge.sources.sim.paths import CameraPath, Driven, Ring, Wander, lap_length, looking, make_path
 
@@ -133,9 +134,20 @@ def test_a_robot_that_stops_to_turn_moves_or_turns_and_never_both(seed: int) -> 
     assert path_of(False, STOPS, seed).pose(3.0 + lap) == pytest.approx(path_of(False, STOPS, seed).pose(3.0))
 
 
-@pytest.mark.parametrize(("seed", "speed"), [(0, 0.0), (1, 0.0), (2, 4.0), (2, 15.0)])
-def test_a_car_drives_smoothly_slows_down_for_bends_and_comes_back(seed: int, speed: float) -> None:
-    path = make_path(streets.make_plan(seed), DRIVE, speed, seed)
+@pytest.mark.parametrize(
+    ("plan", "seed", "speed"),
+    [
+        (streets.make_plan, 0, 0.0),
+        (streets.make_plan, 1, 0.0),
+        (streets.make_plan, 2, 4.0),
+        (streets.make_plan, 2, 15.0),
+        (streets.make_town, 1, 0.0),
+    ],
+)
+def test_a_car_drives_smoothly_slows_down_for_bends_and_comes_back(
+    plan: Callable[[int], Plan], seed: int, speed: float
+) -> None:
+    path = make_path(plan(seed), DRIVE, speed, seed)
     assert isinstance(path, Driven)
     usual, step = speed or 9.0, 0.01
     assert lap_length(path) > 300.0
@@ -189,8 +201,11 @@ def clearance(source: SimSource) -> float:
     return float(least)
 
 
-def test_nothing_is_ever_near_the_camera(room: SimSource, loop: SimSource, street: SimSource) -> None:
+def test_nothing_is_ever_near_the_camera(
+    room: SimSource, loop: SimSource, street: SimSource, town_: SimSource
+) -> None:
     assert clearance(street) > 1.5
+    assert clearance(town_) > 1.5
     assert clearance(room) > 0.2
     assert clearance(loop) > 0.2
 

@@ -143,6 +143,24 @@ def test_depth_agrees_with_casting_rays_along_streets(street: SimSource, share: 
     check_depth(street, int(share * street.frame_count))
 
 
+@pytest.mark.parametrize("share", [0.0, 0.08, 0.17, 0.29, 0.36, 0.48, 0.61, 0.74, 0.9])
+def test_depth_agrees_with_casting_rays_across_crossings(town_: SimSource, share: float) -> None:
+    check_depth(town_, int(share * town_.frame_count))
+
+
+def test_shrunk_textures_are_bounded_and_the_pictures_are_not_changed_by_it(
+    street: SimSource, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawing, _ = street._opened()
+    views = [street.pose(index) for index in (0, 150, 300, 0)]
+    expected = [drawing.draw(view, {}).pixels for view in views]
+    monkeypatch.setattr("prism_edge.sources.sim.renderer._MOST_KEPT", 1 << 20)
+    small = Renderer(drawing.world, drawing.camera)
+    for view, pixels in zip(views, expected, strict=True):
+        assert np.array_equal(small.draw(view, {}).pixels, pixels)
+        assert 0 < sum(texture.nbytes for texture in small._shrunk.values()) <= 1 << 20
+
+
 def check_depth(source: SimSource, index: int) -> None:
     depth, view = source.depth(index), source.pose(index)
     rng = np.random.default_rng(index)
