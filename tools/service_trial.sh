@@ -89,7 +89,7 @@ is "no new privileges" of_main '^NoNewPrivs:\s+1$'
 logged() { [[ -n $(inside journalctl --unit prism-edge --output cat PRISM_PROCESS="$1") ]]; }
 is "log lines have their fields in the journal" logged depth
 is "a command is answered" inside prism-edge ctl info
-is "a map is saved" inside prism-edge ctl save_map trial
+is "a map is saved, once it has two keyframes" await 30 inside prism-edge ctl save_map trial
 is "... in the state directory" inside test -s /var/lib/prism-edge/maps/trial.prismmap
 
 printf 'source: {uri: "sim:room", loop: true}\ndepth: {model: /srv/models/net.onnx, threads: 2}\nrobot: other\n' |
