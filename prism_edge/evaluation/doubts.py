@@ -5,6 +5,12 @@ from __future__ import annotations
 from prism_edge.evaluation.played import Played
 from prism_edge.evaluation.trajectory import NS, Trajectory
 
+_TRUTHS = {
+    "TUM RGB-D": "groundtruth.txt",
+    "7-Scenes": "frame-000000.pose.txt",
+    "KITTI odometry": "../../poses/NN.txt (the benchmark's data_odometry_poses.zip) or poses.txt",
+}
+
 
 def apart_in_time(estimate: Trajectory, truth: Trajectory, pairs: int) -> list[str]:
     """What to say where not even half of the poses of either could be paired: they may be of other times."""
@@ -39,6 +45,20 @@ def not_played(refused: int, frames: int) -> list[str]:
         f"{refused} of {frames} frames were not played, and count as not tracked: unreadable, of another "
         "size, or their stamp repeats or goes back (daemon.log has the first of each kind)"
     ]
+
+
+def unfinished(settled: bool) -> list[str]:
+    """What to say where the map's last adjustment was not waited for."""
+    if settled:
+        return []
+    return ["the map was still being adjusted when it was taken: final errors are of one that isn't finished"]
+
+
+def no_truth(layout: str | None) -> list[str]:
+    """What to say of a dataset without the truth that it is published with."""
+    if layout not in _TRUTHS:
+        return []
+    return [f"no truth lies with the recording, so nothing is scored: there is no {_TRUTHS[layout]}"]
 
 
 def no_pose(poses: int, frames: int) -> list[str]:

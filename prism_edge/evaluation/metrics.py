@@ -15,7 +15,15 @@ import prism_edge
 from prism_edge.config import SENSOR, Config
 from prism_edge.evaluation.adjustments import cost_of_adjustments
 from prism_edge.evaluation.consistency import NO_NEES, Nees, relative_nees, scale_errors
-from prism_edge.evaluation.doubts import apart_in_time, guessed_camera, no_pose, not_in_the_map, not_played
+from prism_edge.evaluation.doubts import (
+    apart_in_time,
+    guessed_camera,
+    no_pose,
+    no_truth,
+    not_in_the_map,
+    not_played,
+    unfinished,
+)
 from prism_edge.evaluation.loops import judge_loops
 from prism_edge.evaluation.played import Played
 from prism_edge.evaluation.recording import Recording
@@ -57,13 +65,14 @@ def metrics(
     apart = [] if truth is None else apart_in_time(live, truth, scores["live"]["pairs"])
     nothing = silent or (apart if not scores["live"]["pairs"] else [])
     processed = len({frame.index for frame in recording.frames})
+    settled = snapshot is not None and snapshot.settled
     report = {
         **flow,
         "ready_s": ready_s,
         "monocular": config.depth.model != SENSOR,
         **scores,
         **_consistency(nees, scores["final"]["scale_ratio"], recording),
-        "final_settled": snapshot is not None and snapshot.settled,
+        "final_settled": settled,
         "final_missing": final_missing,
         "truth": truth_name if truth is not None else None,
         "truth_file": played.truth_file if truth is not None else None,
@@ -90,6 +99,8 @@ def metrics(
             *not_played(flow["unreadable_frames"], flow["frames"]),
             *guessed_camera(played),
             *not_in_the_map(final_missing, len(recording.tracked)),
+            *unfinished(settled or snapshot is None),
+            *([] if truth is not None else no_truth(played.layout)),
         ],
         "seed": config.seed,
         "versions": versions(),

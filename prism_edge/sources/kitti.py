@@ -22,19 +22,36 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     names = image_folders(folder)
     if not names or not (folder / "calib.txt").is_file():
         return None
-    images = [path for path in files_in(folder / names[0]) if path.stem.isdecimal()]
+    images = _numbered(folder / names[0])
     if not (folder / "times.txt").is_file():
         raise SourceError(f"{folder} has KITTI's {names[0]} but no times.txt: {TABLES}")
     times = read_times(folder / "times.txt")
     if images and int(images[-1].stem) >= len(times):
         table = folder / "times.txt"
         raise SourceError(f"{table} has {len(times)} times, too few for image {images[-1].name}")
+    images = _with_gaps(images)
+    missing = len(times) - len(images)
     return Listing(
         "KITTI odometry",
         tuple(images),
         tuple(times[int(path.stem)] for path in images),
         lambda: _intrinsics(folder / "calib.txt", _CAMERAS[names[0]], images),
+        doubt=f"{names[0]} begins or ends without {missing} images of times.txt" if missing > 0 else "",
     )
+
+
+def _numbered(folder: Path) -> list[Path]:
+    return [path for path in files_in(folder) if path.stem.isdecimal()]
+
+
+def _with_gaps(images: list[Path]) -> list[Path]:
+    """The same with a name for each number that is missing in between, which then can't be read."""
+    out: list[Path] = []
+    for path in images:
+        for number in range(int(out[-1].stem) + 1, int(path.stem)) if out else ():
+            out.append(path.with_stem(f"{number:0{len(path.stem)}d}"))
+        out.append(path)
+    return out
 
 
 def read_times(path: Path) -> list[int]:
@@ -68,8 +85,9 @@ def camera0_from_played(folder: Path) -> Array:
 
 
 def image_folders(folder: Path) -> list[str]:
-    """Names of those of its cameras that can be played; the first is."""
-    return [name for name in _CAMERAS if (folder / name).is_dir()]
+    """Names of those of its cameras that can be played; the first is. Empty ones where all are empty."""
+    there = [name for name in _CAMERAS if (folder / name).is_dir()]
+    return [name for name in there if _numbered(folder / name)] or there
 
 
 def _projection(path: Path, key: str) -> tuple[int, list[float]]:

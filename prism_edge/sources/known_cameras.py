@@ -68,12 +68,12 @@ _FULL = re.compile(
     r"(?<![a-z0-9])(?:rgbd_dataset_(freiburg[123])(?![0-9])|(rgbd_bonn)_|(tartanair)|(new_tsukuba)(?![a-z0-9]))"
 )
 
-_SCENE = re.compile(
-    r"(?<![a-z])(?:7[-_ ]?scenes|chess|fire|heads|office|pumpkin|redkitchen|stairs)(?![a-z])"
-)
+_DATASET = re.compile(r"(?<![a-z0-9])7[-_ ]?scenes(?![a-z0-9])")
+_SCENE = re.compile(r"(?<![a-z0-9])(?:chess|fire|heads|office|pumpkin|redkitchen|stairs)(?![a-z0-9])")
 
-# A name further up says little about the folder; TartanAir's images lie four below its own.
-_LEVELS = 5
+# A name further up says little about the folder; TartanAir's images lie four below its own. A scene's is any
+# office's: it counts for the folder, its parent and, unpacked one too deep, that one's.
+_LEVELS, _OF_SCENE = 5, 3
 
 
 def by_name(folder: Path) -> tuple[str, Camera] | None:
@@ -96,11 +96,12 @@ def by_full_name(folder: Path) -> tuple[str, Camera] | None:
 
 def seven_scenes(folder: Path) -> tuple[str, Camera]:
     """7-Scenes' camera; a guess where no name speaks for it, as other recorders name their files alike."""
-    return SEVEN_SCENES if any(map(_SCENE.search, _names(folder))) else SEVEN_SCENES_GUESS
+    found = any(map(_DATASET.search, _names(folder))) or any(map(_SCENE.search, _names(folder, _OF_SCENE)))
+    return SEVEN_SCENES if found else SEVEN_SCENES_GUESS
 
 
-def _names(folder: Path) -> list[str]:
+def _names(folder: Path, levels: int = _LEVELS) -> list[str]:
     """As it is called, nearest first, and then where links lead to."""
     called, led = Path(os.path.abspath(folder)), folder.resolve()
     paths = [called] if led == called else [called, led]
-    return [part.lower() for path in paths for part in reversed(path.parts[-_LEVELS:])]
+    return [part.lower() for path in paths for part in reversed(path.parts[-levels:])]

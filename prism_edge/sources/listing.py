@@ -23,6 +23,7 @@ class Listing:
     # Asked only where no camera file speaks; None: the layout knows none.
     intrinsics: Callable[[], Intrinsics | None]
     stamped: bool = True  # False: nothing says when images were taken, so they come at a rate
+    doubt: str = ""  # what to know before it is played, in words that follow the folder's name and a colon
 
     def __post_init__(self) -> None:
         if len(self.files) != len(self.stamps_ns):

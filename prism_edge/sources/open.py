@@ -100,6 +100,8 @@ def _folder(folder: Path, config: SourceConfig, calibrated: bool) -> Source:
     origin, camera = known or _no_camera(folder)
     if known in GUESSES:
         log.warning("%s names no known camera: taking the %s", folder, origin)
+    if listing.doubt:
+        log.warning("%s: %s", folder, listing.doubt)
     if not listing.stamped and not config.rate_hz and (calibrated or config.camera == AUTO):
         words = "%s: nothing says when its images were taken: assuming %g Hz (else set source.rate_hz)"
         log.warning(words, folder, DEFAULT_RATE_HZ)

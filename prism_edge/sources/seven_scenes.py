@@ -18,10 +18,12 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     """The sequence in a folder (or in the one seq-NN below it), None where its layout is another."""
     found = _colour_images(folder)
     if not found:
-        below = [path for path in sorted(folder.glob("seq-*")) if path.is_dir() and _colour_images(path)]
+        below = _sequences(folder)
         if len(below) > 1:
             names = ", ".join(path.name for path in below)
             raise SourceError(f"{folder} holds several sequences; name one of them: {names}")
+        if not below and (packed := next(iter(sorted(folder.glob("seq-*.zip"))), None)):
+            raise SourceError(f"{folder} holds its sequences in archives: unpack {packed.name} first")
         if not below:
             return None
         found = _colour_images(below[0])
@@ -31,6 +33,13 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
         tuple(at_rate(number, RATE_HZ) for number, _ in found),
         lambda: seven_scenes(folder),
     )
+
+
+def _sequences(folder: Path) -> list[Path]:
+    """The folders of sequences below one of a scene, each as it is or, unpacked into its own, one deeper."""
+    named = [path for path in sorted(folder.glob("seq-*")) if path.is_dir()]
+    deeper = [path if _colour_images(path) else path / path.name for path in named]
+    return [path for path in deeper if path.is_dir() and _colour_images(path)]
 
 
 def _colour_images(folder: Path) -> list[tuple[int, Path]]:

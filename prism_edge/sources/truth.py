@@ -32,9 +32,9 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
     """(stamps_ns (n,), world_from_camera (n, 4, 4), metres) in order of time; None where there is none.
 
     TUM RGB-D: groundtruth.txt, carried over from the markers to the camera where the folder is BONN's.
-    7-Scenes: the frames' .pose.txt, those not finite left out. KITTI odometry: poses.txt, or
-    ../../poses/NN.txt as the benchmark lays it out, which are camera 0's, carried over to the one that is
-    played. Simulator: exact, and computed. Raises SourceError naming the file where it is damaged, and
+    7-Scenes: the frames' .pose.txt, those not finite left out. KITTI odometry: ../../poses/NN.txt as the
+    benchmark lays it out, or poses.txt beside the images, which are camera 0's, carried over to the one that
+    is played. Simulator: exact, and computed. Raises SourceError naming the file where it is damaged, and
     ConfigError where KITTI's calib.txt is.
     """
     if is_simulated(uri):
@@ -71,10 +71,10 @@ def truth_file(folder: Path, listing: Listing) -> Path | None:
     if listing.layout == "TUM RGB-D":
         candidates = [folder / "groundtruth.txt"]
     elif listing.layout == "KITTI odometry":
-        # Without `..`, which is no sequence's name; a link keeps its own, as it may be the only one.
-        absolute = Path(os.path.abspath(folder))
-        benchmarks = absolute.parent.parent / "poses" / f"{absolute.name}.txt"  # of / the parent is / itself
-        candidates = [folder / "poses.txt", benchmarks]
+        # Without `..`, which is no sequence's name; as it is called, and then where a link leads to.
+        called = (Path(os.path.abspath(folder)), folder.resolve())
+        candidates = [path.parent.parent / "poses" / f"{path.name}.txt" for path in called]
+        candidates.append(folder / "poses.txt")
     return next((file for file in candidates if file.is_file()), None)
 
 
@@ -100,6 +100,9 @@ def _kitti(folder: Path, path: Path) -> list[tuple[int, Array]]:
     times = read_times(folder / "times.txt")
     if len(poses) != len(times):
         raise SourceError(f"{path} has {len(poses)} poses for the {len(times)} times of times.txt")
+    beside = folder / "poses.txt"
+    if path != beside and beside.is_file():  # SemanticKITTI unpacks its own estimate there
+        log.warning("%s is not read: the benchmark's truth is %s", beside, path)
     camera0_from_camera = camera0_from_played(folder)
     return [(time, pose @ camera0_from_camera) for time, pose in zip(times, poses, strict=True)]
 

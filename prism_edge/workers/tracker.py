@@ -143,9 +143,10 @@ class TrackerWorker:
             self._prove(camera)
         tracker, before = self._tracker, self._tracker.last_pose()
         last = tracker.last_result if frame.duplicate and follows else None
-        # A camera that shows the same darkness over and over is lost like any other.
+        # A camera that shows the same darkness for long is lost like any other; a first map's depth is news.
         repeated = last is not None and (
-            last.world_from_camera is not None or last.odometry == INITIALISING
+            last.world_from_camera is not None
+            or (last.odometry == INITIALISING and not len(tracker.world.points))
         )
         if last is None or not repeated:
             last = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera)

@@ -194,6 +194,22 @@ def test_final_errors_over_fewer_frames_are_said(capsys: pytest.CaptureFixture[s
     assert "33 of 60" in capsys.readouterr().out
 
 
+def test_a_dataset_without_its_truth_is_said_and_a_recording_of_ones_own_is_not() -> None:
+    (said,) = report(truth=None, played=Played(layout="KITTI odometry"))["warnings"]
+    assert "nothing is scored" in said
+    assert "data_odometry_poses.zip" in said
+    assert report(truth=None, played=Played(layout="video file"))["warnings"] == []
+    assert report(played=Played(layout="KITTI odometry"))["warnings"] == []
+
+
+def test_a_map_that_was_still_being_adjusted_is_said() -> None:
+    ids = np.zeros(1, np.int64)
+    taken = MapSnapshot(0, 4, False, 0.0, ids, np.eye(4)[None], ids)
+    (said,) = report(snapshot=taken)["warnings"]
+    assert "still being adjusted" in said
+    assert report(snapshot=None)["warnings"] == []
+
+
 @pytest.mark.parametrize(("radius", "starred"), [(1.0, True), (100.0, False)])
 def test_drift_over_a_paths_own_length_is_starred(
     radius: float, starred: bool, capsys: pytest.CaptureFixture[str], tmp_path: Any

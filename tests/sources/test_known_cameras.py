@@ -131,7 +131,16 @@ def test_a_link_goes_by_its_own_name_and_then_by_where_it_leads(tmp_path: Path) 
 
 @pytest.mark.parametrize(
     ("name", "known"),
-    [("7scenes_redkitchen/seq-01", True), ("chess/seq-03", True), ("data/7-Scenes/x", True), ("apt0", False)],
+    [
+        ("7scenes_redkitchen/seq-01", True),
+        ("chess/seq-03", True),
+        ("chess/seq-03/seq-03", True),
+        ("data/7-Scenes/x", True),
+        ("7scenes/a/b/c", True),
+        ("apt0", False),
+        ("office2", False),
+        ("office/robot/runs/monday", False),
+    ],
 )
 def test_files_called_as_those_of_7_scenes_are_its_own_by_their_folder(
     tmp_path: Path, name: str, known: bool, caplog: pytest.LogCaptureFixture

@@ -49,6 +49,20 @@ def test_the_only_sequence_of_a_scene_is_meant(tmp_path: Path) -> None:
     assert len(all_of(opened(tmp_path))) == 2
 
 
+def test_a_sequence_unpacked_into_its_own_folder_is_found(tmp_path: Path) -> None:
+    tiny.write_seven_scenes(tmp_path / "seq-01" / "seq-01", count=2)
+    assert len(all_of(opened(tmp_path))) == 2
+    tiny.write_seven_scenes(tmp_path / "seq-02" / "seq-02", count=1)
+    assert "seq-01, seq-02" in str(refusal(tmp_path))
+
+
+def test_a_scene_whose_sequences_are_still_packed_is_no_folder_of_one_picture(tmp_path: Path) -> None:
+    tiny.write_image(tmp_path / "chess.png", tiny.picture(0))
+    for name in ("seq-02.zip", "seq-01.zip"):
+        (tmp_path / name).write_bytes(b"PK")
+    assert "unpack seq-01.zip first" in str(refusal(tmp_path))
+
+
 def test_a_camera_file_may_lie_with_the_scene_or_with_its_only_sequence(tmp_path: Path) -> None:
     folder = tiny.write_seven_scenes(tmp_path / "seq-01", count=1, size=(64, 48))
     (folder / "camera.yaml").write_text(tiny.CAMERA)
@@ -89,6 +103,27 @@ def test_kitti_colour_comes_before_grey(tmp_path: Path) -> None:
     assert source.camera.to_array().tolist() == [63, 47, 72, 73, 30, 22]
     assert isinstance(first, Image)
     assert first.pixels.shape == (47, 63, 3)
+
+
+def test_an_empty_folder_of_colour_leaves_kittis_grey(tmp_path: Path) -> None:
+    tiny.write_kitti(tmp_path)
+    (tmp_path / "image_2").mkdir()
+    assert len(all_of(opened(tmp_path))) == 3
+    for path in (tmp_path / "image_0").iterdir():
+        path.unlink()
+    assert "holds no image" in str(refusal(tmp_path))
+
+
+def test_kitti_images_that_are_missing_are_not_passed_over(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    tiny.write_kitti(tmp_path, count=6)
+    for number in (0, 2, 3):
+        (tmp_path / "image_0" / f"{number:06d}.png").unlink()
+    items = all_of(opened(tmp_path))
+    assert [item.stamp_ns for item in items] == [100000000 * k for k in range(1, 6)]
+    assert [isinstance(item, Image) for item in items] == [True, False, False, True, True]
+    assert "image_0 begins or ends without 1 images of times.txt" in caplog.text
 
 
 @pytest.mark.parametrize(

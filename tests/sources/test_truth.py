@@ -109,6 +109,30 @@ def test_a_linked_kitti_sequence_goes_by_the_links_name(tmp_path: Path) -> None:
     assert read_truth(str(tmp_path / "dataset" / "sequences" / "07")) is not None
 
 
+def test_a_link_to_a_kitti_sequence_finds_the_benchmarks_truth_where_it_leads(tmp_path: Path) -> None:
+    folder = tiny.write_kitti(tmp_path / "dataset" / "sequences" / "07")
+    (tmp_path / "dataset" / "poses").mkdir()
+    (folder / "poses.txt").rename(tmp_path / "dataset" / "poses" / "07.txt")
+    (tmp_path / "kitti07").symlink_to(folder)
+    assert read_truth(str(tmp_path / "kitti07")) is not None
+
+
+def test_the_benchmarks_truth_comes_before_what_somebody_estimated(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folder = tiny.write_kitti(tmp_path / "dataset" / "sequences" / "07")
+    (tmp_path / "dataset" / "poses").mkdir()
+    (folder / "poses.txt").rename(tmp_path / "dataset" / "poses" / "07.txt")
+    expected = read_truth(str(folder))
+    assert not caplog.text
+    (folder / "poses.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 9\n" * 3)
+    found = read_truth(str(folder))
+    assert expected is not None
+    assert found is not None
+    np.testing.assert_array_equal(found[1], expected[1])
+    assert "poses.txt is not read" in caplog.text
+
+
 def test_kittis_colour_camera_has_a_path_of_its_own(tmp_path: Path) -> None:
     folder = tiny.write_kitti(tmp_path, cameras=("image_0", "image_2"))
     # K = [80 0 30; 0 50 20; 0 0 1], t = (0.06, -0.02, 0.003): camera 2 is 6 cm to the left

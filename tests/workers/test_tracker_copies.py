@@ -81,3 +81,11 @@ def test_a_copy_before_anything_was_tracked_is_harmless(bus, world):
     run(bus, [frame(0, duplicate=True), frame(1, of=0, duplicate=True), frame(2), frame(3)])
     assert len(bus.of("tracked")) == 4
     assert len(bus.of("pose")) >= 2
+
+
+def test_copies_of_the_first_image_are_placed_once_its_depth_has_come(bus, world):
+    run(bus, [frame(0), *(frame(i, of=0, duplicate=True) for i in range(1, 12)), frame(12, of=1)])
+    assert len(bus.of("pose")) >= 10
+    placed = positions(bus)
+    assert np.linalg.norm(placed[11] - true_position(0)) < 0.03
+    assert len(bus.of("keyframe")) == 1
