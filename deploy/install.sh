@@ -36,6 +36,21 @@ if [[ ! $prefix =~ ^(/[A-Za-z0-9._-]+)+$ ]]; then
     exit 2
 fi
 
+hidden='/root /home /run/user /tmp /var/tmp'  # from the service, by ProtectHome= and PrivateTmp= in the units
+is_hidden() {
+    local folder
+    for folder in $hidden; do
+        [[ $1/ != "$folder"/* && $1/ != "$(readlink -m "$folder")"/* ]] || return 0
+    done
+    return 1
+}
+
+# In an image, links of this machine mean nothing.
+if is_hidden "$(realpath -m ${destdir:+--no-symlinks} "$prefix")"; then
+    echo "install.sh: error: the service could not see $prefix; take another --prefix" >&2
+    exit 2
+fi
+
 destdir=${destdir:+$(realpath -m "$destdir")} destdir=${destdir%/}
 checkout=$(cd "$(dirname "$0")/.." && pwd)
 root=$destdir$prefix
@@ -43,7 +58,7 @@ units=$destdir/etc/systemd/system
 rules=$destdir/etc/udev/rules.d
 settings=$destdir/etc/prism-edge
 command=$destdir/usr/local/bin/prism-edge
-python=${python:-$(AVOID='/root /home /run/user' "$checkout/tools/find_python.sh")}  # hidden from the service
+python=${python:-$(AVOID=$hidden "$checkout/tools/find_python.sh")}
 
 if [[ $EUID -ne 0 && -z $destdir ]]; then
     echo "install.sh: error: run it as root, or with --destdir" >&2
@@ -70,7 +85,9 @@ old=$(readlink "$root/current" || true)
 new=releases/$(date -u +%Y%m%dT%H%M%S)-$$
 saved=$(mktemp -d)
 sources=$(mktemp -d)
-files=("$units/prism-edge.service" "$units/prism-edge@.service" "$rules/60-prism-edge-oak.rules" "$command")
+files=("$units/prism-edge.service" "$units/prism-edge@.service" "$rules/60-prism-edge-oak.rules" "$command"
+    "$settings/config.yaml.example")
+[[ -e $settings/config.yaml ]] || files+=("$settings/config.yaml")  # one that is there is never touched
 
 service() { [[ $systemctl == no ]] || systemctl "$@"; }
 
@@ -122,14 +139,6 @@ copy_sources() {
         tar x -C "$sources" --no-same-owner
 }
 
-is_hidden() {  # by ProtectHome= in the units
-    local folder
-    for folder in /root /home /run/user; do
-        [[ $1 != "$(readlink -m "$folder")"/* ]] || return 0
-    done
-    return 1
-}
-
 # pip writes into commands where they were built; where they will run, there is no such place.
 name_final_paths() {
     local file content
@@ -150,7 +159,7 @@ echo "installing into $root/$new"
 "$python" -I -m venv "$root/$new"
 interpreter=$(readlink -m "$root/$new/bin/python")
 if [[ -z $destdir || $interpreter != "$destdir"/* ]] && is_hidden "$interpreter"; then
-    echo "install.sh: error: the service, to which /root and /home are closed, could not run $interpreter;" \
+    echo "install.sh: error: the service, to which /root, /home and /tmp are closed, could not run $interpreter;" \
         "name another Python with --python" >&2
     exit 1
 fi

@@ -18,28 +18,54 @@ if (($# < 2)); then
 fi
 folder=$1
 shift
+byte='(25[0-5]|2[0-4][0-9]|1[0-9][0-9]|[1-9]?[0-9])'
 for given in "$@"; do
     if [[ ! $given =~ ^[A-Za-z0-9_-][A-Za-z0-9._-]*(,[A-Za-z0-9.:_-]+)*$ || $given == ca || $given == ca,* ]]; then
         echo "make_certificates.sh: error: '$given' is no NAME[,HOST...]" >&2
         exit 2
     fi
+    IFS=, read -r _ hosts <<< "$given"
+    for host in ${hosts//,/ }; do
+        if [[ $host =~ ^[0-9.]+$ && ! $host =~ ^$byte(\.$byte){3}$ ]]; then
+            echo "make_certificates.sh: error: '$host' is no IPv4 address: four numbers from 0 to 255" >&2
+            exit 2
+        fi
+    done
 done
+if ! command -v openssl > /dev/null; then
+    echo "make_certificates.sh: error: no openssl found: install it" >&2
+    exit 1
+fi
 mkdir -p "$folder"
 cd "$folder"
-
-new_key() { openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256 -out "$1" 2> /dev/null; }
 
 if [[ -e ca.pem && ! -e ca.key ]]; then
     # A new authority would be none for the certificates that this one has signed.
     echo "make_certificates.sh: error: ca.pem is here without ca.key: bring it back, or take another folder" >&2
     exit 2
 fi
+work=$(mktemp -d .new.XXXXXX)  # in the same folder: each file is whole once it has its name
+trap 'rm -rf "$work"' EXIT
+
+quietly() {  # openssl talks where all is well too
+    local said
+    if ! said=$("$@" 2>&1); then
+        echo "make_certificates.sh: error: $1 $2 failed: $said" >&2
+        exit 1
+    fi
+}
+
+new_key() { quietly openssl genpkey -algorithm EC -pkeyopt ec_paramgen_curve:P-256 -out "$work/key"; }
+
 if [[ ! -e ca.pem ]]; then
-    # Each file is whole once it has its name, and a key is kept: an interrupted run is gone on with.
-    [[ -e ca.key ]] || { new_key .ca.key; mv .ca.key ca.key; }
-    openssl req -x509 -new -key ca.key -sha256 -days "$((days * 4))" -subj "/CN=prism_edge lab" -out .ca.pem \
-        -addext basicConstraints=critical,CA:TRUE,pathlen:0 -addext keyUsage=critical,keyCertSign,cRLSign
-    mv .ca.pem ca.pem
+    # A key that is there is kept: a run that was killed between the two is gone on with.
+    key=ca.key
+    [[ -e ca.key ]] || { new_key; key=$work/key; }
+    quietly openssl req -x509 -new -key "$key" -sha256 -days "$((days * 4))" -subj "/CN=prism_edge lab" \
+        -out "$work/pem" -addext basicConstraints=critical,CA:TRUE,pathlen:0 \
+        -addext keyUsage=critical,keyCertSign,cRLSign
+    [[ -e ca.key ]] || mv "$key" ca.key
+    mv "$work/pem" ca.pem
     echo "made ca.pem, the authority; keep ca.key off the robots"
 fi
 chmod 644 ca.pem  # certificates are public, and a copy keeps this: the service is a user of its own
@@ -50,14 +76,14 @@ for given in "$@"; do
     for host in ${hosts//,/ }; do
         if [[ $host =~ ^[0-9.]+$ || $host == *:* ]]; then alternatives+=,IP:$host; else alternatives+=,DNS:$host; fi
     done
-    new_key "$name.key"
-    openssl req -new -key "$name.key" -subj "/CN=$name" -out ".$name.csr"
+    new_key
+    quietly openssl req -new -key "$work/key" -subj "/CN=$name" -out "$work/csr"
     printf '%s\n' "subjectAltName=$alternatives" basicConstraints=critical,CA:FALSE \
-        keyUsage=critical,digitalSignature extendedKeyUsage=serverAuth,clientAuth > ".$name.ext"
-    openssl x509 -req -in ".$name.csr" -CA ca.pem -CAkey ca.key -CAcreateserial -days "$days" -sha256 \
-        -extfile ".$name.ext" -out ".$name.pem" 2> /dev/null
-    chmod 644 ".$name.pem"
-    mv ".$name.pem" "$name.pem"
-    rm -f ".$name.csr" ".$name.ext"
+        keyUsage=critical,digitalSignature extendedKeyUsage=serverAuth,clientAuth > "$work/ext"
+    quietly openssl x509 -req -in "$work/csr" -CA ca.pem -CAkey ca.key -CAcreateserial -days "$days" -sha256 \
+        -extfile "$work/ext" -out "$work/pem"
+    chmod 644 "$work/pem"
+    mv "$work/key" "$name.key"
+    mv "$work/pem" "$name.pem"
     echo "made $name.pem and $name.key ($alternatives)"
 done

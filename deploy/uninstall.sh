@@ -1,5 +1,5 @@
 #!/bin/bash
-# Removes the service and the program. Configuration and maps stay unless --purge is given.
+# Removes the service and the program. Configuration, drop-ins and maps stay unless --purge is given.
 set -euo pipefail
 
 usage="usage: deploy/uninstall.sh [--prefix DIR] [--destdir DIR] [--no-systemctl] [--purge]"
@@ -39,6 +39,8 @@ rmdir "$destdir$prefix" 2> /dev/null || true
 rmdir "$destdir/srv/prism-edge/models" "$destdir/srv/prism-edge" 2> /dev/null || true
 if [[ $purge == yes ]]; then
     rm -rf "$destdir/etc/prism-edge" "$destdir"/var/{lib,cache}/{,private/}prism-edge{,-*}
+    # Of `systemctl edit`: they would take effect again at the next installation.
+    rm -rf "$destdir"/etc/systemd/system/prism-edge{,@*}.service.d
 fi
 [[ $systemctl == no ]] || systemctl daemon-reload
 echo "removed$([[ $purge == yes ]] || echo '; configuration and maps are kept (--purge removes them)')"

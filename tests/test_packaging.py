@@ -104,6 +104,22 @@ def test_python_that_is_named_is_taken(place: str, tmp_path: Path) -> None:
         assert found.stdout == f"{python}\n"
 
 
+@pytest.mark.parametrize("named", ["/nowhere/python3", "no-such-python", "false"])
+def test_no_other_python_takes_the_place_of_one_that_is_named(named: str, tmp_path: Path) -> None:
+    for name, command in (("python3", f'exec "{sys.executable}" "$@"'), ("false", "exit 1")):
+        (tmp_path / name).write_text(f"#!/bin/sh\n{command}\n")
+        (tmp_path / name).chmod(0o755)
+    found = subprocess.run(
+        ["/bin/bash", CHECKOUT / "tools" / "find_python.sh"],
+        env={"PATH": str(tmp_path), "PYTHON": named},
+        capture_output=True,
+        text=True,
+    )
+    assert found.returncode == 1
+    assert found.stdout == ""
+    assert found.stderr == f"error: PYTHON={named} is no Python >= 3.11\n"
+
+
 def test_a_python_that_is_to_be_avoided_is_the_last_choice(tmp_path: Path) -> None:
     """By where it really lies: the installer's service sees no home, and shims point there."""
     home, other = tmp_path / "home", tmp_path / "other"
@@ -113,11 +129,11 @@ def test_a_python_that_is_to_be_avoided_is_the_last_choice(tmp_path: Path) -> No
         (place / "python3").write_text(f'#!/bin/sh\ncase "$*" in {asked} ;; {run} ;; esac\n')
         (place / "python3").chmod(0o755)
 
-    def found(*folders: Path) -> str:
+    def found(*folders: Path, named: str = "") -> str:
         path = ":".join(map(str, folders))
         return subprocess.run(
             ["/bin/bash", CHECKOUT / "tools" / "find_python.sh"],
-            env={"PATH": path, "AVOID": f"/nowhere {home}"},
+            env={"PATH": path, "PYTHON": named, "AVOID": f"/nowhere {home}"},
             capture_output=True,
             text=True,
             check=True,
@@ -125,6 +141,7 @@ def test_a_python_that_is_to_be_avoided_is_the_last_choice(tmp_path: Path) -> No
 
     assert found(home, other) == str(other / "python3")
     assert found(home) == str(home / "python3")
+    assert found(other, named=str(home / "python3")) == str(home / "python3")
 
 
 @pytest.mark.skipif(not shutil.which("make"), reason="no make here")

@@ -1,12 +1,14 @@
 #!/bin/bash
 # Prints a Python >= 3.11 that can make virtual environments; says what is missing where there is none.
-# One that really lies below a folder of $AVOID (separated by spaces) is the last choice.
+# One that really lies below a folder of $AVOID (separated by spaces) is the last choice. Where $PYTHON names
+# one, it is that or none.
 set -u
 check='import sys; sys.exit(0 if sys.version_info >= (3, 11) else 1)'
 place='import os, sys; print(os.path.realpath(getattr(sys, "_base_executable", sys.executable)))'
 seen='' last_choice=''
-for name in "${PYTHON:-}" python3.13 python3.12 python3.11 python3.14 python3 python; do
-    [ -n "$name" ] || continue
+names=(python3.13 python3.12 python3.11 python3.14 python3 python)
+[ -z "${PYTHON:-}" ] || names=("$PYTHON")
+for name in "${names[@]}"; do
     # Every one on the path: the first may be too old, or a shim with nothing behind it.
     while IFS= read -r python; do
         # -I: whatever lies in the folder that we are in.
@@ -30,6 +32,8 @@ if [ -n "$last_choice" ]; then
 fi
 if [ -n "$seen" ]; then
     echo "error: $seen can't make virtual environments; install its venv module (Debian: apt install python3-venv)" >&2
+elif [ -n "${PYTHON:-}" ]; then
+    echo "error: PYTHON=$PYTHON is no Python >= 3.11" >&2
 else
     echo "error: no Python >= 3.11 found; install one, or name it: make PYTHON=/path/to/python3 ..." >&2
 fi

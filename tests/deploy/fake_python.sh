@@ -5,7 +5,7 @@ case "$*" in
     "-I -m venv "*)
         mkdir -p "$4/bin"
         case ${FAIL:-} in
-            home/* | root/* | run/user/*) ln -s "/$FAIL" "$4/bin/python" ;; # need not be there
+            home/* | root/* | run/user/* | tmp/*) ln -s "/$FAIL" "$4/bin/python" ;; # need not be there
             *) cp "$0" "$4/bin/python" ;;
         esac
         ;;

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -68,3 +71,21 @@ def test_the_image_takes_every_optional_dependency() -> None:
     project = tomllib.loads((CHECKOUT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     (said,) = re.findall(r"# (.*)\nARG EXTRAS=", DOCKERFILE)
     assert all(re.search(rf"\b{name}\b", said) for name in set(project["optional-dependencies"]) - {"dev"})
+
+
+@pytest.mark.parametrize("extras", ["", "oak", "oak,metrics", "stream", "oak,Metrics", "oak,"])
+def test_an_extra_that_is_none_builds_no_image(extras: str, tmp_path: Path) -> None:
+    """What runs before pip, which passes over names that it does not know."""
+    (check,) = re.findall(r"^RUN (\{.*\}) \\\n *&& python -m venv", DOCKERFILE, re.MULTILINE | re.DOTALL)
+    check = check.replace("\\\n", "").replace("/src/", f"{CHECKOUT}/")
+    (tmp_path / "python").symlink_to(sys.executable)
+    environment = {"PATH": f"{tmp_path}:{os.environ['PATH']}", "EXTRAS": extras}
+    done = subprocess.run(
+        ["sh", "-c", check], env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    if extras in ("", "oak", "oak,metrics"):
+        assert (done.returncode, done.stderr) == (0, "")
+    else:
+        assert done.returncode == 1
+        assert done.stderr.count("\n") == 1
+        assert f"{extras.split(',')[-1]!r} is none of ['dev', 'metrics', 'oak', 'streams']" in done.stderr

@@ -6,6 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -97,6 +99,7 @@ def test_an_upgrade_keeps_configuration_and_one_release_to_go_back_to(installed:
 def test_a_failed_upgrade_leaves_all_as_it_was(installed: Path, fail: str) -> None:
     unit = installed / "etc/systemd/system" / UNITS[0]
     unit.write_text("the old unit\n")
+    (installed / "etc/prism-edge/config.yaml.example").write_text("the old release's\n")
     before = tree(installed)
     done = install(installed, fail=fail)
     assert done.returncode != 0
@@ -105,8 +108,15 @@ def test_a_failed_upgrade_leaves_all_as_it_was(installed: Path, fail: str) -> No
     assert (installed / "opt/prism-edge/current/bin/python").exists()
 
 
+@pytest.fixture
+def prefix() -> Iterator[Path]:
+    """A folder of this machine that the service may see: pytest's own lie in /tmp."""
+    with tempfile.TemporaryDirectory(prefix="prism-edge-", dir="/opt") as folder:
+        yield Path(folder)
+
+
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may install beside a running service")
-def test_a_service_that_an_upgrade_has_not_touched_goes_on_running(tmp_path: Path) -> None:
+def test_a_service_that_an_upgrade_has_not_touched_goes_on_running(tmp_path: Path, prefix: Path) -> None:
     """It fails before anything is put in place, so nothing of this machine is written either."""
     calls, tools = tmp_path / "calls", tmp_path / "bin"
     tools.mkdir()
@@ -114,21 +124,23 @@ def test_a_service_that_an_upgrade_has_not_touched_goes_on_running(tmp_path: Pat
     (tools / "systemctl").write_text(f'#!/bin/sh\necho "$*" >> "$CALLS"\n{said}\n')
     (tools / "systemctl").chmod(0o755)
     path = f"{tools}:{os.environ['PATH']}"
-    command = [CHECKOUT / "deploy/install.sh", "--prefix", tmp_path / "opt", "--python", PYTHON]
+    command = [CHECKOUT / "deploy/install.sh", "--prefix", prefix, "--python", PYTHON]
     environment = {**os.environ, "FAIL": "pip", "PATH": path, "CALLS": str(calls)}
     done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=60)
     assert done.returncode != 0
     assert {line.split()[0] for line in calls.read_text().splitlines()} == {"list-units"}
-    assert not any((tmp_path / "opt/releases").iterdir())
+    assert not any((prefix / "releases").iterdir())
 
 
-@pytest.mark.parametrize("fail", ["pip", "package"])
-def test_a_failed_first_installation_leaves_no_program(tmp_path: Path, fail: str) -> None:
+@pytest.mark.parametrize("fail", ["pip", "package", "config"])
+def test_a_failed_first_installation_leaves_nothing(tmp_path: Path, fail: str) -> None:
     assert install(tmp_path, fail=fail).returncode != 0
     assert set(tree(tmp_path)) == {"opt/prism-edge/.lock"}
 
 
-@pytest.mark.parametrize("fail", ["home/ann/bin/python3", "root/.local/python3.12", "run/user/0/python"])
+@pytest.mark.parametrize(
+    "fail", ["home/ann/bin/python3", "root/.local/python3.12", "run/user/0/python", "tmp/python"]
+)
 def test_a_python_that_the_service_can_not_see_is_refused(tmp_path: Path, fail: str) -> None:
     done = install(tmp_path, fail=fail)
     assert done.returncode == 1
@@ -209,17 +221,44 @@ def test_a_prefix_that_can_not_be_is_refused(name: str, prefix: str, tmp_path: P
     assert not tree(tmp_path)
 
 
+@pytest.mark.parametrize(
+    "prefix", ["/home/ann", "/root/pose", "/run/user/0/pose", "/tmp/pose", "/var/tmp", "/opt/../home/ann"]
+)
+def test_a_prefix_that_the_service_can_not_see_is_refused(prefix: str, tmp_path: Path) -> None:
+    """By its place on the machine that it is for: the image itself may lie anywhere."""
+    done = install(tmp_path, "--prefix", prefix)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert f"could not see {prefix}; take another --prefix" in done.stderr
+    assert not tree(tmp_path)
+
+
+@pytest.mark.skipif(not Path("/var/run").is_symlink(), reason="no link here that leads to /run")
+def test_a_prefix_that_leads_where_the_service_can_not_see_is_refused() -> None:
+    command = [CHECKOUT / "deploy/install.sh", "--prefix", "/var/run/user/0/pose", "--python", "false"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2
+    assert "could not see /var/run/user/0/pose" in done.stderr
+
+
 def test_removal_keeps_configuration_and_maps_unless_told(installed: Path) -> None:
     maps = installed / "var/lib/private/prism-edge/maps"
     maps.mkdir(parents=True)
     (maps / "lab.map").write_text("a map")
+    units = ("prism-edge", "prism-edge@", "prism-edge@front", "another")
+    edits = [f"etc/systemd/system/{unit}.service.d/override.conf" for unit in units]
+    for edit in edits:  # as `systemctl edit` makes them
+        (installed / edit).parent.mkdir()
+        (installed / edit).write_text("[Service]\n")
     for _ in range(2):  # twice is no error
         done = script("uninstall.sh", installed)
         assert done.returncode == 0, done.stderr
-    assert set(tree(installed)) == {"etc/prism-edge/config.yaml", "var/lib/private/prism-edge/maps/lab.map"}
+    kept = {"etc/prism-edge/config.yaml", "var/lib/private/prism-edge/maps/lab.map", *edits}
+    assert set(tree(installed)) == kept
     assert not (installed / "srv/prism-edge").exists()
     assert script("uninstall.sh", installed, "--purge").returncode == 0
-    assert tree(installed) == {}
+    assert list(tree(installed)) == edits[-1:]
+    assert [folder.name for folder in (installed / "etc/systemd/system").iterdir()] == ["another.service.d"]
 
 
 def test_removal_leaves_the_operators_networks(installed: Path) -> None:
