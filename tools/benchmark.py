@@ -208,6 +208,12 @@ def line(row: Row) -> str:
 def warnings(row: Row) -> list[str]:
     """What its runs warn of, each once; a run of an earlier build has none, and may be of another commit."""
     said = [f"{row.folder.name}: {text}." for run in row.runs for text in run.get("warnings", [])]
+    busy = [run for run in row.runs if run.get("timings_void") and run["config"].get("mode") != "lockstep"]
+    if busy:
+        said.append(
+            f"{row.folder.name}: others used the machine during {len(busy)} of {len(row.runs)} run(s), which "
+            "costs frames, and so coverage and accuracy."
+        )
     if row.reused:
         said.append(
             f"{row.folder.name}: {row.reused} of {len(row.runs)} run(s) were there already, of this version "

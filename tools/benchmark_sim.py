@@ -21,6 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from prism_edge.cli.settings import whole_above_zero
 from prism_edge.errors import PrismError
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.sources.sim import SimSource
@@ -147,8 +148,8 @@ def main() -> None:
     """Command line."""
     parser = argparse.ArgumentParser(description="Speed of the simulator and ORB's view of it.")
     parser.add_argument("uri", nargs="*", default=DEFAULT, help="sim: addresses")
-    parser.add_argument("--frames", type=int, default=200, help="frames timed")
-    parser.add_argument("--pairs", type=int, default=30, help="pairs of frames that ORB sees")
+    parser.add_argument("--frames", type=whole_above_zero, default=200, help="frames timed")
+    parser.add_argument("--pairs", type=whole_above_zero, default=30, help="pairs of frames that ORB sees")
     parser.add_argument("--video", type=Path, help="folder of real pictures to compare with")
     arguments = parser.parse_args()
     cv2.setNumThreads(1)

@@ -64,9 +64,9 @@ def main(arguments: list[str] | None = None) -> int:
             return 0
         layer, pooling = chosen(model, card, args.layer, args.pooling)
         write(args.model, model, card, layer, pooling, args.out)
-    except PrismError as error:
+    except (PrismError, OSError) as error:
         print(f"expose_descriptor: error: {error}", file=sys.stderr)
-        return error.exit_code
+        return getattr(error, "exit_code", 4)
     print(f"{args.out}: {OUTPUT} is {pooling} of {layer}; depth is unchanged bit for bit")
     return 0
 

@@ -1,8 +1,8 @@
 """Whether a run that is there is what `prism-edge eval` would make now, or is to be repeated.
 
-Compared are what metrics.json holds, the effective configuration, the versions, the camera and the images'
-names and sizes, and when files were written that it only names: a recording's tables and truth too. Nothing
-in it says of which commit the code was, nor what the images hold.
+Compared are what metrics.json holds, the effective configuration, the versions, the camera, digests of the
+networks, the mask and the truth, and the images' names and sizes; and when a recording's tables were written.
+Nothing in it says of which commit the code was, nor what the images hold.
 """
 
 from __future__ import annotations
@@ -11,18 +11,15 @@ import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from prism_edge.cli.eval import effective
 from prism_edge.cli.main import build_parser
 from prism_edge.config import Config
-from prism_edge.depth import locate, networks_of
-from prism_edge.depth.vetting import vet
-from prism_edge.errors import ModelError, PrismError
+from prism_edge.errors import PrismError
+from prism_edge.evaluation.files import digests_of, files_of
 from prism_edge.evaluation.metrics import versions
-from prism_edge.named_path import named_path
 from prism_edge.sources.sim import is_simulated
 from tools.recordings_now import Recording, recording_now
 
@@ -35,10 +32,13 @@ _NO_SETTINGS = {"bus.endpoint", "source.wait_s", "source.loop"}
 def finished(where: Path, words: Sequence[str], unscored: bool = False) -> Metrics | None:
     """The metrics in a folder if `prism-edge WORDS` would make them again; else None, and why on stderr.
 
-    A run that had nothing to score is taken where ``unscored`` ones count.
+    A run that had nothing to score is taken where ``unscored`` ones count, none whose timings are void.
     """
     metrics = metrics_there(where)
     if metrics is None or (metrics.get("unscored") and not unscored):
+        return None
+    if metrics.get("timings_void") and metrics["config"].get("mode") != "lockstep":
+        print(f"repeated, as others used the machine meanwhile: {where}", file=sys.stderr)
         return None
     found = differences(where, words, metrics)
     if found:
@@ -69,8 +69,10 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     then, present = _flat(metrics.get("versions")), versions()
     found += [f"the version of {key}" for key in sorted(present) if then.get(key) != present[key]]
     recording = recording_now(config.source)
+    truth = args.truth or recording.truth()
     if not _same_truth(metrics, args.truth, recording):
         found.append("the truth")
+        truth = None  # said
     camera = recording.camera
     before = metrics.get("camera")  # runs of earlier builds don't say it
     if camera and isinstance(before, dict) and camera != {key: before.get(key) for key in camera}:
@@ -78,9 +80,15 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     images, before = recording.images(), metrics.get("images")  # likewise
     if images and before and images != before:
         found.append("the images")
-    named = files_of(config) + recording.tables() + ([args.truth] if args.truth else [])
+    named, dated = files_of(config, truth), recording.tables()
+    digests = metrics.get("files")  # likewise
+    if isinstance(digests, dict):
+        found += [file for file, digest in digests_of(named).items() if digests.get(file) != digest]
+    else:
+        dated = [*named, *dated]
     made_ns = (where / "metrics.json").stat().st_mtime_ns
-    return found + [str(file) for file in named if file.is_file() and file.stat().st_mtime_ns > made_ns]
+    newer = (str(file) for file in dated if file.is_file() and file.stat().st_mtime_ns > made_ns)
+    return found + [file for file in newer if file not in (digests or ())]
 
 
 def _same_truth(metrics: Metrics, given: Path | None, recording: Recording) -> bool:
@@ -98,34 +106,6 @@ def _same_truth(metrics: Metrics, given: Path | None, recording: Recording) -> b
     if truth is None:
         return now is None or not recording.has_true_poses()
     return now is not None and file in (None, str(now))
-
-
-def files_of(config: Config) -> list[Path]:
-    """Files that a configuration names: camera, mask, and each network's with its card and weights."""
-    files = [named_path(name) for name in (config.source.camera, config.source.mask) if name]
-    try:
-        networks = networks_of(config.depth.network)
-    except ModelError:
-        return files
-    return files + [file for name in networks for file in _network_files(name)]
-
-
-def _network_files(name: str) -> list[Path]:
-    try:
-        path = locate(name)
-    except ModelError:
-        return []  # no file's name, or one that is not there
-    beside = {file for file in path.parent.iterdir() if file.name.startswith(path.name)}
-    return sorted(beside.union(_weights(path, path.stat().st_mtime_ns)))
-
-
-@lru_cache(maxsize=8)
-def _weights(path: Path, written_ns: int) -> tuple[Path, ...]:
-    """Files of any name that a network refers to; asked once, as its file is read for it."""
-    try:
-        return vet(path).data
-    except ModelError:
-        return ()
 
 
 def _as_written(values: Any) -> Any:

@@ -178,7 +178,7 @@ def daemon(folder: Path, count: int, seed: int, budget_s: float, out: Path) -> d
                 _command(session, "load_map", "bad")
             elif number % 3:
                 inputs["queries"] += 1
-                _query(session, rng)
+                _query(session, rng, run)
             else:
                 inputs["messages"] += 1
                 topic = rng.choice(topics())
@@ -218,10 +218,10 @@ def _command(session: Any, name: str, argument: str) -> None:
     list(session.get(f"prism/robot/command/{name}", payload=payload, timeout=10.0))
 
 
-def _query(session: Any, rng: random.Random) -> None:
+def _query(session: Any, rng: random.Random, run: Path) -> None:
     """One damaged command; each is a query that a client might send."""
     command = rng.choice(list(COMMANDS))
-    names = ["../../x", "/x", "", ".", "a" * 300, "a\0b", "no-map"]
+    names = ["../../x", str(run / "x"), "", ".", "a" * 300, "a\0b", "no-map"]
     payload = rng.choice(
         (
             mutate(b'{"argument": "on"}', rng),

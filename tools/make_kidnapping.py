@@ -123,7 +123,7 @@ def main() -> None:
     given = parser.parse_args()
     try:
         count = write(given.folder, given.out, tuple(given.dark), given.roll, given.frames, given.poses)
-    except PrismError as error:
+    except (PrismError, OSError) as error:
         sys.exit(str(error))
     print(f"{count} images in {given.out}")
 

@@ -149,7 +149,7 @@ def main() -> None:
     variant = Variant(given.backwards, given.mirrored, given.every, given.ways, given.bonnet, given.light)
     try:
         count = write(given.folder, given.out, variant, given.poses)
-    except PrismError as error:
+    except (PrismError, OSError) as error:
         sys.exit(str(error))
     print(f"{count} images in {given.out}")
 

@@ -115,7 +115,8 @@ def line(draw: Draw, metrics: Metrics | None) -> str:
     start = f"| {draw.number} | `{draw.uri}` | {draw.depth} |"
     if metrics is None:
         return f"{start} failed | | | | | |"
-    shown = [f"{100.0 * metrics[part]['ate_sim3_m']:.1f}" for part in ("live", "final")]
+    errors = [metrics[part]["ate_sim3_m"] for part in ("live", "final")]
+    shown = ["-" if error is None else f"{100.0 * error:.1f}" for error in errors]
     ratios = ("nees_1s", "scale_log_error_sigmas", "scale_sigma_to_bias")
     shown += ["" if metrics.get(name) is None else f"{metrics[name]:.2f}" for name in ratios]
     return f"{start} {metrics['coverage']:.3f} | {' | '.join(shown)} |"
@@ -129,17 +130,23 @@ def summary(runs: Iterable[tuple[Draw, Metrics | None]]) -> list[str]:
         chosen = [metrics for draw, metrics in good if draw.depth in depths]
         if not chosen:
             continue
-        live = geometric_mean(100.0 * m["live"]["ate_sim3_m"] for m in chosen)
-        final = geometric_mean(100.0 * m["final"]["ate_sim3_m"] for m in chosen)
+        live, final = (_mean_cm(chosen, part) for part in ("live", "final"))
         nees = [m["nees_1s"] for m in chosen if m.get("nees_1s")]
         honest = f"NEES mean {fmean(nees):.2f}, geometric {geometric_mean(nees):.2f}, " if nees else ""
         least = min(m["coverage"] for m in chosen)
         lines.append(
             f"- indoors, {label}, {len(chosen)} runs: least coverage {least:.3f}, "
-            f"Sim(3) live {live:.1f}, final {final:.1f} cm (geometric means); {honest}"
+            f"Sim(3) live {live}, final {final} cm (geometric means); {honest}"
             f"above 2 {sum(n > 2.0 for n in nees)}, below 0.5 {sum(n < 0.5 for n in nees)}"
         )
     return lines
+
+
+def _mean_cm(runs: list[Metrics], part: str) -> str:
+    """Geometric mean of the Sim(3) errors that are there, and how many are not."""
+    errors = [100.0 * run[part]["ate_sim3_m"] for run in runs if run[part]["ate_sim3_m"]]
+    mean = f"{geometric_mean(errors):.1f}" if errors else "-"
+    return mean if len(errors) == len(runs) else f"{mean} ({len(runs) - len(errors)} without)"
 
 
 def main(arguments: list[str] | None = None) -> int:

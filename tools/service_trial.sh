@@ -53,6 +53,7 @@ is() {  # what, then a command that must be true
 has_started_again() { (($(inside systemctl show --property NRestarts --value "$1") > 0)); }
 property() { inside systemctl show --property "$1" --value prism-edge; }
 status_has() { [[ $(property StatusText) == *"$1"* ]]; }
+status_begins() { [[ $(property StatusText) == "$1"* ]]; }
 restarts_are() { [[ $(property NRestarts) == "$1" && $(property ActiveState) == active ]]; }
 state_is() { [[ $(property ActiveState) == "$1" ]]; }
 said() { grep -qF "$1" <(inside journalctl --unit prism-edge --no-pager --output cat); }
@@ -99,8 +100,11 @@ is "what can change is taken up" await 10 said "reloaded: depth.threads"
 is "what can't is refused" said "only a restart changes it: robot"
 inside tee /etc/prism-edge/config.yaml < "$work/config" > /dev/null
 
-inside kill -KILL "$(inside pgrep -f '^prism-edge tracker')"
-is "a killed tracker is mended" await 20 status_has "ok building"
+tracker=$(inside pgrep -f '^prism-edge tracker')
+inside kill -KILL "$tracker"
+is_another() { local now; now=$(inside pgrep -f '^prism-edge tracker') && [[ $now != "$tracker" ]]; }
+is "a killed tracker is started again" await 20 is_another
+is "... and mended" await 20 status_begins "ready, ok building"
 is "... without a restart of the service" restarts_are 0
 inside kill -KILL "$(property MainPID)"
 is "a killed supervisor leaves no worker" await 3 no_worker
@@ -120,8 +124,12 @@ inside systemctl stop prism-edge@rear
 is "... to another release" test "$before" != "$(current)"
 is "... with the configuration kept" inside grep -q sim:room /etc/prism-edge/config.yaml
 is "... and poses again" await 30 status_has "ok building"
+times_found() { inside journalctl --unit prism-edge --no-pager --output cat | grep -c "found again at frame"; }
+found=$(times_found) || true
+is_found_once_more() { (($(times_found) > found)); }
 is "... and the map from before, which is loaded" inside prism-edge ctl load_map trial
-is "... and the camera found in it" await 30 status_has "ok building"
+is "... and the camera found in it" await 30 is_found_once_more
+is "... and poses in it" await 10 status_begins "ready, ok building"
 before=$(current)
 inside sed -i 's/^TimeoutStartSec=.*/TimeoutStartSec=1ms/' /opt/src/systemd/prism-edge.service
 broken() { ! install_it; }

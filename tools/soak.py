@@ -38,6 +38,7 @@ SLACK_MS = 2.0  # a difference that small is none
 GAP_S = 1.0  # the longest time without a pose
 SLOWEST = 100  # poses of which the report says when they came
 RATE = 30.0  # pictures a second
+LEAST_MIN = 0.5
 WANDER_CM, WANDER_DEG = 2.0, 0.5  # that the place of one and the same picture may move
 
 
@@ -50,6 +51,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--max-keyframes", type=int, default=600, help="the map's bound (default 600)")
     parser.add_argument("--out", type=Path, default=Path("build/soak"), help="folder of the report")
     args = parser.parse_args(arguments)
+    if not args.minutes >= LEAST_MIN:
+        parser.error(f"argument --minutes: {LEAST_MIN:g} at least, to be told by thirds, not {args.minutes}")
     args.out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="prism-edge-soak-") as folder:
         report = soak(Path(folder), 60.0 * args.minutes, args.max_keyframes, args.out)

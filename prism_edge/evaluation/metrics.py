@@ -80,6 +80,7 @@ def metrics(
         "layout": played.layout,
         "camera": played.camera,
         "images": played.images,
+        "files": played.files,
         "cpu_ms_per_frame": _cpu(usage, processed),
         "peak_pss_mb": _with_total(usage.peak_pss_mb, usage.peak_total_pss_mb),
         "foreign_cpu": usage.foreign_cpu,

@@ -32,6 +32,7 @@ class Played:
     truth_file: str | None = None  # or the folder of many
     guessed: bool = False  # the camera
     images: str | None = None  # of a folder: images_of()
+    files: dict[str, str] | None = None  # digests_of() what its figures hang on
 
     def after(self, log: Path) -> Played:
         """The same with what a daemon's ``log`` says of a camera that nobody calibrated."""

@@ -18,6 +18,7 @@ from prism_edge.config import WITHOUT_NETWORK, BusConfig, Config, SourceConfig
 from prism_edge.config_file import dump
 from prism_edge.errors import ConfigError, EvaluationError
 from prism_edge.evaluation.daemon import SUPERVISOR, Daemon
+from prism_edge.evaluation.files import digests_of, files_of
 from prism_edge.evaluation.metrics import metrics
 from prism_edge.evaluation.played import played
 from prism_edge.evaluation.progress import Progress
@@ -86,6 +87,8 @@ def evaluate(
     if truth is not None and truth.resolve() in {(out / name).resolve() for name in PATHS}:
         raise EvaluationError(f"{truth} would be overwritten by this run's own: name another folder for it")
     true_path = _truth(config, truth)
+    named = files_of(config, Path(made_of.truth_file) if made_of.truth_file else None)
+    made_of = dataclasses.replace(made_of, files=digests_of(named))
     # Where the truth that was given lies among the results, it stays as it is.
     kept = {truth.resolve()} if truth is not None else set()
     config = _prepared(config if keep_endpoint else on_free_endpoint(config), out, kept)

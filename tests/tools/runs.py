@@ -16,6 +16,7 @@ from prism_edge.cli.eval import effective
 from prism_edge.cli.main import build_parser
 from prism_edge.errors import PrismError
 from prism_edge.evaluation import run
+from prism_edge.evaluation.files import digests_of, files_of
 from prism_edge.evaluation.metrics import versions
 from prism_edge.evaluation.played import Played, played
 from prism_edge.evaluation.trajectory import Trajectory
@@ -35,6 +36,7 @@ def metrics_of(words: Sequence[str]) -> dict[str, Any]:
     return {
         "camera": json.loads(json.dumps(made_of.camera)),
         "images": made_of.images,
+        "files": digests_of(files_of(config, args.truth or Path(made_of.truth_file or out))),
         "truth_file": made_of.truth_file if args.truth or own else None,
         "config": json.loads(json.dumps(asdict(config))),
         "versions": versions(),

@@ -24,6 +24,15 @@ def test_a_folder_without_pictures_is_one_line(held: int | None, tmp_path: Path,
         benchmark_sim.main()
 
 
+@pytest.mark.parametrize("option", ["--frames", "--pairs"])
+def test_none_at_all_is_refused(option: str, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.argv", ["benchmark_sim.py", option, "0"])
+    with pytest.raises(SystemExit) as ended:
+        benchmark_sim.main()
+    assert ended.value.code == 2
+    assert option in capsys.readouterr().err
+
+
 def test_pictures_are_compared(tmp_path: Path, monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
     noise = np.random.default_rng(0).integers(0, 255, (240, 330), dtype=np.uint8)
     for i in range(3):

@@ -147,6 +147,10 @@ def test_what_cannot_be_done_is_refused_in_one_line_and_leaves_no_file(tmp_path,
         assert says in error
         assert "\n" not in error
         assert not out.exists()
+    assert expose_descriptor.main([str(path), str(tmp_path / "nowhere" / "out.onnx")]) != 0
+    error = capsys.readouterr().err.strip()
+    assert "nowhere" in error
+    assert "\n" not in error
 
 
 def test_places_are_scored_by_true_poses():

@@ -81,13 +81,48 @@ def test_other_settings_are_another_run(
         *("relative.onnx.yaml", "metric.onnx.yaml", "relative.onnx.data", "metric.onnx.data"),
     ],
 )
-def test_a_file_that_was_written_since_makes_another_run(
+def test_another_file_in_its_place_makes_another_run_whatever_its_date(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
-    words = words_for(tmp_path)
-    os.utime(tmp_path / name, (LATER_S, LATER_S))
+    words, file = words_for(tmp_path), tmp_path / name
+    made = json.loads((run / "metrics.json").read_text())
+    os.utime(file, (LATER_S, LATER_S))
+    assert finished(run, words) == made, "the same file"
+    other = tmp_path / "other"
+    other.write_text("another")
+    os.utime(other, (1e9, 1e9))
+    other.rename(file)
     assert finished(run, words) is None
-    assert str(tmp_path / name) in capsys.readouterr().err
+    assert str(file) in capsys.readouterr().err
+
+
+def test_a_link_that_leads_elsewhere_makes_another_run(run: Path, tmp_path: Path) -> None:
+    words = words_for(tmp_path)
+    assert finished(run, words) is not None
+    (tmp_path / "elsewhere").write_text("another")
+    (tmp_path / "metric.onnx").unlink()
+    (tmp_path / "metric.onnx").symlink_to("elsewhere")
+    assert finished(run, words) is None
+
+
+def test_of_earlier_builds_a_date_has_to_do(run: Path, tmp_path: Path) -> None:
+    words, file = words_for(tmp_path), run / "metrics.json"
+    made = json.loads(file.read_text())
+    del made["files"]
+    file.write_text(json.dumps(made))
+    assert finished(run, words) == made
+    os.utime(tmp_path / "metric.onnx", (LATER_S, LATER_S))
+    assert finished(run, words) is None
+
+
+def test_a_run_in_real_time_whose_timings_are_void_is_none(run: Path, tmp_path: Path) -> None:
+    words, file = words_for(tmp_path), run / "metrics.json"
+    made = {**json.loads(file.read_text()), "timings_void": True}
+    file.write_text(json.dumps(made))
+    assert finished(run, words) is None
+    words += ["--lockstep"]
+    file.write_text(json.dumps({**metrics_of(words), "timings_void": True}))
+    assert finished(run, words) is not None
 
 
 def aged(folder: Path) -> Path:
@@ -118,6 +153,7 @@ def test_a_table_of_the_recording_that_was_written_since_makes_another_run(
     run.mkdir()
     (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
     assert finished(run, words) is not None
+    (folder / name).write_text((folder / name).read_text() + "\n")
     os.utime(folder / name, (LATER_S, LATER_S))
     assert finished(run, words) is None
     assert Path(name).name in capsys.readouterr().err
@@ -205,19 +241,18 @@ def test_a_truth_that_came_with_an_old_date_makes_another_run(
 
 
 def test_a_truth_in_another_place_makes_another_run(tmp_path: Path) -> None:
-    """What lies with KITTI's images goes before the benchmark's own place."""
+    """The benchmark's own place goes before what lies with KITTI's images."""
     folder, run = tiny.write_kitti(tmp_path / "sequences" / "03"), tmp_path / "run"
-    (tmp_path / "poses").mkdir()
-    poses = (folder / "poses.txt").rename(tmp_path / "poses" / "03.txt")
     aged(tmp_path)
     words = ["eval", str(folder), "--out", str(run)]
     run.mkdir()
     made = metrics_of(words)
     (run / "metrics.json").write_text(json.dumps(made))
     assert finished(run, words) == made
-    shutil.copy2(poses, folder / "poses.txt")
+    (tmp_path / "poses").mkdir()
+    shutil.copy2(folder / "poses.txt", tmp_path / "poses" / "03.txt")
     assert finished(run, words) is None
-    del made["truth_file"]
+    del made["truth_file"], made["files"]
     (run / "metrics.json").write_text(json.dumps(made))
     assert finished(run, words) == made, "earlier builds don't say which it was"
 
@@ -287,7 +322,7 @@ def test_weights_of_any_name_count(tmp_path: Path) -> None:
     run.mkdir()
     (run / "metrics.json").write_text(json.dumps(metrics_of(words)))
     assert finished(run, words) is not None
-    os.utime(tmp_path / "weights.bin", (LATER_S, LATER_S))
+    (tmp_path / "weights.bin").write_bytes(b"others")
     assert finished(run, words) is None
 
 

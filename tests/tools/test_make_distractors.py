@@ -203,6 +203,16 @@ def test_bad_arguments_end_in_one_line(sequence: Path, tmp_path: Path, capsys, m
     assert error.count("\n") == 1
 
 
+def test_poses_of_another_time_or_a_single_one_are_no_path(sequence: Path, tmp_path: Path, capsys):
+    for stamps in (("1000.0", "1002.0"), ("0.0",)):
+        (tmp_path / "way.tum").write_text("".join(f"{stamp} 0 0 0 0 0 0 1\n" for stamp in stamps))
+        words = [str(sequence), str(tmp_path / "out"), "--poses", str(tmp_path / "way.tum")]
+        assert make_distractors.main(words) == 2
+        error = capsys.readouterr().err
+        assert "way.tum: its poses are of other times" in error
+        assert error.count("\n") == 1
+
+
 def test_a_folder_without_depth_and_one_that_is_taken_are_refused(sequence: Path, tmp_path: Path, capsys):
     plain = tmp_path / "plain"
     plain.mkdir()

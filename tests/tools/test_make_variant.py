@@ -162,6 +162,15 @@ def test_what_makes_no_sense_is_one_line(tmp_path, monkeypatch, argument, says):
     assert "\n" not in str(ended.value)
 
 
+def test_a_place_that_takes_no_folder_is_one_line(tmp_path, monkeypatch):
+    source = write_sequence(tmp_path / "in", frames=2, width=160, height=120)
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(sys, "argv", ["make_variant.py", str(source), str(tmp_path / "file" / "out")])
+    with pytest.raises(SystemExit, match="file") as ended:
+        make_variant.main()
+    assert "\n" not in str(ended.value)
+
+
 def test_a_folder_that_holds_something_is_refused_and_left_as_it_is(tmp_path):
     """Images of an earlier, longer recording would be played as well."""
     source, out = write_sequence(tmp_path / "in", frames=9, width=160, height=120), tmp_path / "out"

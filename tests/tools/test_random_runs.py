@@ -47,6 +47,16 @@ def test_rows_and_averages():
     assert "mean 2.12, geometric 1.00, above 2 1, below 0.5 1" in told[0]
 
 
+def test_runs_without_a_score_are_told_and_counted():
+    room = Draw(0, "sim:room?seed=1", "network")
+    nothing = metrics(0.04, 1.0) | {"live": {"ate_sim3_m": None}, "final": {"ate_sim3_m": None}}
+    assert "| 0.990 | - | - |" in line(room, nothing)
+    (told,) = summary([(room, nothing), (room, metrics(0.04, 1.0))])
+    assert "live 4.0 (1 without), final 2.0 (1 without) cm" in told
+    (told,) = summary([(room, nothing)])
+    assert "live - (1 without)" in told
+
+
 def test_a_run_that_fails_is_named_and_costs_the_exit_code(tmp_path, monkeypatch, capsys):
     given: list[list[str]] = []
 

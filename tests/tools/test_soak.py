@@ -7,7 +7,7 @@ import pytest
 
 from prism_edge.geometry.poses import Array, from_rt, so3_exp
 from tools.faults_service import one_run
-from tools.soak import RATE, by_thirds, lasted, wander
+from tools.soak import RATE, by_thirds, lasted, main, wander
 
 
 def looped(pictures: int, rounds: int, motion: Array) -> list[tuple[float, Array]]:
@@ -16,6 +16,14 @@ def looped(pictures: int, rounds: int, motion: Array) -> list[tuple[float, Array
     once = [from_rt(so3_exp(rng.normal(size=3)), rng.normal(size=3)) for _ in range(pictures)]
     moved = [np.linalg.matrix_power(motion, k) for k in range(rounds)]
     return [((k * pictures + i) / RATE, moved[k] @ once[i]) for k in range(rounds) for i in range(pictures)]
+
+
+@pytest.mark.parametrize("minutes", ["0", "-1", "nan"])
+def test_a_run_too_short_to_be_told_by_thirds_is_refused(minutes: str, capsys) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--minutes", minutes])
+    assert ended.value.code == 2
+    assert "--minutes" in capsys.readouterr().err
 
 
 def test_a_map_that_stays_does_not_wander_and_one_that_moves_does_so_by_its_motion() -> None:

@@ -51,7 +51,11 @@ class Recording:
             truth = given.stamps, given.poses
         if truth is None:
             raise SourceError(f"{folder} holds no true poses; give them with --poses FILE.tum")
-        self.poses = interpolated(np.asarray(truth[0]) * 1e-9, truth[1], self.stamps)
+        times = np.asarray(truth[0]) * 1e-9
+        among = len(times) > 1 and np.mean((self.stamps >= times[0]) & (self.stamps <= times[-1])) > 0.5
+        if not among:
+            raise SourceError(f"{poses or folder}: its poses are of other times than most images")
+        self.poses = interpolated(times, truth[1], self.stamps)
 
     def depth(self, index: int, step: int = 1) -> Array:
         """True depth (h, w) at every ``step``-th pixel of the colour image, inf where nothing is known."""

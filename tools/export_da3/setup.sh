@@ -10,7 +10,8 @@ if [[ $# -gt 0 && $1 != -* ]]; then
     shift
 fi
 if ! "$folder/bin/python" -m pip --version >/dev/null 2>&1; then
-    "$("$here/../find_python.sh")" -m venv --clear "$folder"
+    python=$("$here/../find_python.sh")
+    "$python" -m venv --clear "$folder"
 fi
 pip=("$folder/bin/python" -m pip install --quiet --disable-pip-version-check)
 "${pip[@]}" --requirement "$here/requirements.txt" "$@"

@@ -1,0 +1,59 @@
+"""The files that a run's figures hang on, and digests by which others in their place are noticed."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+
+from prism_edge.config import Config
+from prism_edge.depth import locate, networks_of
+from prism_edge.depth.vetting import vet
+from prism_edge.errors import ModelError
+from prism_edge.named_path import named_path
+
+
+def files_of(config: Config, truth: Path | None) -> list[Path]:
+    """What is there of camera, mask, truth, and each network with its card and weights."""
+    files = [named_path(name) for name in (config.source.camera, config.source.mask) if name]
+    files += [truth] if truth is not None else []
+    with suppress(ModelError):  # no pair of names
+        files += [file for name in networks_of(config.depth.network) for file in _network_files(name)]
+    return [file.absolute() for file in files if file.is_file()]
+
+
+def digests_of(files: Iterable[Path]) -> dict[str, str]:
+    """SHA-256 of each, by its path."""
+    return {str(file): _digest(file, *_dates(file)) for file in files}
+
+
+def _network_files(name: str) -> list[Path]:
+    try:
+        path = locate(name)
+    except ModelError:
+        return []  # no file's name, or one that is not there
+    beside = {file for file in path.parent.iterdir() if file.name.startswith(path.name)}
+    return sorted(beside.union(_weights(path, *_dates(path))))
+
+
+def _dates(file: Path) -> tuple[int, int, int]:
+    """What is another where the file is; a date of writing alone can be set."""
+    stat = file.stat()
+    return stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size
+
+
+@lru_cache(maxsize=256)
+def _digest(file: Path, *dates: int) -> str:
+    with file.open("rb") as opened:
+        return hashlib.file_digest(opened, "sha256").hexdigest()
+
+
+@lru_cache(maxsize=8)
+def _weights(path: Path, *dates: int) -> tuple[Path, ...]:
+    """Files of any name that a network refers to; asked once, as its file is read for it."""
+    try:
+        return vet(path).data
+    except ModelError:
+        return ()
