@@ -28,7 +28,7 @@ BELOW = {
     "bus": {"geometry"},
     "workers": {"geometry", "tracking", "depth", "scale", "backend", "sources", "bus"},
     "supervisor": {"bus", "sources", "workers"},
-    "evaluation": {"geometry", "bus", "sources", "workers"},
+    "evaluation": {"geometry", "depth", "bus", "sources", "workers"},
 }
 
 

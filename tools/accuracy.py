@@ -5,9 +5,9 @@
 FOLDER (default: `shared` beside the checkout) holds data/ and models/. redkitchen is played in real time
 N times (default 3; medians count), the others once in lockstep: some minutes, on a machine that does nothing
 else. Each run's files go to DIR/<sequence>-<run> (default: build/accuracy), the tables in Markdown to stdout,
-all else to stderr. --keep doesn't repeat runs that are there already, of the same settings and versions and
-of files that were not written since; an earlier commit's are kept. Exit code 1: a bar is missed, or timings
-are void because others used the machine meanwhile; else that of the `eval` that failed.
+all else to stderr. --keep doesn't repeat runs that are there already, of the same settings, versions and
+files, on a machine that did nothing else; an earlier commit's are kept. Exit code 1: a bar is missed, or
+timings are void because others used the machine meanwhile; else that of the `eval` that failed.
 """
 
 from __future__ import annotations

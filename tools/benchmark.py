@@ -38,7 +38,7 @@ from prism_edge.evaluation.table import OWN_LENGTH  # noqa: E402
 from prism_edge.named_path import named_path  # noqa: E402
 from prism_edge.sources.open import find_listing  # noqa: E402
 from tools.accuracy import at  # noqa: E402
-from tools.finished_runs import Metrics, finished  # noqa: E402
+from tools.finished_runs import Metrics, finished, others_used_the_machine  # noqa: E402
 from tools.published_figures import NOTES, dataset_of, published  # noqa: E402
 
 OTHER = "Other folders"
@@ -208,7 +208,7 @@ def line(row: Row) -> str:
 def warnings(row: Row) -> list[str]:
     """What its runs warn of, each once; a run of an earlier build has none, and may be of another commit."""
     said = [f"{row.folder.name}: {text}." for run in row.runs for text in run.get("warnings", [])]
-    busy = [run for run in row.runs if run.get("timings_void") and run["config"].get("mode") != "lockstep"]
+    busy = [run for run in row.runs if others_used_the_machine(run)]
     if busy:
         said.append(
             f"{row.folder.name}: others used the machine during {len(busy)} of {len(row.runs)} run(s), which "

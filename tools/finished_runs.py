@@ -20,6 +20,7 @@ from prism_edge.config import Config
 from prism_edge.errors import PrismError
 from prism_edge.evaluation.files import digests_of, files_of
 from prism_edge.evaluation.metrics import versions
+from prism_edge.evaluation.resources import VOID_ABOVE
 from prism_edge.sources.sim import is_simulated
 from tools.recordings_now import Recording, recording_now
 
@@ -37,7 +38,7 @@ def finished(where: Path, words: Sequence[str], unscored: bool = False) -> Metri
     metrics = metrics_there(where)
     if metrics is None or (metrics.get("unscored") and not unscored):
         return None
-    if metrics.get("timings_void") and metrics["config"].get("mode") != "lockstep":
+    if others_used_the_machine(metrics):
         print(f"repeated, as others used the machine meanwhile: {where}", file=sys.stderr)
         return None
     found = differences(where, words, metrics)
@@ -53,6 +54,12 @@ def metrics_there(where: Path) -> Metrics | None:
         return metrics if "live" in metrics and not metrics.get("violations") else None
     except (OSError, ValueError, AttributeError, TypeError):
         return None
+
+
+def others_used_the_machine(metrics: Metrics) -> bool:
+    """Whether a run in real time had less of the machine than it should have had."""
+    mode = (metrics.get("config") or {}).get("mode")
+    return mode != "lockstep" and (metrics.get("foreign_cpu") or 0.0) > VOID_ABOVE
 
 
 def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str]:
@@ -83,7 +90,9 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     named, dated = files_of(config, truth), recording.tables()
     digests = metrics.get("files")  # likewise
     if isinstance(digests, dict):
-        found += [file for file, digest in digests_of(named).items() if digests.get(file) != digest]
+        there = digests_of(named)
+        gone = digests.keys() if truth else ()  # else that of the truth may be among them, which is said
+        found += [file for file in sorted({*there, *gone}) if digests.get(file) != there.get(file)]
     else:
         dated = [*named, *dated]
     made_ns = (where / "metrics.json").stat().st_mtime_ns

@@ -55,10 +55,10 @@ def unfinished(settled: bool) -> list[str]:
 
 
 def no_truth(layout: str | None) -> list[str]:
-    """What to say of a dataset without the truth that it is published with."""
+    """What to say of a recording whose layout has a place for truth, and none there."""
     if layout not in _TRUTHS:
         return []
-    return [f"no truth lies with the recording, so nothing is scored: there is no {_TRUTHS[layout]}"]
+    return [f"no true poses lie with the recording, so nothing is scored; they would be in {_TRUTHS[layout]}"]
 
 
 def no_pose(poses: int, frames: int) -> list[str]:

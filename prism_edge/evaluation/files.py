@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable
 from contextlib import suppress
 from functools import lru_cache
@@ -10,23 +11,40 @@ from pathlib import Path
 
 from prism_edge.config import Config
 from prism_edge.depth import locate, networks_of
+from prism_edge.depth.cards import sidecar_of
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
 from prism_edge.named_path import named_path
 
 
 def files_of(config: Config, truth: Path | None) -> list[Path]:
-    """What is there of camera, mask, truth, and each network with its card and weights."""
+    """What is there of the camera, mask and truth that are given, and each network with its card and weights.
+
+    The truth of 7-Scenes is the folder of its .pose.txt. Not among them are images, videos and tables.
+    """
     files = [named_path(name) for name in (config.source.camera, config.source.mask) if name]
     files += [truth] if truth is not None else []
     with suppress(ModelError):  # no pair of names
         files += [file for name in networks_of(config.depth.network) for file in _network_files(name)]
-    return [file.absolute() for file in files if file.is_file()]
+    return [file.absolute() for file in files if file.exists()]
 
 
 def digests_of(files: Iterable[Path]) -> dict[str, str]:
-    """SHA-256 of each, by its path."""
-    return {str(file): _digest(file, *_dates(file)) for file in files}
+    """SHA-256 of each by its path, of a folder that of its true poses; "unreadable" where it is."""
+    found = {}
+    for file in files:
+        try:
+            found[str(file)] = _of_poses(file) if file.is_dir() else _digest(file, *_dates(file))
+        except OSError:
+            found[str(file)] = "unreadable"
+    return found
+
+
+def _of_poses(folder: Path) -> str:
+    digest = hashlib.sha256()
+    for path in sorted(folder.glob("*.pose.txt")):
+        digest.update(b"%s %d\n" % (os.fsencode(path.name), path.stat().st_size) + path.read_bytes())
+    return digest.hexdigest()
 
 
 def _network_files(name: str) -> list[Path]:
@@ -34,8 +52,7 @@ def _network_files(name: str) -> list[Path]:
         path = locate(name)
     except ModelError:
         return []  # no file's name, or one that is not there
-    beside = {file for file in path.parent.iterdir() if file.name.startswith(path.name)}
-    return sorted(beside.union(_weights(path, *_dates(path))))
+    return [path, sidecar_of(path), *_weights(path, *_dates(path))]
 
 
 def _dates(file: Path) -> tuple[int, int, int]:

@@ -19,12 +19,11 @@ TABLES = "calib.txt and times.txt come with the benchmark's data_odometry_calib.
 
 def find(folder: Path, rate_hz: float) -> Listing | None:
     """The sequence in a folder, None where its layout is another; SourceError where tables are damaged."""
-    names = image_folders(folder)
-    if not names or not (folder / "calib.txt").is_file():
+    if not image_folders(folder) or not (folder / "calib.txt").is_file():
         return None
-    images = _numbered(folder / names[0])
+    name, images = _played(folder)
     if not (folder / "times.txt").is_file():
-        raise SourceError(f"{folder} has KITTI's {names[0]} but no times.txt: {TABLES}")
+        raise SourceError(f"{folder} has KITTI's {name} but no times.txt: {TABLES}")
     times = read_times(folder / "times.txt")
     if images and int(images[-1].stem) >= len(times):
         table = folder / "times.txt"
@@ -35,17 +34,27 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
         "KITTI odometry",
         tuple(images),
         tuple(times[int(path.stem)] for path in images),
-        lambda: _intrinsics(folder / "calib.txt", _CAMERAS[names[0]], images),
-        doubt=f"{names[0]} begins or ends without {missing} images of times.txt" if missing > 0 else "",
+        lambda: _intrinsics(folder / "calib.txt", _CAMERAS[name], images),
+        doubt=f"{name} begins or ends without {missing} images of times.txt" if missing > 0 else "",
     )
 
 
-def _numbered(folder: Path) -> list[Path]:
-    return [path for path in files_in(folder) if path.stem.isdecimal()]
+def _played(folder: Path) -> tuple[str, list[Path]]:
+    """The camera that is played, colour unless its folder is empty, and its images."""
+    for name in image_folders(folder):
+        images = [path for path in files_in(folder / name) if path.stem.isdecimal()]
+        if images:
+            break
+    return name, images
 
 
 def _with_gaps(images: list[Path]) -> list[Path]:
-    """The same with a name for each number that is missing in between, which then can't be read."""
+    """The same with a name for each number that is missing in between, which then can't be read.
+
+    Not where most are missing: such a sequence was thinned.
+    """
+    if images and 2 * len(images) <= int(images[-1].stem) - int(images[0].stem):
+        return images
     out: list[Path] = []
     for path in images:
         for number in range(int(out[-1].stem) + 1, int(path.stem)) if out else ():
@@ -72,7 +81,7 @@ def camera0_from_played(folder: Path) -> Array:
     Rectified cameras differ by a translation t alone: P2 = K [I | t]. Raises ConfigError where calib.txt is
     damaged.
     """
-    name = image_folders(folder)[0]
+    name, _ = _played(folder)
     if name == "image_0":
         return np.eye(4)
     path = folder / "calib.txt"
@@ -85,9 +94,8 @@ def camera0_from_played(folder: Path) -> Array:
 
 
 def image_folders(folder: Path) -> list[str]:
-    """Names of those of its cameras that can be played; the first is. Empty ones where all are empty."""
-    there = [name for name in _CAMERAS if (folder / name).is_dir()]
-    return [name for name in there if _numbered(folder / name)] or there
+    """Names of those of its cameras that can be played, best first; nothing is read."""
+    return [name for name in _CAMERAS if (folder / name).is_dir()]
 
 
 def _projection(path: Path, key: str) -> tuple[int, list[float]]:

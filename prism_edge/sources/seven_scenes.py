@@ -6,11 +6,13 @@ import re
 from pathlib import Path
 
 from prism_edge.errors import SourceError
+from prism_edge.sources.image_file import SUFFIXES
 from prism_edge.sources.known_cameras import seven_scenes
 from prism_edge.sources.listing import Listing, files_in
 from prism_edge.sources.stamps import at_rate
 
 RATE_HZ = 30.0
+_ARCHIVE = re.compile(r"seq-\d\d\.zip")
 _COLOUR = re.compile(r"frame-(\d{6,})\.color\.(?:png|jpe?g)", re.IGNORECASE)
 
 
@@ -22,8 +24,8 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
         if len(below) > 1:
             names = ", ".join(path.name for path in below)
             raise SourceError(f"{folder} holds several sequences; name one of them: {names}")
-        if not below and (packed := next(iter(sorted(folder.glob("seq-*.zip"))), None)):
-            raise SourceError(f"{folder} holds its sequences in archives: unpack {packed.name} first")
+        if not below and (packed := _packed(folder)):
+            raise SourceError(f"{folder} holds its sequences in archives: unpack {packed[0]} first")
         if not below:
             return None
         found = _colour_images(below[0])
@@ -33,6 +35,14 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
         tuple(at_rate(number, RATE_HZ) for number, _ in found),
         lambda: seven_scenes(folder),
     )
+
+
+def _packed(folder: Path) -> list[str]:
+    """Names of a scene's archives, where nothing lies beside them but the scene's preview picture."""
+    names = [path.name for path in files_in(folder)]
+    others = [name for name in names if Path(name).suffix.lower() in SUFFIXES]
+    there = [name for name in names if _ARCHIVE.fullmatch(name)]
+    return there if len(others) < 2 and "calib.txt" not in names else []
 
 
 def _sequences(folder: Path) -> list[Path]:

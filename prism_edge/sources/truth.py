@@ -75,7 +75,11 @@ def truth_file(folder: Path, listing: Listing) -> Path | None:
         called = (Path(os.path.abspath(folder)), folder.resolve())
         candidates = [path.parent.parent / "poses" / f"{path.name}.txt" for path in called]
         candidates.append(folder / "poses.txt")
-    return next((file for file in candidates if file.is_file()), None)
+    there = [file for file in candidates if file.is_file()]
+    if len(there) > 1:  # a sequence that was cut short has what fits beside it
+        count = len(lines_of(folder / "times.txt"))
+        there.sort(key=lambda file: len(lines_of(file)) != count)
+    return there[0] if there else None
 
 
 def _pose_file(image: Path) -> Path:

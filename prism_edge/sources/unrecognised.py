@@ -50,7 +50,7 @@ def _is_sequence(folder: Path) -> bool:
     with suppress(OSError):
         if not folder.is_dir():
             return False
-        scenes = ("frame-*.color.*", "seq-*/frame-*.color.*")
+        scenes = ("frame-*.color.*", "seq-*/frame-*.color.*", "seq-*/seq-*/frame-*.color.*")
         frames = (next(folder.glob(pattern), None) for pattern in scenes)
         return (folder / "rgb.txt").is_file() or bool(kitti.image_folders(folder)) or any(frames)
     return False

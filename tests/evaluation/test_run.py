@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -89,6 +90,9 @@ def test_a_run_is_recorded_and_scored(tiny_sequence: Path, tmp_path: Path) -> No
     assert found["peak_pss_mb"]["total"] > 1.0
     assert found["truth"] == "the sequence's own"
     assert found["truth_file"] == str(tiny_sequence / "groundtruth.txt")
+    assert found["files"] == {
+        found["truth_file"]: hashlib.sha256((tiny_sequence / "groundtruth.txt").read_bytes()).hexdigest()
+    }
     assert found["layout"] == "TUM RGB-D"
     assert found["camera"] == {
         **{"origin": str(tiny_sequence / "camera.yaml"), "model": "pinhole", "width": 64, "height": 48},

@@ -61,6 +61,21 @@ def test_a_scene_whose_sequences_are_still_packed_is_no_folder_of_one_picture(tm
     for name in ("seq-02.zip", "seq-01.zip"):
         (tmp_path / name).write_bytes(b"PK")
     assert "unpack seq-01.zip first" in str(refusal(tmp_path))
+    for i in range(3):  # images of something else
+        tiny.write_image(tmp_path / f"{i}.png", tiny.picture(i))
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    assert len(all_of(opened(tmp_path))) == 4
+    tiny.write_kitti(tmp_path / "kitti")
+    (tmp_path / "kitti" / "seq-07.zip").touch()
+    assert len(all_of(opened(tmp_path / "kitti"))) == 3
+
+
+def test_a_kitti_sequence_of_every_fifth_image_is_played_as_it_is(tmp_path: Path) -> None:
+    tiny.write_kitti(tmp_path, count=16)
+    for number in range(16):
+        if number % 5:
+            (tmp_path / "image_0" / f"{number:06d}.png").unlink()
+    assert [item.stamp_ns for item in all_of(opened(tmp_path))] == [0, 500000000, 1000000000, 1500000000]
 
 
 def test_a_camera_file_may_lie_with_the_scene_or_with_its_only_sequence(tmp_path: Path) -> None:

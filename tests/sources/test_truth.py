@@ -133,6 +133,15 @@ def test_the_benchmarks_truth_comes_before_what_somebody_estimated(
     assert "poses.txt is not read" in caplog.text
 
 
+def test_a_kitti_sequence_that_was_cut_short_has_the_truth_that_fits_it(tmp_path: Path) -> None:
+    folder = tiny.write_kitti(tmp_path / "dataset" / "sequences" / "07")
+    (tmp_path / "dataset" / "poses").mkdir()
+    (tmp_path / "dataset" / "poses" / "07.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 9\n" * 5)
+    found = read_truth(str(folder))
+    assert found is not None
+    np.testing.assert_allclose(found[1][:, 2, 3], [0, 1, 2])
+
+
 def test_kittis_colour_camera_has_a_path_of_its_own(tmp_path: Path) -> None:
     folder = tiny.write_kitti(tmp_path, cameras=("image_0", "image_2"))
     # K = [80 0 30; 0 50 20; 0 0 1], t = (0.06, -0.02, 0.003): camera 2 is 6 cm to the left

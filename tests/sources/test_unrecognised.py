@@ -48,7 +48,15 @@ def scene(folder: Path) -> Path:
     return folder
 
 
-LAYOUTS = [tiny.write_tum, tiny.write_seven_scenes, tiny.write_kitti, bare_kitti, scene]
+def scene_in_its_own_folders(folder: Path) -> Path:
+    tiny.write_seven_scenes(folder / "seq-01" / "seq-01", count=1, size=(64, 48))
+    return folder
+
+
+LAYOUTS = [
+    *(tiny.write_tum, tiny.write_seven_scenes, tiny.write_kitti),
+    *(bare_kitti, scene, scene_in_its_own_folders),
+]
 
 
 @pytest.mark.parametrize("write", LAYOUTS)

@@ -152,10 +152,10 @@ def test_what_a_run_warns_of_is_said_below_its_table(tmp_path: Path, ran, capsys
 
 def test_a_machine_that_others_used_is_said(tmp_path: Path, ran, capsys):
     row = benchmark.Row(tmp_path / "desk", "TUM RGB-D")
-    for mode, void in (("realtime", True), ("realtime", False), ("lockstep", True)):
-        row.runs.append({"timings_void": void, "config": {"mode": mode}})
+    for mode, share in (("realtime", 0.2), ("realtime", 0.0), ("realtime", None), ("lockstep", 0.2)):
+        row.runs.append({"foreign_cpu": share, "config": {"mode": mode}})
     (said,) = benchmark.warnings(row)
-    assert "others used the machine during 1 of 3 run(s)" in said
+    assert "others used the machine during 1 of 4 run(s)" in said
 
 
 def test_drift_over_a_short_paths_own_length_is_starred(tmp_path: Path, ran, capsys):

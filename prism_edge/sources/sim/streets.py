@@ -39,7 +39,7 @@ def make_plan(seed: int) -> Plan:
 
 
 def make_town(seed: int) -> Plan:
-    """Nine crossings, twelve streets, and a drive through all of them, some of them twice and back again."""
+    """Nine crossings, twelve streets, and a drive through all of them, through some twice."""
     rng = np.random.default_rng([seed, 1])
     sizes = rng.uniform(60.0, 120.0, (2, town.SIDE - 1))
     edges = [np.concatenate([[0.0], np.cumsum(CROSSING + row)]) for row in sizes]
