@@ -32,7 +32,7 @@ from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.inner_tensor import GEM, GEM_FLOOR, GEM_POWER, GRID, MAX, POOLINGS, TOKEN, halves
 from prism_edge.depth.vetting import vet
-from prism_edge.errors import ModelError, PrismError, first_line
+from prism_edge.errors import FAILING_FILE, ModelError, PrismError, first_line, in_words
 
 # isort: split
 import onnxruntime  # after prism_edge, which keeps it from reporting to its makers
@@ -65,8 +65,8 @@ def main(arguments: list[str] | None = None) -> int:
         layer, pooling = chosen(model, card, args.layer, args.pooling)
         write(args.model, model, card, layer, pooling, args.out)
     except (PrismError, OSError) as error:
-        print(f"expose_descriptor: error: {error}", file=sys.stderr)
-        return getattr(error, "exit_code", 4)
+        print(f"expose_descriptor: error: {in_words(error)}", file=sys.stderr)
+        return error.exit_code if isinstance(error, PrismError) else FAILING_FILE
     print(f"{args.out}: {OUTPUT} is {pooling} of {layer}; depth is unchanged bit for bit")
     return 0
 

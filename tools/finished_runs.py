@@ -76,10 +76,8 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     then, present = _flat(metrics.get("versions")), versions()
     found += [f"the version of {key}" for key in sorted(present) if then.get(key) != present[key]]
     recording = recording_now(config.source)
-    truth = args.truth or recording.truth()
-    if not _same_truth(metrics, args.truth, recording):
-        found.append("the truth")
-        truth = None  # said
+    same_truth = _same_truth(metrics, args.truth, recording)
+    found += [] if same_truth else ["the truth"]
     camera = recording.camera
     before = metrics.get("camera")  # runs of earlier builds don't say it
     if camera and isinstance(before, dict) and camera != {key: before.get(key) for key in camera}:
@@ -87,11 +85,12 @@ def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str
     images, before = recording.images(), metrics.get("images")  # likewise
     if images and before and images != before:
         found.append("the images")
-    named, dated = files_of(config, truth), recording.tables()
+    truth = args.truth or recording.truth()
+    named, dated = files_of(config, truth if same_truth else None), recording.tables()
     digests = metrics.get("files")  # likewise
     if isinstance(digests, dict):
         there = digests_of(named)
-        gone = digests.keys() if truth else ()  # else that of the truth may be among them, which is said
+        gone = digests.keys() if same_truth else ()  # else the truth's may be among them, which is said
         found += [file for file in sorted({*there, *gone}) if digests.get(file) != there.get(file)]
     else:
         dated = [*named, *dated]

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.config import SourceConfig
-from prism_edge.errors import PrismError
+from prism_edge.errors import PrismError, in_words
 from prism_edge.evaluation.trajectory import Trajectory, read_tum, write_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, so3_exp
@@ -124,7 +124,7 @@ def main() -> None:
     try:
         count = write(given.folder, given.out, tuple(given.dark), given.roll, given.frames, given.poses)
     except (PrismError, OSError) as error:
-        sys.exit(str(error))
+        sys.exit(in_words(error))
     print(f"{count} images in {given.out}")
 
 

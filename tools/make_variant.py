@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.config import SourceConfig
-from prism_edge.errors import PrismError
+from prism_edge.errors import PrismError, in_words
 from prism_edge.evaluation.trajectory import Trajectory, read_tum, write_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
@@ -150,7 +150,7 @@ def main() -> None:
     try:
         count = write(given.folder, given.out, variant, given.poses)
     except (PrismError, OSError) as error:
-        sys.exit(str(error))
+        sys.exit(in_words(error))
     print(f"{count} images in {given.out}")
 
 

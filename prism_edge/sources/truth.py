@@ -72,7 +72,7 @@ def truth_file(folder: Path, listing: Listing) -> Path | None:
         candidates = [folder / "groundtruth.txt"]
     elif listing.layout == "KITTI odometry":
         # Without `..`, which is no sequence's name; as it is called, and then where a link leads to.
-        called = (Path(os.path.abspath(folder)), folder.resolve())
+        called = dict.fromkeys((Path(os.path.abspath(folder)), folder.resolve()))
         candidates = [path.parent.parent / "poses" / f"{path.name}.txt" for path in called]
         candidates.append(folder / "poses.txt")
     there = [file for file in candidates if file.is_file()]

@@ -308,6 +308,19 @@ def test_a_simulated_world_has_its_truth(tmp_path: Path) -> None:
     assert finished(tmp_path, words) == made
 
 
+def test_a_card_that_has_gone_counts_where_no_file_holds_the_truth(tmp_path: Path) -> None:
+    network = write_tiny_network(tmp_path / "net.onnx")
+    card = network.with_name("net.onnx.yaml")
+    card.write_text("name: other\n")
+    words = ["eval", "sim:room?frames=9", "--model", str(network), "--out", str(tmp_path)]
+    made = metrics_of(words)
+    assert str(card) in made["files"]
+    (tmp_path / "metrics.json").write_text(json.dumps(made))
+    assert finished(tmp_path, words) == made
+    card.unlink()
+    assert finished(tmp_path, words) is None
+
+
 def test_a_video_and_the_camera_file_beside_it_count(tmp_path: Path) -> None:
     video, run = tiny.write_video(tmp_path / "film.avi"), tmp_path / "run"
     words = ["eval", str(video), "--out", str(run)]
