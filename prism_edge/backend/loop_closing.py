@@ -10,6 +10,7 @@ import numpy as np
 
 from prism_edge.backend import global_adjustment, pose_graph
 from prism_edge.backend.connectivity import Way, reachable, tied_parts, ties, ways, with_bridges
+from prism_edge.backend.free_points import explained
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common, radial
@@ -27,7 +28,8 @@ CANDIDATES, HALF_KNOWN = 5, 2  # verified for each keyframe at most: look-alikes
 AGREEING = 2  # neighbours of the query that must see the place; or the keyframes after it
 PATIENCE = 3  # keyframes within which another must confirm a loop whose query has too few neighbours
 SAME_ANGLE, SAME_SHIFT = np.radians(3.0), 0.15  # how far two loops of one return may differ; median depths
-SLIGHT_ANGLE, SLIGHT_SHIFT, SLIGHT_STRETCH = np.radians(1.0), 0.03, 0.02  # a window's own work mends that
+EXPLAINED = 0.8  # of a loop's points by the map as it stands: nothing is to be moved
+SLIGHT_STRETCH = 0.02  # a window's own work mends that
 SAME_RETURN = 5  # keyframes within which coming back to one place is one return
 FUSED_NEIGHBOURS, FUSE_RADIUS = 5, 5.0
 MOST_ACCEPTED = 1000  # remembered; the map itself has had what an older one had to say
@@ -196,13 +198,11 @@ class LoopCloser:
         del self.accepted[next(gone, 0)]
 
     def _slight(self, loop: Loop, query: GlobalKeyframe) -> bool:
-        off = inverse(query.world_from_camera) @ loop.world_from_query
-        shift = float(np.linalg.norm(off[:3, 3])) / median_depth(self._world, query)
-        return (
-            shift < SLIGHT_SHIFT
-            and rotation_angle(off[:3, :3]) < SLIGHT_ANGLE
-            and abs(float(np.log(loop.scale))) < SLIGHT_STRETCH
-        )
+        """Whether the map explains it as it stands: a pose alone goes wrong with its points' depths."""
+        stretch = abs(float(np.log(loop.scale)))
+        if stretch > max(SLIGHT_STRETCH, 2.0 * loop.log_scale_sigma):
+            return False
+        return explained(self._world, query, loop.pairs) >= EXPLAINED
 
     def _join_neighbours(self, loop: Loop) -> int:
         """What the keyframes beside the query see of the place."""

@@ -9,11 +9,13 @@ import pytest
 
 from prism_edge.backend import loop_closing as module
 from prism_edge.backend.global_adjustment import Adjusted, GlobalAdjustment
+from prism_edge.backend.loop_closing import LoopCloser
 from prism_edge.backend.loops import Loop
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.places import SOME_SHARED
-from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log
 from tests.backend.closing import CONFIG, DRIFT, finish, hear, two_parts, walk
+from tests.backend.returning import off_along_rays, pose_by_points, seen_again
 from tests.backend.ring import Ring, position_error
 from tests.backend.world import check, quiet
 from tests.tracking.cloud import pose_at
@@ -260,12 +262,31 @@ def test_an_adjustment_that_fits_worse_than_what_there_was_is_not_taken(monkeypa
         assert np.array_equal(pose, before[k])
 
 
-@pytest.mark.parametrize(("scale", "slight"), [(1.001, True), (1.05, False), (0.95, False)])
-def test_a_loop_that_asks_for_another_unit_is_not_slight(scale, slight):
-    loops = two_parts()
-    query = loops._world.keyframes[5]
-    loop = Loop(5, 0, query.world_from_camera.copy(), scale, 0.001, 50, 3, [])
-    assert loops._slight(loop, query) == slight
+@pytest.mark.parametrize(
+    ("scale", "sigma", "slight"),
+    [(1.001, 0.001, True), (1.05, 0.001, False), (0.95, 0.02, False), (1.05, 0.04, True)],
+)
+def test_a_loop_that_asks_for_another_unit_is_not_slight(scale, sigma, slight):
+    world, query, pairs = seen_again()
+    loop = Loop(query.id, 0, query.world_from_camera.copy(), scale, sigma, len(pairs), 3, pairs)
+    assert LoopCloser(world, CONFIG, False)._slight(loop, query) == slight
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.05])
+def test_a_loop_moves_what_has_drifted_and_no_map_that_explains_its_points(drift):
+    """Its pose goes wrong with the depths of points seen under little parallax."""
+    world, query, pairs = seen_again()
+    off_along_rays(world, pairs, 0.4)
+    there = pose_by_points(world, query, pairs)
+    query.world_from_camera = query.world_from_camera @ se3_exp(np.array([0, 0, 0, 0, drift, 0]))
+    before = {k: pose.copy() for k, pose in world.poses().items()}
+    assert rotation_angle(before[query.id][:3, :3].T @ there[:3, :3]) > np.radians(1.0)
+    loops = LoopCloser(world, CONFIG, False)
+    loops._part = set(before)
+    assert loops._close(Loop(query.id, 0, there, 1.0, 0.01, len(pairs), 3, pairs))
+    assert world.keyframes[query.id].observed
+    stayed = all(np.array_equal(world.poses()[k], before[k]) for k in before)
+    assert stayed == (drift == 0.0)
 
 
 def test_two_points_that_one_keyframe_tells_apart_stay_two():

@@ -1,0 +1,64 @@
+"""What a map explains as it stands, on clouds seen by cameras whose true poses are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from prism_edge.backend.free_points import explained
+from prism_edge.geometry.poses import rotation_angle, se3_exp
+from tests.backend.returning import QUERY, off_along_rays, pose_by_points, seen_again
+
+
+def test_a_right_map_explains_all():
+    assert explained(*seen_again()) > 0.98
+
+
+def test_points_of_little_parallax_may_be_off_in_depth_though_a_pose_by_them_then_is_too():
+    world, query, pairs = seen_again()
+    off_along_rays(world, pairs, 0.4)
+    by_points = pose_by_points(world, query, pairs)
+    assert rotation_angle(QUERY[:3, :3].T @ by_points[:3, :3]) > np.radians(1.0)
+    assert explained(world, query, pairs) > 0.95
+
+
+@pytest.mark.parametrize(
+    "twist", [[0, 0, 0, 0, 0.04, 0], [0, 0, 0, 0.04, 0, 0], [0, 0, 0, 0, 0, 0.12], [0, 0.2, 0, 0, 0, 0]]
+)
+def test_what_has_drifted_is_not_explained_by_any_depth(twist):
+    world, query, pairs = seen_again()
+    query.world_from_camera = query.world_from_camera @ se3_exp(np.array(twist, float))
+    assert explained(world, query, pairs) < 0.5
+
+
+def test_a_point_is_one_pair_however_many_see_it():
+    world, query, pairs = seen_again()
+    wrong = pairs[: len(pairs) // 4]
+    for i, _ in wrong:
+        query.pixels[i, 1] += 40.0
+    assert explained(world, query, pairs) == pytest.approx(1.0 - len(wrong) / len(pairs), abs=0.03)
+
+
+def test_nothing_is_explained_by_a_query_that_looks_away_nor_where_there_are_no_pairs():
+    world, query, pairs = seen_again()
+    query.world_from_camera = query.world_from_camera @ se3_exp(np.array([0, 0, 0, 0, np.pi, 0]))
+    assert explained(world, query, pairs) < 0.1
+    assert explained(world, query, []) == 0.0
+
+
+def test_the_map_is_left_as_it_is():
+    world, query, pairs = seen_again()
+    before = {p: point.position.copy() for p, point in world.points.items()}
+    explained(world, query, pairs)
+    assert all(np.array_equal(world.points[p].position, before[p]) for p in before)
+
+
+@given(shift=st.lists(st.floats(-30.0, 30.0), min_size=6, max_size=6))
+@settings(max_examples=40, deadline=None)
+def test_no_pose_makes_more_than_a_share_of_it(shift):
+    world, query, pairs = seen_again()
+    query.world_from_camera = se3_exp(np.array(shift)) @ query.world_from_camera
+    with np.errstate(all="raise", under="ignore"):
+        assert 0.0 <= explained(world, query, pairs) <= 1.0
