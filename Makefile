@@ -4,7 +4,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
 .ONESHELL:
-.PHONY: help setup demo test lint accuracy faults soak audit exporter lock docs clean
+.PHONY: help setup demo test lint accuracy faults soak audit exporter lock oldest docs clean
 
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -74,6 +74,9 @@ docs: $(STAMP) ## write the table of docs/CONFIGURATION.md anew
 lock: $(STAMP) ## resolve the dependencies anew into requirements.lock and requirements-extras.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check pip-tools
 	tools/lock.sh $(BIN)
+
+oldest: ## the tests with the oldest releases that pyproject.toml allows, in .venv-oldest
+	tools/oldest.sh $(PYTEST_ARGS)
 
 clean: ## remove the environment and what tools cache
 	rm -rf $(if $(ELSEWHERE),,$(VENV)) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis

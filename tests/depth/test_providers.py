@@ -45,7 +45,8 @@ class Border:
         real = Real(path, options, [CPU])
         running = [name for name in names if self.behaviour.get(name) != "silent"]
         taking = [name for name in running if self.behaviour.get(name) != "idle"]
-        nodes = sum(len(part.get_nodes()) for part in real.get_provider_graph_assignment_info())
+        tell = getattr(real, "get_provider_graph_assignment_info", None)  # not before 1.24
+        nodes = sum(len(part.get_nodes()) for part in tell()) if tell is not None else 4
         split = {taking[0]: nodes - 1, CPU: 1} if taking[0] != CPU else {CPU: nodes}
         parts = [SimpleNamespace(ep_name=n, get_nodes=lambda c=c: [None] * c) for n, c in split.items()]
         return SimpleNamespace(
@@ -226,6 +227,8 @@ def test_an_onnxruntime_that_can_not_count_nodes_is_used_all_the_same(network, m
 def test_every_node_of_a_real_network_is_counted(network):
     import onnx
 
+    if not hasattr(Real, "get_provider_graph_assignment_info"):
+        pytest.skip(f"onnxruntime {onnxruntime.__version__} does not tell")
     graph = Counter(node.op_type for node in onnx.load(network).graph.node)
     assert 0 < OnnxNetwork(network).nodes[CPU] <= graph.total()  # nodes are fused when loading
 

@@ -159,7 +159,7 @@ def test_what_a_part_had_mapped_is_found_again_once_it_is_home():
         way_back = [k.points for k in world.keyframes.values() if k.index >= 92]
         seen = np.concatenate([points[points >= 0] for points in [*way_back, run.tracker.last.points]])
         shares.append(np.isin(seen, before).mean())
-    assert shares[1] > 0.9 * shares[0]
+    assert shares[1] > 0.8 * shares[0]
 
 
 def a_part_that_waits() -> tuple[Run, list, int]:
