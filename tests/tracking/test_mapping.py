@@ -261,3 +261,24 @@ def test_a_corner_must_look_smaller_where_it_is_farther(near, far, same):
     farther = z / (z - 1.2) > 1.6
     assert (farther.sum() > 20) == same
     assert farther.any() == same
+
+
+@pytest.mark.parametrize(
+    ("age", "views", "goes"), [(2, 1, False), (3, 1, True), (8, 1, True), (9, 1, False), (5, 2, False)]
+)
+def test_what_one_keyframe_alone_sees_goes_once_others_had_their_chance(age, views, goes):
+    world, _ = Cloud(120, seed=7).mapped([np.eye(4)] * views)
+    world.points.reference[:] = 30 - age
+    mapping.cull_recent_points(world, newest=30)
+    assert world.points.alive.any() != goes
+
+
+@pytest.mark.parametrize(("age", "goes"), [(4, True), (5, False)])
+def test_what_is_rarely_found_goes_while_it_is_young_however_long_the_map(age, goes):
+    world, _ = Cloud(120, seed=7).mapped([np.eye(4)] * 2)
+    world.points.reference[:], world.points.visible[:] = 30 - age, 20
+    mapping.cull_recent_points(world, newest=30)
+    assert world.points.alive.any() != goes
+    mapping.cull_recent_points(world, newest=30)
+    told = [point for ids in world.changes.culled_points for point in ids.tolist()]
+    assert len(told) == len(set(told)), "what is gone does not go again"
