@@ -9,6 +9,7 @@ import pytest
 
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.keyframe_culling import drop_keyframe
 from prism_edge.tracking.map_correction import (
     MIN_COMMON,
     apply_correction,
@@ -141,6 +142,29 @@ def test_a_part_that_a_loop_joins_grows_with_all_that_the_backend_does_not_name(
     assert table.position == pytest.approx(true, abs=5e-3)
     assert world.keyframes[5].world_from_camera == pytest.approx(POSES[5], abs=2e-3)
     assert transform(motion, last[:3, 3][None])[0] == pytest.approx(POSES[5][:3, 3], abs=5e-3)
+
+
+def test_what_sees_nothing_known_goes_with_the_fitted_keyframe_before_it():
+    """Both were misplaced alike: the fit of the one puts the other right, too."""
+    world, _ = Cloud(600, seed=1).mapped(POSES[:5])
+    wrong = pose_at(0.02, 0.01, -0.02, 0.005)
+    for k in (3, 4):
+        world.keyframes[k].world_from_camera = wrong @ POSES[k]
+    world.keyframes[4].points[:] = -1
+    known = world.points.ids[world.points.reference <= 2].copy()
+    apply(world, 2, [0, 1, 2], known, motion=np.eye(4))
+    for k in (3, 4):
+        assert np.abs(se3_log(inverse(POSES[k]) @ world.keyframes[k].world_from_camera)).max() < 1e-3
+
+
+def test_what_went_with_the_newest_keyframe_does_no_harm():
+    """A part that is given up goes with the points it alone saw; they have a row still."""
+    world, _ = Cloud(400, seed=0).mapped(POSES)
+    drop_keyframe(world, world.keyframes[5])
+    table, before = world.points, world.points.position.copy()
+    assert (table.reference == 5).any()
+    apply(world, 4, list(range(5)), np.zeros(0, np.int64))
+    assert table.position[table.alive] == pytest.approx(transform(MOTION, before[table.alive]), abs=1e-9)
 
 
 def test_newer_keyframes_that_share_too_little_are_carried():
