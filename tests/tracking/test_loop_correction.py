@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 
 from prism_edge.messages import MapUpdate
+from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.map_correction import (
     _renamed,
     join,
+    take_over,
 )
+from prism_edge.tracking.submaps import Parts
 from tests.synthetic.messages import map_update
-from tests.tracking.cloud import Cloud, check, pose_at
+from tests.tracking.cloud import BY_POINTS, Cloud, check, pose_at
 from tests.tracking.test_map_correction import POSES
 
 
@@ -123,6 +126,20 @@ def test_a_loop_s_point_that_the_tracker_does_not_know_changes_nothing():
 
 def test_the_last_frame_sees_a_point_once_though_it_matched_both_that_are_one():
     assert _renamed(np.array([3, -1, 5, -1, 7]), {5: 3}).tolist() == [3, -1, -1, -1, 7]
+
+
+def test_the_last_frame_knows_a_point_by_the_name_that_a_loop_gave_it():
+    """The next frame is tracked by its points: under the old name they would be lost."""
+    world, _ = Cloud(400, seed=0).mapped(POSES)
+    view, table = world.keyframes[5], world.points
+    old = view.points[view.observed()[:20]].copy()
+    kept = table.ids[~np.isin(table.ids, view.points)][:20].copy()
+    last = TrackedFrame.of_keyframe(view, len(view.observed()))
+    before, at = last.points.copy(), np.isin(last.points, old)
+    take_over(world, Parts(), loop_update(fused_from=old, fused_into=kept), last, BY_POINTS)
+    became = dict(zip(old.tolist(), kept.tolist(), strict=True))
+    assert last.points[at].tolist() == [became[point] for point in before[at].tolist()]
+    assert table.known(last.points[last.points >= 0]).all()
 
 
 def test_what_a_loop_makes_one_goes_on_to_the_point_that_takes_its_keypoint():

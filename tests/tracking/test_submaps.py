@@ -34,6 +34,17 @@ def test_merging_keeps_the_older_part():
     assert all(parts.of(k) == HOME for k in (2, 10, 11, 20, 21))
 
 
+def test_what_joined_is_told_once_where_the_units_are_known():
+    parts = Parts()
+    parts.begin(10)
+    assert parts.merge(10, 2, np.zeros(0))
+    assert parts.take_joined() == []
+    parts.begin(20)
+    assert parts.merge(2, 20, np.array([0.1, 0.01]))
+    assert parts.take_joined() == [(20, HOME, 0.1, 0.01)]
+    assert parts.take_joined() == []
+
+
 def test_merging_two_parts_that_the_camera_is_not_in():
     parts = Parts()
     parts.begin(10)
