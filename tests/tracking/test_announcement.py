@@ -16,6 +16,7 @@ from prism_edge.bus import codec
 from prism_edge.messages import Keyframe
 from prism_edge.tracking import mapping
 from prism_edge.tracking.announcement import keyframe_message
+from prism_edge.tracking.keyframe_culling import drop_keyframe
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.submaps import HOME, Parts
 from tests.tracking.cloud import Cloud, check, observations, pose_at
@@ -122,6 +123,20 @@ def test_a_late_observation_of_a_fused_point_is_the_survivor_s():
     assert message.late_points.tolist() == [kept]
     assert (message.late_keyframes.tolist(), message.late_keypoints.tolist()) == ([0], [7])
     assert (message.fused_from.tolist(), message.fused_into.tolist()) == ([a], [kept])
+
+
+def test_what_a_keyframe_that_is_gone_learnt_late_is_not_told():
+    world, _ = Cloud(60, seed=1).mapped([pose_at(0.0)] * 4)
+    tracker = teller(world)
+    sent(tracker, world.keyframes[2])
+    keyframe = world.keyframes[1]
+    point = int(keyframe.points[7])
+    world.drop_observations(np.array([1]), np.array([point]))
+    world.add_observation(point, int(world.points.rows(np.array([point]))[0]), keyframe, 7)
+    drop_keyframe(world, keyframe)
+    message = sent(tracker, world.keyframes[3])
+    assert message.culled_keyframes.tolist() == [1]
+    assert len(message.late_points) == 0
 
 
 class Listener(RuleBasedStateMachine):

@@ -230,6 +230,20 @@ def test_its_points_get_the_oldest_that_sees_them_as_reference():
         assert table.reference[table.rows(np.array([p]))[0]] == expected
 
 
+def test_points_of_other_keyframes_keep_the_reference_that_they_have():
+    """Who saw a point first may not be the oldest that sees it: older ones learn of it later."""
+    world = walk(12, 0.15)
+    table, seen = world.points, observations(world)
+    late = [p for p, views in seen.items() if 0 not in views and len(views) > 3]
+    rows = table.rows(np.array(late))
+    table.reference[rows] = [max(seen[p]) for p in late]
+    table.reference_keypoint[rows] = [seen[p][max(seen[p])] for p in late]
+    drop_keyframe(world, world.keyframes[0])
+    assert len(late) > 20
+    assert table.reference[table.rows(np.array(late))].tolist() == [max(seen[p]) for p in late]
+    assert references_hold(world)
+
+
 PLACES, NEWEST = 6, [pose_at(-0.6, -0.02 * i) for i in range(RECENT)]
 
 
