@@ -301,6 +301,15 @@ def test_a_camera_that_stands_does_not_walk_however_it_trembles():
     assert np.all(np.array(walks[1]) <= most * 1.001), "that often 1 % of the depth, and 2 degrees"
 
 
+def test_nor_does_one_that_stands_at_the_end_of_a_way():
+    drift = Drift(CONFIG)
+    drift.advance(np.eye(4), result(pose_at(5.0)), 0.0, depth=2.0)
+    stand(drift, 1000, 0.002)
+    most = MOST_DETOUR * 0.02 * 1.001
+    assert 5.0 < drift.travelled <= 5.0 + most
+    assert drift.total.metres2 <= 0.02**2 * (5.0 + most)
+
+
 def test_a_slow_way_counts_in_full():
     """A millimetre a frame, and half a degree: both are less than what is taken for standing."""
     drift, before = Drift(CONFIG), np.eye(4)
