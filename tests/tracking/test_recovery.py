@@ -10,10 +10,10 @@ from prism_edge.config import TrackingConfig
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
 from prism_edge.sources.sim import SimSource
 from prism_edge.tracking.features import Features
-from prism_edge.tracking.frame_tracking import TrackedFrame
-from prism_edge.tracking.recovery import clearly_better, locate, match_keyframe, misled
+from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
+from prism_edge.tracking.recovery import clearly_better, locate, match_keyframe, misled, recover
 from prism_edge.tracking.tracker import Tracker
-from tests.tracking.cloud import CAMERA, Cloud, descriptors, pose_at
+from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
 from tests.tracking.footage import IDENTITY
 
 
@@ -106,6 +106,19 @@ def test_points_that_fix_no_pose_give_none(map_and_cloud, place):
 
 def _placed(matched):
     return TrackedFrame.of_keyframe(Cloud(40, seed=0).mapped([np.eye(4)])[0].keyframes[0], matched)
+
+
+def test_it_is_found_by_a_keyframe_beside_the_newest():
+    """Of which nothing is recognised; nor does what was looked for last help."""
+    cloud, true = Cloud(400, seed=0), pose_at(0.3, -0.1, 0.2, 0.05, -0.1, 0.2)
+    world, _ = cloud.mapped([np.eye(4), pose_at(0.1)])
+    newest, features = world.newest(), cloud.view(true, noise_px=0.3, bits=15)[0]
+    for known in (True, False):
+        frame = recover(world, FrameTracker(FACTORS, 5000), CAMERA, features, newest, 25, 0)
+        assert np.abs(se3_log(inverse(true) @ frame.world_from_camera)).max() < 0.02, known
+        others = descriptors(cloud.rng, len(newest.features))
+        newest.features = Features.build(newest.features.pixels, newest.features.octaves, others, 640, 480)
+    assert locate(world, CAMERA, features, newest, seed=0) is None
 
 
 def test_a_sudden_loss_of_points_is_looked_at_again():

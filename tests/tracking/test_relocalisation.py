@@ -12,7 +12,7 @@ from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.relocalisation import TRIES, Relocaliser
 from tests.backend.ring import Ring, looking_out
-from tests.tracking.cloud import CAMERA, FACTORS, Cloud, pose_at
+from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
 
 LAP = 24
 HEADINGS = [2 * np.pi * i / LAP for i in range(LAP)]
@@ -190,3 +190,13 @@ def test_a_turn_no_frame_makes_is_not_believed_though_both_see_the_same():
     lost.relocaliser.begin()
     assert attempt(lost, pose_at()) is None
     assert attempt(lost, turned, 100) is not None, "ten images a second leave it the time"
+
+
+def test_a_place_that_only_looks_of_old_agree_on_is_passed_over(place):
+    """The keyframe's corners are found, but its points have looked otherwise since."""
+    cloud, world = place
+    lost = Lost(world)
+    world.points.descriptor[:] = descriptors(np.random.default_rng(7), len(world.points))
+    for _ in range(3):
+        lost.relocaliser.heard(world, looks(HEADINGS[9]))
+        assert lost.see(cloud.view(at(HEADINGS[9]), bits=15)[0]) is None
