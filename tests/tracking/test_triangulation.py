@@ -148,6 +148,22 @@ def test_matches_lie_within_the_depth_range(two_views):
     assert (depth @ a[:3, 2]).max() < 3.2
 
 
+@pytest.mark.parametrize("way", [(0.4, 0.0), (-0.4, 0.0), (0.0, 0.4), (0.0, -0.4)])
+@pytest.mark.parametrize(("depths", "matches"), [((2, 5), True), ((5, 8), False), ((1, 2), False)])
+def test_a_match_lies_between_both_ends_whichever_way_the_camera_moved(way, depths, matches):
+    """Of what is 3 m away; beyond either end by more than the ten pixels that are allowed."""
+    b = pose_at(*way)
+    points = np.random.default_rng(4).uniform((-1.0, -1.0, 3.0), (1.0, 1.0, 3.0), (10, 3))
+    words = Cloud(10, seed=2).descriptors
+    features_a, features_b = (
+        Features.build(seen(pose, points), np.zeros(10, np.intp), words, CAMERA.width, CAMERA.height)
+        for pose in (np.eye(4), b)
+    )
+    for i in range(10):
+        one = np.array([i])
+        assert len(match(np.eye(4), b, features_a, features_b, one, one, depths)[0]) == matches
+
+
 @pytest.mark.parametrize(("sigmas", "matches"), [(0.95 * 1.96, True), (1.05 * 1.96, False)])
 def test_a_match_is_as_far_from_a_slanted_epipolar_line_as_pixels_say(sigmas, matches):
     """Moved at right angles to the line, which focal lengths that differ turn in the image."""
