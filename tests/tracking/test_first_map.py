@@ -200,3 +200,26 @@ def test_points_of_two_views_are_as_well_known_as_their_parallax_has_them():
     assert len(rows) > 100
     expected = MATCHING_SIGMA_PX / (CAMERA.fx * np.radians(table.parallax_deg[rows]))
     assert table.log_depth_sigma[rows] == pytest.approx(np.minimum(expected, 2.0), rel=1e-3)
+
+
+def test_two_views_that_contradict_depth_leave_nothing_of_what_was_tracked_and_all_of_other_parts():
+    cloud, second = Cloud(2000), pose_at(0.5, 0.1, 0.0, 0.0, -0.05)
+    world, _ = cloud.mapped([pose_at()], parallax_deg=0.0)
+    first, table = world.newest(), world.points
+    table.position[:] *= (3.0 / table.position[:, 2])[:, None]
+    features, shown = cloud.view(second, noise_px=0.3)
+    wrong = np.random.default_rng(3).permutation(table.ids)[: len(features)]
+    points = np.r_[wrong, np.full(len(features) - len(wrong), NO_POINT)]
+    elsewhere, _ = Cloud(200, seed=9).keyframe(8, pose_at())
+    world.add_keyframe(elsewhere)
+    everywhere = np.zeros((len(elsewhere.points), 3))
+    theirs = world.add_points(elsewhere, elsewhere.free(), everywhere, np.full(len(everywhere), 0.2), 0.0)
+    frame = TrackedFrame(CAMERA, features, pose_at(0.2), points, np.zeros((6, 6)), 60)
+    assert begin_structure(world, first, frame, seed=0) is SecondView.CONTRADICTS
+    assert len(theirs) > 100
+    assert table.known(theirs).all()
+    at = np.flatnonzero(frame.points != NO_POINT)
+    assert len(at) > 100
+    assert table.known(frame.points[at]).all()
+    corner_of = dict(zip(first.points.tolist(), cloud.view(pose_at())[1].tolist(), strict=True))
+    assert [corner_of[point] for point in frame.points[at].tolist()] == shown[at].tolist()

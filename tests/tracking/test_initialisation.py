@@ -56,6 +56,8 @@ def test_a_third_of_wrong_matches_does_no_harm():
     assert found is not None
     assert rotation_angle(found.first_from_second[:3, :3].T @ SECOND[:3, :3]) < np.radians(0.5)
     assert found.good[wrong].mean() < 0.1
+    length = np.linalg.norm(SECOND[:3, 3])  # their depths, which are right, say nothing of the unit
+    assert np.linalg.norm(found.first_from_second[:3, 3]) == pytest.approx(length, rel=0.06)
 
 
 @pytest.mark.parametrize("noise_px", [0.0, 0.5])
