@@ -174,6 +174,17 @@ def test_a_corner_lies_at_one_place_at_every_level():
         assert np.all(np.abs(mine.mean(axis=0)) < 0.3), mine.mean(axis=0)
 
 
+def test_a_larger_image_has_as_many_more_as_it_shows_more_and_a_smaller_one_not_fewer():
+    """Up to three times as much; the numbers of the configuration are for 640 x 480."""
+    extractor = OrbExtractor(TrackingConfig(features=300, max_features=400))
+    for width, height, wanted in ((900, 640, 750), (1280, 960, 1200), (640, 480, 400), (480, 360, 400)):
+        image = block_texture(np.random.default_rng(0), width, height)
+        camera = Camera(width, height, 500.0, 500.0, width / 2 - 0.5, height / 2 - 0.5)
+        for _ in range(6):  # the detector's threshold follows
+            found = len(extractor.extract(image, camera))
+        assert 0.8 * wanted < found <= wanted, (width, height)
+
+
 def test_few_matches_bring_more_features_and_many_bring_fewer():
     config = TrackingConfig(features=300, max_features=600)
     extractor = OrbExtractor(config)
