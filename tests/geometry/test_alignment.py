@@ -89,6 +89,7 @@ def test_points_on_a_line_still_align() -> None:
         (np.ones((5, 3)), np.random.default_rng(0).normal(size=(5, 3)), "coincide"),
         (np.random.default_rng(0).normal(size=(5, 3)), np.full((5, 3), 1e6), "coincide"),
         (np.full((5, 3), np.nan), np.ones((5, 3)), "finite"),
+        (np.random.default_rng(0).normal(size=(5, 3)), np.full((5, 3), np.inf), "finite"),
     ],
 )
 def test_undetermined_alignments_are_refused(source: np.ndarray, target: np.ndarray, reason: str) -> None:

@@ -104,6 +104,16 @@ def test_thirty_percent_outliers_are_told_apart():
     assert np.delete(estimate.inliers, wrong).mean() > 0.95
 
 
+def test_outliers_that_all_pull_one_way_have_no_part_in_the_pose():
+    """As something that moves does: told apart, they are left out of the rounds that follow."""
+    rng = np.random.default_rng(3)
+    points, pixels = scene(rng, 200)
+    pixels[:40] += (12.0, 8.0)
+    estimate = refine_pose(CAMERA, TRUE, points, pixels, np.ones(200), iterations=6)
+    assert np.array_equal(estimate.inliers, np.arange(200) >= 40)
+    assert np.abs(error_of(estimate.world_from_camera)).max() < 1e-6
+
+
 def test_it_is_as_good_as_opencvs_least_squares():
     rng = np.random.default_rng(4)
     points, pixels = scene(rng, 80)
