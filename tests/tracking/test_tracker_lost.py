@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from prism_edge.messages import DEGRADED, LOST, OK
+from prism_edge.tracking.submaps import HOME, Parts
 from tests.synthetic.scene import block_texture
 from tests.tracking.cloud import pose_at
 from tests.tracking.film_run import BLACK, CONFIG, Run
@@ -81,3 +82,35 @@ def test_a_gap_in_the_frames_is_bridged():
     run.play(range(20))
     assert run.feed(30).odometry == OK
     assert run.errors(range(30, 31))[0] < 0.03
+
+
+def test_a_map_of_an_earlier_run_is_not_given_up_however_briefly_it_was_seen():
+    """One that was just begun would be, with a new one from where the camera was."""
+    before, run = Run(), Run()
+    before.play(range(30))
+    world = before.tracker.world
+    run.tracker.adopt(world, before.tracker.places.index, Parts(), 1000, 0.0)
+    run.until_found([(i, None) for i in range(20, 30)], at=0)
+    elsewhere = block_texture(np.random.default_rng(7), 320, 240)
+    after = run.found_at + 1
+    for i in range(after, after + 45):
+        assert run.feed(0, elsewhere, at=i).world_from_camera is None
+    assert run.results[after + 44].odometry == LOST
+    assert (run.tracker.world, run.tracker.epoch) == (world, 1000)
+
+
+def test_who_is_found_in_another_part_hangs_on_a_keyframe_of_that_part():
+    """The one that it was at before is in a part whose place is unknown."""
+    run = Run()
+    run.play(range(50))
+    tracker, part = run.tracker, sorted(run.keyframes)[-2:]
+    tracker.parts = Parts.given(dict.fromkeys(part, part[0]))
+    tracker.parts.current = part[0]
+    tracker._at.move_to(tracker.world.keyframes[part[0]], tracker.world, tracker.parts, 0)
+    for i in range(50, 65):
+        run.feed(0, BLACK, at=i)
+    found = run.until_found([(3 + i, None) for i in range(6)], at=65)
+    assert found.in_map
+    assert tracker.parts.of(found.reference) == HOME
+    carried = tracker.world.keyframes[found.reference].world_from_camera @ found.reference_from_camera
+    assert np.allclose(carried, found.world_from_camera, atol=1e-9)
