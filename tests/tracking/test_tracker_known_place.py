@@ -8,8 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.tracking.frame_tracking import FrameTracker
 from prism_edge.tracking.keyframe_culling import drop_keyframe
-from prism_edge.tracking.tracker import Tracker
+from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.point_table import Ids
+from prism_edge.tracking.tracker import REFRESH_FRAMES, Tracker
 from tests.tracking.cloud import check
 from tests.tracking.film_run import CONFIG, Run
 from tests.tracking.footage import footage
@@ -113,3 +116,21 @@ def test_where_the_map_is_only_localised_in_the_camera_still_comes_to_its_older_
     away = np.linalg.norm((here.world_from_camera - result.world_from_camera)[:3, 3])
     newest = tracker.world.newest().world_from_camera
     assert away < 0.5 * np.linalg.norm((newest - result.world_from_camera)[:3, 3])
+
+
+def test_what_is_looked_for_is_chosen_anew_where_no_keyframe_is_made_either(monkeypatch) -> None:
+    """With a new keyframe it is, so a map that is only localised in would keep what was seen at first."""
+    run, chosen = Run(Tracker(QUICK)), []
+    run.play(range(20))
+    run.tracker.may_map = False
+    choose = FrameTracker.refresh_local_map
+
+    def chosen_anew(self: FrameTracker, world: LocalMap, points: Ids) -> None:
+        chosen.append(at)
+        assert np.isin(points, run.tracker.last.points).all(), "by what is seen now"
+        choose(self, world, points)
+
+    monkeypatch.setattr(FrameTracker, "refresh_local_map", chosen_anew)
+    for at in range(20, 60):
+        run.feed(at)
+    assert np.diff([19, *chosen, 60]).max() <= REFRESH_FRAMES + 1
