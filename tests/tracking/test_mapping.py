@@ -119,6 +119,18 @@ def test_seeds_mature_to_their_true_places():
     assert mapping.mature(world, keyframe, FACTORS) == 0
 
 
+def test_what_a_view_does_not_improve_keeps_its_place_beside_what_it_does():
+    cloud = Cloud(300, seed=1)
+    world, shown = seeded(cloud, every=2, wrong=1.02)
+    keyframe, _ = add(world, cloud, shown, 1, pose_at(0.4))
+    table = world.points
+    firm = table.ids % 2 == 0
+    table.parallax_deg[firm], table.log_depth_sigma[firm] = 30.0, 0.001
+    assert mapping.mature(world, keyframe, FACTORS) > 20
+    assert (table.parallax_deg[firm] == 30.0).all()
+    assert table.log_depth_sigma[firm] == pytest.approx(0.001)
+
+
 def test_a_point_adjusted_over_many_views_keeps_its_place():
     cloud = Cloud(300, seed=1)
     world, shown = seeded(cloud, every=2)
@@ -199,6 +211,16 @@ def test_fusing_keeps_the_better_observed_and_all_that_saw_either():
     # Nobody is fused with himself or with the dead.
     mapping.fuse(world, np.array([a, a]), np.array([a, b]))
     assert world.changes.fused == [(b, a)]
+    check(world)
+
+
+def test_two_points_of_a_keyframe_that_become_a_third_leave_it_one_observation():
+    world, _ = Cloud(400, seed=0).mapped([pose_at(0.3 * i) for i in range(4)])
+    view = world.keyframes[0]
+    one, other = view.points[view.observed()[:2]].tolist()
+    third = int(world.points.ids[~np.isin(world.points.ids, view.points)][0])
+    mapping.merge(world, np.array([third, third]), np.array([one, other]))
+    assert np.count_nonzero(view.points == third) == 1
     check(world)
 
 
