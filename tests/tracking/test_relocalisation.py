@@ -10,7 +10,7 @@ from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
-from prism_edge.tracking.relocalisation import TRIES, Relocaliser
+from prism_edge.tracking.relocalisation import TRIES, Relocaliser, _near
 from tests.backend.ring import Ring, looking_out
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
 
@@ -200,3 +200,14 @@ def test_a_place_that_only_looks_of_old_agree_on_is_passed_over(place):
     for _ in range(3):
         lost.relocaliser.heard(world, looks(HEADINGS[9]))
         assert lost.see(cloud.view(at(HEADINGS[9]), bits=15)[0]) is None
+
+
+@pytest.mark.parametrize(("step", "near"), [(0.5, True), (1.2, False)])
+def test_how_far_a_frame_may_bring_it_goes_by_what_is_before_it_wherever_the_map_began(step, near):
+    """A fifth of the median depth, which is some 4 m here, as seen from ten metres along."""
+    cloud = Cloud(400, seed=6)
+    cloud.positions[:, 2] += 10.0
+    world, _ = cloud.mapped([pose_at(0.0, 0.0, 10.0), pose_at(step, 0.0, 10.0)])
+    assert world.median_depth(world.keyframes[1]) == pytest.approx(4.0, abs=0.5)
+    before, after = (TrackedFrame.of_keyframe(world.keyframes[k], 100) for k in (0, 1))
+    assert _near(world, before, after, 1.0) == near
