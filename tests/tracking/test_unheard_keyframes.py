@@ -85,6 +85,19 @@ def test_who_goes_along(everything: bool, named: list[int], moving: list[int]) -
     assert np.array_equal(table.position[~along], before[~along])
 
 
+def test_one_that_was_misplaced_comes_right_by_what_its_neighbours_made() -> None:
+    """No point is named: those of keyframes that the backend has hold it all the same."""
+    world, _ = Cloud(600, seed=1).mapped(POSES)
+    world.keyframes[2].world_from_camera = POSES[2] @ pose_at(0.02, 0.01, -0.02, 0.005)
+    named, none = [0, 1, 3, 4, 5], np.zeros(0, np.int64)
+    update = map_update(
+        5, keyframes=np.array(named), poses=np.array([POSES[k] for k in named]), points=none,
+        positions=np.zeros((0, 3)), parallax_deg=np.zeros(0, np.float32), everything=True,
+    )  # fmt: skip
+    apply_correction(world, update, BY_POINTS)
+    assert world.keyframes[2].world_from_camera == pytest.approx(POSES[2], abs=1e-3)
+
+
 def test_a_window_s_update_does_not_say_that_it_names_everything() -> None:
     ring, mapper = Ring(seed=3), Mapper(BackendConfig(), use_depth=False)
     for keyframe in ring.keyframes(30):
