@@ -269,6 +269,15 @@ def test_a_way_that_nobody_saw_goes_on_as_fast_as_before_and_never_slower_than_a
         assert said == pytest.approx(speed**2), "the step after it says nothing of the speed"
 
 
+def test_the_way_after_one_that_nobody_saw_counts_from_there():
+    drift = Drift(CONFIG)
+    drift.advance(np.eye(4), result(pose_at(3.0)), 0.0, depth=2.0)
+    drift.miss(1.0)
+    unseen = drift.total.metres2
+    drift.advance(np.eye(4), result(pose_at(0.01)), 0.0, depth=2.0)  # half of what is clearly moved
+    assert drift.total.metres2 - unseen == pytest.approx(0.02**2 * 0.01)
+
+
 def test_a_turn_goes_on_too_and_half_of_one_is_the_most():
     drift, turned = Drift(CONFIG), np.eye(4)
     for k in range(20):
