@@ -143,6 +143,16 @@ def test_votes_count_the_points_a_keyframe_sees(world):
     assert world.votes(np.zeros(0, np.int64)) == {}
 
 
+def test_the_nearest_keyframe_sees_most_of_a_view_and_is_the_newest_of_several():
+    world, _ = Cloud(400, seed=0).mapped([pose_at(0.3 * i) for i in range(5)])
+    view = world.keyframes[1].points.copy()
+    assert len(world.votes(view[view >= 0])) == 5, "newer ones see some of it too"
+    assert world.nearest(view) is world.keyframes[1]
+    same, _ = Cloud(400, seed=0).mapped([pose_at()] * 3)
+    assert same.nearest(same.keyframes[0].points) is same.keyframes[2]
+    assert world.nearest(np.full(5, -1)) is None
+
+
 def test_rows_seen_by_are_distinct_and_limited(world):
     keyframes = [world.keyframes[2], world.keyframes[0]]
     rows = world.rows_seen_by(keyframes, 10_000)
