@@ -87,6 +87,36 @@ def test_a_point_that_moved_to_another_keypoint_does_not_give_way_at_the_first(t
     check(world)
 
 
+def test_what_is_seen_late_of_a_point_that_became_another_is_seen_of_that(told):
+    world, _, messages = told
+    gone, kept = messages[0].points[:2].tolist()
+    for point in (gone, kept):
+        world.drop_observation(1, point)
+    world.fuse(gone, kept)
+    late = {"late_points": [gone], "late_keyframes": [1], "late_keypoints": [7]}
+    world.absorb(quiet(messages[-1], **late))
+    assert world.keyframes[1].observed[kept] == 7
+    check(world)
+
+
+def test_what_is_seen_late_by_or_of_what_is_not_here_changes_nothing(told):
+    """A keyframe that was culled, a point that nobody has told of."""
+    world, _, messages = told
+    before = {k: dict(keyframe.observed) for k, keyframe in world.keyframes.items()}
+    late = {"late_points": [int(messages[0].points[0]), 10**6], "late_keyframes": [77, 1]}
+    world.absorb(quiet(messages[-1], **late, late_keypoints=[0, 0]))
+    assert {k: world.keyframes[k].observed for k in before} == before
+    check(world)
+
+
+def test_of_two_points_seen_late_at_one_keypoint_the_last_stays(told):
+    world, _, messages = told
+    late = {"late_points": messages[1].points[:2].tolist(), "late_keyframes": [1, 1]}
+    world.absorb(quiet(messages[-1], **late, late_keypoints=[7, 7]))
+    assert [p for p, i in world.keyframes[1].observed.items() if i == 7] == late["late_points"][1:]
+    check(world)
+
+
 def test_culled_points_are_gone_everywhere(told):
     world, _, messages = told
     culled = messages[2].points[:30].tolist()

@@ -209,6 +209,16 @@ def test_clear_forgets(written: Path) -> None:
     assert journal.recover() is None
 
 
+def test_nothing_can_be_added_to_what_was_cleared(written: Path) -> None:
+    journal = Journal(written)
+    journal.begin(base(1))
+    journal.clear()
+    assert not journal.is_open
+    with pytest.raises(MapError, match="no base"):
+        journal.append(b"lost")
+    assert os.listdir(written) == []
+
+
 def test_a_base_that_was_being_written_at_a_kill_is_swept(written: Path) -> None:
     (written / ".base.k1ll3d").write_bytes(b"half")
     Journal(written)

@@ -45,6 +45,16 @@ def test_its_bookkeeping_is_sound_and_says_what_the_backends_says() -> None:
     assert table.log_depth_sigma[0] < SEEDED_SIGMA == table.log_depth_sigma[1]
 
 
+def test_a_point_that_its_maker_no_longer_sees_goes_by_the_oldest_that_does() -> None:
+    world, _ = told()
+    point = next(p for p, seen in world.points.items() if len(seen.keyframes) >= 4)
+    *viewers, maker = sorted(world.points[point].keyframes)
+    world.points[point].made_by = maker
+    world.drop_observation(maker, point)
+    table = local_copy(world).points
+    assert table.reference[table.ids.tolist().index(point)] == viewers[0]
+
+
 def test_nothing_of_it_is_news_and_new_points_get_new_numbers() -> None:
     world, _ = told(3)
     copy = local_copy(world)

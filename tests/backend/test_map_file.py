@@ -128,6 +128,30 @@ def test_a_crafted_header_is_refused(header: Any) -> None:
         map_file.unpack(crafted(header, bytes(8)))
 
 
+@pytest.mark.parametrize(
+    ("shapes", "size"),
+    [
+        ([["a", "<f8", [1]], ["a", "<f8", [1]]], 16),  # one name twice
+        ([["a", "<f8", [0]], ["a", "<f8", [0]]], 0),
+        ([["a", "<i4", [2]]], 8),
+        ([["a", "<c16", [1]]], 16),
+        ([[5, "<f8", [1]]], 8),
+        ([["a", "<f8", [1, 1, 1, 1]]], 8),
+        ([["a", "<f8", [True]]], 8),
+        ([["a", "<f8", [4]]], 0),  # its numbers would be the checksum's
+    ],
+    ids=str,
+)
+def test_arrays_whose_bytes_are_all_there_are_refused_for_what_they_are(shapes: Any, size: int) -> None:
+    with pytest.raises(MapError, match="array"):
+        map_file.unpack(crafted({"info": {}, "arrays": shapes}, bytes(size)))
+
+
+def test_no_map_is_written_whose_header_nobody_would_read() -> None:
+    with pytest.raises(MapError, match="header"):
+        map_file.pack({"robot": "a" * map_file.LARGEST_HEADER}, ARRAYS)
+
+
 def test_bytes_that_no_array_claims_are_refused() -> None:
     with pytest.raises(MapError, match="too many"):
         map_file.unpack(crafted({"info": {}, "arrays": []}, bytes(8)))

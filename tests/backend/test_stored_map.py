@@ -98,6 +98,12 @@ def test_a_point_that_ran_off_stays_behind() -> None:
     assert not any(far in keyframe.observed for keyframe in again.keyframes.values())
 
 
+def test_a_point_that_no_keyframe_sees_is_left_behind() -> None:
+    world, _ = from_arrays(*changed("seen", lambda seen: np.where(seen == EXISTING, -1, seen)), max_carried=9)
+    assert world.points.keys() == EXAMPLE[0].points.keys() - {EXISTING}
+    check(world)
+
+
 def test_a_sky_that_a_network_puts_too_far_away_is_left_out() -> None:
     world, index = example()
     keyframe = next(k for k in world.keyframes.values() if k.depths is not None)
