@@ -67,6 +67,20 @@ def test_a_few_that_moved_move_nobody_else(few: set[int]) -> None:
         assert np.abs(off).max() < ALIKE
 
 
+def test_corrections_that_come_to_most_in_turn_move_nobody_else() -> None:
+    """Each is of a few; from then on they belong where it has put them."""
+    world = mapped()
+    before = poses_of(world)
+    for few in ((0, 1, 2), (3, 4, 5)):
+        for k in few:
+            world.keyframes[k].world_from_camera = MOTION @ world.keyframes[k].world_from_camera
+        keep_frame(world)
+    for k, pose in before.items():
+        true = MOTION @ pose if k < 6 else pose
+        off = se3_log(inverse(true) @ world.keyframes[k].world_from_camera)
+        assert np.abs(off).max() < 2 * ALIKE
+
+
 def test_one_that_held_while_all_others_turned_gives_way() -> None:
     """A first keyframe that is held makes the others bear its errors."""
     world = mapped()

@@ -140,6 +140,7 @@ def test_of_a_point_that_one_view_is_left_of_nothing_is_said():
     _, world = shaken(sigma=0.0)
     p = next(p for p, point in world.points.items() if len(point.keyframes) == 2)
     keyframe = world.keyframes[min(world.points[p].keyframes)]
+    assert p in run(world).points
     keyframe.pixels[keyframe.observed[p]] += 300.0
     assert p not in run(world).points
 

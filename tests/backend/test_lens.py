@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import X
 
 from prism_edge.backend import lens as lens_module
 from prism_edge.backend import loop_closing
@@ -87,6 +89,18 @@ def test_pixels_are_then_where_the_points_are():
         errors.append(np.abs(projected - keyframe.pixels[keypoints]).max())
         assert keyframe.features.pixels == pytest.approx(keyframe.pixels)
     assert max(errors) < 0.3  # and were up to 8 pixels off
+
+
+def test_the_unit_is_held_as_it_is_wherever_the_map_lies():
+    places = (pose_at(), pose_at(1.0), pose_at(3.0, 4.0))  # the last one is the farthest, by 5
+    poses = {k: pose_at(90.0, -40.0) @ pose for k, pose in zip((3, 4, 5), places, strict=True)}
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    lens_module.hold_unit(graph, poses)
+    for k, pose in poses.items():
+        values.insert(X(k), gtsam.Pose3(pose))
+    assert graph.error(values) == pytest.approx(0.0, abs=1e-9)
+    values.update(X(5), gtsam.Pose3(poses[3] @ pose_at(3.06, 4.08)))
+    assert graph.error(values) == pytest.approx(0.5 * (0.02 / lens_module.UNIT_SIGMA) ** 2)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -125,6 +125,20 @@ def test_wrong_observations_leave_the_map_and_are_told(solved):
     assert not set(update.points.tolist()) - set(mapper.world.points)
 
 
+def test_an_update_names_no_point_that_its_wrong_observations_have_ended():
+    """Seen by two keyframes that can't both be right, it is gone once they are dropped."""
+    mapper, teller = Mapper(CONFIG, use_depth=False), Teller(noise_px=0.3)
+    for i in range(5):
+        mapper.absorb(teller.keyframe(pose_at(0.2 * i)))
+    lost = next(p for p, point in mapper.world.points.items() if len(point.keyframes) == 2)
+    keyframe = mapper.world.keyframes[min(mapper.world.points[lost].keyframes)]
+    keyframe.pixels[keyframe.observed[lost], 1] += 80.0  # across the way, where no depth explains it
+    update = mapper.optimise(4, 0.0)
+    assert lost in update.dropped_points
+    assert lost not in mapper.world.points
+    assert lost not in update.points
+
+
 def test_points_that_a_window_leaves_out_go_with_the_keyframe_that_made_them():
     """A window takes some points of each keyframe; the others must not stay where the keyframe was."""
     mapper, teller = Mapper(BackendConfig(observations=40)), Teller(600)

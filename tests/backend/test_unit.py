@@ -24,18 +24,19 @@ def grown(noise_px: float = 0.0) -> Mapper:
     return mapper
 
 
+@pytest.mark.parametrize("held", [0, 4])
 @pytest.mark.parametrize("shrunk", [0.5, 1.0, 1.7])
-def test_a_solution_of_another_size_gets_the_size_that_was(shrunk):
+def test_a_solution_of_another_size_gets_the_size_that_was(shrunk, held):
     world = grown().world
-    centre = world.keyframes[0].world_from_camera[:3, 3]
+    centre = world.keyframes[held].world_from_camera[:3, 3]
     poses, points = {}, {}
-    for k in range(1, len(POSES)):
+    for k in set(range(len(POSES))) - {held}:
         pose = world.keyframes[k].world_from_camera
         poses[k] = scaled(pose, shrunk).copy()
         poses[k][:3, 3] = centre + shrunk * (pose[:3, 3] - centre)
     for p, point in world.points.items():
         points[p] = centre + shrunk * (point.position - centre)
-    assert keep_unit(world, 0, poses, points) == pytest.approx(1 / shrunk)
+    assert keep_unit(world, held, poses, points) == pytest.approx(1 / shrunk)
     for k, pose in poses.items():
         assert pose == pytest.approx(world.keyframes[k].world_from_camera)
     for p, position in points.items():
@@ -48,6 +49,20 @@ def test_a_few_points_that_moved_do_not_make_a_unit():
     for p in list(points)[:50]:
         points[p] *= 3.0
     assert keep_unit(world, 0, {}, points) == pytest.approx(1.0)
+
+
+def test_points_that_only_two_see_count_where_there_are_no_others():
+    """They have followed the two; a few that a third sees tell more than all of them."""
+    world = grown().world
+    firm = {p for p, point in world.points.items() if len(point.keyframes) >= 3}
+    for p in sorted(firm)[10:]:
+        world.points[p].keyframes = set(sorted(world.points[p].keyframes)[:2])
+    firm = set(sorted(firm)[:10])
+    points = {p: (1.0 if p in firm else 2.0) * point.position for p, point in world.points.items()}
+    assert len(points) > 5 * len(firm)
+    assert keep_unit(world, 0, {}, dict(points)) == pytest.approx(1.0)
+    others = {p: place for p, place in points.items() if p not in firm}
+    assert keep_unit(world, 0, {}, others) == pytest.approx(0.5)
 
 
 def test_nothing_to_go_by_changes_nothing():

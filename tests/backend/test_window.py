@@ -13,6 +13,7 @@ from prism_edge.backend.global_map import GlobalMap, GlobalPoint
 from prism_edge.backend.window import (
     Window,
     choose_window,
+    outliers,
     placed_elsewhere,
     solve,
     widest_parallax,
@@ -176,6 +177,17 @@ def test_wrong_observations_are_named_and_do_no_harm():
     assert worst(solution, teller) < 0.03
     assert len(wrong & set(solution.outliers)) > 0.95 * len(wrong)
     assert len(set(solution.outliers) - wrong) < 0.03 * sum(len(k.observed) for k in world.keyframes.values())
+
+
+def test_of_right_observations_one_in_a_hundred_is_beyond_the_bound():
+    world, _ = world_of(count=1000)
+    rng = np.random.default_rng(2)
+    for keyframe in world.keyframes.values():
+        sigma = CONFIG.pixel_sigma * keyframe.sigmas[:, None]
+        keyframe.pixels = keyframe.pixels + sigma * rng.normal(size=keyframe.pixels.shape)
+    seen = [(k, p, i) for k, keyframe in world.keyframes.items() for p, i in keyframe.observed.items()]
+    wrong = outliers(world, {}, {p: point.position for p, point in world.points.items()}, seen, CONFIG)
+    assert len(wrong) / len(seen) == pytest.approx(0.01, abs=0.004)
 
 
 def test_nothing_to_optimise_is_none():
