@@ -316,3 +316,24 @@ def test_a_loop_that_can_not_be_vouches_for_none_that_barely_can():
     assert not confirmed(3, 1.2)  # 0.3 of the depth and 0.15 of the way are 1.04
     assert not confirmed(4, 1.0)  # by itself
     assert confirmed(5, 1.0)  # with the one before
+
+
+def test_what_hangs_together_is_found_anew_for_each_keyframe_that_is_looked_at():
+    """Else the part of the one before would be taken for that of the next."""
+    loops = two_parts()
+    for query, connected in ((3, True), (101, False), (4, True)):
+        loops.look(query)
+        there = loops._world.keyframes[query].world_from_camera
+        assert loops._connected(Loop(query, 0, there, 1.0, 0.01, 50, 3, [])) == connected
+
+
+def test_at_the_end_all_that_came_since_the_last_adjustment_is_adjusted():
+    ring, mapper = Ring(), Mapper(replace(CONFIG, lens=False), use_depth=False)
+    for count in (6, 1):  # at first, and after an end that was none
+        walk(ring, count, places=False, mapper=mapper)
+        assert not mapper.loops.unfinished
+        mapper.loops.finish()
+        assert mapper.loops.unfinished
+        finish(mapper)
+        mapper.loops.finish()
+        assert not mapper.loops.unfinished, "nothing has come since"

@@ -9,8 +9,8 @@ import pytest
 
 from prism_edge.backend import loops
 from prism_edge.backend.connectivity import Way
-from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.loops import Loop, Surroundings, _first_pose, plausible, verify
+from prism_edge.backend.global_map import GlobalMap, GlobalPoint
+from prism_edge.backend.loops import Found, Loop, Surroundings, _first_pose, _unit_ratio, plausible, verify
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
 from tests.backend.ring import Ring
 from tests.backend.world import Teller, chain
@@ -219,3 +219,14 @@ def test_the_query_s_neighbours_agree_far_from_the_map_s_origin_too():
     assert at_home is not None
     assert far is not None
     assert far.neighbours == at_home.neighbours >= 2
+
+
+def test_how_well_the_ratio_of_units_is_known_goes_with_scatter_and_number():
+    """A median's standard deviation: of n Gaussians sqrt(pi / 2 n) of theirs."""
+    world, rng, count = chain([pose_at()]), np.random.default_rng(4), 200
+    for i, error in enumerate(rng.normal(0.0, 0.1, count)):
+        world.points[1000 + i] = GlobalPoint(np.array([0.0, 0.0, 2.0 * 3.0 * np.exp(error)]))
+    found = Found(np.eye(4), np.arange(count), 1000 + np.arange(count))
+    ratio, sigma = _unit_ratio(world, world.keyframes[0], found)
+    assert sigma == pytest.approx(0.1 * np.sqrt(np.pi / 2 / count), rel=0.15)
+    assert abs(np.log(ratio / 2.0)) < 3.0 * sigma
