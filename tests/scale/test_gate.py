@@ -16,6 +16,7 @@ from prism_edge.scale.gate import (
     combined,
     image_pixels,
     log_discrepancy,
+    nearest,
     spatial_uncertainty,
     temporal_uncertainty,
     weigh,
@@ -107,6 +108,33 @@ def test_a_networks_wavering_scale_is_no_motion(factor):
     before, now = view_of(looking(0.0)), view_of(looking(0.0, 0.1), factor=factor)
     now = DepthView(1, now.world_from_camera, CAMERA, now.depth, IMAGE_TO_DEPTH, NONE, 1.0)
     assert np.nanmax(np.abs(log_discrepancy(now, before, wall_pixels(now)))) < 0.02
+
+
+def test_a_raw_pixel_lies_where_image_to_depth_says_and_back():
+    """Of an image whose sides were cut off: the two axes have scales and beginnings of their own."""
+    image_to_depth, shape = np.array([0.25, -20.0, 0.5, 12.0]), (30, 40)
+    raw = np.array([[80.0, -24.0], [160.0, 20.0], [239.0, 35.0], [0.0, 0.0]])
+    row, column, inside = nearest(shape, image_to_depth, raw)
+    assert inside.tolist() == [True, True, False, False]
+    assert (column[:2].tolist(), row[:2].tolist()) == ([0, 20], [0, 22])
+    view = DepthView(0, np.eye(4), CAMERA, np.ones(shape), image_to_depth, NONE, 1.0)
+    pixels = image_pixels(view)
+    np.testing.assert_allclose(pixels[[0, 1, 40]], [[80.0, -24.0], [84.0, -24.0], [80.0, -22.0]])
+    row, column, inside = nearest(shape, image_to_depth, pixels)
+    assert inside.all()
+    np.testing.assert_array_equal(row * 40 + column, np.arange(30 * 40))
+
+
+def test_what_has_come_across_a_third_of_the_image_is_no_change_of_scale():
+    """The pair's median is over all of the image, whatever band of it that is."""
+    before, now = view_of(looking(0.0)), view_of(looking(0.0))
+    row, column = np.mgrid[0 : SHAPE[0], 0 : SHAPE[1]]
+    for nearer in (np.abs(row - column) < 20, row < 40, column > 107):
+        depth = np.where(nearer, 0.5, 1.0) * now.depth
+        closer = DepthView(1, now.world_from_camera, CAMERA, depth, IMAGE_TO_DEPTH, NONE, 1.0)
+        found = log_discrepancy(closer, before, image_pixels(closer)).reshape(SHAPE)
+        assert np.median(found[nearer]) == pytest.approx(np.log(2.0), abs=0.01)
+        assert np.median(found[~nearer]) == pytest.approx(0.0, abs=0.01)
 
 
 def test_several_views_are_averaged_over_those_that_say_something():

@@ -104,6 +104,18 @@ def test_views_follow_a_correction_also_behind_keyframes_without_depth(between):
     assert np.nanmax(gate.uncertainty) < 0.02
 
 
+def test_a_keyframe_that_is_noted_again_lies_where_a_correction_has_put_it_since():
+    """Its depth has come late: what the keyframe itself says of its place is out of date by then."""
+    gate, moved = KeyframeGate(GateConfig()), pose_at(40.0, 1.0, -2.0, 0.3, 0.5)
+    first, second, third = (keyframe_of_wall(k, 0.4 * k, points=1) for k in range(3))
+    second = replace(second, world_from_camera=pose_at(0.1), anchor=0)
+    third = replace(third, anchor=1, world_from_anchor=moved @ pose_at(0.1))
+    for keyframe in (first, second, third):
+        gate.note(keyframe)
+    assert gate.note(second) == pytest.approx(moved @ pose_at(0.1))
+    assert gate.note(first) == pytest.approx(moved)
+
+
 def test_no_more_poses_are_remembered_than_need_be():
     gate = KeyframeGate(GateConfig())
     for k in range(200):
@@ -142,6 +154,18 @@ def test_damaged_depth_gives_finite_weights(damage):
         assert np.isfinite(gate.weights).all()
         assert ((gate.weights >= 0) & (gate.weights <= 1)).all()
         assert math.isfinite(scale.log_scale)
+
+
+@pytest.mark.parametrize(
+    "placed", [(0.25, 0.0, -0.25, 0.0), (0.0, 0.0, 0.25, 0.0), (0.25, np.nan, 0.25, 0.0)]
+)
+def test_a_depth_map_that_lies_nowhere_in_the_image_opens_the_gate(placed):
+    """Mirrored, shrunk to a line, or at no number: as its place is wrong, so would be every weight."""
+    keyframe, gate = keyframe_of_wall(0, 0.0), KeyframeGate(GateConfig())
+    depth = depth_of(keyframe, **FITTED)
+    assert gate.assess(keyframe, replace(depth, image_to_depth=np.array(placed)), CAMERA, 0.0) is None
+    assert gate.images() is None
+    assert gate.assess(keyframe, depth, CAMERA, 0.0) is not None
 
 
 def test_samples_weigh_by_the_trust_in_their_points():

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from prism_edge.scale.least_squares import plain_mean, weighted_least_squares
+from prism_edge.scale.least_squares import HUBER, plain_mean, weighted_least_squares
 
 SIGMA, FRAME = 0.25, 0.15
 
@@ -46,6 +46,17 @@ def test_a_third_of_gross_outliers_hardly_matters_where_a_mean_is_lost():
     values = np.concatenate([rng.normal(0.1, 0.1, 200), rng.normal(2.5, 0.3, 100)])
     assert abs(solve(values).log_scale - 0.1) < 0.2
     assert abs(plain_mean(values, SIGMA, FRAME, 3).log_scale - 0.1) > 0.7
+
+
+def test_the_log_scale_is_where_the_robust_cost_is_least():
+    """A quarter of the points say otherwise; the cost on a fine grid says where its minimum is."""
+    rng = np.random.default_rng(5)
+    values = np.concatenate([rng.normal(0.1, 0.2, 60), rng.normal(1.5, 0.2, 20)])
+    weights = rng.uniform(0.1, 1.0, len(values))
+    grid = np.linspace(-0.5, 1.0, 15_001)
+    off = np.abs(values - grid[:, None]) / SIGMA
+    cost = np.where(off <= HUBER, 0.5 * off**2, HUBER * (off - 0.5 * HUBER)) @ weights
+    assert solve(values, weights=weights).log_scale == pytest.approx(grid[cost.argmin()], abs=2e-4)
 
 
 def test_the_variance_grows_where_residuals_exceed_sigma_0():

@@ -40,3 +40,10 @@ def test_a_keyframe_can_be_taken_without_depth():
     waiting.add_keyframe(keyframe(7))
     assert waiting.take_keyframe(7).id == 7
     assert waiting.take_keyframe(7) is None
+
+
+def test_of_two_epochs_keyframes_of_one_number_the_newer_is_taken():
+    waiting = Rendezvous()
+    for epoch in (0, 1):
+        waiting.add_keyframe(keyframe(7, epoch))
+    assert [waiting.take_keyframe(7).epoch for _ in range(2)] == [1, 0]
