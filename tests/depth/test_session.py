@@ -161,7 +161,8 @@ def test_outputs_that_no_keyframe_asks_for_are_held_to_their_shapes(tmp_path: Pa
 def test_intrinsics_that_can_not_be_are_none(tmp_path: Path, tiny: OnnxNetwork):
     image = np.zeros((360, 640, 3), np.uint8)
     assert tiny.intrinsics(image) is None
-    for number, said in enumerate(([0.0] * 9, [float("nan")] * 9)):
+    mirrored = [[fx, 0.0, 310.0, 0.0, fy, 170.0, 0.0, 0.0, 1.0] for fx, fy in ((-400, 380), (400, -380))]
+    for number, said in enumerate(([0.0] * 9, [float("nan")] * 9, *mirrored)):
         graph, card = _two_outputs()
         value = helper.make_tensor("matrix", TensorProto.FLOAT, [3, 3], said)
         graph.node.append(helper.make_node("Constant", [], ["intrinsics"], value=value))
