@@ -24,6 +24,7 @@ from prism_edge.backend.connectivity import (
 )
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.messages import HOME
+from prism_edge.tracking.local_map import LEAST_SHARED
 from tests.backend.world import chain
 from tests.tracking.cloud import CAMERA, pose_at
 
@@ -79,6 +80,13 @@ def test_tied_are_all_that_share_many_points_and_the_best_few(seed: int, count: 
             if shared >= MANY_SHARED or (rank < BEST_FEW and shared >= FEW_SHARED):
                 expected[other, k] = shared
     assert list(ties(world, []).items()) == list(expected.items())
+
+
+def test_neighbours_share_more_than_chance_would() -> None:
+    mine = set(range(100))
+    shared = (LEAST_SHARED, LEAST_SHARED - 1, 40, 0)
+    world = seen_by([mine, *({*range(n), 1000 + k} for k, n in enumerate(shared))])
+    assert world.neighbours(0) == [3, 1]
 
 
 def test_a_loop_ties_what_shares_nothing() -> None:

@@ -7,13 +7,40 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.backend.free_points import explained
-from prism_edge.geometry.poses import rotation_angle, se3_exp
-from tests.backend.returning import QUERY, off_along_rays, pose_by_points, seen_again
+from prism_edge.backend.free_points import _views, explained
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
+from tests.backend.returning import NOISE_PX, QUERY, off_along_rays, pose_by_points, seen_again
+from tests.backend.world import Teller
+from tests.tracking.cloud import pose_at
 
 
 def test_a_right_map_explains_all():
     assert explained(*seen_again()) > 0.98
+
+
+def test_residuals_are_the_projection_s_and_slopes_those_of_a_point_that_moves_a_little():
+    """In views that are turned against each other, of corners on all levels of the pyramid."""
+    teller, world = Teller(120, noise_px=NOISE_PX), GlobalMap()
+    for i in range(4):
+        world.absorb(teller.keyframe(pose_at(0.1 * i, 0.05 * i, 0.0, 0.05 * i, -0.1 * i, 0.2 * i)))
+    query = world.keyframes[3]
+    pairs = [(i, p) for p, i in query.observed.items() if len(world.points[p].keyframes) > 1]
+    views = _views(world, query, pairs)
+    places = np.array([world.points[p].position for _, p in pairs])
+    residual, slopes, seen = views.linearise(places)
+    assert seen.all()
+    assert len(residual) == sum(len(world.points[p].keyframes) for _, p in pairs)
+    keyframes = [k for _, p in pairs for k in sorted(world.points[p].keyframes)]  # the query is the last
+    points = [p for _, p in pairs for _ in world.points[p].keyframes]
+    for row, (k, p) in enumerate(zip(keyframes, points, strict=True)):
+        keyframe, keypoint = world.keyframes[k], world.keyframes[k].observed[p]
+        local = transform(inverse(keyframe.world_from_camera), world.points[p].position[None])
+        off = keyframe.camera.project(local)[0] - keyframe.pixels[keypoint]
+        assert residual[row] == pytest.approx(off / keyframe.sigmas[keypoint], abs=1e-6)
+    for axis, step in enumerate(1e-5 * np.eye(3)):
+        ahead, behind = views.linearise(places + step)[0], views.linearise(places - step)[0]
+        assert slopes[:, :, axis] == pytest.approx((ahead - behind) / 2e-5, rel=1e-4, abs=1e-3)
 
 
 def test_points_of_little_parallax_may_be_off_in_depth_though_a_pose_by_them_then_is_too():
