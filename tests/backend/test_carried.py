@@ -53,3 +53,14 @@ def test_it_takes_no_more_memory_however_many_were_culled() -> None:
         carried.add(number, 0, shift, number)
     assert list(carried) == list(range(19_000, 20_000))
     assert len(carried._numbers) == len(carried._links) <= 2048
+
+
+def test_what_hangs_on_a_keyframe_is_stretched_with_it_also_once_the_oldest_have_gone() -> None:
+    carried = Carried(3)
+    for culled in range(5):
+        link = np.eye(4)
+        link[:3, 3] = culled + 1.0, 0.0, -2.0
+        carried.add(culled, 100 + culled % 2, link, 10 * culled)
+    carried.stretch(100, 3.0)
+    places = {culled: carried[culled][1][:3, 3].tolist() for culled in carried}
+    assert places == {2: [9.0, 0.0, -6.0], 3: [4.0, 0.0, -2.0], 4: [15.0, 0.0, -6.0]}

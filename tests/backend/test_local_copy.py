@@ -40,6 +40,7 @@ def test_its_bookkeeping_is_sound_and_says_what_the_backends_says() -> None:
     assert table.ids.tolist() == sorted(world.points)
     for row, number in enumerate(table.ids.tolist()):
         np.testing.assert_array_equal(table.position[row], world.points[number].position)
+        assert table.parallax_deg[row] == pytest.approx(world.points[number].parallax_deg)
         viewers = world.points[number].keyframes
         assert table.reference[row] == (min(viewers) if number == unseen else max(viewers))
     assert table.log_depth_sigma[0] < SEEDED_SIGMA == table.log_depth_sigma[1]

@@ -213,6 +213,18 @@ class TestFiles:
             map_file.write(tmp_path / "none" / "x", GOOD)
 
 
+def test_what_goes_to_the_disk_before_it_takes_its_place_is_all_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else a power cut would leave a name without its bytes."""
+    there: list[tuple[bool, int]] = []
+    path = tmp_path / "lab.prismmap"
+    monkeypatch.setattr(os, "fsync", lambda fd: there.append((path.exists(), os.fstat(fd).st_size)))
+    map_file.write(path, GOOD)
+    assert there[0] == (False, len(GOOD))
+    assert [in_place for in_place, _ in there] == [False, True]
+
+
 def test_what_a_killed_writer_left_goes_once_it_is_old(tmp_path: Path) -> None:
     path = tmp_path / "lab[1].prismmap"
     old, young = tmp_path / f".{path.name}.a1", tmp_path / f".{path.name}.b2"

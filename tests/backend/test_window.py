@@ -103,6 +103,14 @@ def test_points_of_the_window_are_seen_twice_in_it_and_not_too_many():
     assert window.points == sorted(window.points)
 
 
+def test_of_a_keyframe_s_points_those_join_that_most_of_the_window_see():
+    world, _ = world_of([pose_at(0.3 * i) for i in range(8)])
+    window = choose_window(world, 2, replace(CONFIG, window=4, observations=20))
+    seen = {p: sum(p in world.keyframes[k].observed for k in window.free) for p in world.points}
+    assert len({seen[p] for p in world.keyframes[2].observed}) > 1, "there is a choice"
+    assert {seen[p] for p in window.points} == {len(window.free)} == {4}
+
+
 def test_perturbed_poses_and_points_come_back():
     world, teller = world_of()
     perturb(world)

@@ -65,6 +65,23 @@ def test_a_network_without_tau_and_t_leaves_the_gate_open():
         assert gate.images() is None
 
 
+@pytest.mark.parametrize(
+    "said", [{"tau": 0.0}, {"tau": -0.2}, {"tau": math.nan}, {"temperature": 0.0}, {"temperature": -0.05}]
+)
+def test_a_tau_or_a_t_that_can_not_be_leaves_the_gate_open(said):
+    told = {f"dsug_{name}": value for name, value in said.items()}
+    depth = depth_of(keyframe_of_wall(0, 0.0), **(FITTED | told))
+    assert KeyframeGate(GateConfig()).parameters(depth) is None
+
+
+def test_a_view_has_its_depth_in_the_map_s_unit_by_its_own_points_else_by_the_filter():
+    for points, units in ((200, 2.5), (5, math.exp(-0.3))):
+        gate, keyframe = KeyframeGate(GateConfig()), keyframe_of_wall(0, 0.0, 0.4, points)
+        gate.assess(keyframe, depth_of(keyframe, **FITTED), CAMERA, 0.3)
+        assert gate._newest is not None
+        assert gate._newest[0].units_per_metre == pytest.approx(units, rel=1e-3)
+
+
 def test_the_configurations_tau_and_t_win():
     depth = depth_of(keyframe_of_wall(0, 0.0), **FITTED)
     assert KeyframeGate(GateConfig()).parameters(depth).tau == 0.2
@@ -163,9 +180,10 @@ def test_a_depth_map_that_lies_nowhere_in_the_image_opens_the_gate(placed):
     """Mirrored, shrunk to a line, or at no number: as its place is wrong, so would be every weight."""
     keyframe, gate = keyframe_of_wall(0, 0.0), KeyframeGate(GateConfig())
     depth = depth_of(keyframe, **FITTED)
-    assert gate.assess(keyframe, replace(depth, image_to_depth=np.array(placed)), CAMERA, 0.0) is None
-    assert gate.images() is None
     assert gate.assess(keyframe, depth, CAMERA, 0.0) is not None
+    assert gate.images() is not None
+    assert gate.assess(keyframe, replace(depth, image_to_depth=np.array(placed)), CAMERA, 0.0) is None
+    assert gate.images() is None, "nor are those of the one before"
 
 
 def test_samples_weigh_by_the_trust_in_their_points():
