@@ -67,6 +67,18 @@ def test_so_is_one_whose_weights_lie_beside_it(tmp_path: Path):
     assert before != after
 
 
+@pytest.mark.parametrize("at", [0, -1])
+def test_of_large_weights_the_first_and_the_last_byte_count(tmp_path: Path, at: int):
+    """Samples alone are read of them, from the one end to the other."""
+    path, told = tmp_path / "weights.bin", []
+    content = bytearray(3_000_000)
+    for _ in range(2):
+        path.write_bytes(content)
+        told.append(fingerprint(WHAT.card(), Vetted(Path("net.onnx"), 64 * "0", {}, 17, (path,))))
+        content[at] ^= 1
+    assert told[0] != told[1]
+
+
 def test_a_pair_is_another_with_another_part(tmp_path: Path):
     path = write_tiny_network(tmp_path / "r.onnx", TinyNetwork(name="r", depth_kind="inverse_relative"))
     relative, metric = OnnxNetwork(path), opened(write_tiny_network(tmp_path / "m.onnx", WHAT))
