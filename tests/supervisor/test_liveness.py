@@ -39,6 +39,7 @@ def test_silence_is_first_reported_then_deadly(state: str, age_s: float, livenes
     [
         (1.0, 0.0, ALIVE),
         (1.0, 8.0, ALIVE),  # silent, yet within the budget of 10 s: it may be holding the interpreter's lock
+        (8.0, 1.5, ALIVE),
         (9.0, 1.5, OVERDUE),
         (11.0, 0.0, OVERDUE),  # its heartbeats go on, but the work hangs
     ],

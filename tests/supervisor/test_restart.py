@@ -20,6 +20,18 @@ def test_one_death_too_many_gives_up() -> None:
     assert [policy.died(t) is None for t in (0, 1, 2)] == [False, False, True]
 
 
+def test_one_death_too_many_gives_up_on_a_host_that_has_long_been_up() -> None:
+    policy = RestartPolicy(SupervisorConfig(max_restarts=2, window_s=60))
+    assert [policy.died(1e6 + t) is None for t in (0, 1, 2)] == [False, False, True]
+
+
+def test_other_limits_hold_from_the_next_death_on_and_past_deaths_count() -> None:
+    policy = RestartPolicy(SupervisorConfig(backoff_s=0.25, max_restarts=9, window_s=60))
+    assert [policy.died(t) for t in (0, 1)] == [0.25, 0.5]
+    policy.configure(SupervisorConfig(backoff_s=1.0, max_restarts=3, window_s=60))
+    assert [policy.died(t) for t in (2, 3)] == [4.0, None]
+
+
 def test_deaths_older_than_the_window_are_forgotten() -> None:
     policy = RestartPolicy(SupervisorConfig(backoff_s=0.5, max_restarts=2, window_s=10))
     assert [policy.died(t) for t in (0, 1, 12, 23)] == [0.5, 1.0, 0.5, 0.5]

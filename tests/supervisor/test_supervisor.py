@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -271,6 +272,14 @@ class TestSupervisor:
             run.reload(bad)  # it is on trial
             run.run(in_time(lambda: run.ready))
         assert caplog.text.count("depth refuses what was reloaded") == 1
+
+    def test_what_takes_up_a_setting_is_asked_to_end_and_not_killed(self, config: Config) -> None:
+        with supervisor(config, "tracker:steady", "depth:steady") as run:
+            run.run(in_time(lambda: run.ready))
+            first = run.processes["depth"]
+            run.reload(put(config, "depth.threads", 13))
+            run.run(in_time(lambda: run.processes.get("depth", first) != first))
+            assert run._watches["depth"].row(time.monotonic()).values["last_exit"] == "exit code 0"
 
     def test_a_bad_setting_that_finds_its_process_down_is_taken_back(self, config: Config) -> None:
         with supervisor(config, "tracker:steady", "depth:picky") as run:

@@ -97,13 +97,30 @@ def test_never_getting_ready_is_a_hang(watch: Watch) -> None:
     assert "not ready after 20 s" in watch.exited(-9, 21.1)
 
 
+def test_an_end_is_put_down_to_a_hang_of_that_life_alone(watch: Watch) -> None:
+    watch.killed("not ready after 20 s")
+    assert watch.is_being_killed
+    watch.exited(-9, 21.0)
+    assert not watch.is_being_killed
+    watch.started(101, 21.5)
+    assert watch.exited(1, 22.0) == "exit code 1"
+
+
+def test_other_limits_hold_for_deaths_too(watch: Watch) -> None:
+    watch.exited(1, 1.0)
+    watch.configure(SupervisorConfig(backoff_s=0.5, max_restarts=1))
+    watch.started(101, 1.5)
+    with pytest.raises(SupervisionError, match="depth died more than 1 times"):
+        watch.exited(1, 2.0)
+
+
 def declared(activity: str, since_s: float, now_s: float, budget_s: float) -> Heartbeat:
     return Heartbeat("depth", 100, int(now_s * 1e9), "starting", activity, int(since_s * 1e9), budget_s, {})
 
 
 def test_declared_work_has_its_budget_though_the_start_takes_longer_by_it(watch: Watch) -> None:
     watch.heard(declared("loading the network", 2.0, 3.0, 120.0), 3.0)
-    assert watch.verdict(121.0).liveness == ALIVE
+    assert watch.verdict(121.9).liveness == ALIVE
     verdict = watch.verdict(122.5)
     assert (verdict.liveness, "loading the network has taken" in verdict.why) == (OVERDUE, True)
 
@@ -214,6 +231,12 @@ def test_one_that_was_started_after_the_recording_had_ended_has_nothing_to_do(wa
     watch.heard(beat(101, "ready"), 3.0)
     assert watch.ended(1.0)
     assert not watch.ended(4.0)  # it was ready in time to hear of the end
+
+
+def test_a_first_life_that_is_late_says_itself_when_it_has_ended(watch: Watch) -> None:
+    """It has been linked since before the recording began, and hears of all of it once it is ready."""
+    watch.heard(beat(100, "ready"), 3.0)
+    assert not watch.ended(1.0)
 
 
 def test_one_that_says_so_has_ended(watch: Watch) -> None:
