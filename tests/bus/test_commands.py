@@ -191,7 +191,8 @@ def test_replies_survive_the_way():
     reply = Reply(False, "über", {"a": "b"})
     assert parse_reply(pack_reply(reply)) == reply
     not_text = b'{"ok": true, "said": "", "values": {"a": 1}}'
-    for data in (b"{}", b'{"ok": 1, "said": "", "values": {}}', not_text):
+    not_said = b'{"ok": true, "said": 5, "values": {}}'
+    for data in (b"{}", b'{"ok": 1, "said": "", "values": {}}', not_said, not_text):
         with pytest.raises(BusError, match="another version"):
             parse_reply(data)
     with pytest.raises(BusError, match="are allowed"):

@@ -82,6 +82,15 @@ def test_a_full_queue_loses_the_oldest_and_says_so(open_inbox):
     assert inbox.drain() == ["b", "c"]
 
 
+def test_a_queue_with_room_says_nothing_of_losses(open_inbox):
+    lost, arrived = [], []
+    subscriber, inbox = open_inbox(2, overflowed=lambda: lost.append(1), arrived=lambda: arrived.append(1))
+    subscriber.put("a", "b")
+    until(lambda: len(arrived) == 2)  # said last of each
+    assert not lost
+    assert inbox.drain() == ["a", "b"]
+
+
 def test_when_a_message_arrived_is_known_whenever_it_is_taken(open_inbox):
     subscriber, inbox = open_inbox(2)
     subscriber.put("a", "b")

@@ -10,6 +10,7 @@ import pytest
 from prism_edge.bus import pulse as module
 from prism_edge.bus.pulse import Pulse
 from prism_edge.errors import BusError
+from prism_edge.supervisor.liveness import ALIVE, judge
 from tests.waiting import until
 
 
@@ -92,6 +93,14 @@ def test_work_before_ready_is_a_part_of_starting(pulse):
     pulse.working("loading the network", 30.0)
     beat = pulse.beat()
     assert (beat.state, beat.activity, beat.budget_s) == ("starting", "loading the network", 30.0)
+
+
+def test_a_wait_before_ready_has_the_budget_of_a_start(pulse):
+    """Of none it would be overdue at once, and the process killed while it starts."""
+    pulse.idle()
+    beat = pulse.beat()
+    assert beat.state == "starting"
+    assert judge(beat, 30.0).liveness == ALIVE
 
 
 def test_values_are_copied_as_text(pulse):
