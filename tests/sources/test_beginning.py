@@ -80,3 +80,9 @@ def test_a_simulated_walk_is_cut_short_with_its_poses() -> None:
 def test_a_camera_has_no_first_frames() -> None:
     with pytest.raises(ConfigError, match=r"source\.frames"):
         first("v4l2:/dev/video0", 2, camera="c.yaml")
+
+
+def test_closed_it_lets_go_of_the_recording(tmp_path: Path) -> None:
+    with first(recording(tmp_path, "folder"), 3) as source:
+        assert source.peek() is not None
+    assert source.peek() is None

@@ -14,6 +14,7 @@ from prism_edge.config import SourceConfig
 from prism_edge.errors import SourceError
 from prism_edge.sources import Image, open_source
 from prism_edge.sources import image_sequence as module
+from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import ask_for
 from tests.sources.tiny_datasets import CAMERA, picture, write_image, write_tum
 from tests.waiting import until
@@ -59,6 +60,24 @@ def test_pixels_deeper_than_8_bits_have_one_range_for_all(
         assert isinstance(item, Image)
         np.testing.assert_array_equal(item.pixels, grey)
     assert caplog.text.count(f"its pixels use {bits} bits") == 1
+
+
+def test_a_few_images_deeper_than_8_bits_have_the_range_that_they_use(tmp_path: Path) -> None:
+    """Fewer than are judged of a long recording."""
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    grey = picture(5, colour=False)
+    for k in range(2):
+        write_image(tmp_path / f"{k}.png", grey.astype(np.uint16) << 4)
+    with open_source(SourceConfig(str(tmp_path))) as source:
+        item = source.read()
+    assert isinstance(item, Image)
+    np.testing.assert_array_equal(item.pixels, grey)
+
+
+def test_one_image_alone_is_played_again_at_the_usual_rate(tmp_path: Path) -> None:
+    with open_source(SourceConfig(str(write_tum(tmp_path, count=1)), loop=True)) as source:
+        stamps = [item.stamp_ns for item in (source.read() for _ in range(3)) if item]
+    assert np.diff(stamps).tolist() == [round(1e9 / DEFAULT_RATE_HZ)] * 2
 
 
 def test_what_is_skipped_is_not_asked_for(

@@ -10,7 +10,7 @@ import pytest
 from sources import tiny_datasets as tiny
 
 from prism_edge.config import SourceConfig
-from prism_edge.sources import Source, open_source
+from prism_edge.sources import Image, Source, open_source
 
 
 def looped(path: Path) -> Source:
@@ -50,6 +50,8 @@ def test_looking_ahead_and_skipping_agree_with_reading(tmp_path: Path) -> None:
                 item = source.read()
                 assert item is not None
                 assert (item.index, item.stamp_ns) == (slot.index, slot.stamp_ns)
+                assert isinstance(item, Image)
+                np.testing.assert_array_equal(item.pixels, tiny.picture(i % 3))
     assert seen == list(range(12))
 
 

@@ -74,6 +74,11 @@ def test_a_camera_that_stands_tells_nothing() -> None:
     assert not parts.found().any()
 
 
+def test_two_images_are_enough_to_find_some() -> None:
+    assert not after(1, "bonnet").found().any()
+    assert full(after(2, "bonnet"))[-80:].mean() > 0.9
+
+
 def test_where_nearly_all_stays_it_is_the_camera_that_stood() -> None:
     parts = OwnParts()
     for i in range(30):
