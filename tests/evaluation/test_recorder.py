@@ -80,3 +80,12 @@ def test_poses_are_in_the_file_as_soon_as_they_are_recorded(tmp_path: Path) -> N
 def test_a_file_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError, match=r"absent/r\.tum"):
         PoseRecorder(tmp_path / "absent" / "r.tum", lambda: np.eye(4))
+
+
+@pytest.mark.parametrize(("append", "kept"), [({}, 0), ({"append": False}, 0), ({"append": True}, 1)])
+def test_a_file_begins_anew_unless_it_is_to_go_on(tmp_path: Path, append: dict[str, bool], kept: int) -> None:
+    path = tmp_path / "r.tum"
+    path.write_text("1.000000000 0 0 0 0 0 0 1\n")
+    with PoseRecorder(path, lambda: np.eye(4), **append) as recorder:
+        recorder.record(message(2 * 10**9, np.eye(4)))
+    assert len(read_tum(path)) == kept + 1

@@ -74,3 +74,14 @@ def test_what_is_forgotten_is_not_waited_for(due, monkeypatch, caplog):
     due.keyframe(51, 1)
     assert not list(due.take(60))
     assert caplog.text.count("going on without") == 3, "the test would see a wait"
+
+
+def test_the_wait_for_an_answer_has_a_budget_that_outlasts_its_patience(due, bus, inboxes, monkeypatch):
+    """Else the watchdog would end a tracker whose neighbour alone is slow."""
+    budgets = []
+    monkeypatch.setattr(bus.pulse, "working", lambda activity, budget_s=0.0: budgets.append(budget_s))
+    due.probe(3, -5)
+    inboxes["depth"].waiting.append(Answer(-5))
+    assert about(due.take(5)) == [("depth", -5)]
+    assert len(budgets) == 1
+    assert budgets[0] > answers_due.PATIENCE_S

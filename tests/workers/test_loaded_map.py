@@ -126,3 +126,11 @@ def test_a_tracker_that_has_not_heard_is_told_again_and_not_with_each_keyframe(m
     now[0] = 200.0
     loaded.remind(known)
     assert len(bus.of("map_loaded")) == 3
+
+
+@pytest.mark.parametrize("known", [KnownScale(0.3, 0.02, 0.07, "a"), KnownScale()], ids=["known", "unknown"])
+def test_others_are_told_what_is_known_of_the_unit_and_whether_it_is(known: KnownScale) -> None:
+    news = loaded_map.LoadedMap(ListBus(), SimpleNamespace(epoch=7)).news(known)  # type: ignore[arg-type]
+    assert (news.log_scale, news.scale_sigma) == (known.log_scale, known.sigma)
+    assert (news.bias_sigma, news.network) == (known.bias_sigma, known.network)
+    assert news.metric == (known != KnownScale())
