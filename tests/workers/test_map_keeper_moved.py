@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import map_file
-from prism_edge.config import Config
+from prism_edge.backend.stored_map import KnownScale
+from prism_edge.config import Config, StateConfig, TrackingConfig
 from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE
 from prism_edge.workers import backend as worker
@@ -133,3 +134,22 @@ def test_on_a_full_disk_the_map_before_a_reset_is_not_gone_on_in(
     hear(made, bus, [replace(k, epoch=1) for k in told[4:]], teller)
     assert len(made._mapper.world.keyframes) == 2
     assert snapshot(life(tmp_path, 1)[0]).keyframes.tolist() == []
+
+
+def test_a_map_loaded_while_the_disk_is_full_leaves_none_of_the_one_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the next life would go on in a map that the tracker has left."""
+    state = StateConfig(directory=str(tmp_path / "state"))
+    config = replace(CONFIG, state=state, tracking=TrackingConfig(scale_factor=1.2, levels=8))
+    teller, told = keyframes(4)
+    bus, made = life(tmp_path, config=config)
+    hear(made, bus, told[:3], teller)
+    made._keeper.save("lab", KnownScale())
+    hear(made, bus, told[3:], teller)
+    assert snapshot(life(tmp_path, 1, config)[0]).keyframes.tolist() == [0, 1, 2, 3]
+
+    monkeypatch.setattr(map_file, "write", full)
+    made._keeper.load("lab")
+    assert "journal" in bus.pulse.values
+    assert snapshot(life(tmp_path, 1, config)[0]).keyframes.tolist() == []
