@@ -122,4 +122,7 @@ def test_the_end_waits_for_the_global_adjustment_of_the_last_loop():
     assert not adjusted.loop_closed
     assert len(adjusted.keyframes) == 43
     assert bus.states.count("global adjustment") >= 2, "step by step"
+    steps = [i for i, state in enumerate(bus.states) if state == "global adjustment"]
+    assert {bus.states[i + 1] for i in steps} <= {"idle", "ended"}, "else the watchdog counts on"
+    assert bus.of("map_loaded") == [], "it is the run's own map"
     assert snapshot(bus).settled
