@@ -27,6 +27,7 @@ from prism_edge.config import (
 )
 from prism_edge.errors import BusError, ConfigError, SupervisionError
 from prism_edge.processes import Process
+from prism_edge.supervisor import supervisor as module
 from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.health import ERROR, OK, WARN
 from prism_edge.supervisor.kept_journal import LOCK
@@ -216,6 +217,13 @@ class TestSupervisor:
         said = capfd.readouterr().err
         assert "prism-edge depth: error: net.onnx is no ONNX model; give another\n" in said
         assert "Traceback" not in said
+
+    def test_all_start_where_it_can_not_be_told_beforehand_whether_the_endpoint_is_free(
+        self, config: Config, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(module, "can_listen", lambda endpoint: False)
+        with supervisor(config, "tracker:steady", "depth:steady") as run:
+            run.run(in_time(lambda: run.ready))
 
     def test_endpoint_in_use_is_the_users_error(self, config: Config) -> None:
         with socket.socket() as other:

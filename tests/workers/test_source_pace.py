@@ -86,6 +86,22 @@ def test_the_end_is_no_frame_that_was_skipped(tmp_path: Path) -> None:
     assert end.frames == 50
 
 
+class Punctual(Surprised):
+    """At its last image, and in time."""
+
+    def __init__(self, source: Source) -> None:
+        super().__init__(source)
+        self.period_ns, self._next = 1_000_000_000, 49
+
+    def read(self) -> Image | None:  # type: ignore[override]
+        return super().read() if self._next < 50 else None
+
+
+def test_an_end_that_comes_as_a_surprise_is_one_though_nothing_is_late(tmp_path: Path) -> None:
+    frames, end, skipped = played(tiny.write_tum(tmp_path), Punctual)
+    assert (end.frames, [frame.index for frame in frames], skipped) == (1, [49], 0)
+
+
 def test_what_follows_is_asked_for_before_the_wait_for_it(tmp_path: Path) -> None:
     config = settings(tiny.write_tum(tmp_path), loop=True)
     sources: list[SlowSource] = []
