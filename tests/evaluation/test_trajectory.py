@@ -193,5 +193,6 @@ def test_the_length_of_a_path_is_that_over_the_frames_alone() -> None:
     assert path_length(frames, truth) == pytest.approx(8.0)
     assert path_length(frames + NS // 20, truth) is None, "none has a true pose within 10 ms"
     assert path_length(frames[:1], truth) is None
+    assert path_length(frames[:2], truth) == pytest.approx(0.2), "two poses are a way"
     assert path_length(frames[:0], truth) is None
     assert path_length(frames, truth.at(np.arange(0))) is None

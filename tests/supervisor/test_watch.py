@@ -231,6 +231,16 @@ def test_one_that_was_started_after_the_recording_had_ended_has_nothing_to_do(wa
     watch.heard(beat(101, "ready"), 3.0)
     assert watch.ended(1.0)
     assert not watch.ended(4.0)  # it was ready in time to hear of the end
+    watch.heard(beat(101, "idle"), 5.0)
+    assert not watch.ended(4.0)  # however often it says so
+
+
+def test_a_start_that_fails_counts_as_a_death(watch: Watch) -> None:
+    watch.exited(1, 1.0)
+    watch.not_started("no process left", 1.5)
+    assert watch.restart_at_s == 2.5
+    with pytest.raises(SupervisionError, match=r"died more than 2 times.*no process left"):
+        watch.not_started("no process left", 2.5)
 
 
 def test_a_first_life_that_is_late_says_itself_when_it_has_ended(watch: Watch) -> None:
