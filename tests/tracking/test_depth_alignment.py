@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.tracking.depth_alignment import LEAST_SIGMA, DepthAlignment, agreement
+from prism_edge.tracking.depth_alignment import FAR_SHARE, LEAST_SIGMA, DepthAlignment, _kernel, agreement
 
 SIZE = (640, 480)
 
@@ -109,3 +109,11 @@ def test_a_point_does_not_vouch_for_itself(sigma):
     alignment = DepthAlignment.of(*room(lambda _: noise), SIZE)
     assert alignment.local_sigma >= alignment.far_sigma
     assert alignment.far_sigma == pytest.approx(sigma, rel=0.15)
+
+
+def test_a_point_s_weight_is_a_bell_as_wide_as_its_reach_and_a_tail_sqrt_8_times_as_wide():
+    reach, away = 25.0, np.array([0.0, 10.0, 25.0, 60.0, 100.0])
+    at = np.column_stack([300.0 + 0.6 * away, 200.0 - 0.8 * away])
+    near, far = (np.exp(-(away**2) / (2.0 * width**2)) for width in (reach, np.sqrt(8.0) * reach))
+    weights = _kernel(at, np.array([[300.0, 200.0]]), reach)
+    assert weights[:, 0] == pytest.approx(near + FAR_SHARE * far, rel=1e-4)

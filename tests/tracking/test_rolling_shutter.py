@@ -132,6 +132,12 @@ def test_two_frames_that_tell_no_motion_leave_what_begins_a_map() -> None:
     assert shutter.without_map(second, CAMERA) is second  # too few corners
 
 
+def test_the_first_frame_of_all_stays_as_it_was_taken() -> None:
+    shutter, first = RollingShutter(READOUT_MS), features(CAMERA.project(wall(0)))
+    shutter.saw(0, first)
+    assert shutter.without_map(first, CAMERA) is first
+
+
 def test_a_global_shutter_begins_with_its_first_frame() -> None:
     found, shutter = features(CAMERA.project(wall(0))), RollingShutter(0.0)
     shutter.saw(0, found)
