@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import http.client
 import os
 import shutil
+import ssl
+import urllib.error
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from prism_edge.depth import download
+from prism_edge.depth import download, web
 from prism_edge.depth.download import Patience, Wanted, fetch, parts_of, settle
 from prism_edge.errors import ModelError
 from tests.depth.web_server import WebServer, web_server
@@ -243,6 +247,7 @@ def test_a_redirect_from_https_to_http_is_refused():
         "ftp://example.org/x",
         "https://",
         "https://user:word@example.org/x",
+        "https://token@example.org/x",
         "https://example.org:port/x",
         "https://[::1/x",
         "no url",
@@ -327,3 +332,35 @@ def test_a_length_that_is_none_counts_as_not_told(server: WebServer, file: Path)
     server.plan = ["odd-length"]
     assert fetch(wanted(server, file), HASTY).read_bytes() == CONTENT
     assert len(server.asked) == 1
+
+
+def test_a_server_whose_certificate_is_not_valid_is_not_asked_again(server, file: Path, monkeypatch):
+    asked, invalid = [], ssl.SSLCertVerificationError()
+    invalid.verify_message = "certificate has expired"
+
+    def open_(request: object, timeout: float) -> None:
+        asked.append(request)
+        raise urllib.error.URLError(invalid)
+
+    monkeypatch.setattr(web, "_opener", lambda: SimpleNamespace(open=open_))
+    refused(wanted(server, file), r"certificate is not valid \(certificate has expired\)")
+    assert len(asked) == 1
+
+
+@pytest.mark.parametrize("error", [ConnectionResetError(104, "reset"), http.client.IncompleteRead(b"")])
+def test_a_connection_that_breaks_half_way_may_be_tried_again(error: Exception):
+    def read1(most: int) -> bytes:
+        raise error
+
+    with pytest.raises(web.TransientError, match="the connection broke"):
+        web.next_chunk(SimpleNamespace(read1=read1))
+
+
+@pytest.mark.parametrize("name", ["net", "net.v2.onnx", "a.b.c.d"])
+def test_a_part_s_version_is_told_whatever_its_file_is_called(server: WebServer, tmp_path: Path, name: str):
+    server.etags = False
+    want = wanted(server, tmp_path / "models" / name, sha256="", size=0)
+    server.plan = ["truncate"]
+    refused(want, "broke off", held_to([], attempts=1))
+    assert fetch(want, HASTY).read_bytes() == CONTENT
+    assert server.asked[-1][1] == "", "what may be of another version is not gone on with"

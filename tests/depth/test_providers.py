@@ -272,3 +272,18 @@ NODES = "const std::vector<const Node*>&, const std::function<bool(const std::ba
 )
 def test_an_error_is_one_line_without_onnxruntimes_own_source(said: str, line: str):
     assert providers.native_line(RuntimeError(said)) == line
+
+
+def test_what_pip_installed_for_cuda_is_loaded_and_what_that_prints_stays_away(monkeypatch, capsys):
+    loaded = []
+
+    def preload() -> None:
+        loaded.append(1)
+        print("no cuDNN")
+
+    monkeypatch.setattr(onnxruntime, "preload_dlls", preload, raising=False)
+    providers._preload.__wrapped__()
+    assert loaded == [1]
+    assert capsys.readouterr().out == ""
+    monkeypatch.delattr(onnxruntime, "preload_dlls")
+    providers._preload.__wrapped__()  # an older onnxruntime has no such thing

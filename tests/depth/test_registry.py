@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from prism_edge.depth import registry
+from prism_edge.depth import cards, registry
 from prism_edge.depth.cards import card_of
 from prism_edge.depth.registry import (
     File,
@@ -179,6 +179,15 @@ def test_a_card_may_not_relicense_a_registered_file(tmp_path: Path):
     write_sidecar(tmp_path / "mine.onnx", replace(registered, name="mine", licence="Proprietary"))
     with pytest.raises(ModelError, match="registered under MIT"):
         card_of(tmp_path / "mine.onnx", vetted(registered.sha256, {}))
+
+
+@pytest.mark.parametrize("registered", [False, True])
+def test_a_file_that_nothing_describes_is_refused_in_a_sentence(tmp_path: Path, monkeypatch, registered):
+    if registered:  # by its digest alone
+        bare = replace(find("fastdepth_nyu"), card=None)
+        monkeypatch.setattr(cards, "find_digest", lambda digest: bare)
+    with pytest.raises(ModelError, match=r"does not say what it predicts; describe it in net\.onnx\.yaml"):
+        card_of(tmp_path / "net.onnx", vetted("0" * 64, {}))
 
 
 def test_a_sidecar_goes_before_the_files_own_metadata(tmp_path: Path):
