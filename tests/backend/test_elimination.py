@@ -70,3 +70,20 @@ def test_the_variance_of_what_comes_last_is_its_marginal():
     marginal = gtsam.Marginals(graph, solved).marginalCovariance(LENS)[1, 1]
     assert lens is not None
     assert (lens.sigma / ALIKE) ** 2 == pytest.approx(marginal, rel=1e-3)
+
+
+def test_where_only_small_steps_lead_down_a_heavy_error_is_damped_until_they_are_taken():
+    """Newton's step on the arctangent at 3 goes past 0 to -9, from where it would go farther and farther."""
+    weight = 1e5
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, slopes: list | None) -> np.ndarray:
+        x = values.atVector(this.keys()[0])
+        if slopes is not None:
+            slopes[0] = np.array([[weight / (1.0 + x[0] ** 2)]])
+        return weight * np.arctan(x)
+
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    graph.add(gtsam.CustomFactor(gtsam.noiseModel.Unit.Create(1), [X(0)], error))
+    values.insert(X(0), np.array([3.0]))
+    solved = gtsam.LevenbergMarquardtOptimizer(graph, values, solver(points_first([], [0]), 1)).optimize()
+    assert solved.atVector(X(0)) == pytest.approx([0.0], abs=1e-4)

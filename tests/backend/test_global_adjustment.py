@@ -274,6 +274,17 @@ def test_of_each_part_the_first_pose_holds():
         assert job.result().poses[k] == pytest.approx(pose, abs=1e-3 if k else 1e-5)
 
 
+def test_a_point_that_two_parts_see_goes_with_the_part_that_saw_it_first():
+    _, world = shaken(sigma=0.0)
+    earlier, later = set(range(4)), set(range(4, 8))
+    job = GlobalAdjustment(world, CONFIG, 1.0, False, parts=[earlier, later])
+    first = {p: min(world.points[p].keyframes) for p in job._points}
+    both = [p for p, k in first.items() if k in earlier and world.points[p].keyframes & later]
+    assert len(both) > 10
+    for part in (earlier, later):
+        assert sorted(job._owned(part)) == sorted(p for p, k in first.items() if k in part)
+
+
 @pytest.mark.parametrize(("factor", "taken"), [(1.5, True), (3.0, False)])
 def test_a_map_that_doubled_or_halved_is_not_taken(factor, taken):
     """A sensor's depth that says so is of something else."""
