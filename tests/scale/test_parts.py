@@ -168,6 +168,18 @@ def test_of_parts_without_end_the_oldest_are_forgotten(monkeypatch):
     assert (estimator.accepted, estimator.rejected) == (0, 0)
 
 
+def test_parts_that_had_no_depth_make_none_forgotten_that_had(monkeypatch):
+    """Nothing is known of them: they take no place of those of which something is."""
+    monkeypatch.setattr(parts, "MOST", 3)
+    estimator, _ = at_home()
+    there = play(estimator, range(60, 90), part=60, unit=1.5)
+    for part in range(90, 100):
+        play(estimator, [part], part=part, valid=False)
+    (again,) = play(estimator, [100], part=60, unit=1.5)
+    assert again.filter_sigma < 1.2 * there[-1].filter_sigma
+    assert again.log_scale == pytest.approx(there[-1].log_scale, abs=0.02)
+
+
 def test_another_network_puts_all_parts_in_doubt():
     sigmas = []
     for model in ("wall", "another"):
