@@ -33,6 +33,13 @@ def test_a_voxel_is_the_weighted_mean_of_what_fell_into_it() -> None:
     np.testing.assert_allclose(made.normals, np.tile([0, 0, 1], (3, 1)))
 
 
+def test_normals_of_a_voxel_that_differ_have_a_mean_of_length_one() -> None:
+    voxels = Voxels(0.1)
+    aside = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    voxels.add(np.full((2, 3), 0.05), aside, grey([0, 0]), np.ones(2))
+    np.testing.assert_allclose(voxels.cloud().normals, [[np.sqrt(0.5), 0.0, np.sqrt(0.5)]])
+
+
 def test_what_lies_beyond_the_grid_is_left_out() -> None:
     voxels = Voxels(0.001)
     points = np.array([[0.0, 0, 0], [2000, 0, 0], [0, -1e12, 0], [np.nan, 0, 0], [0, np.inf, 0]])

@@ -8,7 +8,7 @@ import pytest
 from prism_edge.backend.global_map import no_features
 from prism_edge.geometry.cameras import Camera
 from prism_edge.reconstruction import in_the_map
-from prism_edge.reconstruction.in_the_map import aligned, from_relative
+from prism_edge.reconstruction.in_the_map import aligned, from_relative, shown_in
 from prism_edge.reconstruction.viewpoints import Viewpoint
 
 CAMERA = Camera(640, 480, 520.0, 520.0, 319.5, 239.5)
@@ -116,3 +116,13 @@ def test_large_maps_are_aligned_in_portions(monkeypatch: pytest.MonkeyPatch) -> 
     whole = aligned(DEPTH * off, TO_DEPTH, viewpoint(800))
     monkeypatch.setattr(in_the_map, "_AT_ONCE", 100)
     np.testing.assert_array_equal(aligned(DEPTH * off, TO_DEPTH, viewpoint(800)), whole)
+
+
+def test_a_mask_is_laid_where_the_image_lies_in_a_padded_depth_map() -> None:
+    """Ten columns and five rows of padding about an image that was halved; its left half shows the world."""
+    shown = np.zeros((480, 640), bool)
+    shown[:, :320] = True
+    made = shown_in(shown, (250, 340), np.array([0.5, 10.0, 0.5, 5.0]))
+    expected = np.zeros((250, 340), bool)
+    expected[5:245, 10:170] = True
+    np.testing.assert_array_equal(made, expected)

@@ -58,6 +58,15 @@ def test_depth_and_picture_are_where_their_rays_are(name: str, width: int) -> No
     assert (made.colours[..., 0] == made.colours[..., 2]).all()
 
 
+def test_a_smaller_picture_ends_where_the_picture_ended() -> None:
+    """Its outermost edges, half a pixel beyond the first and the last, are the same rays."""
+    camera, depth = CAMERAS["ideal"], np.ones((480, 640), np.float32)
+    rgb, whole = np.zeros((480, 640, 3), np.uint8), np.array([1.0, 0.0, 1.0, 0.0])
+    small = look(viewpoint(camera), rgb, depth, NONE, whole, 160).view.camera
+    ends = [[np.array([[-0.5, -0.5], [c.width - 0.5, c.height - 0.5]])] for c in (small, camera)]
+    np.testing.assert_allclose(small.normalise(*ends[0]), camera.normalise(*ends[1]), atol=1e-12)
+
+
 def test_holes_stay_holes() -> None:
     camera = CAMERAS["ideal"]
     depth = np.full((240, 320), 3.0, np.float32)

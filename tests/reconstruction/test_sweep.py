@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prism_edge.reconstruction.sweep import MOST_OTHERS, SPAN, corrected, sweep, with_baseline
+from prism_edge.reconstruction.sweep import MOST_OTHERS, SPAN, _best_two, corrected, sweep, with_baseline
 from tests.reconstruction.room import all_others, log_errors, looks, wavering
 
 
@@ -67,3 +67,11 @@ def test_pixels_without_depth_stay_without() -> None:
     assert not found.sure[30:60, 40:90].any()
     assert np.isfinite(found.log_depth).all()
     assert (corrected(exact.with_depth(holed), found).view.depth[30:60, 40:90] == 0).all()
+
+
+def test_of_those_asked_the_two_most_alike_count_in_whatever_order_they_come() -> None:
+    said = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 3, 40, 40)).astype(np.float32)
+    ascending = np.sort(said, axis=0)
+    for order in (said, ascending, ascending[::-1]):
+        np.testing.assert_allclose(_best_two(iter(order)), ascending[-2:].mean(axis=0), atol=1e-6)
+    np.testing.assert_array_equal(_best_two([said[0]]), said[0])
