@@ -49,6 +49,16 @@ def test_views_in_one_part_of_the_image(views: list[View]) -> None:
     assert "of the image, and 60% are needed" in problems
 
 
+def test_a_corner_counts_in_its_cell_and_one_past_the_edge_in_the_outermost() -> None:
+    x, y = np.meshgrid((np.arange(6) + 0.5) * 640 / 6, (np.arange(4) + 0.5) * 480 / 4)
+    middles = np.column_stack([x.ravel(), y.ravel()])
+    past = np.array([[-3.0, -2.0], [642.0, 481.0]])
+    expected = np.ones((4, 6), int)
+    expected[0, 0] = expected[3, 5] = 2
+    view = View(np.arange(26), np.concatenate([middles, past]))
+    np.testing.assert_array_equal(verdict.covered([view], 640, 480), expected)
+
+
 def test_views_that_were_left_out_do_not_count(views: list[View], result: Calibration) -> None:
     assert verdict.of_calibration(views, 20, result) == []
     few = replace(result, used=result.used[:9])
@@ -168,3 +178,10 @@ def test_what_is_written_is_read_back(result: Calibration) -> None:
     assert camera.distortion == pytest.approx(result.camera.distortion, abs=1e-9)
     fisheye = replace(result, camera=FISHEYE_CAMERA)
     assert parse_camera(camera_text(fisheye, 20, "x", "y")) == FISHEYE_CAMERA
+
+
+@pytest.mark.parametrize("readout_ms", [26.5, -15.0, 0.0])
+def test_a_readout_is_written_where_one_is_known(result: Calibration, readout_ms: float) -> None:
+    text = camera_text(result, 20, "x", "y", readout_ms)
+    assert parse_camera(text).readout_ms == readout_ms
+    assert ("readout_ms" in text) == (readout_ms != 0.0)
