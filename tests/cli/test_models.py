@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from prism_edge.cli.main import main
+from prism_edge.cli.models_trial import _above_zero
 from prism_edge.depth import entries, find
+from prism_edge.depth.contract import INVERSE_RELATIVE, RELATIVE
+from prism_edge.depth.prediction import Prediction
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
 
 
@@ -110,3 +114,10 @@ def test_what_others_have_written_is_shown_as_it_is(tmp_path: Path, capsys):
     for words in (["info", str(path)], ["verify", str(path)]):
         assert main(["models", *words]) == 0
         assert "[old]" in "".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("kind", [RELATIVE, INVERSE_RELATIVE])
+def test_depth_known_up_to_a_shift_is_tried_without_what_lies_below_zero(kind: str):
+    said, none = np.array([[-3.0, -1.0, 2.0]], np.float32), np.zeros((0, 0), np.float32)
+    raw = Prediction(said, np.array([1.0, 0.0, 1.0, 0.0]), none, np.zeros(0, np.float32), 0.0)
+    assert _above_zero(raw, kind).depth.tolist() == [[0.0, 2.0, 5.0]]

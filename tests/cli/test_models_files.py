@@ -8,6 +8,7 @@ import re
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import yaml
@@ -342,3 +343,16 @@ def test_a_child_that_dies_is_one_line(monkeypatch):
 
 def _die(pipe: object, config: object, runs: int) -> None:
     raise SystemExit(9)
+
+
+@pytest.mark.parametrize("answer", [False, True])
+def test_who_is_asked_whether_to_delete_and_says_no_keeps_all(tmp_path: Path, monkeypatch, answer: bool):
+    file = tmp_path / "own" / "net.onnx"
+    file.parent.mkdir()
+    file.write_bytes(b"x")
+    monkeypatch.setattr(models_files, "_removable", lambda name: (file.parent, [file]))
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr(models_files.Confirm, "ask", lambda *asked, **how: answer)
+    console = SimpleNamespace(is_terminal=True, print=lambda *said, **how: None)
+    assert models_files._remove(console, "own", yes=False) == 0
+    assert file.exists() != answer
