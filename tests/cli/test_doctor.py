@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import resource
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -173,3 +174,22 @@ def test_a_network_on_another_host_is_not_looked_for_here() -> None:
     (finding,) = checks.check_model(config)
     assert (finding.level, "another host" in finding.found) == (OK, True)
     assert FAIL not in levels(checks.check_providers(config))
+
+
+@pytest.mark.parametrize(
+    ("locked", "files", "little", "level"),
+    [
+        (64 << 10, 255, True, WARN),
+        (64 << 20, 256, False, OK),
+        (resource.RLIM_INFINITY, resource.RLIM_INFINITY, False, OK),
+    ],
+)
+def test_limits_that_are_too_low_are_told(
+    monkeypatch: pytest.MonkeyPatch, locked: int, files: int, little: bool, level: str
+) -> None:
+    """Locked memory is not needed as things are; open files are."""
+    limits = {resource.RLIMIT_MEMLOCK: locked, resource.RLIMIT_NOFILE: files}
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (limits[which], limits[which]))
+    memlock, opened = checks.check_limits()
+    assert (memlock.level, "too little" in memlock.found) == (OK, little)
+    assert (opened.level, bool(opened.advice)) == (level, level == WARN)

@@ -7,8 +7,17 @@ import argparse
 import pytest
 
 from prism_edge.cli.main import main
-from prism_edge.cli.settings import BUNDLED, add_common, add_input, config_from
+from prism_edge.cli.settings import (
+    BUNDLED,
+    add_common,
+    add_input,
+    config_from,
+    find_networks,
+    whole_from_one_to,
+)
+from prism_edge.config import Config, DepthConfig, NetworkConfig
 from prism_edge.config_file import load
+from prism_edge.errors import ModelError
 from prism_edge.processes import processes_for
 
 
@@ -53,3 +62,26 @@ def test_what_config_prints_reads_back_as_the_same_run(given, tmp_path, capsys) 
     assert load(file).depth.model == named  # what a worker is given
     running = {process.name for process in processes_for(load(file))}
     assert ("depth" in running, "scale" in running) == (not given, not given)
+
+
+def test_a_recording_is_played_again_where_that_is_asked_for() -> None:
+    parser = argparse.ArgumentParser()
+    add_input(parser)
+    add_common(parser)
+    for arguments, loops in ((["sim:room"], False), (["sim:room", "--loop"], True)):
+        assert config_from(parser.parse_args(arguments)).source.loop == loops
+
+
+def test_a_number_goes_up_to_the_most_and_no_further() -> None:
+    taken = whole_from_one_to(12)
+    assert [taken("1"), taken("12")] == [1, 12]
+    for text in ("0", "13", "-1", "2.0"):
+        with pytest.raises(argparse.ArgumentTypeError):
+            taken(text)
+
+
+def test_a_network_is_looked_for_where_it_is_to_run() -> None:
+    depth = DepthConfig(model="/nowhere/missing.onnx")
+    find_networks(Config(depth=depth, network=NetworkConfig(remote=("depth",))))
+    with pytest.raises(ModelError, match="missing"):
+        find_networks(Config(depth=depth))
