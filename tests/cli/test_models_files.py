@@ -90,7 +90,10 @@ def test_a_network_is_pulled_verified_listed_and_removed(server: WebServer, plai
 
 def test_a_non_commercial_licence_must_be_agreed_to(server: WebServer, plain: Path, capsys):
     assert "needs export (unverified)" in said(capsys, "list")
-    assert "non-commercial" in said(capsys, "info", "later")
+    out = said(capsys, "info", "later")
+    assert "non-commercial" in out
+    assert "prism-edge models pull later --unverified" in out
+    assert "--unverified" not in said(capsys, "info", "tiny_tint")  # whose digest is known
     assert "--unverified takes what comes" in said(capsys, "pull", "later", code=5)
     assert "forbids commercial use: --accept-licence" in said(capsys, "pull", "later", "--unverified", code=5)
     assert not server.asked
