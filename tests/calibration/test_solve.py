@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from prism_edge.calibration import verdict
 from prism_edge.calibration.board import Board, View
-from prism_edge.calibration.refine import project
-from prism_edge.calibration.solve import calibrate
+from prism_edge.calibration.refine import Fit, project, refine
+from prism_edge.calibration.solve import _pose, calibrate
 from prism_edge.errors import CalibrationError
 from prism_edge.geometry.cameras import PINHOLE, Camera
 from tests.calibration.board_scene import FISHEYE_CAMERA, PINHOLE_CAMERA, gallery, poses, seen
@@ -126,3 +128,15 @@ def test_derivatives(camera: Camera) -> None:
     for k in range(slopes.shape[1]):
         numerical = (moved(k, step) - moved(k, -step)) / (2 * step)
         np.testing.assert_allclose(slopes[:, k], numerical, rtol=1e-5, atol=1e-3)
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0])
+def test_a_step_that_leads_nowhere_is_not_the_end_of_the_search(factor: float) -> None:
+    """From a focal length that is wrong by far, Newton's first steps go too far: shorter ones do not."""
+    camera = FISHEYE_CAMERA
+    views = seen(CHESSBOARD, camera, poses(12, CHESSBOARD, camera), 0.0)
+    distorted = (0.3, 0.0, 0.0, 0.0)
+    start = replace(camera, fx=factor * camera.fx, fy=factor * camera.fy, distortion=distorted)
+    placed = [_pose(CHESSBOARD, view, start) for view in views]
+    begun = Fit(start, [turn for turn, _ in placed], [place for _, place in placed])
+    assert largest_difference(camera, refine(CHESSBOARD, views, begun).camera) < 0.01
