@@ -100,6 +100,15 @@ def test_behind_a_socket_in_a_private_folder_nothing_listens_on_loopback(tmp_pat
     assert list(tmp_path.iterdir()) == []
 
 
+def test_beside_an_endpoint_that_is_no_socket_nothing_is_swept(config, monkeypatch):
+    """The name of a file would be made of a port."""
+    swept: list[str] = []
+    monkeypatch.setattr(links, "sweep", swept.append)
+    for listen in (True, False):
+        open_session(config.bus, listen=listen).close()
+    assert not swept
+
+
 @pytest.fixture
 def short_folder():
     """pytest's own are too long for a path of a given length below 107 bytes."""

@@ -130,6 +130,14 @@ def test_a_map_of_no_numbers_is_null_not_a_crash(tmp_path: Any) -> None:
     assert (len(final), missing) == (0, 1)
 
 
+def test_figures_that_json_has_no_word_for_are_null_however_deep_they_lie() -> None:
+    usage = Usage({"tracker": float("inf")}, {"tracker": float("nan"), "source": 60.0}, 140.0, 0.02)
+    found = report(usage=usage)
+    assert found["cpu_ms_per_frame"] == {"tracker": None, "total": None}
+    assert found["peak_pss_mb"] == {"source": 60.0, "tracker": None, "total": 140.0}
+    json.dumps(found, allow_nan=False)
+
+
 def test_truth_of_another_time_is_said(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
     truth = circle(1.0)
     later = report(truth=Trajectory(truth.stamps + 1_000_000_000 * NS, truth.poses))
@@ -231,6 +239,27 @@ def test_the_table_shows_the_figures(capsys: pytest.CaptureFixture[str], tmp_pat
     assert "0.909" in shown  # scale ratio
     assert "15 ms" in shown
     assert "140 MB" in shown
+
+
+def test_the_tables_errors_are_in_the_units_that_it_names(
+    capsys: pytest.CaptureFixture[str], tmp_path: Any
+) -> None:
+    scores = {"ate_se3_m": 0.0123, "ate_sim3_m": 0.0045, "scale_ratio": 0.98, "rpe_trans_m": 0.067}
+    scores |= {"rpe_rot_deg": 0.89, "t_rel_percent": 1.5, "r_rel_deg_per_100m": 2.5}
+    found = report()
+    found["live"] |= scores
+    show(found, tmp_path)
+    rows = [[cell.strip() for cell in line.split("│")[1:3]] for line in capsys.readouterr().out.splitlines()]
+    for row in (
+        ["ATE SE(3)", "1.23 cm"],
+        ["ATE Sim(3)", "0.45 cm"],
+        ["scale ratio", "0.98"],
+        ["RPE over 1 s", "6.7 cm"],
+        ["RPE over 1 s", "0.89 deg"],
+        ["t_rel", "1.5 % *"],  # of a path shorter than 100 m
+        ["r_rel", "2.5 deg/100 m *"],
+    ):
+        assert row in rows
 
 
 @pytest.mark.parametrize(("model", "monocular"), [("", True), ("network.onnx", True), ("sensor", False)])

@@ -68,6 +68,14 @@ def test_images_are_known_by_name_and_size_wherever_they_lie(tmp_path: Path) -> 
     assert of(copy).images != images
 
 
+def test_an_image_that_is_missing_in_between_makes_other_images(tmp_path: Path) -> None:
+    """KITTI's numbers say that there is one, which is then played as unreadable."""
+    folder = tiny.write_kitti(tmp_path, count=6)
+    whole = of(folder).images
+    (folder / "image_0" / "000003.png").unlink()
+    assert of(folder).images not in (None, whole)
+
+
 def test_another_truth_is_named_in_its_place(tmp_path: Path) -> None:
     assert of(tiny.write_tum(tmp_path), tmp_path / "mine.tum").truth_file == str(tmp_path / "mine.tum")
 
@@ -95,6 +103,14 @@ def test_an_estimated_camera_is_what_the_daemon_says(tmp_path: Path) -> None:
     after = found.after(log).camera
     assert after is not None
     assert after["origin"] == "auto: as net sees it in 5 images: f 500.0, 501.0"
+
+
+def test_a_camera_that_was_calibrated_stays_whatever_the_daemon_says(tmp_path: Path) -> None:
+    log = tmp_path / "daemon.log"
+    log.write_text("source: folder x; camera: as net sees it in 5 images: f 500.0, 501.0\n")
+    found = of(tiny.write_tum(tmp_path / "tum"))
+    assert found.after(log) == found
+    assert Played().after(log) == Played()
 
 
 def test_videos_and_simulated_worlds_have_no_file_of_truth(tmp_path: Path) -> None:

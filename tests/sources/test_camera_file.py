@@ -193,6 +193,7 @@ def test_lenses_of_a_camera_info(model: str, d: str, expected: tuple[str, tuple[
         (INFO.replace("- 525.0\n- 0.0", "- 525.0\n- 0.5"), ["k: ", "skew"]),
         (INFO.replace("- 525.0\n", ""), ["k: ", "9"]),
         (re.sub(r"\nk:(\n- .*){9}", f"\nk: {[0.0] * 9}", INFO), ["k: ", "not calibrated"]),
+        (re.sub(r"\nk:(\n- .*){9}", f"\nk: {[0.0] * 8 + [1.0]}", INFO), ["k: ", "not calibrated"]),
         (INFO.replace("distortion_model: plumb_bob\n", ""), ["distortion_model", "missing"]),
         (INFO.replace("binning_y: 0", "bin_y: 0"), ["bin_y"]),
         (INFO + INFO, ["YAML"]),
@@ -259,6 +260,8 @@ def test_there_are_examples() -> None:
         (ROS.replace("[458.654,", "[wide,"), ["camera_matrix.data", "wide"]),
         (ROS.replace("image_width: 752\n", ""), ["image_width", "missing"]),
         (ROS.replace("image_width", "image_breadth"), ["image_breadth"]),
+        # Told by image_width alone: of its own keys, camera_matrix is the one to write.
+        (re.sub(r"camera_matrix:\n(  .*\n){3}", "", ROS), ["'camera_matrix' is missing"]),
         (ROS + "fx: 500\n", ["fx"]),
         (ROS + "fisheye_model: 2\n", ["fisheye_model", "0 or 1"]),
         (OWN + "flags: 0\n", ["flags", "not known"]),

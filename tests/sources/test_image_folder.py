@@ -90,6 +90,17 @@ def test_what_our_own_tools_leave_there_is_no_frame(tmp_path: Path) -> None:
     assert [item.stamp_ns for item in items] == [first + i * step for i in range(4)]
 
 
+def test_a_picture_of_coverage_is_none_by_the_camera_file_beside_it(tmp_path: Path) -> None:
+    """What calibrate calls it goes by the camera file; beside none, it is somebody's own picture."""
+    for name in ("1.png", "left.png", "left.coverage.png"):
+        tiny.write_image(tmp_path / "images" / name, tiny.picture(1))
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    folder, camera = tmp_path / "images", str(tmp_path / "camera.yaml")
+    assert len(all_of(opened(folder, camera=camera))) == 3
+    (folder / "left.yaml").write_text(tiny.CAMERA)
+    assert len(all_of(opened(folder, camera=camera))) == 2
+
+
 @pytest.mark.parametrize("name", ["depth{:06d}.png", "{:06d}-depth.png", "{:06d}.Depth.png"])
 def test_depth_beside_colour_is_no_frame(tmp_path: Path, name: str) -> None:
     """As Replica and RGB-D Scenes have it; all would be one recording, half of it no pictures."""

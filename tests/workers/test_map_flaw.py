@@ -24,6 +24,7 @@ SOUND: Arrays = {
         ("keyframes", SOUND["keyframes"], ""),
         ("keyframes", SOUND["keyframes"][:1], "keyframes"),
         ("seen", np.array([-1, -1], np.int64), "points"),
+        ("seen", np.array([-1, 0], np.int64), ""),  # the first point is one, too
         ("scale_factors", np.array([1.3, 1.2]), "tracking.scale_factor than 1.3"),
         ("octaves", np.array([4, 0], np.uint8), "tracking.levels than 4"),
         ("octaves", np.zeros(0, np.uint8), ""),

@@ -139,6 +139,14 @@ def test_a_point_of_seven_scenes_lands_in_the_pixel_that_sees_it() -> None:
     assert seen[293, 385] == 2.0
 
 
+def test_the_colour_views_first_row_and_column_are_seen_too() -> None:
+    """At 1 m, a pixel of depth is one of colour: it moves by 585 times (25, 5) mm, 14.6 and 2.9 pixels."""
+    colour = Camera(640, 480, 585.0, 585.0, 320.0, 240.0)
+    seen = seen_by_colour(np.ones((480, 640), np.float32), colour)
+    assert seen[:470, :620].all()
+    assert not seen[:, 630:].any()  # beyond what the depth camera sees
+
+
 def test_invalid_pixels_stay_without_depth() -> None:
     colour = Camera(640, 480, 525.0, 525.0, 320.0, 240.0)
     assert not seen_by_colour(np.zeros((24, 32), np.float32), colour).any()
