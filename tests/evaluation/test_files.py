@@ -50,3 +50,9 @@ def test_a_network_that_is_not_there_or_no_pair_leaves_the_rest(tmp_path: Path) 
     for model in (str(tmp_path / "gone.onnx"), "nested:one"):
         config = Config(depth=DepthConfig(model=model))
         assert files_of(config, tmp_path / "true.tum") == [tmp_path / "true.tum"]
+
+
+def test_of_a_pair_the_network_that_is_there_is_listed(tmp_path: Path) -> None:
+    (tmp_path / "there.onnx").write_text("")
+    config = Config(depth=DepthConfig(model=f"nested:{tmp_path}/gone.onnx,{tmp_path}/there.onnx"))
+    assert files_of(config, None) == [tmp_path / "there.onnx"]

@@ -118,6 +118,39 @@ def test_a_recording_that_is_played_or_evaluated_leaves_it_alone(
     assert caplog.records == []
 
 
+def test_a_map_in_which_a_process_kept_dying_is_not_gone_on_in_again(
+    config: Config, tmp_path: Path, other: Callable[[], None]
+) -> None:
+    other()
+    journal, told = claimed(config, tmp_path / "run")
+    assert told == {TOLD}
+    journal.gave_up()
+    journal.release()
+    journal, told = claimed(config, tmp_path / "next")
+    assert told == set()
+    journal.release()
+
+
+def test_a_run_that_could_not_start_leaves_the_map_to_the_next(
+    config: Config, tmp_path: Path, other: Callable[[], None]
+) -> None:
+    """That of the run before; one of its own it never had."""
+    other()
+    for name in ("run", "next"):
+        journal, told = claimed(config, tmp_path / name)
+        assert told == {TOLD}
+        journal.refused()
+        journal.release()
+    journal, _ = claimed(config, tmp_path / "last")
+    journal.ended()
+    journal.release()
+    for name in ("begun", "again"):
+        journal, told = claimed(config, tmp_path / name)
+        assert told == set()
+        journal.refused()
+        journal.release()
+
+
 def test_a_folder_that_can_not_be_costs_the_recovery_alone(
     config: Config, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

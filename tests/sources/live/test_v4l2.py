@@ -141,6 +141,21 @@ def test_settings_that_fall_back_once_images_flow_are_found_out() -> None:
         driver(fake, "width=64&height=48&exposure_ms=8").connect()
 
 
+def test_a_mode_that_changes_once_images_flow_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As of a camera on too slow a bus, whose driver falls back to fewer images."""
+    fake = FakeCamera()
+    begin = fake._streamon
+
+    def slower(argument: object) -> None:
+        begin(argument)
+        fake._rate = 15.0
+
+    monkeypatch.setattr(fake, "_streamon", slower)
+    with pytest.raises(SourceError, match=r"changed its mode from .*30.* to .*15.* by itself"):
+        driver(fake, "width=64&height=48").connect()
+    assert (fake.closed, fake.mapped) == (1, 0)
+
+
 def test_unplugged_and_back_by_its_stable_path() -> None:
     fake = FakeCamera()
     with source(fake) as camera:
