@@ -130,10 +130,14 @@ def test_seven_scenes_depth_is_put_where_the_colour_camera_sees_it() -> None:
     np.testing.assert_allclose(seen[away], plane[away], rtol=2e-3)
 
 
-def test_a_point_of_seven_scenes_lands_in_the_pixel_that_sees_it() -> None:
-    """400, 300 at 2 m is at (0.2735, 0.2051) m; from (25, 5) mm aside that is at 385.23, 292.53."""
+@pytest.mark.parametrize("row", [300, 301])
+def test_a_point_of_seven_scenes_lands_in_the_pixel_that_sees_it(row: int) -> None:
+    """400, 300 at 2 m is at (0.2735, 0.2051) m; from (25, 5) mm aside that is at 385.23, 292.53.
+
+    One row further down it is at 293.43: half a pixel too much or too little is seen in one of them.
+    """
     depth = np.zeros((480, 640), np.float32)
-    depth[300, 400] = 2.0
+    depth[row, 400] = 2.0
     seen = seen_by_colour(depth, Camera(640, 480, 525.0, 525.0, 320.0, 240.0))
     assert np.argwhere(seen).tolist() == [[293, 385]]
     assert seen[293, 385] == 2.0

@@ -156,6 +156,14 @@ def test_a_mode_that_changes_once_images_flow_is_found_out(monkeypatch: pytest.M
     assert (fake.closed, fake.mapped) == (1, 0)
 
 
+def test_a_camera_that_breaks_when_its_rate_is_set_is_lost_in_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeCamera()
+    monkeypatch.setattr(fake, "_s_parm", lambda _: fake._fail(errno.EIO))
+    with pytest.raises(CameraLostError, match="setting the rate fails"):
+        driver(fake, "width=64&height=48&rate=15").connect()
+    assert (fake.closed, fake.mapped) == (1, 0)
+
+
 def test_unplugged_and_back_by_its_stable_path() -> None:
     fake = FakeCamera()
     with source(fake) as camera:
