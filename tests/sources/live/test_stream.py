@@ -198,6 +198,7 @@ def test_who_accepts_and_says_nothing_is_not_waited_for() -> None:
 
 def test_a_constant_delay_is_taken_off_the_stamps() -> None:
     with mjpeg_server() as server:
+        before = time.monotonic_ns()
         connection = StreamDriver(server.address("delay_ms=2000")).connect()
         try:
             grabs = [connection.grab() for _ in range(3)]
@@ -206,6 +207,7 @@ def test_a_constant_delay_is_taken_off_the_stamps() -> None:
             connection.close()
     assert grabs[-1] is not None
     assert grabs[-1].captured_ns <= after - 2 * 10**9  # by the clock that all share
+    assert grabs[-1].captured_ns >= before - 3 * 10**9  # and no more than that: a second is plenty
 
 
 @pytest.mark.parametrize(
