@@ -12,6 +12,7 @@ from sources import tiny_datasets as tiny
 from prism_edge.errors import EvaluationError, PrismError, SourceError
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.sources.truth import read_truth
+from prism_edge.sources.tum_poses import read_poses
 
 Stamped = tuple[list[int], np.ndarray]
 
@@ -116,3 +117,10 @@ def test_a_file_that_is_no_text_is_named(
     (folder / "groundtruth.txt").write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(refusal, match=r"groundtruth\.txt is no text file"):
         read(folder)
+
+
+def test_a_file_that_can_not_be_read_is_named_with_the_reason(tmp_path: Path) -> None:
+    for path, why in ((tmp_path / "gone.tum", "No such file"), (tmp_path, "Is a directory")):
+        with pytest.raises(SourceError, match=why) as error:
+            read_poses(path)
+        assert str(path) in str(error.value)
