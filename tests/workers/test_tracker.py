@@ -17,6 +17,7 @@ from prism_edge.messages import (
 )
 from prism_edge.workers import tracker
 from prism_edge.workers.tracker import _tracking
+from tests.synthetic.drawing import SLACK
 from tests.tracking.footage import footage, other_room
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import (
@@ -104,7 +105,7 @@ def test_it_goes_on_when_nobody_answers_after_the_start(bus, world):
     run(bus, [frame(i) for i in range(60)])
     placed = positions(bus)
     assert set(placed) == set(range(1, 60))
-    assert np.linalg.norm(placed[59] - true_position(59)) < 0.08
+    assert np.linalg.norm(placed[59] - true_position(59)) < 0.05 * SLACK
 
 
 NAN = float("nan")
