@@ -216,7 +216,8 @@ class Scale:
     keyframe: int
     stamp_ns: int
     epoch: int
-    log_scale: float
+    log_scale: float  # as published: held near the estimate
+    map_log_scale: float  # that the map is built by: held nearer to it
     sigma: float  # of log_scale, the network's bias included
     filter_sigma: float  # without that bias
     observation: float  # this keyframe's own log scale, nan for none

@@ -94,10 +94,12 @@ class ScaleEstimator:
                 self.rejected += not accepted
             elif scale.is_open and not (keyframe.parallax_deg > 0.0).any():
                 scale.fix_unit()
-        # A network that is steadier than the filter's model leaves less room to hold; a wilder one no more.
-        here.steady.follow(
-            scale.log_scale, math.hypot(min(scale.sigma, scale.learned_sigma), self._bias_sigma)
-        )
+        # A network that is steadier than the filter's model leaves less room to hold, a wilder one more.
+        sigma = math.hypot(scale.learned_sigma, self._bias_sigma)
+        here.steady.follow(scale.log_scale, sigma, scale.excess)
+        # Of the map that would be too much: it would bend where a network wavers.
+        modest = math.hypot(min(scale.sigma, scale.learned_sigma), self._bias_sigma)
+        here.of_map.follow(scale.log_scale, modest)
         held = here.steady.log_scale - scale.log_scale
         if observation is not None and accepted:
             elapsed_s = max(keyframe.stamp_ns - here.local_ns, 0) * 1e-9
@@ -109,6 +111,7 @@ class ScaleEstimator:
             stamp_ns=keyframe.stamp_ns,
             epoch=keyframe.epoch,
             log_scale=here.steady.log_scale,
+            map_log_scale=here.of_map.log_scale,
             sigma=math.hypot(scale.learned_sigma, self._bias_sigma, held),
             filter_sigma=scale.learned_sigma,
             bias_sigma=self._bias_sigma,

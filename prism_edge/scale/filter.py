@@ -74,6 +74,11 @@ class ScaleFilter:
         model = self._config.frame_sigma
         return self.sigma * (self._spread.sigma / model if self._kalman and model > 0.0 else 1.0)
 
+    @property
+    def excess(self) -> float:
+        """How many times as far as was thought this network's images surely spread; 1 at least."""
+        return self._spread.excess if self._kalman else 1.0
+
     def expect(self, frame_sigma: float) -> None:
         """What the network at hand is thought to spread; heard before anything has been seen of it."""
         if self._is_unseen:

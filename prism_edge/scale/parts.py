@@ -17,6 +17,7 @@ from prism_edge.scale.filter import ScaleFilter
 from prism_edge.scale.spread import LocalScale
 from prism_edge.scale.steady import SteadyScale
 
+MAP_HOLD_SIGMAS = 0.6  # the map's unit should stand still, too
 MOST = 64  # parts besides home: a camera before what can't be tracked begins one every few seconds
 
 
@@ -27,6 +28,7 @@ class PartScale:
         """``log_scale`` is what its first depth is turned to its unit with."""
         self.filter = ScaleFilter(config, kalman, log_scale)
         self.steady = SteadyScale(config.hold_sigmas if kalman else 0.0, log_scale)
+        self.of_map = SteadyScale(MAP_HOLD_SIGMAS if kalman else 0.0, log_scale)
         self.local, self.local_ns = LocalScale(), 0  # the stamp of its newest observation
 
 
@@ -53,7 +55,7 @@ class PartScales:
         """What was known of the map's unit before, which is its first part's."""
         home = self._parts[HOME]
         home.filter.take_over(log_scale, sigma)
-        home.steady.log_scale = log_scale
+        home.steady.log_scale = home.of_map.log_scale = log_scale
 
     def join(self, newer: int, older: int, log_unit: float, sigma: float, config: ScaleConfig) -> None:
         """A part is in an older one's unit from now on: the log of its own in that one's, and its sigma."""

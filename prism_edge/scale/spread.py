@@ -22,6 +22,7 @@ class FrameSpread:
     """Standard deviation of what a keyframe shows about the estimate of log scale."""
 
     def __init__(self, prior: float) -> None:
+        self._prior = prior
         self._weight = PRIOR_WEIGHT
         self._sum = PRIOR_WEIGHT * prior**2
 
@@ -34,6 +35,12 @@ class FrameSpread:
     def sigma(self) -> float:
         """Root of the belief's mean variance."""
         return math.sqrt(self._sum / self._weight)
+
+    @property
+    def excess(self) -> float:
+        """How many times as wide as was thought it surely is (by a sigma of its own); 1 at least."""
+        surely = self.sigma * (1.0 - 1.0 / math.sqrt(2.0 * self._weight))
+        return max(surely / self._prior, 1.0) if self._prior > 0.0 else 1.0
 
     def take(self, residual: float, sigma: float, share: float) -> None:
         """An observation minus the estimate, which has ``sigma``; ``share`` in [0, 1] of it is new.

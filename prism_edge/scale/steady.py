@@ -18,8 +18,12 @@ class SteadyScale:
         self._sigmas = sigmas
         self.log_scale = log_scale  # 0: a map that starts from network depth has that unit by definition
 
-    def follow(self, estimate: float, sigma: float) -> float:
-        """Take in an estimate with its total sigma; returns the sigma of what is held about the truth."""
-        slack = self._sigmas * sigma
+    def follow(self, estimate: float, sigma: float, excess: float = 1.0) -> float:
+        """Take in an estimate with its total sigma; returns the sigma of what is held about the truth.
+
+        With ``excess`` its network's images spread so many times as far as the network is thought to: metres
+        of one that is out of its depth are worth less, and the shape of the path is worth as much as ever.
+        """
+        slack = self._sigmas * sigma * excess**2
         self.log_scale = min(max(self.log_scale, estimate - slack), estimate + slack)
         return math.hypot(sigma, estimate - self.log_scale)

@@ -16,7 +16,7 @@ from prism_edge.tracking.drift import Drift
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import Tracker
 
-Told: TypeAlias = tuple[float, float, float]  # log scale, its sigma, local sigma
+Told: TypeAlias = tuple[float, float, float, float]  # log scale, the map's, sigma, local sigma
 
 UNKNOWN_SCALE_SIGMA = 1.0
 MOST = 64  # parts besides home and the present one: what can't be tracked begins one every few seconds
@@ -41,19 +41,22 @@ class ScaleHere:
         """Another map, with another unit; ``sigma`` is of the scale that the tracker has of it, if any."""
         self._epoch, self._part = self._tracker.epoch, self._tracker.parts.current
         # Who comes home from a part has that of home again, though nothing was said of it since.
-        self._told = {} if sigma is None else {HOME: (self._tracker.log_scale, sigma, 0.0)}
+        known = self._tracker.log_scale, self._tracker.map_log_scale
+        self._told = {} if sigma is None else {HOME: (*known, sigma, 0.0)}
         self._change_unit(UNKNOWN_SCALE_SIGMA if sigma is None else sigma)
 
     def hear(self, scale: Scale) -> None:
         """Something was said of this map; for a part that nothing was said of yet it holds as well."""
         self._told.pop(scale.part, None)
-        self._told[scale.part] = scale.log_scale, scale.sigma, scale.local_sigma
+        self._told[scale.part] = scale.log_scale, scale.map_log_scale, scale.sigma, scale.local_sigma
         others = [part for part in self._told if part not in (HOME, self._part)]
         if len(others) > MOST:
             del self._told[others[0]]  # nothing was said of it for longest
         if scale.part == self._part or self._part not in self._told:
             self._apply(self._told[scale.part])
             self.sigma = scale.sigma
+        if self._part not in self._told:
+            self._tracker.map_log_scale = scale.log_scale  # a part begins in the unit that is published
 
     def enter(self) -> None:
         """The camera may be in another map or part than before, or its part be joined to another."""
@@ -63,12 +66,14 @@ class ScaleHere:
             return
         self._part = self._tracker.parts.current
         told = self._told.get(self._part)
-        self._change_unit(self.sigma if told is None else told[1])
-        if told is not None:
+        self._change_unit(self.sigma if told is None else told[2])
+        if told is None:
+            self._tracker.map_log_scale = self._tracker.log_scale
+        else:
             self._apply(told)
 
     def _apply(self, told: Told) -> None:
-        self._tracker.log_scale, _, self._drift.local_sigma = told
+        self._tracker.log_scale, self._tracker.map_log_scale, _, self._drift.local_sigma = told
 
     def _change_unit(self, sigma: float) -> None:
         self._error, self._since = self.odom_error, self._odometry.odom_from_camera[:3, 3].copy()

@@ -61,7 +61,8 @@ class Tracker:
         self._waiting: LocalKeyframe | None = None  # a new part's first keyframe, until its depth has come
         self.wants_probe = False  # lost, and the last frame shows something
         self.may_map = True  # False: the map stays as it is, wherever the camera goes
-        self.epoch, self._next_keyframe, self.log_scale = first_id, first_id, 0.0
+        self.epoch = self._next_keyframe = first_id
+        self.log_scale = self.map_log_scale = 0.0  # as published; what the map is built by
         self.last: TrackedFrame | None = None
         self.motion, self._shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
         self._seen_at: int | None = None  # stamp of the last tracked frame
@@ -286,7 +287,7 @@ class Tracker:
             meanwhile()
             if self.world is not world:
                 return False
-        self._unmapped, units = None, math.exp(-self.log_scale)
+        self._unmapped, units = None, math.exp(-self.map_log_scale)
         adjust_unheard(world, self._config.adjust_unheard, units, self._frames.pose, self.last)
         frame.points = keyframe.points.copy()
         self._at.move_to(keyframe, world, self.parts, keyframe.stamp_ns)
@@ -326,9 +327,9 @@ class Tracker:
             return 0
         first = (not self.initialised and self.last is None) or (keyframe is self._waiting and self._lost)
         most = self._config.features if first or not self.initialised else self._config.features // 3
-        ids = seed_from_depth(
-            self.world, keyframe, depth, image_to_depth, float(np.exp(-self.log_scale)), relative_sigma, most
-        )
+        # What begins a map or a part has the unit that it is published in.
+        units = math.exp(-(self.log_scale if first else self.map_log_scale))
+        ids = seed_from_depth(self.world, keyframe, depth, image_to_depth, units, relative_sigma, most)
         if first and len(ids) < self._config.min_matches:
             self.first.has_no_depth(keyframe_id)
         elif first:
@@ -376,10 +377,9 @@ class Tracker:
         """Go on in a map that was there: the camera is looked for anywhere in it."""
         self.reset()
         self.world, self.places.index, self.parts = world, index, parts
-        self.epoch, self.log_scale = epoch, log_scale
+        self.epoch, self.log_scale, self.map_log_scale = epoch, log_scale, log_scale
         self.initialised, self._lost, self._looked_ns, self._looking_at = True, True, 0, 0
-        self._began_at = None
-        self._lens = world.newest().camera
+        self._began_at, self._lens = None, world.newest().camera
         world.announced = max(world.keyframes)
         self._next_keyframe = max(self._next_keyframe, beyond(world.announced))
         self.world.points.leave_room(self._next_keyframe)
@@ -395,6 +395,6 @@ class Tracker:
         self.places, self.parts, self._baselines = Relocaliser(self._seed), Parts(), Baselines()
         self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1
-        self.log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
+        self.log_scale = self.map_log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
         self.last, self._unmapped, self.initialised = None, None, False
         self.motion.stop()

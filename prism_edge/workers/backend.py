@@ -70,14 +70,14 @@ class BackendWorker:
         self._unsolved: Keyframe | None = None  # absorbed for who asked for the map
         self._early: dict[int, Depth] = {}
         self._late: int | None = None  # the newest keyframe whose descriptor came after it was looked at
-        self._scale = self._home_scale = KnownScale()  # where the camera is; of the map's first part
+        self._home_scale, self._log_scale = KnownScale(), 0.0  # of the map's first part; where the camera is
         self._scaled: set[int] = set()
         self._gated: dict[int, Gate] = {}
         self._settled = False
         self._adjusting_since_ns = 0
         recovered = self._keeper.recover()
         if recovered is not None:
-            self._scale = self._home_scale = recovered
+            self._home_scale, self._log_scale = recovered, recovered.log_scale
         # A whole run's map, not a life's: the new scale filter does not know its unit.
         self._untold = recovered is not None and not bus.life
         self._snapshot = self._take_snapshot()
@@ -181,11 +181,12 @@ class BackendWorker:
         for scale in self._scales.drain():
             self._scaled.add(scale.keyframe)
             # A scale process that knows nothing yet takes nothing from what is known here.
-            if scale.epoch == self._mapper.epoch and scale.metric and np.isfinite(scale.log_scale):
-                told = scale.log_scale, scale.filter_sigma, scale.bias_sigma, scale.network
-                self._scale = KnownScale(*told)
+            numbers = scale.log_scale, scale.map_log_scale
+            if scale.epoch == self._mapper.epoch and scale.metric and np.isfinite(numbers).all():
+                self._log_scale = scale.map_log_scale
                 if scale.part == HOME:  # what is kept, and told to others, is of that one's unit
-                    self._home_scale = self._scale
+                    told = scale.log_scale, scale.filter_sigma, scale.bias_sigma, scale.network
+                    self._home_scale = KnownScale(*told)
         for number in sorted(late):
             self._keeper.note_late(number, self._home_scale)
 
@@ -197,7 +198,7 @@ class BackendWorker:
         useful = depth.valid and self._use_depth
         if useful:
             self._mapper.add_late_depth(
-                depth.keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma,
+                depth.keyframe, depth.depth, depth.image_to_depth, self._log_scale, depth.frame_sigma,
                 depth.model,
             )
         if not self._close_loops:
@@ -215,7 +216,7 @@ class BackendWorker:
     def _begin(self, epoch: int) -> None:
         """A new map, of which nothing is there yet: nobody is to go on in the one before."""
         self._mapper.begin(epoch)
-        self._scale = self._home_scale = KnownScale()
+        self._home_scale, self._log_scale = KnownScale(), 0.0
         self._waiting = deque((at, keyframe) for at, keyframe in self._waiting if keyframe.epoch >= epoch)
         self._unsolved = self._late = None
         self._untold = False
@@ -236,7 +237,7 @@ class BackendWorker:
         self._scaled = {k for k in self._scaled if k > keyframe.id}
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
             self._mapper.add_depth(
-                keyframe, depth.depth, depth.image_to_depth, self._scale.log_scale, depth.frame_sigma,
+                keyframe, depth.depth, depth.image_to_depth, self._log_scale, depth.frame_sigma,
                 depth.model,
             )
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
@@ -253,7 +254,7 @@ class BackendWorker:
                 if loops.adjusting and not adjusted:
                     adjusted = self._adjust_further()
         began_ns, began_cpu = time.monotonic_ns(), time.process_time()
-        update = self._mapper.optimise(keyframe.id, self._scale.log_scale)
+        update = self._mapper.optimise(keyframe.id, self._log_scale)
         if update is not None:
             self._tell_solved(False, self._mapper.window, began_ns, time.process_time() - began_cpu)
         closed = loops.look(keyframe.id) if self._close_loops else None
@@ -304,7 +305,7 @@ class BackendWorker:
         loops = self._mapper.loops
         if not loops.under_way:
             self._adjusting_since_ns = time.monotonic_ns()
-        adjusted = loops.adjust(float(np.exp(-self._scale.log_scale)))
+        adjusted = loops.adjust(float(np.exp(-self._log_scale)))
         if adjusted is not None:
             self._tell_solved(True, len(adjusted.poses), self._adjusting_since_ns, adjusted.cpu_s)
         return adjusted is not None
@@ -361,12 +362,11 @@ class BackendWorker:
         try:
             heard = self._bus.ask("epoch", _ASK_S)  # None: it is down, and takes over what there is then
             self._home_scale, said = self._keeper.load(argument, 0 if heard is None else heard.epoch)
-            self._scale = self._home_scale
+            self._log_scale = self._home_scale.log_scale
         finally:
             self._rest()
         self._waiting.clear()  # keyframes of the map that has gone
-        self._unsolved = None
-        self._late = None
+        self._unsolved = self._late = None
         self._snapshot = self._take_snapshot()
         self._loaded.tell(self._home_scale)
         return Reply(True, f"{said}; looking for the camera in it")

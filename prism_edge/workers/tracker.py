@@ -285,7 +285,7 @@ class TrackerWorker:
         self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
 
     def _apply_scale(self, message: Scale) -> None:
-        numbers = (message.log_scale, message.sigma, message.local_sigma)
+        numbers = (message.log_scale, message.map_log_scale, message.sigma, message.local_sigma)
         if message.epoch != self._tracker.epoch:
             return
         self._status.metres.scale(message.keyframe, message.observation, message.accepted)

@@ -35,7 +35,7 @@ def test_arrays_are_views_of_the_bytes_aligned_and_read_only():
 
 
 def test_not_finite_numbers_stay_as_they_are():
-    scale = m.Scale(1, 3, 0, NaN, float("inf"), -float("inf"), NaN, 0.0, 5, True)
+    scale = m.Scale(1, 3, 0, NaN, NaN, float("inf"), -float("inf"), NaN, 0.0, 5, True)
     assert same(unpack(pack(scale), m.Scale), scale)
 
 

@@ -53,6 +53,27 @@ def test_a_few_minutes_count_in_full():
     assert draws / 0.5 > 180.0, "seconds: there is half a draw in each at most, with correlation_s of 2"
 
 
+def test_excess_is_what_a_sigma_of_doubt_leaves_of_it():
+    spread = FrameSpread(0.1)
+    assert spread.excess == 1.0
+    for _ in range(96):
+        spread.take(0.3, 0.0, 1.0)
+    wide = math.sqrt((PRIOR_WEIGHT * 0.01 + 96 * 0.09) / 100.0)
+    assert spread.excess == pytest.approx(wide / 0.1 * (1.0 - 1.0 / math.sqrt(200.0)))
+    assert FrameSpread(0.0).excess == 1.0
+
+
+def test_a_network_as_thought_has_excess_by_rare_chance_alone():
+    rng, found = np.random.default_rng(3), []
+    for _ in range(400):
+        spread = FrameSpread(0.15)
+        for residual in rng.normal(0.0, 0.15, 12):
+            spread.take(residual, 0.0, 1.0)
+        found.append(spread.excess)
+    assert 0.02 < np.mean(np.array(found) > 1.0) < 0.2
+    assert np.mean(found) < 1.03
+
+
 def observed(rng: np.random.Generator, spread: float, count: int) -> tuple[np.ndarray, float]:
     """What a network whose images err by ``spread``, alike in time, shows, and the true log scale."""
     phi = math.exp(-STEP_S / TIME_CONSTANT_S)

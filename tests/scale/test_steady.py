@@ -29,6 +29,14 @@ def test_a_contradiction_is_followed_to_the_edge_of_the_slack():
     assert steady.log_scale == pytest.approx(-0.43)
 
 
+def test_metres_of_a_network_out_of_its_depth_are_held_the_more():
+    steady = SteadyScale(0.7)
+    assert steady.follow(0.5, 0.1, 2.0) == pytest.approx(math.hypot(0.1, 0.28))
+    assert steady.log_scale == pytest.approx(0.22)
+    steady.follow(0.5, 0.1, 1.0)
+    assert steady.log_scale == pytest.approx(0.43), "it has found its feet again"
+
+
 def test_without_slack_the_estimate_itself_is_published():
     steady = SteadyScale(0.0)
     assert steady.follow(0.3, 0.1) == pytest.approx(0.1)

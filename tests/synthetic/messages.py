@@ -54,6 +54,7 @@ def scale_of(keyframe: Keyframe, log_scale: float = 0.0, sigma: float = 0.05, **
         stamp_ns=keyframe.stamp_ns,
         epoch=keyframe.epoch,
         log_scale=log_scale,
+        map_log_scale=log_scale,
         sigma=sigma,
         filter_sigma=sigma,
         observation=log_scale,

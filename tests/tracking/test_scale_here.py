@@ -20,7 +20,8 @@ class Camera:
     """One that walks along x, and is told of its scale."""
 
     def __init__(self) -> None:
-        self.tracker = SimpleNamespace(epoch=0, log_scale=0.0, parts=SimpleNamespace(current=HOME))
+        parts = SimpleNamespace(current=HOME)
+        self.tracker = SimpleNamespace(epoch=0, log_scale=0.0, map_log_scale=0.0, parts=parts)
         self.odometry, self.drift = MetricOdometry(), Drift(CovarianceConfig())
         self.scale = ScaleHere(self.tracker, self.odometry, self.drift)
 
@@ -30,7 +31,8 @@ class Camera:
 
     def hear(self, log_scale: float, sigma: float, part: int = HOME, local_sigma: float = 0.0) -> None:
         rest = {"observation": 0.0, "observation_sigma": 0.1, "points": 9, "accepted": True}
-        told = Scale(0, 0, 0, log_scale, sigma, sigma, local_sigma=local_sigma, part=part, **rest)
+        for_map = log_scale + 0.05
+        told = Scale(0, 0, 0, log_scale, for_map, sigma, sigma, local_sigma=local_sigma, part=part, **rest)
         self.scale.hear(told)
 
     def enter(self, part: int) -> None:
@@ -67,6 +69,19 @@ def test_each_part_has_what_was_said_of_it_last(camera):
     assert camera.known == (0.1, 0.12, 0.0)
     camera.enter(60)
     assert camera.known == (0.4, 0.16, 0.0)
+
+
+def test_a_map_is_built_by_a_scale_of_its_own_and_a_new_part_begins_with_what_is_published(camera):
+    camera.hear(0.1, 0.12)
+    assert camera.tracker.map_log_scale == pytest.approx(0.15)
+    camera.enter(60)
+    assert camera.tracker.map_log_scale == 0.1
+    camera.hear(0.11, 0.11)  # of home; the part's own unit is not told yet
+    assert camera.tracker.map_log_scale == 0.11
+    camera.hear(0.3, 0.17, part=60)
+    assert camera.tracker.map_log_scale == pytest.approx(0.35)
+    camera.enter(HOME)
+    assert camera.tracker.map_log_scale == pytest.approx(0.16)
 
 
 def test_home_keeps_the_scale_that_a_map_was_taken_over_with(camera):

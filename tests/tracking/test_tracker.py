@@ -7,6 +7,7 @@ import pytest
 
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.messages import INITIALISING, OK
+from prism_edge.tracking import seeding
 from prism_edge.tracking.announcement import keyframe_message
 from tests.synthetic.messages import map_update
 from tests.tracking.cloud import check, pose_at
@@ -107,6 +108,21 @@ def test_depth_is_put_into_the_map_s_unit():
     run.depth(0)
     _, depths = run.tracker.world.depths_in(run.tracker.world.newest())
     assert np.median(depths) == pytest.approx(np.median(footage().depths[0]) / 2.0, rel=0.25)
+
+
+def test_later_depth_is_put_there_by_the_map_s_own_scale(monkeypatch):
+    """What is published may be held farther from the estimate."""
+    monkeypatch.setattr(seeding, "MIN_ALIGNED", 10**6)  # as if no point were firm
+    run = Run()
+    run.play(range(30), depth_for="first")
+    run.tracker.log_scale, run.tracker.map_log_scale = np.log(3.0), np.log(2.0)
+    newest, world = max(run.keyframes), run.tracker.world
+    known = len(world.points)
+    assert run.depth(newest) > 20
+    keypoints, depths = world.depths_in(world.newest())
+    seeded = world.points.rows(world.newest().points[keypoints]) >= known
+    true = footage().depths[run.keyframes[newest]]
+    assert np.median(depths[seeded]) == pytest.approx(np.median(true) / 2.0, rel=0.25)
 
 
 def test_it_goes_on_when_nobody_answers_after_the_start():

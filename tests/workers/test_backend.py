@@ -131,7 +131,8 @@ def test_depth_that_can_t_be_used_is_ignored(changes):
 
 
 @pytest.mark.parametrize(
-    "changes", [{"log_scale": NAN}, {"log_scale": float("inf")}, {"epoch": 2}, {"metric": False}]
+    "changes",
+    [{"log_scale": NAN}, {"log_scale": np.inf}, {"map_log_scale": NAN}, {"epoch": 2}, {"metric": False}],
 )
 def test_a_scale_that_is_no_number_or_a_guess_is_ignored(changes):
     bus, (teller, told) = ListBus("keyframe"), keyframes(3)
@@ -164,17 +165,17 @@ def test_a_part_s_scale_is_not_the_map_s(tmp_path):
     bus, (teller, told) = ListBus("keyframe"), keyframes(4)
     made = worker.BackendWorker(config, bus)
     hear(made, bus, told[:3], teller, log_scale=0.25)
-    bus.give("log_scale", scale_of(told[2], 0.9, part=told[2].id))
+    bus.give("log_scale", scale_of(told[2], 0.8, part=told[2].id, map_log_scale=0.9))
     hear(made, bus, told[3:], teller, log_scale=NAN)
-    assert made._scale.log_scale == 0.9
+    assert made._log_scale == 0.9
     assert snapshot(bus).log_scale == bus.answers["map_loaded"]().log_scale == 0.25
     assert made._keeper.whole(made._home_scale).log_scale == 0.25
     made._save_map("lab")
     assert made._load_map("lab").ok
-    assert bus.of("map_loaded")[-1].log_scale == made._scale.log_scale == 0.25
+    assert bus.of("map_loaded")[-1].log_scale == made._log_scale == 0.25
     again, new = keyframes(1, epoch=5000, first=4)
     hear(made, bus, new, again, log_scale=NAN)
-    assert made._scale == made._home_scale == KnownScale()
+    assert (made._log_scale, made._home_scale) == (0.0, KnownScale())
 
 
 def test_the_snapshot_is_the_whole_map():

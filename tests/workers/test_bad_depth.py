@@ -92,7 +92,8 @@ def test_other_outputs_of_the_network_gone_wrong_change_nothing() -> None:
 def test_depth_that_could_never_tell_the_scale_is_said_though_the_scale_knows_no_metres_yet() -> None:
     watch = DepthWatch()
     worker = SimpleNamespace(_tracker=SimpleNamespace(epoch=0), _status=SimpleNamespace(metres=watch))
-    told = SimpleNamespace(log_scale=0.0, sigma=0.3, local_sigma=0.1, observation=np.nan, accepted=False)
+    told = SimpleNamespace(log_scale=0.0, map_log_scale=0.0, sigma=0.3, local_sigma=0.1)
+    told.observation, told.accepted = np.nan, False
     for epoch, said in ((1, ""), (0, "too few points")):  # of another map it says nothing
         mute = SimpleNamespace(**vars(told), epoch=epoch, metric=False)
         for number in range(MUTE):

@@ -63,7 +63,7 @@ class TestSaving:
         assert loaded.epoch > 0
         assert loaded.log_scale == pytest.approx(0.25)
         np.testing.assert_allclose(snapshot(bus).poses, snapshot(saved).poses, atol=1e-12)
-        whole = made._keeper.whole(made._scale)
+        whole = made._keeper.whole(made._home_scale)
         assert whole is not None
         assert (whole.epoch, whole.log_scale) == (loaded.epoch, loaded.log_scale)
         assert (loaded.scale_sigma, loaded.bias_sigma) == (0.1, 0.07)

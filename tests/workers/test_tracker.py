@@ -147,6 +147,7 @@ def test_depth_that_can_t_be_used_is_ignored(bus, world, changes):
     [
         {"log_scale": NAN},
         {"log_scale": float("inf")},
+        {"map_log_scale": NAN},
         {"sigma": NAN},
         {"sigma": float("inf")},
         {"epoch": 3},
