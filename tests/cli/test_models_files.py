@@ -1,4 +1,4 @@
-"""`prism-edge models pull`, `verify`, `remove` and `bench` as a user types them."""
+"""`prism-edge models pull`, `verify` and `remove` as a user types them."""
 
 from __future__ import annotations
 
@@ -13,11 +13,9 @@ from types import SimpleNamespace
 import pytest
 import yaml
 
-from prism_edge.cli import models_bench, models_files
+from prism_edge.cli import models_files
 from prism_edge.cli.main import main
-from prism_edge.config import DepthConfig
 from prism_edge.depth import registry
-from prism_edge.errors import ModelError
 from tests.depth.web_server import WebServer, web_server
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_sidecar, write_tiny_network
 
@@ -298,54 +296,6 @@ def test_verify_says_what_is_wrong_with_a_file(tmp_path: Path, capsys):
     bad.write_bytes(good.read_bytes()[:200])
     assert "on CPUExecutionProvider" in said(capsys, "verify", str(good))
     assert "no ONNX model, or damaged" in said(capsys, "verify", str(good), str(bad), code=5)
-
-
-def test_bench_shows_a_row_for_each_setting(tmp_path: Path, capsys):
-    path = write_tiny_network(tmp_path / "tiny.onnx", TinyNetwork(depth_kind="relative"))
-    out = said(capsys, "bench", str(path), "--threads", "1", "2", "--runs", "3", "--providers", "cpu")
-    rows = [line.split("│")[1:-1] for line in out.splitlines() if line.startswith("│")]
-    assert [(row[0].strip(), int(row[1])) for row in rows] == [("CPU", 1), ("CPU", 2)]
-    for row in rows:
-        median, p90, cpu, load, memory = (float(cell) for cell in row[2:])
-        assert 0 < median <= p90
-        assert cpu > 0
-        assert load > 0
-        assert 0 < memory < 1000
-
-
-def test_bench_goes_on_without_a_provider_that_is_not_there(capsys, monkeypatch):
-    cost = models_bench.Cost("CPUExecutionProvider", 1.0, 2.0, 3.0, 4.0, 5.0)
-    monkeypatch.setattr(models_bench, "measure", lambda config, runs: cost)
-    out = said(capsys, "bench", "x.onnx", "--threads", "1", "--providers", "qnn", "cpu")
-    assert [line.split()[1] for line in out.splitlines() if line.startswith("│")] == ["CPU"]
-    assert "this onnxruntime has no qnn provider (it has " in out
-    assert "depth.required" not in out
-    assert main(["models", "bench", "x.onnx", "--providers", "qnn"]) == 5
-    assert "error: this onnxruntime has no qnn provider (it has " in capsys.readouterr().err
-
-
-def test_bench_takes_the_rest_from_a_configuration(tmp_path: Path, capsys, monkeypatch):
-    asked = []
-
-    def measured(config: DepthConfig, runs: int) -> models_bench.Cost:
-        asked.append(config)
-        return models_bench.Cost("CPUExecutionProvider", 1.0, 2.0, 3.0, 4.0, 5.0)
-
-    monkeypatch.setattr(models_bench, "measure", measured)
-    (tmp_path / "robot.yaml").write_text("depth: {arena: false, model: other, threads: 7}\n")
-    said(capsys, "bench", "x.onnx", "--threads", "2", "--config", str(tmp_path / "robot.yaml"))
-    assert asked == [DepthConfig("x.onnx", ("cpu",), required=("cpu",), threads=2, arena=False)]
-    assert main(["models", "bench", "x.onnx", "--config", str(tmp_path / "none.yaml")]) == 3
-
-
-def test_a_child_that_dies_is_one_line(monkeypatch):
-    monkeypatch.setattr(models_bench, "_child", _die)
-    with pytest.raises(ModelError, match="the process died"):
-        models_bench.measure(DepthConfig("x"), 1)
-
-
-def _die(pipe: object, config: object, runs: int) -> None:
-    raise SystemExit(9)
 
 
 @pytest.mark.parametrize("answer", [False, True])
