@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from prism_edge.cli import models_show
 from prism_edge.cli.main import main
 from prism_edge.cli.models_trial import _above_zero
 from prism_edge.depth import entries, find
 from prism_edge.depth.contract import INVERSE_RELATIVE, RELATIVE
 from prism_edge.depth.prediction import Prediction
+from prism_edge.depth.registry import File
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
 
 
@@ -79,6 +82,24 @@ def test_info_describes_a_network_whose_file_is_not_here(capsys, name: str, says
     assert says in capsys.readouterr().out
 
 
+def test_info_says_how_a_file_that_can_t_be_pulled_is_used(capsys):
+    assert main(["models", "info", "depth_anything_v2_small"]) == 0
+    out = capsys.readouterr().out
+    assert "models pull" not in out
+    assert "nested:THIS,METRIC" in out
+
+
+def test_a_network_is_ready_only_with_the_external_data_that_is_its_own(tmp_path: Path):
+    files = []
+    for name in ("net.onnx", "net.onnx.data"):
+        (tmp_path / name).write_bytes(name.encode())
+        files.append(File(name, hashlib.sha256(name.encode()).hexdigest()))
+    entry = replace(find("fastdepth_nyu"), name="net", files=tuple(files))
+    assert models_show.state(entry) == "ready"
+    (tmp_path / "net.onnx.data").write_bytes(b"others")
+    assert models_show.state(entry) == "wrong digest"
+
+
 @pytest.mark.realdata
 def test_a_registered_network_is_ready_where_its_file_is(shared: Path, monkeypatch, capsys):
     monkeypatch.setenv("PRISM_EDGE_MODELS", str(shared / "models"))
@@ -116,8 +137,20 @@ def test_what_others_have_written_is_shown_as_it_is(tmp_path: Path, capsys):
         assert "[old]" in "".join(capsys.readouterr().out.split())
 
 
-@pytest.mark.parametrize("kind", [RELATIVE, INVERSE_RELATIVE])
-def test_depth_known_up_to_a_shift_is_tried_without_what_lies_below_zero(kind: str):
-    said, none = np.array([[-3.0, -1.0, 2.0]], np.float32), np.zeros((0, 0), np.float32)
-    raw = Prediction(said, np.array([1.0, 0.0, 1.0, 0.0]), none, np.zeros(0, np.float32), 0.0)
-    assert _above_zero(raw, kind).depth.tolist() == [[0.0, 2.0, 5.0]]
+@pytest.mark.parametrize(
+    ("said", "relative", "inverse"),
+    [
+        ([-3, -1, 2], [0, 2, 5], [0, 2, 5]),
+        ([1, 2, 3], [1, 2, 3], [0, 1, 2]),  # of inverse depth none is known to be the farthest
+        ([-1, 0, 3], [0, 0, 4], [0, 1, 4]),  # no relative depth, but any inverse depth
+        ([np.nan, np.nan, np.nan],) * 3,
+    ],
+)
+def test_depth_known_up_to_a_shift_is_tried_without_what_lies_below_zero(
+    said: list[float], relative: list[float], inverse: list[float]
+):
+    none = np.zeros((0, 0), np.float32)
+    depth = np.array([said], np.float32)
+    raw = Prediction(depth, np.array([1.0, 0.0, 1.0, 0.0]), none, np.zeros(0, np.float32), 0.0)
+    for kind, wanted in ((RELATIVE, relative), (INVERSE_RELATIVE, inverse)):
+        np.testing.assert_array_equal(_above_zero(raw, kind).depth, [wanted])

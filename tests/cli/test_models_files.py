@@ -66,6 +66,10 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> 
     return captured.out + captured.err
 
 
+def rows(out: str) -> list[list[str]]:
+    return [[cell.strip() for cell in line.split("│")[1:-1]] for line in out.splitlines() if line[:1] == "│"]
+
+
 def test_a_network_is_pulled_verified_listed_and_removed(server: WebServer, plain: Path, capsys):
     assert "can be pulled" in said(capsys, "list")
     out = said(capsys, "pull", "tiny_tint")
@@ -79,8 +83,10 @@ def test_a_network_is_pulled_verified_listed_and_removed(server: WebServer, plai
         assert text in out
     assert "ready" in said(capsys, "list")
     assert f"pulled    {server.url}/tiny.onnx" in said(capsys, "info", "tiny_tint")
-    assert "as registered" in said(capsys, "verify")
-    assert "--yes says so" in said(capsys, "remove", "tiny_tint", code=5)  # there is no terminal to ask at
+    assert sum("tiny_tint" in line for line in said(capsys, "list").splitlines()) == 1
+    assert said(capsys, "verify").count("as registered") == 1
+    out = said(capsys, "remove", "tiny_tint", code=5)  # there is no terminal to ask at
+    assert f"delete 2 files (0 MB) in {plain / 'tiny_tint'}? --yes says so" in out
     assert "deleted 2 files" in said(capsys, "remove", "tiny_tint", "--yes")
     assert not (plain / "tiny_tint").exists()
     assert "No network is at hand" in said(capsys, "verify")
@@ -91,7 +97,10 @@ def test_a_non_commercial_licence_must_be_agreed_to(server: WebServer, plain: Pa
     out = said(capsys, "info", "later")
     assert "non-commercial" in out
     assert "prism-edge models pull later --unverified" in out
-    assert "--unverified" not in said(capsys, "info", "tiny_tint")  # whose digest is known
+    assert "no digest is known" in out
+    out = said(capsys, "info", "tiny_tint")  # whose digest is known
+    assert "--unverified" not in out
+    assert "no digest is known" not in out
     assert "--unverified takes what comes" in said(capsys, "pull", "later", code=5)
     assert "forbids commercial use: --accept-licence" in said(capsys, "pull", "later", "--unverified", code=5)
     assert not server.asked
@@ -105,7 +114,7 @@ def test_a_non_commercial_licence_must_be_agreed_to(server: WebServer, plain: Pa
     assert "needs export" in out
 
 
-@pytest.mark.parametrize(("answer", "code"), [(True, 0), (False, 5)])
+@pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 5), ("", 5)])
 def test_at_a_terminal_the_licence_is_asked_about(server, plain: Path, capsys, monkeypatch, answer, code):
     monkeypatch.setattr(models_files.Console, "is_terminal", True)
     monkeypatch.setattr(models_files.sys.stdin, "isatty", lambda: True, raising=False)
@@ -113,13 +122,49 @@ def test_at_a_terminal_the_licence_is_asked_about(server, plain: Path, capsys, m
 
     def typed(prompt: str = "") -> str:
         questions.append(prompt)
-        return "y" if answer else "n"
+        return answer
 
     monkeypatch.setattr(builtins, "input", typed)
     out = said(capsys, "pull", "later", "--unverified", code=code)
     assert "forbids commercial use" in out
     assert len(questions) == 1
-    assert (plain / "later").exists() is answer
+    assert (plain / "later").exists() is (code == 0)
+
+
+def test_what_is_typed_is_an_answer_only_where_it_comes_from_a_terminal(server, capsys, monkeypatch):
+    """`yes | prism-edge models pull` has read no licence."""
+    monkeypatch.setattr(models_files.Console, "is_terminal", True)
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: False))
+    monkeypatch.setattr(models_files.Confirm, "ask", lambda *asked, **how: True)
+    assert "--accept-licence says" in said(capsys, "pull", "later", "--unverified", code=5)
+    said(capsys, "pull", "tiny_tint")
+    assert "--yes says so" in said(capsys, "remove", "tiny_tint", code=5)
+
+
+@pytest.mark.parametrize("running", [True, False])
+def test_a_question_is_asked_between_bars(running: bool):
+    done: list[str] = []
+    bars = SimpleNamespace(
+        live=SimpleNamespace(is_started=running),
+        stop=lambda: done.append("stop"),
+        start=lambda: done.append("start"),
+    )
+    models_files._paused(bars, done.append)("asked")
+    assert done == (["stop", "asked", "start"] if running else ["asked"])
+
+
+def test_a_checkpoint_that_is_not_what_was_pulled_fails_verification(server, plain: Path, capsys):
+    """It can't be run, so that nothing but its digest tells."""
+    said(capsys, "pull", "later", "--unverified", "--accept-licence")
+    weights = plain / "later" / "model.safetensors"
+    weights.write_bytes(b"others")
+    assert "model.safetensors is not the file it should be" in said(capsys, "verify", "later", code=5)
+    weights.unlink()
+    assert "model.safetensors is missing" in said(capsys, "verify", "later", code=5)
+    said(capsys, "remove", "later", "--yes")
+    weights.parent.mkdir()
+    weights.write_bytes(b"put there by hand")
+    assert ["later", "none is known", "needs export"] in rows(said(capsys, "verify"))
 
 
 def test_a_network_that_has_been_tampered_with_fails_verification(server, plain: Path, capsys):
@@ -178,8 +223,30 @@ def test_a_network_from_a_url(server: WebServer, plain: Path, capsys, monkeypatc
     out = said(capsys, "pull", url, "--name", "mine", "--unverified", "--stall", "1")
     assert "--model mine" in out
     assert "pulled from elsewhere" in said(capsys, "list")
-    assert (plain / "mine" / "mine.onnx").is_file()
     assert "tiny_tint" in said(capsys, "info", "mine")
+    (plain / "mine" / "mine.onnx").write_bytes(b"others")
+    assert "wrong digest" in said(capsys, "list")
+    (plain / "mine" / "mine.onnx").unlink()
+    assert "incomplete: pull again" in said(capsys, "list")
+
+
+def test_a_network_that_says_nothing_of_itself_comes_but_can_t_be_run_yet(server, tmp_path: Path, capsys):
+    path = write_tiny_network(tmp_path / "mute.onnx", TinyNetwork(describes_itself=False))
+    server.files["/mute.onnx"] = path.read_bytes()
+    out = said(capsys, "pull", f"{server.url}/mute.onnx", "--unverified")
+    assert "licence: the file states none" in out
+    assert "It can't be run yet: " in out
+    assert "not stated" in next(line for line in said(capsys, "list").splitlines() if "mute" in line)
+
+
+def test_a_folder_in_one_s_home_and_one_s_patience_are_heeded(server, tmp_path: Path, capsys, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    asked = []
+    pull = models_files.pulling.pull
+    monkeypatch.setattr(models_files.pulling, "pull", lambda *how: asked.append(how[-1]) or pull(*how))
+    said(capsys, "pull", "tiny_tint", "--into", "~/nets", "--stall", "7")
+    assert (tmp_path / "home" / "nets" / "tiny_tint" / "tiny.onnx").is_file()
+    assert [patience.stall_s for patience in asked] == [7.0]
 
 
 def test_parts_of_a_pull_that_was_given_up_can_be_removed(server, plain: Path, capsys, monkeypatch):
@@ -202,11 +269,28 @@ def test_what_was_not_pulled_is_not_deleted(server: WebServer, plain: Path, caps
     assert (plain / "tiny_tint" / "notes.txt").read_text() == "mine"
 
 
+def test_what_lies_outside_the_folders_is_not_deleted(server, plain: Path, tmp_path: Path, capsys):
+    plain.mkdir()
+    said(capsys, "pull", "tiny_tint", "--into", str(tmp_path / "srv"))
+    assert "was not pulled" in said(capsys, "remove", "../srv/tiny_tint", "--yes", code=5)
+    assert (tmp_path / "srv" / "tiny_tint" / "tiny.onnx").is_file()
+
+
+def test_what_can_t_be_deleted_is_one_line(server, capsys, monkeypatch):
+    def refused(self: Path, missing_ok: bool = False) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    said(capsys, "pull", "tiny_tint")
+    monkeypatch.setattr(Path, "unlink", refused)
+    assert "can't be deleted (Permission denied)" in said(capsys, "remove", "tiny_tint", "--yes", code=5)
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
         ["pull", "nothing"],
         ["pull", "tiny_tint", "--sha256", "abc"],
+        ["pull", "tiny_tint", "--name", "mine"],
         ["pull", "ftp://example.org/x.onnx"],
         ["remove", "../models", "--yes"],
         ["remove", "nothing", "--yes"],
@@ -225,6 +309,7 @@ def test_what_can_not_be_done_is_one_line(server: WebServer, capsys, arguments: 
     "arguments",
     [
         ["pull", "tiny_tint", "--stall", "0"],
+        ["pull", "tiny_tint", "--stall", "0.09"],
         ["pull", "tiny_tint", "--stall", "3601"],
         ["bench", "tiny_tint", "--runs", "0"],
         ["bench", "tiny_tint", "--runs", "10001"],
@@ -289,6 +374,9 @@ def test_verify_has_a_row_for_each_part_of_a_pair(tmp_path: Path, capsys):
     out = said(capsys, "verify", f"nested:{metric},{relative}", code=5)
     assert "the first network must be a relative one" in out
     assert "nested takes two networks" in said(capsys, "verify", "nested:alone", str(metric), code=5)
+    out = said(capsys, "verify", f"nested:nowhere,{metric}", code=5)
+    assert out.count("neither a file nor a registered name") == 1  # not again of the pair
+    assert "not at hand" in out
 
 
 def test_verify_says_what_is_wrong_with_a_file(tmp_path: Path, capsys):
