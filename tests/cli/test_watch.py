@@ -199,6 +199,13 @@ def test_a_place_that_can_not_be_written_is_one_line(capsys: pytest.CaptureFixtu
     assert said == "prism-edge: error: /proc/nowhere/poses.tum: there is no folder /proc/nowhere\n"
 
 
+def test_a_file_without_a_name_is_a_wrong_command_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["watch", "--tum", ""])
+    assert ended.value.code == 2
+    assert "expected a file" in capsys.readouterr().err
+
+
 def test_an_earlier_recording_is_replaced_only_when_asked(
     endpoint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
