@@ -11,15 +11,19 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rich.table import Table as RichTable
 
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
+from prism_edge.cli import watch
+from prism_edge.cli.live_view import LiveView
 from prism_edge.cli.main import main
-from prism_edge.cli.watch import Listener, _is_stream
+from prism_edge.cli.watch import Listener, Table, _is_stream
 from prism_edge.config import BusConfig, Config, FramesConfig
 from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.mount import base_from_camera, looking
@@ -131,6 +135,93 @@ def test_what_waits_counts_from_when_it_came() -> None:
         came_before_s = time.monotonic()
         assert next(listener.poses(1))
         assert listener.view._arrivals[0] <= came_before_s
+
+
+class Inbox(list):
+    """What has come on a topic."""
+
+    def take(self, timeout_s: float = 0.0) -> None:
+        return None
+
+    def drain(self) -> list:
+        return list(self)
+
+
+class Quiet:
+    """A bus on which nobody has said anything yet."""
+
+    def __init__(self) -> None:
+        self.inboxes: dict[str, Inbox] = {}
+
+    def queue(self, topic: str, size: int = 64) -> Inbox:
+        return self.inboxes.setdefault(topic, Inbox())
+
+    latest = queue
+
+    def await_ready(self, *_: object) -> set[str]:
+        return set()
+
+    def ask(self, *_: object) -> None:
+        return None
+
+
+@pytest.mark.parametrize(("address", "told"), [("127.0.0.1", True), ("192.0.2.1", False)])
+def test_latency_is_told_only_where_clocks_can_be_compared(address: str, told: bool) -> None:
+    bus = Quiet()
+    Listener(bus, Config(bus=BusConfig(f"tcp/{address}:7447")))
+    assert ("tracked" in bus.inboxes) is told
+
+
+def test_scale_and_state_are_shown_as_they_change_without_any_pose() -> None:
+    bus = Quiet()
+    listener = Listener(bus, Config())
+    assert listener.view.scale is None
+    bus.inboxes["scale"].append(SCALE)
+    bus.inboxes["status"].append(ros.diagnostics(MS, [("tracking", 0, "lost", {})]))
+    assert list(listener.poses(None)) == []
+    assert listener.view.scale == pytest.approx(1.5)
+    assert listener.view.state == "lost"
+
+
+def test_a_table_is_brought_up_to_date_a_few_times_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    done: list[str] = []
+    now = [100.0]
+
+    class Screen:
+        def __init__(self, auto_refresh: bool) -> None:
+            done.append("opened")
+
+        def start(self) -> None:
+            done.append("start")
+
+        def stop(self) -> None:
+            done.append("stop")
+
+        def update(self, table: RichTable, refresh: bool = False) -> None:
+            assert refresh
+            assert table.row_count == len(view.rows(0))
+            done.append(f"{now[0]:g}")
+
+    view = LiveView()
+    monkeypatch.setattr("rich.live.Live", Screen)
+    monkeypatch.setattr(watch, "time", SimpleNamespace(monotonic=lambda: now[0], monotonic_ns=lambda: 0))
+    with Table() as table:
+        for now[0] in (100.0, 100.1, 100.15, 100.25):
+            table.pose(view)
+        now[0] = 100.3
+        table.moment(view)
+    assert done == ["opened", "start", "100", "100.25", "100.3", "stop"]
+
+
+def test_a_table_shows_that_time_passes_and_is_taken_where_lines_are_not_asked_for(
+    endpoint: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shown: list[str] = []
+    monkeypatch.setattr(Table, "pose", lambda self, view: shown.append("pose"))
+    monkeypatch.setattr(Table, "moment", lambda self, view: shown.append("moment"))
+    assert main(["watch", "--robot", "fake", "--endpoint", endpoint, "--count", "3"]) == 0
+    assert shown.count("pose") == 3
+    assert shown[-1] == "moment"
 
 
 def test_records_the_cameras_poses(
