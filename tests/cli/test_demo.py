@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+import signal
+import threading
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
 import pytest
 
-from prism_edge.cli import demo
+from prism_edge.bus.session import Bus
+from prism_edge.cli import demo, watch
 from prism_edge.cli.demo import sum_up
 from prism_edge.cli.main import main
+from prism_edge.config import Config
 from prism_edge.evaluation.trajectory import Trajectory, write_tum
+from prism_edge.sources import truth
 from prism_edge.sources.truth import read_truth
 
 REPORT = {
@@ -73,8 +82,111 @@ def test_the_summary_gives_errors_scale_rate_and_latency(tmp_path, capsys) -> No
     assert "SE(3) (2.0 % of the path's extent, 2.56 m)" in said
     assert "4.0 %" in said  # published metres are 4 % too short
     assert "say little" not in said
+    assert f"{tmp_path / 'path.png'}\n" in said
     sum_up({**REPORT, "timings_void": True}, tmp_path, None, 0.0)
-    assert "say little" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "say little" in said
+    assert "of the path's extent" not in said
+
+
+def test_what_is_not_known_is_a_dash(tmp_path, capsys) -> None:
+    live = {"ate_se3_m": None, "ate_sim3_m": None, "scale_ratio": None}
+    sum_up({**REPORT, "live": live, "fps": None, "ready_s": None}, tmp_path, None, 2.56)
+    said = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines() if line[:1].strip())
+    assert (said["rate"], said["picture"]) == ("-", "-")
+    assert (said["scale"].split()[-1], said["ready"].split()[-1]) == ("-", "-")
+    assert "% of the path's extent" not in said["position"]
+
+
+STAMPS = np.arange(6) * 100_000_000
+POSES = np.tile(np.eye(4), (6, 1, 1))
+POSES[:, :3, 3] = np.outer(np.arange(6), [0.1, 0.3, 0.2])
+POSES[2, 1, 3] += 0.1  # no straight line, which could be turned about itself
+
+
+@pytest.fixture
+def walk(monkeypatch) -> None:
+    """A simulated world of a path that is known."""
+    monkeypatch.setattr(truth, "read_truth", lambda uri: (STAMPS, POSES) if uri == "sim:x" else None)
+
+
+def test_the_extent_is_the_longest_side(walk) -> None:
+    assert demo.extent_m("sim:x") == pytest.approx(1.5)
+    assert demo.extent_m("sim:other") == 0.0
+
+
+def test_the_picture_is_from_above_and_shows_what_differs_in_size(walk, tmp_path, monkeypatch) -> None:
+    drawn = []
+
+    def draw_paths(paths, title):
+        drawn.extend(paths)
+        assert "5.1 cm" in title
+        return np.zeros((9, 9, 3), np.uint8)
+
+    monkeypatch.setattr("prism_edge.evaluation.draw_paths.draw_paths", draw_paths)
+    half = POSES.copy()
+    half[:, :3, 3] *= 0.5
+    write_tum(tmp_path / "live.tum", Trajectory(STAMPS, half))
+    assert demo.draw("sim:x", tmp_path, REPORT) == tmp_path / "path.png"
+    assert cv2.imread(str(tmp_path / "path.png")).shape == (9, 9, 3)
+    (_, _, true), (_, _, published) = drawn
+    np.testing.assert_allclose(published, half[:, :2, 3], atol=1e-6)
+    np.testing.assert_allclose(np.ptp(true, axis=0), np.ptp(POSES[:, :2, 3], axis=0), atol=1e-6)
+    np.testing.assert_allclose(true.mean(axis=0), published.mean(axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize(("poses", "error"), [(2, 0.05), (6, None)])
+def test_there_is_no_picture_of_too_little(walk, poses, error, tmp_path) -> None:
+    write_tum(tmp_path / "live.tum", Trajectory(STAMPS[:poses], POSES[:poses]))
+    assert demo.draw("sim:x", tmp_path, {"live": {"ate_se3_m": error}}) is None
+    assert not (tmp_path / "path.png").exists()
+
+
+def test_sigterm_ends_it_as_such_and_is_whose_it_was_afterwards(tmp_path, monkeypatch) -> None:
+    before = signal.getsignal(signal.SIGTERM)
+
+    def played(config, out):
+        signal.raise_signal(signal.SIGTERM)
+
+    monkeypatch.setattr(demo, "play", played)
+    with pytest.raises(SystemExit) as ended:
+        main(["demo", "--out", str(tmp_path / "out")])
+    assert ended.value.code == 143
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+class Screen:
+    """A table on a terminal, and what it was told."""
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_) -> None:
+        pass
+
+    def pose(self, view) -> None:
+        view.shown.append("table")
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_poses_are_a_table_on_a_terminal_and_else_a_line_a_second(terminal, capsys, monkeypatch) -> None:
+    over, view = threading.Event(), SimpleNamespace(shown=[], line=lambda now_ns: "a line")
+    now = iter([10.0, 10.5, 11.0, 11.5, 11.9, 12.0])
+
+    def poses(most):
+        yield from range(6)
+        over.set()
+
+    opened = []
+    monkeypatch.setattr(Bus, "open", lambda config, name: opened.append(config) or Screen())
+    monkeypatch.setattr(watch, "Listener", lambda bus, config: SimpleNamespace(view=view, poses=poses))
+    monkeypatch.setattr(watch, "Table", Screen)
+    monkeypatch.setattr(demo, "time", SimpleNamespace(monotonic=lambda: next(now), monotonic_ns=lambda: 0))
+    monkeypatch.setattr("sys.stdout.isatty", lambda: terminal)
+    demo.show(Config(mode="lockstep"), over)
+    assert [config.mode for config in opened] == ["realtime"]  # who only looks holds nobody up
+    assert view.shown == (["table"] * 6 if terminal else [])
+    assert capsys.readouterr().out.splitlines() == ([] if terminal else ["a line"] * 3)
 
 
 def test_a_picture_that_can_not_be_written_is_one_line(tmp_path, capsys, monkeypatch) -> None:
