@@ -14,7 +14,9 @@ from prism_edge.bus.session import Bus
 from prism_edge.cli import demo, watch
 from prism_edge.cli.demo import sum_up
 from prism_edge.cli.main import main
-from prism_edge.config import Config
+from prism_edge.config import Config, SourceConfig
+from prism_edge.errors import EvaluationError
+from prism_edge.evaluation import run
 from prism_edge.evaluation.trajectory import Trajectory, write_tum
 from prism_edge.sources import truth
 from prism_edge.sources.truth import read_truth
@@ -153,6 +155,20 @@ def test_sigterm_ends_it_as_such_and_is_whose_it_was_afterwards(tmp_path, monkey
         main(["demo", "--out", str(tmp_path / "out")])
     assert ended.value.code == 143
     assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_the_screen_ends_with_the_run_however_that_ends(tmp_path, monkeypatch) -> None:
+    ended = []
+
+    def failed(*_, **how):
+        assert how == {"quiet": True, "keep_endpoint": True}
+        raise EvaluationError("it was void")
+
+    monkeypatch.setattr(run, "evaluate", failed)
+    monkeypatch.setattr(demo, "show", lambda config, over: ended.append(over.wait(4.0)))
+    with pytest.raises(EvaluationError):
+        demo.play(Config(source=SourceConfig(uri="sim:room?frames=9")), tmp_path)
+    assert ended == [True]
 
 
 class Screen:

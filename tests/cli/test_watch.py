@@ -181,6 +181,9 @@ def test_scale_and_state_are_shown_as_they_change_without_any_pose() -> None:
     assert list(listener.poses(None)) == []
     assert listener.view.scale == pytest.approx(1.5)
     assert listener.view.state == "lost"
+    bus.inboxes["status"].append(ros.diagnostics(MS, []))
+    assert list(listener.poses(None)) == []
+    assert listener.view.state == "lost"
 
 
 def test_a_table_is_brought_up_to_date_a_few_times_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
