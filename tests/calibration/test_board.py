@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -19,6 +20,7 @@ def test_names() -> None:
     assert Board.parse("chessboard:9x6") == Board("chessboard", 9, 6)
     assert Board.parse("charuco:7x5") == Board("charuco", 7, 5, "4X4_50", 0.75)
     assert Board.parse("charuco:11x8,dict_5x5_100,0.8") == Board("charuco", 11, 8, "5X5_100", 0.8)
+    assert Board.parse("chessboard:3x50") == Board("chessboard", 3, 50)
     assert len(Board.parse("chessboard:9x6").points) == 54
     assert len(Board.parse("charuco:7x5").points) == 24
 
@@ -38,6 +40,7 @@ def test_names() -> None:
         "charuco:3x4",  # six corners, of which none are enough
         "charuco:7x5,4X4_50,big",
         "charuco:7x5,4X4_50,2",
+        "charuco:7x5,4X4_50,0.1",
         "charuco:7x5,4X4_50,0.7,1",
         "charuco:20x20,4X4_50",
     ],
@@ -106,8 +109,19 @@ def test_nothing_is_found_where_nothing_is() -> None:
     assert Board.parse("charuco:7x5").find(images[0]) is None
 
 
+@pytest.mark.parametrize(
+    ("corners", "enough"), [(range(5, 12), False), (range(11), False), (range(5, 13), True)]
+)
+def test_a_few_corners_and_one_line_of_them_are_not_enough(corners: range, enough: bool) -> None:
+    board = Board.parse("charuco:12x4")
+    found = np.zeros((len(corners), 1, 2)), np.array(corners)[:, None], None, np.zeros((9, 1))
+    board.__dict__["_detectors"] = (SimpleNamespace(detectBoard=lambda grey: found),)
+    assert (board.find(np.zeros((48, 64), np.uint8)) is not None) is enough
+
+
 def test_one_line_of_a_board_is_no_view() -> None:
     board = Board.parse("charuco:12x4")
     assert not board._is_spread(np.arange(11))
+    assert not board._is_spread(np.arange(0, 33, 11))
     assert board._is_spread(np.arange(12))
     assert View(np.arange(2), np.zeros((2, 2))).pixels.shape == (2, 2)
