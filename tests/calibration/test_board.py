@@ -23,6 +23,8 @@ def test_names() -> None:
     assert Board.parse("chessboard:3x50") == Board("chessboard", 3, 50)
     assert len(Board.parse("chessboard:9x6").points) == 54
     assert len(Board.parse("charuco:7x5").points) == 24
+    small = Board.parse("charuco:7x5,4X4_50,0.5")._detectors
+    assert [detector.getBoard().getMarkerLength() for detector in small] == [0.5, 0.5]
 
 
 @pytest.mark.parametrize(

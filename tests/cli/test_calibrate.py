@@ -6,6 +6,7 @@ import itertools
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -15,6 +16,8 @@ from sources.live.bench import QUICK, Bench
 from prism_edge.calibration.board import Board
 from prism_edge.cli import board_views
 from prism_edge.cli.main import main
+from prism_edge.errors import CalibrationError
+from prism_edge.sources import Source
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.camera import LiveCamera
@@ -166,6 +169,36 @@ def test_what_can_not_be_meant(
     if "--out" not in given:
         given += ["--out", str(tmp_path / "c.yaml")]
     assert says in refused(capsys, code, *given)
+
+
+def test_a_picture_that_the_user_named_stays_unless_told(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only one that a refused run has left, under its own name, is replaced unasked."""
+    (tmp_path / "holiday.png").write_bytes(b"mine")
+    words = ("--out", tmp_path / "c.yaml", "--picture", tmp_path / "holiday.png")
+    assert "give --overwrite" in refused(capsys, 3, recording, "--board", SPEC, *words)
+    assert (tmp_path / "holiday.png").read_bytes() == b"mine"
+
+
+def test_the_lens_that_is_named_is_looked_and_solved_for(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[str] = []
+    gather = board_views.gather
+
+    def gathered(source: Source, board: Board, say: Any, model: str = "") -> board_views.Gathered:
+        asked.append(model)
+        return gather(source, board, say, model)
+
+    def solved(board: Board, views: Any, width: int, height: int, model: str) -> None:
+        raise CalibrationError(f"no {model} lens")
+
+    monkeypatch.setattr(board_views, "gather", gathered)
+    monkeypatch.setattr("prism_edge.calibration.solve.calibrate", solved)
+    words = ("--board", SPEC, "--model", "fisheye", "--out", tmp_path / "c.yaml")
+    assert "no fisheye lens" in refused(capsys, 9, recording, *words)
+    assert asked == ["fisheye"]
 
 
 def test_a_result_that_can_not_be_written(
