@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +14,12 @@ import pytest
 from prism_edge.backend import map_file
 from prism_edge.backend.stored_map import KnownScale
 from prism_edge.cli import reconstruct
+from prism_edge.cli.reconstruct_looks import Gathered
+from prism_edge.config import Config
+from prism_edge.config_file import load
+from prism_edge.errors import MapError
 from prism_edge.reconstruction.dense import MOST_BESIDE, Options
+from prism_edge.scale.gate import GateParameters
 from tests.cli.mapped_room import APART, Call, cloud, from_the_walls, true_map
 from tests.depth.test_several_views import write as write_several
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
@@ -157,6 +164,8 @@ def test_files_that_are_there_and_other_endings_are_refused(
     assert (tmp_path / "out.ply").read_text() == "mine"
     assert call("--out", tmp_path / "out.pcd") == 3
     assert "PLY" in capsys.readouterr().err
+    assert call("--out", tmp_path / "OUT.PLY", map="/nowhere.prismmap") == 10
+    assert "can't read the map" in capsys.readouterr().err
     shutil.copy(room / "room.prismmap", tmp_path / "map.ply")
     assert call("--out", tmp_path / "map.ply", "--overwrite") == 3
     assert "is a map, which no command replaces" in capsys.readouterr().err
@@ -171,6 +180,39 @@ def test_a_map_without_stamps_and_one_of_another_camera_are_refused(
     (tmp_path / "b.prismmap").write_bytes(true_map(camera=synthetic_camera(640, 480)))
     assert call(map=tmp_path / "b.prismmap") == 4
     assert "pictures of 320x240, but the map is of 640x480" in capsys.readouterr().err
+
+
+def test_depth_maps_are_as_wide_as_asked_for(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def gather(config: Config, mount: object, seen: object, width: int, progress: object) -> None:
+        asked.append(width)
+        raise MapError("far enough")
+
+    monkeypatch.setattr("prism_edge.cli.reconstruct_looks.gather", gather)
+    assert [call("--width", 97), call()] == [MapError.exit_code] * 2
+    assert asked == [97, reconstruct.WIDTH]
+
+
+@pytest.mark.parametrize(
+    ("given", "card", "gate"),
+    [
+        ({}, (0.3, 0.04), (0.6, 0.3, 0.04)),
+        ({"gate.tau": 0.2, "gate.temperature": 0.05}, (0.3, 0.04), (0.6, 0.2, 0.05)),
+        ({"gate.tau": 0.2}, (0.3, 0.04), (0.6, 0.2, 0.04)),
+        ({"gate.tau": 0.2, "gate.temperature": 0.05}, (math.nan, math.nan), (0.6, 0.2, 0.05)),
+        ({"gate.tau": 0.2}, (math.nan, math.nan), None),
+        ({"gate.temperature": 0.05}, (math.nan, math.nan), None),
+        ({"ablate": ["dsug"]}, (0.3, 0.04), None),
+    ],
+)
+def test_options_are_as_given_and_the_gate_is_the_network_s_own_where_it_is_not(
+    given: dict, card: tuple[float, float], gate: tuple[float, float, float] | None
+) -> None:
+    args = SimpleNamespace(voxel=0.5, agree=4, far=6.0, no_pictures=False)
+    options = reconstruct._options(args, load(None, {"gate.alpha": 0.6, **given}), Gathered("x", card, False))
+    wanted = None if gate is None else GateParameters(*gate)
+    assert options == Options(0.5, 4, 6.0, by_pictures=True, gate=wanted)
 
 
 WRONG = [("--voxel", "0"), ("--voxel", "nan"), ("--agree", "0"), ("--agree", "10"), ("--far", "-1")]

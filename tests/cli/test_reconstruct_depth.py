@@ -1,0 +1,81 @@
+"""Which keyframes a network of several views is shown together, and how it sees them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from prism_edge.cli.reconstruct_depth import Taken, _of_several
+from prism_edge.depth.prediction import Prediction, no_confidence, no_descriptor
+from prism_edge.depth.upright import camera_from_turned, turned_camera
+from prism_edge.errors import ModelError
+from tests.synthetic.sequence import synthetic_camera
+
+CAMERA = synthetic_camera(8, 6)
+
+
+class Network:
+    """Answers with the green of what it is shown, as metres; remembers what that was."""
+
+    name, provider, dsug, views = "several", "CPUExecutionProvider", (0.1, 0.2), 3
+
+    def __init__(self) -> None:
+        self.shown: list[tuple[list[np.ndarray], list[Any], np.ndarray]] = []
+
+    def infer(self, pictures: list[np.ndarray], cameras: list[Any], poses: np.ndarray) -> list[Prediction]:
+        self.shown.append((pictures, cameras, poses))
+        as_it_is, nothing = np.array([1.0, 0.0, 1.0, 0.0]), (no_confidence(), no_descriptor(), 0.0)
+        return [Prediction(p[:, :, 1].astype(np.float32), as_it_is, *nothing) for p in pictures]
+
+
+def taken(count: int) -> list[Taken]:
+    """Keyframes a metre from each other, whose pictures' red is their number."""
+    found = []
+    for k in range(count):
+        pose, rgb = np.eye(4), np.full((6, 8, 3), k, np.uint8)
+        pose[0, 3] = k
+        rgb[:, :, 1] = np.arange(48).reshape(6, 8)
+        found.append(Taken(SimpleNamespace(keyframe=k, camera=CAMERA, map_from_camera=pose), k, rgb))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("count", "together"),
+    [
+        (3, [[0, 1, 2]]),
+        (6, [[0, 1, 2], [3, 4, 5]]),
+        (7, [[0, 1, 2], [3, 4, 5], [4, 5, 6]]),
+        (8, [[0, 1, 2], [3, 4, 5], [5, 6, 7]]),
+        (0, []),
+    ],
+)
+def test_those_left_at_the_end_go_with_the_ones_before_and_each_is_answered_once(
+    count: int, together: list[list[int]]
+) -> None:
+    network = Network()
+    answered = [one.index for one, _ in _of_several(network, 0).answers(iter(taken(count)))]
+    assert answered == list(range(count))
+    assert [[int(p[0, 0, 0]) for p in pictures] for pictures, _, _ in network.shown] == together
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_fewer_than_it_takes_are_refused(count: int) -> None:
+    with pytest.raises(ModelError, match=f"takes 3 keyframes at once, and {count} have"):
+        list(_of_several(Network(), 0).answers(taken(count)))
+
+
+@pytest.mark.parametrize("turns", [0, 1, 2, 3])
+def test_it_sees_pictures_upright_from_where_they_are_and_its_depth_is_turned_back(turns: int) -> None:
+    network = Network()
+    keyframes = taken(3)
+    answers = list(_of_several(network, turns).answers(keyframes))
+    [(pictures, cameras, poses)] = network.shown
+    for k, one in enumerate(keyframes):
+        np.testing.assert_array_equal(pictures[k], np.rot90(one.rgb, turns))
+        assert cameras[k] == turned_camera(CAMERA, turns)
+        np.testing.assert_allclose(poses[k], one.viewpoint.map_from_camera @ camera_from_turned(turns))
+        assert answers[k][0] is one
+        np.testing.assert_array_equal(answers[k][1].depth, one.rgb[:, :, 1])
