@@ -236,6 +236,7 @@ def test_a_live_camera_until_it_is_enough(monkeypatch: pytest.MonkeyPatch) -> No
         gathered = board_views.gather(camera, Board.parse(SPEC), said.append)
     assert 10 <= len(gathered.views) <= 16
     assert any("different ways" in line for line in said)
+    assert len(set(said)) == len(said)  # of a view that adds nothing, nothing is said
     assert said[-1] == f"{len(gathered.views)} views"
 
 
