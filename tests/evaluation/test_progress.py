@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+import threading
 
 import pytest
 
@@ -20,8 +21,11 @@ def shown(monkeypatch: pytest.MonkeyPatch, stderr: io.StringIO, quiet: bool = Fa
     monkeypatch.setattr(sys, "stderr", stderr)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "100")
+    before = threading.active_count()
     with Progress(24, quiet) as progress:
+        assert threading.active_count() == before  # a thread's time would count as the run's
         progress.at(7)
+        assert ("7/24" in stderr.getvalue()) is (stderr.isatty() and not quiet)  # at once
         progress.say("settling")
         progress.say("reading", 300)
         progress.at(299)
