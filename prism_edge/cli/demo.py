@@ -7,7 +7,7 @@ import signal
 import sys
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ from prism_edge.cli.settings import (
     endpoint_given,
     find_networks,
 )
-from prism_edge.errors import ConfigError, SourceError
+from prism_edge.errors import BusError, ConfigError, SourceError
 
 if TYPE_CHECKING:
     from prism_edge.config import Config
@@ -82,19 +82,28 @@ def run(args: argparse.Namespace) -> int:
 
 def play(config: Config, out: Path) -> dict[str, Any]:
     """The walk through the real daemon, its poses on the screen; returns the metrics."""
+    from prism_edge.bus.keys import check_endpoint, check_robot_name
     from prism_edge.evaluation.run import evaluate, extent
 
+    check_robot_name(config.robot)
+    check_endpoint(config.bus.endpoint)
     _, frames = extent(config.source)
     print(f"playing {config.source.uri} ({frames} frames) with the depth network {config.depth.model}")
     print(f"subscribing to prism/{config.robot}/pose at {config.bus.endpoint}", flush=True)
     over = threading.Event()
-    screen = threading.Thread(target=show, args=(config, over), name="screen", daemon=True)
+    screen = threading.Thread(target=keep_showing, args=(config, over), name="screen", daemon=True)
     screen.start()
     try:
         return evaluate(config, out, quiet=True, keep_endpoint=True)
     finally:
         over.set()
         screen.join(timeout=5.0)
+
+
+def keep_showing(config: Config, over: threading.Event) -> None:
+    """As :func:`show`, in a thread of its own."""
+    with suppress(BusError):  # the run stands before the same, and says so
+        show(config, over)
 
 
 def show(config: Config, over: threading.Event) -> None:

@@ -15,7 +15,7 @@ from prism_edge.cli import demo, watch
 from prism_edge.cli.demo import sum_up
 from prism_edge.cli.main import main
 from prism_edge.config import Config, SourceConfig
-from prism_edge.errors import EvaluationError
+from prism_edge.errors import BusError, EvaluationError
 from prism_edge.evaluation import run
 from prism_edge.evaluation.trajectory import Trajectory, write_tum
 from prism_edge.sources import truth
@@ -50,6 +50,18 @@ def test_what_it_can_not_play_is_said_in_one_line(arguments, words, tmp_path, ca
     assert words in said.err
     assert said.err.count("\n") == 1
     assert "secret" not in said.err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "code"),
+    [("--endpoint", "nonsense", 6), ("--endpoint", "tcp/127.0.0.1:99999", 6), ("--robot", "a/*", 3)],
+)
+def test_what_no_daemon_takes_is_said_before_anything_is_shown(option, value, code, tmp_path, capsys) -> None:
+    assert main(["demo", option, value, "--out", str(tmp_path / "out")]) == code
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert value in said.err
     assert not (tmp_path / "out").exists()
 
 
@@ -169,6 +181,17 @@ def test_the_screen_ends_with_the_run_however_that_ends(tmp_path, monkeypatch) -
     with pytest.raises(EvaluationError):
         demo.play(Config(source=SourceConfig(uri="sim:room?frames=9")), tmp_path)
     assert ended == [True]
+
+
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_bus_that_can_not_be_reached_is_the_run_s_to_tell(tmp_path, monkeypatch, capsys) -> None:
+    def unreachable(*_, **how):
+        raise BusError("not reached")
+
+    monkeypatch.setattr(Bus, "open", unreachable)
+    monkeypatch.setattr(run, "evaluate", unreachable)
+    assert main(["demo", "--out", str(tmp_path)]) == 6
+    assert capsys.readouterr().err == "prism-edge: error: not reached\n"
 
 
 class Screen:
