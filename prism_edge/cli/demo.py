@@ -102,7 +102,8 @@ def play(config: Config, out: Path) -> dict[str, Any]:
 
 def keep_showing(config: Config, over: threading.Event) -> None:
     """As :func:`show`, in a thread of its own."""
-    with suppress(BusError):  # the run stands before the same, and says so
+    # Who can't reach the bus or write to stdout is told by the run, which stands before the same.
+    with suppress(BusError, OSError):
         show(config, over)
 
 

@@ -194,6 +194,17 @@ def test_a_bus_that_can_not_be_reached_is_the_run_s_to_tell(tmp_path, monkeypatc
     assert capsys.readouterr().err == "prism-edge: error: not reached\n"
 
 
+@pytest.mark.filterwarnings("error::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_reader_that_goes_away_is_no_error(tmp_path, monkeypatch, capsys) -> None:
+    def gone(*_, **how):
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr(demo, "show", gone)
+    monkeypatch.setattr(run, "evaluate", lambda *_, **how: REPORT)
+    assert demo.play(Config(source=SourceConfig(uri="sim:room?frames=9")), tmp_path) == REPORT
+    assert capsys.readouterr().err == ""
+
+
 class Screen:
     """A table on a terminal, and what it was told."""
 
