@@ -132,6 +132,7 @@ def draw(uri: str, out: Path, report: dict[str, Any]) -> Path | None:
     import cv2
 
     from prism_edge.evaluation.draw_paths import ESTIMATE, TRUTH, draw_paths
+    from prism_edge.evaluation.run import PICTURE
     from prism_edge.evaluation.trajectory import Trajectory, associate, read_tum
     from prism_edge.geometry.alignment import align
     from prism_edge.sources.truth import read_truth
@@ -147,7 +148,7 @@ def draw(uri: str, out: Path, report: dict[str, Any]) -> Path | None:
     paths = [("truth", TRUTH, moved[:, :2]), ("as published", ESTIMATE, estimate.positions[:, :2])]
     error_cm = 100.0 * report["live"]["ate_se3_m"]
     picture = draw_paths(paths, f"the camera's path from above: {error_cm:.1f} cm (RMS) from the truth")
-    file = out / "path.png"
+    file = out / PICTURE
     file.write_bytes(cv2.imencode(".png", picture)[1].tobytes())
     return file
 

@@ -44,6 +44,7 @@ _SILENCE_S = 120.0  # without any frame: the run is given up
 PATHS = ("live.tum", "final.tum")
 MAP = "map.prismmap"
 FILES = (*PATHS, "truth.tum", MAP, "metrics.json", "effective.yaml", "daemon.log")
+PICTURE = "path.png"  # which the demo draws of them
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,7 +174,7 @@ def _prepared(config: Config, out: Path, kept: Container[Path] = ()) -> Config:
     check_endpoint(config.bus.endpoint)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for file in (out / name for name in FILES):
+        for file in (out / name for name in (*FILES, PICTURE)):
             if file.resolve() not in kept:
                 file.unlink(missing_ok=True)
         (out / "effective.yaml").write_text(dump(config))
