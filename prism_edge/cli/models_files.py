@@ -24,7 +24,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth import entries, find, networks_of, open_network, open_onnx, pulling
 from prism_edge.depth.download import Patience
 from prism_edge.depth.folders import download_folder, folders
-from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, all_pulled, find_pulled, manifest_of, pulled_at
+from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, find_pulled, manifest_of, pulled_at, pulled_names
 from prism_edge.depth.registry import File, find_digest, is_non_commercial, sha256_of
 from prism_edge.errors import ModelError
 from prism_edge.named_path import named_path
@@ -163,13 +163,19 @@ def _verify(console: Console, names: list[str]) -> int:
 
 def _at_hand() -> list[str]:
     known = [entry.name for entry in entries() if entry.located()]
-    return known + [pulled.name for pulled in all_pulled() if pulled.name not in known]
+    return known + [name for name in pulled_names() if name not in known]
 
 
 def _digests(name: str) -> tuple[str, bool]:
     """What the files' digests say, and whether they are right."""
-    if named_path(name).is_file():
-        return _digests_of_path(named_path(name))
+    path = named_path(name)
+    try:
+        return _digests_of_path(path) if path.is_file() else _digests_of_name(name)
+    except ModelError as error:
+        return str(error), False
+
+
+def _digests_of_name(name: str) -> tuple[str, bool]:
     entry, pulled = find(name), find_pulled(name)
     files: tuple[File, ...] = ()
     folder = Path()
@@ -189,12 +195,8 @@ def _digests(name: str) -> tuple[str, bool]:
 
 
 def _digests_of_path(path: Path) -> tuple[str, bool]:
-    """As :func:`_digests`, of a file that is named by its path."""
-    try:
-        registered, pulled = find_digest(sha256_of(path)), pulled_at(path)
-        wrong = _wrong(path.parent, pulled.files) if pulled else ""
-    except ModelError as error:
-        return str(error), False
+    registered, pulled = find_digest(sha256_of(path)), pulled_at(path)
+    wrong = _wrong(path.parent, pulled.files) if pulled else ""
     if wrong:
         return wrong, False
     if registered:
@@ -213,10 +215,10 @@ def _wrong(folder: Path, files: tuple[File, ...]) -> str:
 
 def _runs(name: str) -> tuple[str, bool]:
     """Whether it can be loaded and run to some use, and if not, whether that is as it should be."""
-    entry, pulled = find(name), find_pulled(name)
-    if (entry and entry.card is None) or (pulled and not pulled.runnable):
-        return "needs export", True
     try:
+        entry, pulled = find(name), find_pulled(name)
+        if (entry and entry.card is None) or (pulled and not pulled.runnable):
+            return "needs export", True
         network = open_onnx(name, DepthConfig())
         trial = tried(network)
     except ModelError as error:

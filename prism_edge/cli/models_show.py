@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import fields
+from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
@@ -13,7 +14,8 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth import entries, find, locate, networks_of, open_network, open_onnx
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.pulled import Pulled, all_pulled, find_pulled
-from prism_edge.depth.registry import Entry, is_non_commercial, sha256_of
+from prism_edge.depth.registry import Entry, File, is_non_commercial, sha256_of
+from prism_edge.errors import ModelError
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,16 +58,22 @@ def state(entry: Entry) -> str:
         return "can be pulled" if entry.can_be_pulled else "no file here"
     if entry.card is None:
         return "pulled, needs export"
-    folder = path.parent
-    right = all(sha256_of(folder / file.name) == file.sha256 for file in entry.files)
-    return "ready" if right else "wrong digest"
+    return _held_to_digests(path.parent, entry.files) or "ready"
 
 
 def _state_of_pulled(pulled: Pulled) -> str:
     if not all((pulled.folder / file.name).is_file() for file in pulled.files):
         return "incomplete: pull again"
-    right = all(sha256_of(pulled.folder / file.name) == file.sha256 for file in pulled.files)
-    return "pulled from elsewhere" if right else "wrong digest"
+    return _held_to_digests(pulled.folder, pulled.files) or "pulled from elsewhere"
+
+
+def _held_to_digests(folder: Path, files: tuple[File, ...]) -> str:
+    """What is wrong with the files, in words; empty where all are what they should be."""
+    try:
+        right = all(sha256_of(folder / file.name) == file.sha256 for file in files)
+    except ModelError as error:
+        return str(error)
+    return "" if right else "wrong digest"
 
 
 def _describe(console: Console, model: str) -> None:

@@ -77,6 +77,12 @@ def pulled_files(path: Path) -> tuple[File, ...]:
     return pulled.files if pulled else ()
 
 
+def pulled_names() -> list[str]:
+    """The names of everything that was pulled, be its manifest broken."""
+    manifests = (path for folder in folders() for path in folder.glob(f"*/{MANIFEST}") if path.is_file())
+    return sorted({path.parent.name for path in manifests})
+
+
 def all_pulled() -> list[Pulled]:
     """Everything that was pulled, by name; of several of one name the one that is found first."""
     found: dict[str, Pulled] = {}
