@@ -126,7 +126,7 @@ def _model(config: Config) -> list[str]:
     missing = idle_options(config.depth) + absent(config.depth) if model else []
     if config.source.uri and not model:
         missing.append("depth.model: no network is named, and without one there are no poses")
-    for network in networks_of(model):
+    for network in networks_of(model) if model else []:
         try:
             locate(network)
         except ModelError as error:

@@ -57,7 +57,7 @@ def open_network(spec: str, config: DepthConfig) -> DepthNetwork:
 def networks_of(spec: str) -> list[str]:
     """The files or names that ``spec`` is made of: one, or the two of nested:. Raises ModelError."""
     if not spec.startswith(NESTED):
-        return [spec] if spec else []
+        return [spec]
     parts = [part.strip() for part in spec.removeprefix(NESTED).split(",")]
     if len(parts) != 2 or not all(parts):
         raise ModelError(f"model {spec!r}: nested takes two networks, nested:RELATIVE,METRIC")
@@ -88,6 +88,8 @@ def pinned_files(name: str) -> tuple[File, ...]:
 
 def locate(spec: str) -> Path:
     """The file of a path or registered name. Raises ModelError where there is none."""
+    if not spec:
+        raise ModelError("model '': the name is empty")
     path = named_path(spec)
     if path.is_file():
         return path

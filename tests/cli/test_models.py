@@ -110,7 +110,10 @@ def test_a_registered_network_is_ready_where_its_file_is(shared: Path, monkeypat
 
 @pytest.mark.parametrize(
     ("arguments", "code"),
-    [(["info", "nothing"], 5), (["info", "none/such.onnx"], 5), ([], 2), (["info"], 2), (["shout"], 2)],
+    [
+        *((["info", name], 5) for name in ("nothing", "none/such.onnx", "")),
+        *((words, 2) for words in ([], ["info"], ["shout"])),
+    ],
 )
 def test_what_can_not_be_done_is_one_line_and_a_code(capsys, arguments: list[str], code: int):
     try:

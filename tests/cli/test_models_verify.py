@@ -52,3 +52,9 @@ def test_a_file_that_can_not_be_read_is_a_row_beside_the_others(models: Path, ca
     shown = rows(capsys.readouterr().out)
     assert "can't be read" in shown[FASTDEPTH][3]
     assert shown["prism_nano"][3] == "ready"
+
+
+def test_an_empty_name_is_of_no_network(capsys):
+    """A script's variable that is not set must not pass for a sound network."""
+    assert main(["models", "verify", ""]) == 5
+    assert rows(capsys.readouterr().out)[""] == ["not at hand", "model '': the name is empty"]

@@ -45,7 +45,7 @@ def test_a_relative_network_alone_is_refused_and_told_how_to_pair(tmp_path: Path
         ("file.onnx", "no such file"),
         ("da3_small", "must be exported|to be exported"),
         (".", "is a folder"),
-        ("", "folder|neither"),
+        ("", "the name is empty"),
         ("nested:", "takes two networks"),
         ("nested:a", "takes two networks"),
         ("nested:a,b,c", "takes two networks"),
