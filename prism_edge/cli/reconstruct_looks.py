@@ -98,7 +98,8 @@ class Pictures:
             item = source.read()
             views = at.pop(item.stamp_ns, []) if isinstance(item, Image | Unreadable) else []
             if not isinstance(item, Image):
-                self._without[UNREADABLE] += len(views)
+                if views:  # or it would be said of 0 keyframes
+                    self._without[UNREADABLE] += len(views)
                 continue
             progress("depth", len(self._seen) - sum(map(len, at.values())) - len(views), len(self._seen))
             for view in views:

@@ -55,15 +55,17 @@ def test_a_recording_that_is_looped_in_the_configuration_ends(
     assert call("--no-pictures", "--set", "source.loop=true", source=shorter) == 0
 
 
-def test_a_picture_that_can_not_be_read_is_counted(
-    call: Call, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("picture", "missing"), [(APART, 1), (APART - 1, 0)])
+def test_a_picture_that_can_not_be_read_is_counted_where_it_is_a_keyframe_s(
+    picture: int, missing: int, call: Call, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     damaged = shutil.copytree(room / "seq", tmp_path / "seq")
-    sorted((damaged / "rgb").iterdir())[APART].write_bytes(b"no picture")
+    sorted((damaged / "rgb").iterdir())[picture].write_bytes(b"no picture")
     assert call("--no-pictures", source=damaged) == 0
     heard = capsys.readouterr()
-    assert "7 of 8 keyframes" in heard.out
-    assert "left out: 1 keyframes, whose picture can't be read" in heard.err
+    assert f"{8 - missing} of 8 keyframes" in heard.out
+    assert ("left out: 1 keyframes, whose picture can't be read" in heard.err) == bool(missing)
+    assert ("left out" in heard.err) == bool(missing)
 
 
 @pytest.mark.parametrize("model", ["metric.onnx", "several.onnx"])
