@@ -18,6 +18,7 @@ EXAMPLES = "chessboard:9x6 (inner corners) or charuco:7x5,4X4_50,0.75 (squares, 
 
 _DICTIONARY, _MARKER = "4X4_50", 0.75
 _MOST = 50
+_QUIET = cv2.utils.logging.LOG_LEVEL_ERROR  # OpenCV warns of markers that nearly fill their squares
 _LEAST_CORNERS = 8  # of a board that is seen in part; fewer hardly tell its pose
 
 
@@ -100,6 +101,7 @@ class Board:
     @cached_property
     def _detectors(self) -> tuple[cv2.aruco.CharucoDetector, ...]:
         """For boards whose first square is black, and for those of before OpenCV 4.6, where it was white."""
+        cv2.utils.logging.setLogLevel(_QUIET)
         detectors = []
         for legacy in (False, True):
             board = cv2.aruco.CharucoBoard((self.columns, self.rows), 1.0, self.marker, self._markers)

@@ -101,6 +101,12 @@ def test_a_board_printed_by_an_older_opencv() -> None:
     assert len(view.corners) == 35
 
 
+def test_of_markers_that_nearly_fill_their_squares_nothing_is_said(capfd: pytest.CaptureFixture[str]) -> None:
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_WARNING)  # OpenCV's own, whatever ran before
+    assert Board.parse("charuco:7x5,4X4_50,0.95").find(np.zeros((48, 64), np.uint8)) is None
+    assert capfd.readouterr().err == ""
+
+
 def test_nothing_is_found_where_nothing_is() -> None:
     noise = np.random.default_rng(0).integers(0, 255, (120, 160), dtype=np.uint8)
     for spec in ("chessboard:9x6", "charuco:7x5"):
