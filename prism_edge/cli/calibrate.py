@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
     # A picture without its camera file is that of a run that was refused: the next one takes its place.
     left_over = not args.picture and not out.exists()
     check_writable(picture, args.overwrite or left_over)
-    if out == picture:
+    if out.resolve() == picture.resolve():
         raise ConfigError(f"{out} can't be both the camera file and the picture")
     source = open_source(SourceConfig(uri=args.source), calibrated=False)
     if source.synthetic:

@@ -158,6 +158,7 @@ def test_images_of_different_sizes(tmp_path: Path, capsys: pytest.CaptureFixture
         (["SOURCE", "--out", "/proc/c.yaml"], 3, "can't be written"),
         (["SOURCE", "--out", "/proc", "--overwrite"], 3, "/proc"),
         (["SOURCE", "--out", "OUT/c.png", "--picture", "OUT/c.png"], 3, "both the camera file"),
+        (["SOURCE", "--out", "OUT/c.png", "--picture", "OUT/in/../c.png"], 3, "both the camera file"),
     ],
 )
 def test_what_can_not_be_meant(
@@ -168,7 +169,9 @@ def test_what_can_not_be_meant(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
+    (tmp_path / "in").mkdir()
     known = {"SOURCE": str(recording), "OUT/c.png": str(tmp_path / "c.png")}
+    known["OUT/in/../c.png"] = str(tmp_path / "in" / ".." / "c.png")
     given = [known.get(word, word) for word in words]
     if "--out" not in given:
         given += ["--out", str(tmp_path / "c.yaml")]
