@@ -105,8 +105,7 @@ def evaluate(
     write_tum(out / "live.tum", live)
     write_tum(out / "final.tum", final)
     if heard.map is not None:
-        (out / f".{MAP}").write_bytes(heard.map.data.tobytes())
-        (out / f".{MAP}").replace(out / MAP)
+        _put_map(out, heard.map.data.tobytes())
     elif heard.snapshot is not None and len(heard.snapshot.points):
         print(f"prism-edge: warning: the map did not come in {_MAP_S:.0f} s: no {MAP}", file=sys.stderr)
     if true_path is not None and (out / "truth.tum").resolve() not in kept:
@@ -252,6 +251,16 @@ def _settled(bus: Bus, daemon: Daemon, settle_s: float) -> MapSnapshot | None:
             return latest
         daemon.check()
         time.sleep(_LOOK_S)
+
+
+def _put_map(out: Path, data: bytes) -> None:
+    """All of it or nothing, a full disk included. Raises OSError."""
+    new = out / f".{MAP}"
+    try:
+        new.write_bytes(data)
+        new.replace(out / MAP)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 def _truth(config: Config, file: Path | None) -> Trajectory | None:

@@ -75,6 +75,20 @@ def test_a_map_that_did_not_come_is_said_where_there_was_one(
     assert not (tmp_path / "map.prismmap").exists()
 
 
+def test_a_map_that_can_not_be_written_whole_leaves_nothing_behind(
+    tiny_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: dict[str, Any]
+) -> None:
+    def full(path: Path, data: bytes) -> int:
+        with path.open("wb") as file:
+            file.write(data[:3])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(OSError, match="No space left"):
+        score(monkeypatch, tiny_sequence, tmp_path)
+    assert [file.name for file in tmp_path.iterdir() if "prismmap" in file.name] == []
+
+
 def test_a_figure_that_is_no_number_is_no_result(
     tiny_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
