@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 SOURCE = "sim:room?seed=3&frames=1350"
 OUT = Path("prism-edge-demo")
+PICTURE = "path.png"
 LINE_S = 1.0  # between lines where the output is no terminal
 _FEWEST = 3  # poses that a picture needs
 
@@ -94,7 +95,7 @@ def play(config: Config, out: Path) -> dict[str, Any]:
     screen = threading.Thread(target=keep_showing, args=(config, over), name="screen", daemon=True)
     screen.start()
     try:
-        return evaluate(config, out, quiet=True, keep_endpoint=True)
+        return evaluate(config, out, quiet=True, keep_endpoint=True, further=(PICTURE,))
     finally:
         over.set()
         screen.join(timeout=5.0)
@@ -132,7 +133,6 @@ def draw(uri: str, out: Path, report: dict[str, Any]) -> Path | None:
     import cv2
 
     from prism_edge.evaluation.draw_paths import ESTIMATE, TRUTH, draw_paths
-    from prism_edge.evaluation.run import PICTURE
     from prism_edge.evaluation.trajectory import Trajectory, associate, read_tum
     from prism_edge.geometry.alignment import align
     from prism_edge.sources.truth import read_truth

@@ -44,7 +44,6 @@ _SILENCE_S = 120.0  # without any frame: the run is given up
 PATHS = ("live.tum", "final.tum")
 MAP = "map.prismmap"
 FILES = (*PATHS, "truth.tum", MAP, "metrics.json", "effective.yaml", "daemon.log")
-PICTURE = "path.png"  # which the demo draws of them
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,6 +65,7 @@ def evaluate(
     command: Sequence[str] = SUPERVISOR,
     quiet: bool = False,
     keep_endpoint: bool = False,
+    further: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Runs ``config`` through the daemon, and writes live.tum, final.tum, metrics.json, the map and more.
 
@@ -74,7 +74,8 @@ def evaluate(
     ``truth`` is a TUM file to score against instead of the sequence's own; either is read before the run, so
     that a damaged one is said at once, and stays in this process. ``settle_s`` is how long the last
     optimisation may take; ``quiet`` shows no progress on stderr; without ``keep_endpoint`` the default
-    endpoint gives way to a free one, for runs side by side.
+    endpoint gives way to a free one, for runs side by side. ``further`` names what the caller makes of
+    results: an earlier run's goes with the rest.
     Returns the metrics. Call it from the main thread. Raises SourceError or ConfigError for an unusable
     sequence or its truth, DaemonError with the daemon's own exit code where it fails, and EvaluationError for
     an unusable ``truth``, and where the run broke a rule or there is nothing to score (with files written).
@@ -92,7 +93,7 @@ def evaluate(
     made_of = dataclasses.replace(made_of, files=digests_of(named))
     # Where the truth that was given lies among the results, it stays as it is.
     kept = {truth.resolve()} if truth is not None else set()
-    config = _prepared(config if keep_endpoint else on_free_endpoint(config), out, kept)
+    config = _prepared(config if keep_endpoint else on_free_endpoint(config), out, kept, further)
     if not config.depth.network and not quiet:
         print(f"prism-edge: warning: depth {WITHOUT_NETWORK}", file=sys.stderr)
     heard = _run(config, out, settle_s, Progress(frame_count, quiet), command)
@@ -162,7 +163,9 @@ def on_free_endpoint(config: Config) -> Config:
     return dataclasses.replace(config, bus=dataclasses.replace(config.bus, endpoint=free_endpoint()))
 
 
-def _prepared(config: Config, out: Path, kept: Container[Path] = ()) -> Config:
+def _prepared(
+    config: Config, out: Path, kept: Container[Path] = (), further: Sequence[str] = ()
+) -> Config:
     """The configuration as it runs, written to ``out``, from which an earlier run's files are removed.
 
     Files ``kept`` are named by their resolved paths.
@@ -173,7 +176,7 @@ def _prepared(config: Config, out: Path, kept: Container[Path] = ()) -> Config:
     check_endpoint(config.bus.endpoint)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        for file in (out / name for name in (*FILES, PICTURE)):
+        for file in (out / name for name in (*FILES, *further)):
             if file.resolve() not in kept:
                 file.unlink(missing_ok=True)
         (out / "effective.yaml").write_text(dump(config))

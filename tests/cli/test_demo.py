@@ -173,7 +173,7 @@ def test_the_screen_ends_with_the_run_however_that_ends(tmp_path, monkeypatch) -
     ended = []
 
     def failed(*_, **how):
-        assert how == {"quiet": True, "keep_endpoint": True}
+        assert how == {"quiet": True, "keep_endpoint": True, "further": (demo.PICTURE,)}
         raise EvaluationError("it was void")
 
     monkeypatch.setattr(run, "evaluate", failed)

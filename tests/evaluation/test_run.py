@@ -272,12 +272,17 @@ def test_a_run_without_a_network_says_that_no_pose_will_come(
         assert ("warning: depth has no network" in capsys.readouterr().err) == said
 
 
-def test_results_of_an_earlier_run_do_not_survive_a_failing_one(tiny_sequence: Path, tmp_path: Path) -> None:
-    for name in ("metrics.json", "path.png"):  # the demo's picture too, which a short walk has none of
+@pytest.mark.parametrize("further", [(), ("path.png",)])
+def test_results_of_an_earlier_run_do_not_survive_a_failing_one(
+    further: tuple[str, ...], tiny_sequence: Path, tmp_path: Path
+) -> None:
+    """Nor what was made of them; what is somebody else's stays."""
+    for name in ("metrics.json", "path.png"):
         (tmp_path / name).write_text("{}")
     with pytest.raises(DaemonError):
-        run("refuses", tiny_sequence, tmp_path)
-    assert {file.name for file in tmp_path.iterdir()} == {"effective.yaml", "daemon.log"}
+        run("refuses", tiny_sequence, tmp_path, further=further)
+    left = {"effective.yaml", "daemon.log", "path.png"} - set(further)
+    assert {file.name for file in tmp_path.iterdir()} == left
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
