@@ -48,6 +48,11 @@ class ScaleEstimator:
         """Whether network depth has fixed this part's unit or met it; else scale is a guess."""
         return not self._filter.is_open
 
+    @property
+    def doubt(self) -> str:
+        """Why metres here may be worth little, in words; empty for nothing."""
+        return self._filter.doubt
+
     def hear(self, keyframe: Keyframe) -> None:
         """A keyframe has come, whose depth may come later or never: where the map has it counts even so.
 

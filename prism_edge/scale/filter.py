@@ -79,6 +79,11 @@ class ScaleFilter:
         """How many times as far as was thought this network's images surely spread; 1 at least."""
         return self._spread.excess if self._kalman else 1.0
 
+    @property
+    def doubt(self) -> str:
+        """What is to be said of that, in words; empty for nothing."""
+        return self._spread.doubt
+
     def expect(self, frame_sigma: float) -> None:
         """What the network at hand is thought to spread; heard before anything has been seen of it."""
         if self._is_unseen:

@@ -14,6 +14,7 @@ import math
 PRIOR_WEIGHT = 4.0  # independent observations that the network's own word counts as
 MOST_WEIGHT = 100.0  # that all which was learned counts as: a few minutes of them
 USUAL_BIAS = 0.10  # of the network that frame_sigma was measured with; another's images spread in proportion
+WILD = 1.5  # times as wide as was thought: more is said to whoever looks after the robot
 _NOT_THE_MAP = 2.0  # times the network's variance: a few seconds hold about one draw of it
 _MOST = 1.0  # of log scale: more is no wavering
 
@@ -41,6 +42,16 @@ class FrameSpread:
         """How many times as wide as was thought it surely is (by a sigma of its own); 1 at least."""
         surely = self.sigma * (1.0 - 1.0 / math.sqrt(2.0 * self._weight))
         return max(surely / self._prior, 1.0) if self._prior > 0.0 else 1.0
+
+    @property
+    def doubt(self) -> str:
+        """What is to be said of the network, in words; empty where its images agree as it is thought to."""
+        if self.excess < WILD:
+            return ""
+        return (
+            f"the network's images differ in size by {self.sigma:.2f} (log) where {self._prior:.2f} is usual "
+            "for it: it may not know what it sees, and then metres are worth little (docs/TROUBLESHOOTING.md)"
+        )
 
     def take(self, residual: float, sigma: float, share: float) -> None:
         """An observation minus the estimate, which has ``sigma``; ``share`` in [0, 1] of it is new.

@@ -43,6 +43,7 @@ class ScaleWorker:
         self._served: deque[int] = deque(maxlen=256)  # keyframes; a later frame's may come with an earlier's
         self._estimator = ScaleEstimator(config.scale, config.ablate, config.gate)
         self._stamp_ns = 0  # of the newest keyframe
+        self._doubted = False  # that the network knows what it sees
         self._unanswered_s: float | None = None  # since when no keyframe has met its depth, though some came
         self._shows_images, self._camera_frame = config.gate.images, config.frames.camera
 
@@ -135,8 +136,20 @@ class ScaleWorker:
 
     def _publish(self, scale: Scale) -> None:
         self._bus.pulse.values.update(log_scale=f"{scale.log_scale:.4f}", sigma=f"{scale.sigma:.4f}")
+        self._doubt(scale.keyframe)
         self._bus.publish("log_scale", scale)
         self._bus.publish("scale", self._public(scale))
+
+    def _doubt(self, keyframe: int) -> None:
+        """Says where a network seems to be out of its depth: on `health` while it is so, on the log once."""
+        doubt = self._estimator.doubt
+        if not doubt:
+            self._bus.pulse.values.pop("warning", None)
+            return
+        self._bus.pulse.values["warning"] = doubt
+        if not self._doubted:
+            log.warning("keyframe %d: %s", keyframe, doubt)
+        self._doubted = True
 
     def _handle(self, keyframe: Keyframe, depth: Depth | None) -> None:
         self._served.append(keyframe.id)

@@ -63,6 +63,15 @@ def test_excess_is_what_a_sigma_of_doubt_leaves_of_it():
     assert FrameSpread(0.0).excess == 1.0
 
 
+def test_what_is_surely_half_as_wide_again_is_said():
+    spread = FrameSpread(0.1)
+    assert spread.doubt == ""
+    while spread.excess < 1.5:
+        assert spread.doubt == ""
+        spread.take(0.3, 0.0, 1.0)
+    assert f"by {spread.sigma:.2f} (log) where 0.10 is usual" in spread.doubt
+
+
 def test_a_network_as_thought_has_excess_by_rare_chance_alone():
     rng, found = np.random.default_rng(3), []
     for _ in range(400):

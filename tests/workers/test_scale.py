@@ -96,6 +96,21 @@ def test_it_waits_for_a_backend_that_starts_beside_it_and_reads_a_long_journal(b
     assert sum(waits_s) < bus.budgets_s[asks] < SupervisorConfig().start_s, "it is not killed for it"
 
 
+def test_a_network_out_of_its_depth_shows_on_health_until_a_map_begins_that_it_agrees_on(bus, start, caplog):
+    keyframes = [keyframe_of_wall(k, 0.4 * k, parallax_deg=3.0 if k else 0.0) for k in range(60)]
+    wavers = [np.exp(0.8 * np.sin(0.3 * k.id)) for k in keyframes]
+    bus.give("depth", *(depth_of(k, factor) for k, factor in zip(keyframes, wavers, strict=True)))
+    bus.give("keyframe", *keyframes)
+    start()
+    bus.wait_for("log_scale", 60)
+    until(lambda: "differ in size" in bus.pulse.values.get("warning", ""))
+    assert caplog.text.count("differ in size") == 1
+    again = keyframe_of_wall(60, 24.0, parallax_deg=0.0, epoch=1)
+    bus.give("depth", depth_of(again))
+    bus.give("keyframe", again)
+    until(lambda: "warning" not in bus.pulse.values)
+
+
 def test_a_map_of_whose_unit_nothing_is_known_is_not_said_to_be_metric(bus, start):
     bus.give("map_loaded", MapLoaded(3, 0.0, 0.3, metric=False))
     start()
