@@ -14,6 +14,7 @@ import math
 PRIOR_WEIGHT = 4.0  # independent observations that the network's own word counts as
 MOST_WEIGHT = 100.0  # that all which was learned counts as: a few minutes of them
 USUAL_BIAS = 0.10  # of the network that frame_sigma was measured with; another's images spread in proportion
+WAVER = 0.06  # of log scale: a map's own, from place to place; no source of depth is to blame for as much
 WILD = 1.5  # times as wide as was thought: more is said to whoever looks after the robot
 _NOT_THE_MAP = 2.0  # times the network's variance: a few seconds hold about one draw of it
 _MOST = 1.0  # of log scale: more is no wavering
@@ -23,7 +24,7 @@ class FrameSpread:
     """Standard deviation of what a keyframe shows about the estimate of log scale."""
 
     def __init__(self, prior: float) -> None:
-        self._prior = prior
+        self._usual = max(prior, WAVER)
         self._weight = PRIOR_WEIGHT
         self._sum = PRIOR_WEIGHT * prior**2
 
@@ -41,7 +42,7 @@ class FrameSpread:
     def excess(self) -> float:
         """How many times as wide as was thought it surely is (by a sigma of its own); 1 at least."""
         surely = self.sigma * (1.0 - 1.0 / math.sqrt(2.0 * self._weight))
-        return max(surely / self._prior, 1.0) if self._prior > 0.0 else 1.0
+        return max(surely / self._usual, 1.0)
 
     @property
     def doubt(self) -> str:
@@ -49,7 +50,7 @@ class FrameSpread:
         if self.excess < WILD:
             return ""
         return (
-            f"the network's images differ in size by {self.sigma:.2f} (log) where {self._prior:.2f} is usual "
+            f"the network's images differ in size by {self.sigma:.2f} (log) where {self._usual:.2f} is usual "
             "for it: it may not know what it sees, and then metres are worth little (docs/TROUBLESHOOTING.md)"
         )
 

@@ -60,7 +60,6 @@ def test_excess_is_what_a_sigma_of_doubt_leaves_of_it():
         spread.take(0.3, 0.0, 1.0)
     wide = math.sqrt((PRIOR_WEIGHT * 0.01 + 96 * 0.09) / 100.0)
     assert spread.excess == pytest.approx(wide / 0.1 * (1.0 - 1.0 / math.sqrt(200.0)))
-    assert FrameSpread(0.0).excess == 1.0
 
 
 def test_what_is_surely_half_as_wide_again_is_said():
@@ -70,6 +69,15 @@ def test_what_is_surely_half_as_wide_again_is_said():
         assert spread.doubt == ""
         spread.take(0.3, 0.0, 1.0)
     assert f"by {spread.sigma:.2f} (log) where 0.10 is usual" in spread.doubt
+
+
+@pytest.mark.parametrize("prior", [0.0, 0.02])
+def test_what_a_map_wavers_by_is_not_held_against_a_sensor(prior):
+    spread = FrameSpread(prior)
+    for _ in range(200):
+        spread.take(0.05, 0.0, 1.0)
+    assert spread.excess == 1.0
+    assert spread.doubt == ""
 
 
 def test_a_network_as_thought_has_excess_by_rare_chance_alone():
