@@ -230,6 +230,11 @@ class Scale:
     metric: bool = True  # whether depth has fixed or met the map's unit; else log_scale is a guess
     part: int = HOME  # of the map, whose unit it is
 
+    @property
+    def known_to(self) -> float:
+        """Sigma of log_scale without the bias for who begins with it: with what is held beyond the map's."""
+        return math.hypot(self.filter_sigma, self.log_scale - self.map_log_scale)
+
 
 @dataclass(frozen=True)
 class Gate:

@@ -384,6 +384,9 @@ def test_the_map_s_unit_is_told_with_the_filter_s_own_sigma_and_the_bias_apart()
     bus.give("log_scale", replace(scale_of(told[2], 0.3), sigma=0.5, filter_sigma=0.02, bias_sigma=0.07))
     made._realtime()
     assert bus.answers["map_loaded"]() == MapLoaded(0, 0.3, 0.02, 0.07, "")
+    bus.give("log_scale", replace(scale_of(told[2], 0.3), filter_sigma=0.05, map_log_scale=0.42))
+    made._realtime()
+    assert bus.answers["map_loaded"]().scale_sigma == pytest.approx(0.13), "what is held may be wrong by that"
 
 
 def test_a_keyframe_of_a_map_that_is_gone_is_passed_over():
