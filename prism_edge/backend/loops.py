@@ -34,6 +34,7 @@ GUIDED_RADII = (14.0, 7.0)  # pixels at the finest level
 DRIFT_RADIUS = 28.0
 MIN_EXPECTED = 30  # of the candidate's points in the query's image: else the map's pose is not worth a try
 AS_WELL = 0.8  # of what agrees with a pose: another with so much of it is as good
+HELD = 10  # of the candidate's points that the query sees where the map has it: it can't be elsewhere too
 NEIGHBOURS, NEIGHBOUR_INLIERS = 4, 15  # keyframes beside the query that must see the place too
 NEIGHBOUR_ANGLE, NEIGHBOUR_SHIFT = np.radians(3.0), 0.1  # how far they may disagree; of the median depth
 MIN_FRESH = 10  # points that the query did not know: else nothing would be closed
@@ -91,14 +92,18 @@ def verify(
 def _likelier(
     world: GlobalMap, here: GlobalKeyframe, blind: Found | None, own: Found | None, least: int
 ) -> Found | None:
-    """What was found blindly; or from the map's own pose, where that is another place and as good."""
+    """What was found blindly; or from the map's own pose, where that is another place and as good.
+
+    Few points are enough for that where the view holds on to them already: tracking has found them where the
+    map has them, so there is no drift to take out, however much agrees a step aside.
+    """
     if blind is None or len(blind.keypoints) < least:
         return own
-    enough = max(float(least), AS_WELL * len(blind.keypoints))
-    if own is None or len(own.keypoints) < enough:
+    if own is None or _agree(own.world_from_camera, blind.world_from_camera, median_depth(world, here)):
         return blind
-    one = _agree(own.world_from_camera, blind.world_from_camera, median_depth(world, here))
-    return blind if one else own
+    held = sum(point in here.observed for point in own.points.tolist())
+    as_good = len(own.keypoints) >= max(float(least), AS_WELL * len(blind.keypoints))
+    return own if as_good or held >= HELD else blind
 
 
 def _agree(one: Array, other: Array, depth: float) -> bool:

@@ -10,7 +10,17 @@ import pytest
 from prism_edge.backend import loops
 from prism_edge.backend.connectivity import Way
 from prism_edge.backend.global_map import GlobalMap, GlobalPoint
-from prism_edge.backend.loops import Found, Loop, Surroundings, _first_pose, _unit_ratio, plausible, verify
+from prism_edge.backend.loops import (
+    HELD,
+    Found,
+    Loop,
+    Surroundings,
+    _first_pose,
+    _likelier,
+    _unit_ratio,
+    plausible,
+    verify,
+)
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
 from tests.backend.ring import Ring
 from tests.backend.world import Teller, chain
@@ -109,6 +119,29 @@ def test_of_places_that_look_alike_it_is_the_one_where_the_map_has_it(monkeypatc
     loop = verify(world, 21, 1, 30)
     assert loop is not None
     assert np.linalg.norm((inverse(true) @ loop.world_from_query)[:3, 3]) < 0.01
+
+
+@pytest.mark.parametrize(("held", "stays"), [(HELD, True), (HELD - 1, False)])
+def test_a_view_that_holds_on_to_the_place_is_not_a_step_aside_of_it(held, stays):
+    """On stairs three times as much may agree a step on: most of what is seen there is other steps."""
+    world, true = wall_of_windows()
+    view = world.keyframes[21]
+    known = [p for p, _ in sorted(world.keyframes[1].observed.items())][:35]
+    for point in known[:held]:
+        world.observe(view.id, point, 0)
+    own = Found(true, np.arange(35), np.array(known))
+    aside = Found(pose_at(PERIOD) @ true, np.arange(100), np.arange(100) + 2 * AGAIN)
+    assert _likelier(world, view, aside, own, 30) is (own if stays else aside)
+
+
+@pytest.mark.parametrize("held", [0, 35])
+def test_what_a_view_holds_on_to_where_the_blind_guess_is_too_leaves_that(held):
+    world, true = wall_of_windows()
+    view = world.keyframes[21]
+    known = np.array(sorted(view.observed))[:35]
+    own = Found(true, np.arange(35), known if held else known + 2 * AGAIN)
+    blind = Found(pose_at(0.01) @ true, np.arange(100), np.arange(100) + 2 * AGAIN)
+    assert _likelier(world, view, blind, own, 30) is blind
 
 
 def test_a_blind_guess_stays_where_the_map_s_own_pose_is_far_off(drifted):
