@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from prism_edge.geometry.poses import inverse, transform
+from prism_edge.geometry.poses import Array, inverse, transform
 from prism_edge.tracking import mapping
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.initialisation import MIN_POINTS
@@ -20,6 +20,7 @@ log = logging.getLogger("prism_edge.tracking")
 
 CAN_WAIT_MATCHES = 100
 MISLED = 2  # times as many match by their looks as tracking finds
+APART = np.radians(60.0)  # between two ways that the matches allow: which is true is not decided yet
 TURNED = np.radians(1.0)  # so near to where a turn alone takes it a corner says nothing against the turn
 
 
@@ -36,7 +37,8 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
 
     Corners are matched by their looks alone: what tracking found, it found where wrong depths led it. Where
     the network's depths contradict the matches (outdoors, say), the two views' structure takes their place
-    and ``frame`` is moved. A camera that is about to lose the first view can't wait for parallax.
+    and ``frame`` is moved. Where they would allow both ways, a camera waits for more parallax, unless it is
+    about to lose the first view.
     """
     table = world.points
     before, now = match_corners(first.features, frame.features)
@@ -45,7 +47,8 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
         wait = frame.matched >= CAN_WAIT_MATCHES or _is_misled(first, frame, before, now)
         return SecondView.TOO_NEAR if wait else SecondView.AGREES
     if not views.contradicts:
-        return SecondView.AGREES
+        waits = frame.matched >= CAN_WAIT_MATCHES and _is_apart(first, frame, views.first_from_second)
+        return SecondView.TOO_NEAR if waits else SecondView.AGREES
     log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
     frame.world_from_camera = first.world_from_camera @ views.first_from_second
     good = views.good & (ids != NO_POINT)
@@ -60,6 +63,16 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
     kept = np.isin(table.ids, ids[good])
     world.cull_points(np.flatnonzero(table.alive & ~kept & (table.reference == first.id)))
     return SecondView.CONTRADICTS
+
+
+def _is_apart(first: LocalKeyframe, frame: TrackedFrame, first_from_second: Array) -> bool:
+    """Whether the matches allow another way than the tracked one: as well as that, but not clearly better.
+
+    Under little parallax a turn one way and a step the other look alike, with near and far exchanged.
+    """
+    way = (inverse(first.world_from_camera) @ frame.world_from_camera)[:3, 3]
+    other = first_from_second[:3, 3]
+    return bool(way @ other < np.cos(APART) * np.linalg.norm(way) * np.linalg.norm(other))
 
 
 def _is_misled(first: LocalKeyframe, frame: TrackedFrame, before: Index, now: Index) -> bool:

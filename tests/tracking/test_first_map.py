@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import inverse, rotation_angle
-from prism_edge.tracking.first_map import SecondView, begin_structure
+from prism_edge.tracking import first_map
+from prism_edge.tracking.first_map import CAN_WAIT_MATCHES, SecondView, begin_structure
 from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.initialisation import TwoViews
 from prism_edge.tracking.local_map import NO_POINT
 from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
 from tests.tracking.cloud import CAMERA, Cloud, pose_at
@@ -165,6 +167,28 @@ def test_a_turn_that_tracking_has_missed_waits():
 
 def test_a_turn_waits_while_its_points_are_many():
     assert after_a_turn(pose_at(0.0, 0.0, 0.0, 0.0, 0.2), found=100) is SecondView.TOO_NEAR
+
+
+@pytest.mark.parametrize(
+    ("aside_deg", "matched", "said"),
+    [
+        (65.0, CAN_WAIT_MATCHES, SecondView.TOO_NEAR),
+        (180.0, CAN_WAIT_MATCHES, SecondView.TOO_NEAR),
+        (55.0, CAN_WAIT_MATCHES, SecondView.AGREES),
+        (180.0, CAN_WAIT_MATCHES - 1, SecondView.AGREES),
+    ],
+)
+def test_two_ways_that_the_matches_allow_wait_for_more_parallax(monkeypatch, aside_deg, matched, said):
+    """Else the map goes on with the wrong one of a step to the left and a turn to the right."""
+    cloud, aside = Cloud(500), np.radians(aside_deg)
+    world, _ = cloud.mapped([pose_at()], parallax_deg=0.0)
+    tracked, found = pose_at(0.1), pose_at(0.2 * np.cos(aside), 0.2 * np.sin(aside))
+    features, _ = cloud.view(tracked)
+    points = np.full(len(features), NO_POINT)
+    frame = TrackedFrame(CAMERA, features, tracked, points, np.zeros((6, 6)), matched)
+    views = TwoViews(found, np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool), 0.2, contradicts=False)
+    monkeypatch.setattr(first_map, "two_views", lambda *_: (views, np.zeros(0, np.int64)))
+    assert begin_structure(world, world.newest(), frame, seed=0) is said
 
 
 def test_points_that_two_views_moved_are_told():
