@@ -43,12 +43,13 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
     table = world.points
     before, now = match_corners(first.features, frame.features)
     views, ids = two_views(world, first, frame, before, now, seed, MIN_POINTS)
+    can_wait = frame.matched >= CAN_WAIT_MATCHES
     if views is None:
-        wait = frame.matched >= CAN_WAIT_MATCHES or _is_misled(first, frame, before, now)
+        wait = can_wait or _is_misled(first, frame, before, now)
         return SecondView.TOO_NEAR if wait else SecondView.AGREES
     if not views.contradicts:
-        waits = frame.matched >= CAN_WAIT_MATCHES and _is_apart(first, frame, views.first_from_second)
-        return SecondView.TOO_NEAR if waits else SecondView.AGREES
+        wait = can_wait and _is_apart(first, frame, views.first_from_second)
+        return SecondView.TOO_NEAR if wait else SecondView.AGREES
     log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
     frame.world_from_camera = first.world_from_camera @ views.first_from_second
     good = views.good & (ids != NO_POINT)
@@ -66,7 +67,7 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
 
 
 def _is_apart(first: LocalKeyframe, frame: TrackedFrame, first_from_second: Array) -> bool:
-    """Whether the matches allow another way than the tracked one: as well as that, but not clearly better.
+    """Whether what matches alone have (first_from_second, 4 x 4) leads elsewhere than the tracked way.
 
     Under little parallax a turn one way and a step the other look alike, with near and far exchanged.
     """
