@@ -33,7 +33,7 @@ CAMERA_FILES = ("camera.yaml", "camera_info.yaml")
 RECOGNISED = (
     "TUM RGB-D or BONN (rgb.txt), 7-Scenes (frame-000000.color.png), KITTI odometry (image_0 or image_2, "
     "calib.txt, times.txt), a folder of images, a video file, "
-    "the simulator (sim:room, sim:loop, sim:street, sim:town), "
+    "the simulator (sim:room, sim:loop, sim:street, sim:town and more), "
     "a camera (v4l2:/dev/video0, oak:, rtsp://HOST/PATH, http://HOST/PATH)"
 )
 

@@ -11,7 +11,9 @@ from prism_edge.sources.address import parse_options
 SCHEME = "sim:"
 STREET, TOWN = "street", "town"
 OUTDOORS = (STREET, TOWN)
-KINDS = ("room", "loop", "static", *OUTDOORS)
+CORRIDOR, STAIRS = "corridor", "stairs"
+REPEATED = (CORRIDOR, STAIRS)
+KINDS = ("room", "loop", "static", *OUTDOORS, *REPEATED)
 HANDHELD, WHEELED, STOPS, TURN, STILL = "handheld", "wheeled", "stops", "turn", "still"
 DRIVE = "drive"
 INDOORS_MPS = 5.0
@@ -21,7 +23,7 @@ INDOORS_MPS = 5.0
 class Options:
     """What a ``sim:`` address says. 0 stands for 'as the kind and path have it' where noted."""
 
-    kind: str = one_of("room", *KINDS, help="world: a room, a ring of eight, from a tripod, streets, a town")
+    kind: str = one_of("room", *KINDS, help="world: rooms, streets, a corridor, stairs")
     seed: int = limits(0, 0, 2**31 - 1, "the world, the way and the noise; equal seeds, equal pictures")
     frames: int = limits(0, 0, 100_000_000, "length; 0: 900, or one lap of a closed way and a little more")
     path: str = one_of(HANDHELD, HANDHELD, WHEELED, STOPS, TURN, STILL, DRIVE, help="how the camera moves")
@@ -35,6 +37,7 @@ class Options:
     blur: float = limits(1.0, 0.0, 10.0, "exposure time that smears motion, times 8 ms; 0: none")
     exposure: float = limits(1.0, 0.0, 3.0, "changes of exposure, times a fifth of a stop and more; 0: none")
     readout: float = limits(0.0, -100.0, 100.0, "ms from the first row to the last; 0: all at once")
+    unlike: float = limits(0.3, 0.0, 1.0, "how much a step, or stretch of corridor, differs from the next")
     follow: str = text("", "a TUM file (metres, z up, camera optical) whose way the camera goes, in a room")
 
     @property
@@ -67,10 +70,14 @@ def parse(uri: str) -> Options:
         raise SourceError(f"{uri}: the camera of static stands still; use room for path={values['path']}")
     if kind in OUTDOORS and values.setdefault("path", DRIVE) != DRIVE:
         raise SourceError(f"{uri}: the camera of {kind} is on a car; path={values['path']} is for rooms")
+    if kind in REPEATED and values.get("path", HANDHELD) != HANDHELD:
+        raise SourceError(f"{uri}: somebody carries the camera in {kind}; leave out path={values['path']}")
+    if "unlike" in values and kind not in REPEATED:
+        raise SourceError(f"{uri}: unlike is for what comes again and again; use {' or '.join(REPEATED)}")
     options = Options(**values)
     if options.path == DRIVE and kind not in OUTDOORS:
         raise SourceError(f"{uri}: path=drive needs room for a car; use street")
-    if options.actors and kind in OUTDOORS:
+    if options.actors and kind in (*OUTDOORS, *REPEATED):
         raise SourceError(f"{uri}: nobody walks in {kind}; actors are for rooms")
     if options.speed > INDOORS_MPS and kind not in OUTDOORS:
         raise SourceError(f"{uri}: speed is at most {INDOORS_MPS:g} indoors, not {options.speed:g}")

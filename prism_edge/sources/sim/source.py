@@ -13,12 +13,12 @@ from prism_edge.geometry.poses import Array
 from prism_edge.messages import F32, I64
 from prism_edge.named_path import named_path
 from prism_edge.sources.base import Image, Slot, Source
-from prism_edge.sources.sim import streets
+from prism_edge.sources.sim import corridor, stairs, streets
 from prism_edge.sources.sim.actors import Walker, walkers_at
 from prism_edge.sources.sim.effects import Sensor
 from prism_edge.sources.sim.floorplan import Plan, make_plan, room_about
 from prism_edge.sources.sim.followed import Followed
-from prism_edge.sources.sim.options import OUTDOORS, TOWN, Options, parse
+from prism_edge.sources.sim.options import CORRIDOR, OUTDOORS, STAIRS, TOWN, Options, parse
 from prism_edge.sources.sim.paths import (
     DRIVEN_OVERLAP,
     OVERLAP,
@@ -29,6 +29,7 @@ from prism_edge.sources.sim.paths import (
     make_path,
 )
 from prism_edge.sources.sim.renderer import Renderer
+from prism_edge.sources.sim.there_and_back import ThereAndBack
 from prism_edge.sources.sim.world import World, build_world
 from prism_edge.sources.stamps import at_rate
 
@@ -58,7 +59,6 @@ class SimSource(Source):
             raise SourceError(f"{uri}: {error}") from None
         self.camera_origin = "the simulator's own"
         self.period_ns = at_rate(1, o.rate)
-        self._outdoors = o.kind in OUTDOORS
         self.plan, self.path = _plan_and_path(o)
         self.frame_count: int = o.frames or self._usual_frames()
         self._next = 0
@@ -70,6 +70,8 @@ class SimSource(Source):
     def _usual_frames(self) -> int:
         if isinstance(self.path, Followed):
             return int(self.path.length_s * self.options.rate) + 1
+        if isinstance(self.path, ThereAndBack):
+            return int(self.path.period_s * self.options.rate) + 1
         lap = lap_length(self.path)
         if self.plan.route is None or not lap:
             return _USUAL_FRAMES
@@ -86,7 +88,7 @@ class SimSource(Source):
         if self._renderer is not None:
             return
         o = self.options
-        world = (streets.build_streets if self._outdoors else build_world)(self.plan, o.seed)
+        world = _world(self.plan, o)
         rng = np.random.default_rng([o.seed, 7])
         lanes = [self.plan.lanes[k] for k in rng.permutation(len(self.plan.lanes))[: o.actors]]
         textures = list(world.textures)
@@ -155,6 +157,14 @@ class SimSource(Source):
         return self._renderer, self._sensor
 
 
+def _world(plan: Plan, options: Options) -> World:
+    if options.kind == CORRIDOR:
+        return corridor.build(plan, options.seed, options.unlike)
+    if options.kind == STAIRS:
+        return stairs.build(plan, options.seed, options.unlike)
+    return (streets.build_streets if options.kind in OUTDOORS else build_world)(plan, options.seed)
+
+
 def _plan_and_path(options: Options) -> tuple[Plan, CameraPath]:
     if options.follow:
         way = Followed(named_path(options.follow), options.speed)
@@ -162,6 +172,11 @@ def _plan_and_path(options: Options) -> tuple[Plan, CameraPath]:
         assert plan.zone is not None
         way.place(plan.zone.mean(axis=0))
         return plan, way
+    if options.kind == CORRIDOR:
+        plan = corridor.make_plan(options.seed)
+        return plan, corridor.make_path(plan, options.speed, options.seed)
+    if options.kind == STAIRS:
+        return stairs.make_plan(options.seed), stairs.make_path(options.speed, options.seed)
     if options.kind == TOWN:
         plan = streets.make_town(options.seed)
     elif options.kind in OUTDOORS:

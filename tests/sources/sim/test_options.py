@@ -31,6 +31,11 @@ def test_defaults_need_no_query() -> None:
     assert parse("sim:town").path == "drive"
 
 
+def test_what_repeats_says_how_much_alike_it_is() -> None:
+    assert parse("sim:stairs").unlike == 0.3
+    assert parse("sim:corridor?unlike=0&path=handheld").unlike == 0.0
+
+
 def test_a_car_may_be_faster_than_a_robot_indoors() -> None:
     assert parse("sim:street?speed=20").speed == 20.0
     assert parse("sim:town?speed=20").speed == 20.0
@@ -74,6 +79,11 @@ def test_focal_length_follows_the_width() -> None:
         ("sim:street?actors=1", "actors"),
         ("sim:town?path=wheeled", "car"),
         ("sim:town?actors=1", "actors"),
+        ("sim:corridor?path=wheeled", "carries"),
+        ("sim:stairs?path=still", "carries"),
+        ("sim:stairs?actors=1", "actors"),
+        ("sim:corridor?unlike=1.1", "unlike"),
+        ("sim:room?unlike=0.5", "use corridor or stairs"),
         ("sim:street?speed=20.5", "speed"),
         ("sim:loop?speed=5.1", "speed"),
         ("sim:room?seed=1?frames=3", "seed"),
