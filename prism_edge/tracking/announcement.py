@@ -26,7 +26,7 @@ def keyframe_message(
     """
     world, changes = tracker.world, tracker.world.changes
     world.changes = Changes()
-    tracker.announced(keyframe)
+    world.announced = keyframe.id
     table = world.points
     keypoints, depths = world.depths_in(keyframe)
     all_depths = np.zeros(len(keyframe.points), np.float32)

@@ -57,20 +57,10 @@ def reconstruct(
     """
     if len(first) < MIN_MATCHES:
         return None
-    cv2.setRNGSeed(seed)
-    try:
-        essential, mask = cv2.findEssentialMat(
-            first, second, camera.matrix, method=cv2.RANSAC, prob=0.999, threshold=EPIPOLAR_PX
-        )
-        if essential is None or essential.shape != (3, 3) or mask.sum() < MIN_INLIER_SHARE * len(first):
-            return None
-        _, rotation, translation, _ = cv2.recoverPose(
-            essential, first, second, camera.matrix, mask=mask.copy()
-        )
-    except cv2.error:
-        return None  # degenerate matches: all on one spot, say
-    inlier = mask.ravel().astype(bool)
-    found = inverse(from_rt(np.asarray(rotation, np.float64), np.ravel(translation)))
+    by_essential = essential_pose(camera, first, second, seed)
+    if by_essential is None:
+        return None
+    found, inlier = by_essential
     first_from_second, cost = refine_two_view_pose(camera, first[inlier], second[inlier], found)
     if not np.isfinite(cost):
         return None
@@ -97,6 +87,29 @@ def reconstruct(
     spread = robust_sigma(ratios)
     first_from_second[:3, 3] *= unit
     return TwoViews(first_from_second, points * unit, parallax, good, spread, contradicts)
+
+
+def essential_pose(
+    camera: Camera, first: Array, second: Array, seed: int
+) -> tuple[Array, NDArray[np.bool_]] | None:
+    """Relative pose (first_from_second) by an essential matrix (RANSAC), and which matches (n,) agree.
+
+    Its translation has a length of 1. None where too few agree.
+    """
+    cv2.setRNGSeed(seed)
+    try:
+        essential, mask = cv2.findEssentialMat(
+            first, second, camera.matrix, method=cv2.RANSAC, prob=0.999, threshold=EPIPOLAR_PX
+        )
+        if essential is None or essential.shape != (3, 3) or mask.sum() < MIN_INLIER_SHARE * len(first):
+            return None
+        _, rotation, translation, _ = cv2.recoverPose(
+            essential, first, second, camera.matrix, mask=mask.copy()
+        )
+    except cv2.error:
+        return None  # degenerate matches: all on one spot, say
+    pose = from_rt(np.asarray(rotation, np.float64), np.ravel(translation))
+    return inverse(pose), mask.ravel().astype(bool)
 
 
 def _among_matches(cost: Array, other: Array) -> float:

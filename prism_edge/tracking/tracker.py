@@ -17,6 +17,7 @@ from prism_edge.geometry.poses import Array, normalised, scaled
 from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, MapUpdate, beyond
 from prism_edge.tracking import mapping
 from prism_edge.tracking.baseline import Baselines
+from prism_edge.tracking.early_shape import is_contradicted
 from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.first_keyframe import FirstKeyframe
 from prism_edge.tracking.first_map import SecondView
@@ -261,6 +262,9 @@ class Tracker:
             if said is SecondView.CONTRADICTS:
                 self.motion.stop()
                 self._result = beside(reference, frame, self.parts.at_home)  # it is elsewhere now
+        elif self._config.two_views and is_contradicted(self.world, self.parts, frame, self._seed):
+            self._restart(scaled(frame.world_from_camera, math.exp(self.log_scale)))
+            return None
         keyframe = self._insert(
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points.copy()
         )
@@ -311,10 +315,6 @@ class Tracker:
 
     def _reference(self) -> LocalKeyframe:
         return self._at.keyframe(self.world, self.parts)
-
-    def announced(self, keyframe: LocalKeyframe) -> None:
-        """Its message has gone out."""
-        self.world.announced = keyframe.id
 
     # -- what other processes contribute ----------------------------------------------------------
 
@@ -370,8 +370,7 @@ class Tracker:
     def reset(self) -> None:
         """Begin a new map with the next frame: another epoch, at the identity."""
         self._restart(np.eye(4))
-        self._pending, self._fresh, self._result, self._seen_at = None, None, None, None
-        self.may_map, self._lens = True, None
+        self._seen_at, self.may_map, self._lens = None, True, None
 
     def adopt(self, world: LocalMap, index: PlaceIndex, parts: Parts, epoch: int, log_scale: float) -> None:
         """Go on in a map that was there: the camera is looked for anywhere in it."""
@@ -397,4 +396,5 @@ class Tracker:
         self.epoch += 1
         self.log_scale = self.map_log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
         self.last, self._unmapped, self.initialised = None, None, False
+        self._pending, self._fresh, self._result = None, None, None
         self.motion.stop()
