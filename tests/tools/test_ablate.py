@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from prism_edge.config import ABLATIONS
+from prism_edge.config import ABLATIONS, Config
 from prism_edge.evaluation.trajectory import Trajectory, write_tum
 from tests.tools.runs import metrics_of, on_a_spiral
 from tools import ablate
@@ -93,6 +93,17 @@ def test_a_run_that_fails_is_named_in_one_line_and_the_others_go_on(tmp_path: Pa
     errors = capsys.readouterr().err.splitlines()
     assert len(ran) == len(errors) == 5
     assert all(line.startswith("ablate: error: ") and "ended with code 7" in line for line in errors)
+
+
+def test_each_seed_is_another_delay_and_the_first_the_default(tmp_path: Path):
+    sequence = ablate.TABLES["static"][1][0]
+    lags = []
+    for seed in range(len(ablate.LAGS)):
+        config = metrics_of(ablate.command(tmp_path, tmp_path, sequence, "dsug", seed))["config"]
+        assert config["seed"] == seed
+        lags.append(config["lockstep"]["map_lag"])
+    assert lags[0] == Config().lockstep.map_lag
+    assert len(set(lags)) == len(lags)
 
 
 def test_all_parts_come_with_one_seed_and_real_recordings_first():
