@@ -40,6 +40,7 @@ NEIGHBOUR_ANGLE, NEIGHBOUR_SHIFT = np.radians(3.0), 0.1  # how far they may disa
 MIN_FRESH = 10  # points that the query did not know: else nothing would be closed
 MIN_SCALED = 10  # points seen from both ends that tell the ratio of their units
 DRIFT_SHARE, DRIFT_DEPTHS = 0.15, 0.3  # of the way between; of the median depth
+SHORT_SHARE, SHORT_DEPTHS = 0.5, 0.05  # a short way has not been for nothing: steps look alike one on
 # And of turns: what the camera turned by on the way goes wrong by the share that a focal length or an unsaid
 # rolling shutter is off by.
 TURN_DRIFT, TURN_DRIFT_PER_DEPTH, TURN_SHARE = np.radians(10.0), np.radians(0.5), 0.05
@@ -126,7 +127,9 @@ def plausible(world: GlobalMap, loop: Loop, shortest: Way | None = None) -> bool
     motion = inverse(query.world_from_camera) @ loop.world_from_query
     shift = float(np.linalg.norm(query.world_from_camera[:3, 3] - loop.world_from_query[:3, 3]))
     most_turn = TURN_DRIFT + TURN_DRIFT_PER_DEPTH * length / max(depth, 1e-9) + TURN_SHARE * turned
-    most_shift = DRIFT_SHARE * length + DRIFT_DEPTHS * depth
+    most_shift = min(
+        DRIFT_SHARE * length + DRIFT_DEPTHS * depth, SHORT_SHARE * length + SHORT_DEPTHS * depth
+    )
     return shift <= most_shift and rotation_angle(motion[:3, :3]) <= most_turn
 
 

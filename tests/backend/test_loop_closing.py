@@ -313,9 +313,9 @@ def test_a_loop_that_can_not_be_vouches_for_none_that_barely_can():
         there = pose_at(0.0, aside) @ loops._world.keyframes[query].world_from_camera
         return loops._confirmed(Loop(query, 0, there, 1.0, 0.01, 50, 0, []))
 
-    assert not confirmed(3, 1.2)  # 0.3 of the depth and 0.15 of the way are 1.04
-    assert not confirmed(4, 1.0)  # by itself
-    assert confirmed(5, 1.0)  # with the one before
+    assert not confirmed(3, 1.2)  # a twentieth of the depth and half of the way are 0.6
+    assert not confirmed(4, 0.55)  # by itself
+    assert confirmed(5, 0.55)  # with the one before
 
 
 def test_what_hangs_together_is_found_anew_for_each_keyframe_that_is_looked_at():

@@ -188,15 +188,30 @@ def test_corners_of_two_exact_views_place_one_by_the_other(monkeypatch):
 
 @pytest.mark.parametrize("unit", [0.1, 1.0, 10.0])
 def test_how_much_drift_is_believed_does_not_depend_on_the_map_s_unit(unit):
-    """0.15 of the way, 1.5, and 0.3 of the depth, 3: both are lengths."""
+    """0.15 of the way, 3, and 0.3 of the depth, 3: both are lengths."""
     world = chain([pose_at(0.3 * unit * i) for i in range(6)])
     for point in world.points.values():
         point.position[2] *= unit
     for k, keyframe in world.keyframes.items():
-        keyframe.travelled = 0.3 * unit * k
-    for asked, believed in ((1.0, True), (1.25, False)):
+        keyframe.travelled = 0.6 * unit * k
+    for asked, believed in ((1.3, True), (1.4, False)):
         there = world.keyframes[5].world_from_camera.copy()
         there[1, 3] += asked * unit
+        assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, [])) == believed
+
+
+@pytest.mark.parametrize(
+    ("way", "most"), [(0.0, 0.05), (0.2, 0.15), (0.6, 0.35), (0.8, 0.42), (2.0, 0.6)], ids=lambda x: f"{x:g}"
+)
+def test_a_short_way_has_not_been_for_nothing(way, most):
+    """Of stairs one step on: a loop that takes most of it back. ``way`` and ``most`` in median depths."""
+    world = chain([pose_at(0.3 * i) for i in range(6)])
+    depth = loops.median_depth(world, world.keyframes[5])
+    for k, keyframe in world.keyframes.items():
+        keyframe.travelled = way * depth * k / 5
+    for asked, believed in ((0.97 * most, True), (1.03 * most, False)):
+        there = world.keyframes[5].world_from_camera.copy()
+        there[1, 3] += asked * depth
         assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, [])) == believed
 
 
