@@ -6,12 +6,12 @@ import logging
 
 import numpy as np
 
-from prism_edge.geometry.poses import Array, inverse
+from prism_edge.geometry.poses import inverse
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.initialisation import essential_pose
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.submaps import Parts
-from prism_edge.tracking.two_view_pose import refine_two_view_pose
+from prism_edge.tracking.two_view_pose import lead_apart, refine_two_view_pose
 
 log = logging.getLogger("prism_edge.tracking")
 
@@ -53,12 +53,8 @@ def _contradicts(world: LocalMap, early: LocalKeyframe, frame: TrackedFrame, see
     if found is None:
         return False
     mapped = inverse(early.world_from_camera) @ frame.world_from_camera
-    if not _is_aside(found[0][:3, 3], mapped[:3, 3]):
+    if not lead_apart(found[0], mapped, APART):
         return False  # as nearly always, and refining takes longest
     _, cost = refine_two_view_pose(frame.camera, first, second, found[0])
     _, mapped_cost = refine_two_view_pose(frame.camera, first, second, mapped)
     return CLEARLY * cost < mapped_cost
-
-
-def _is_aside(way: Array, other: Array) -> bool:
-    return bool(way @ other < np.cos(APART) * np.linalg.norm(way) * np.linalg.norm(other))

@@ -15,6 +15,7 @@ from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import Index, match_corners
 from prism_edge.tracking.second_look import two_views
 from prism_edge.tracking.triangulation import rays
+from prism_edge.tracking.two_view_pose import lead_apart
 
 log = logging.getLogger("prism_edge.tracking")
 
@@ -71,9 +72,7 @@ def _is_apart(first: LocalKeyframe, frame: TrackedFrame, first_from_second: Arra
 
     Under little parallax a turn one way and a step the other look alike, with near and far exchanged.
     """
-    way = (inverse(first.world_from_camera) @ frame.world_from_camera)[:3, 3]
-    other = first_from_second[:3, 3]
-    return bool(way @ other < np.cos(APART) * np.linalg.norm(way) * np.linalg.norm(other))
+    return lead_apart(inverse(first.world_from_camera) @ frame.world_from_camera, first_from_second, APART)
 
 
 def _is_misled(first: LocalKeyframe, frame: TrackedFrame, before: Index, now: Index) -> bool:

@@ -73,6 +73,13 @@ def refine_two_view_pose(
     return _with_length(pose, length), cost
 
 
+def lead_apart(one: Array, other: Array, angle: float) -> bool:
+    """Whether two relative poses (4, 4) go in directions that are more than ``angle`` (rad) apart."""
+    way, way_of_other = one[:3, 3], other[:3, 3]
+    lengths = float(np.linalg.norm(way) * np.linalg.norm(way_of_other))
+    return bool(way @ way_of_other < np.cos(angle) * lengths)
+
+
 def robust_cost(distances: Array) -> float:
     """Mean of Huber's function of distances in pixels (px^2)."""
     size = np.abs(distances)

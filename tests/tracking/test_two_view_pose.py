@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
-from prism_edge.tracking.two_view_pose import refine_two_view_pose, sampson_distances
+from prism_edge.tracking.two_view_pose import lead_apart, refine_two_view_pose, sampson_distances
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 320.0, 240.0)
 
@@ -82,3 +82,16 @@ def test_where_focal_lengths_differ_their_geometric_mean_makes_pixels():
     b[:, 1] += 0.8
     expected = 0.8 / 400.0 / np.sqrt(2) * np.sqrt(600.0 * 400.0)
     assert np.abs(sampson_distances(camera, a, b, truth)) == pytest.approx(expected, rel=1e-6)
+
+
+@pytest.mark.parametrize(("between_deg", "apart"), [(0.0, False), (29.0, False), (31.0, True), (180.0, True)])
+def test_two_motions_lead_apart_by_their_directions_alone(between_deg, apart):
+    between = np.radians(between_deg)
+    one = se3_exp(np.array([0.0, 0.0, 0.0, 0.3, 0.2, 0.1]))
+    other = np.eye(4)
+    one[:3, 3], other[:3, 3] = (2.0, 0.0, 0.0), (0.1 * np.cos(between), 0.0, 0.1 * np.sin(between))
+    assert lead_apart(one, other, np.radians(30.0)) == apart
+
+
+def test_who_stands_still_leads_nowhere():
+    assert not lead_apart(np.eye(4), se3_exp(np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0])), 0.5)

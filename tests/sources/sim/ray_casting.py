@@ -31,3 +31,17 @@ def cast(surfaces: list[Surfaces], centre: Array, rays: Array) -> Array:
                 inside &= (share >= 0) & (share <= np.sum(edge * edge, axis=1))
         nearest = np.minimum(nearest, np.where(inside, reach, np.inf).min(axis=1))
     return nearest
+
+
+def agreement(source: SimSource, indices: tuple[int, ...]) -> float:
+    """Share of random pixels of some frames whose depth is what casting rays finds; all rays must end."""
+    rng, near = np.random.default_rng(0), []
+    camera = source.camera
+    for index in indices:
+        pose, depth = source.pose(index), source.depth(index)
+        pixels = rng.integers((0, 0), (camera.width, camera.height), (200, 2))
+        rays = np.column_stack([(pixels - [camera.cx, camera.cy]) / camera.fx, np.ones(200)])
+        found = cast(all_surfaces(source, index), pose[:3, 3], rays @ pose[:3, :3].T)
+        assert np.isfinite(found).all()
+        near.append(np.abs(depth[pixels[:, 1], pixels[:, 0]] / found - 1.0) < 0.005)
+    return float(np.mean(near))
