@@ -90,16 +90,16 @@ def reconstruct(
 
 
 def essential_pose(
-    camera: Camera, first: Array, second: Array, seed: int
+    camera: Camera, first: Array, second: Array, seed: int, method: int = cv2.RANSAC
 ) -> tuple[Array, NDArray[np.bool_]] | None:
-    """Relative pose (first_from_second) by an essential matrix (RANSAC), and which matches (n,) agree.
+    """Relative pose (first_from_second) by an essential matrix, and which matches (n,) agree.
 
-    Its translation has a length of 1. None where too few agree.
+    Its translation has a length of 1; ``method`` is OpenCV's. None where too few agree.
     """
     cv2.setRNGSeed(seed)
     try:
         essential, mask = cv2.findEssentialMat(
-            first, second, camera.matrix, method=cv2.RANSAC, prob=0.999, threshold=EPIPOLAR_PX
+            first, second, camera.matrix, method=method, prob=0.999, threshold=EPIPOLAR_PX
         )
         if essential is None or essential.shape != (3, 3) or mask.sum() < MIN_INLIER_SHARE * len(first):
             return None
