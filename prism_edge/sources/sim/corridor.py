@@ -9,7 +9,7 @@ from prism_edge.sources.sim.alike import repeated
 from prism_edge.sources.sim.floorplan import Plan, Room
 from prism_edge.sources.sim.shell import walls
 from prism_edge.sources.sim.surfaces import DECAL, UP, Shop, upright
-from prism_edge.sources.sim.textures import colour, forget_sheets
+from prism_edge.sources.sim.textures import Painter, colour, forget_sheets
 from prism_edge.sources.sim.there_and_back import ThereAndBack
 from prism_edge.sources.sim.world import Cell, World
 
@@ -43,19 +43,19 @@ def build(plan: Plan, seed: int, unlike: float) -> World:
     textures: list[U8] = []
     shop = Shop(np.random.default_rng([seed, 2]), textures)
     rng, room = shop.rng, plan.rooms[0]
-    hues, own = rng.uniform(0.0, 1.0, 4), rng.integers(2**31, size=5)
-    paints = [
-        repeated(colour(hue, 0.25, value), _DENSITY, share, int(which))
-        for hue, value, share, which in zip(
-            (*hues, 0.12), (0.7, 0.45, 0.4, 0.85, 0.9), (*4 * (unlike,), 0.0), own, strict=True
-        )
-    ]  # walls, doors, floor, ceiling, and the plates, which are all one
+    hues, own = rng.uniform(0.0, 1.0, 4).tolist(), rng.integers(2**31, size=5).tolist()
+
+    def paint(number: int, value: float) -> Painter:
+        return repeated(colour(hues[number], 0.25, value), _DENSITY, unlike, own[number])
+
+    plaster, wood, carpet, ceiling = paint(0, 0.7), paint(1, 0.45), paint(2, 0.4), paint(3, 0.85)
+    brass = repeated(colour(0.12, 0.25, 0.9), _DENSITY, 0.0, own[4])  # of the plates, which are all one
     low, high = np.array([*room.low, 0.0]), np.array([*room.high, room.height])
     across, along = np.array([0.0, high[1], 0.0]), np.array([EVERY, 0.0, 0.0])
     for stretch in range(STRETCHES):
         at = low + stretch * along
-        shop.add(at + across, along, -across, paints[2], _DENSITY)
-        shop.add(at + UP * room.height, along, across, paints[3], _DENSITY)
+        shop.add(at + across, along, -across, carpet, _DENSITY)
+        shop.add(at + UP * room.height, along, across, ceiling, _DENSITY)
     for wall in walls(room, []):
         if abs(wall.normal[0]) > 0.5:  # an end
             shop.add(
@@ -65,13 +65,12 @@ def build(plan: Plan, seed: int, unlike: float) -> World:
             continue
         for stretch in range(STRETCHES):
             foot = wall.start + wall.along * (stretch * EVERY)
-            shop.add(foot + UP * room.height, wall.along * EVERY, -UP * room.height, paints[0], _DENSITY)
-            for size, middle, up, paint in (
-                (_DOOR, _DOOR_AT, _DOOR[1] / 2, paints[1]),
-                (_PLATE, _PLATE_AT, _PLATE_UP, paints[4]),
+            shop.add(foot + UP * room.height, wall.along * EVERY, -UP * room.height, plaster, _DENSITY)
+            for size, middle, up, surface in (
+                (_DOOR, _DOOR_AT, _DOOR[1] / 2, wood),
+                (_PLATE, _PLATE_AT, _PLATE_UP, brass),
             ):
                 centre = foot + wall.along * middle + UP * up + wall.normal * 0.002
-                shop.add(*upright(centre, wall.normal, *size), paint, _DENSITY, DECAL)
+                shop.add(*upright(centre, wall.normal, *size), surface, _DENSITY, DECAL)
     forget_sheets()
     return World((Cell(low, high, shop.done(), ()),), textures, plan)
-

@@ -92,8 +92,7 @@ def build(plan: Plan, seed: int, unlike: float) -> World:
         along, down = wall.along * wall.length, -UP * room.height
         panel(shop, wall.start + UP * room.height, along, down, paint, _WALLS, 2.0)
     low, high = np.array([*room.low, 0.0]), np.array([*room.high, room.height])
-    size = high - low
-    across, along = np.array([0.0, size[1], 0.0]), np.array([size[0], 0.0, 0.0])
-    panel(shop, low + UP * room.height, along, across, plaster(colour(0.1, 0.05, 0.8), 0.02), _WALLS, 2.0)
+    along, white = np.array([high[0] - low[0], 0.0, 0.0]), plaster(colour(0.1, 0.05, 0.8), 0.02)
+    panel(shop, low + UP * room.height, along, -across, white, _WALLS, 2.0)
     forget_sheets()
     return World((Cell(low, high, shop.done(), ()),), textures, plan)
