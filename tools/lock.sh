@@ -12,6 +12,9 @@ resolve() {  # into a file of $new; then piptools' options
         --output-file "$into" pyproject.toml
     # The Python that resolves needs it, a newer one has it built in: the marker of those who ask for it is lost.
     sed -i -E 's/^backports-zstd==\S+$/& ; python_version < "3.14"/' "$into"
+    # Releases of pip-tools differ in headings and order.
+    sed -i -E '/^(#.*)?$/d' "$into"
+    LC_ALL=C sort --output "$into" "$into"
     if grep -nE '://|^ *-' "$into"; then
         echo "error: the lines above name more than packages and versions" >&2
         exit 1

@@ -62,10 +62,10 @@ def photograph(rng: np.random.Generator, height: int, width: int) -> U8:
     first, second, third = (_random_colour(rng, (0.1, 1.0)) for _ in range(3))
     field = noise(rng, height, width, cells)
     share = (1.0 / (1.0 + np.exp(-6.0 * field)))[:, :, None]
-    image = first + share * (second - first)
+    regions = first + share * (second - first)
     other = noise(rng, height, width, cells[1:])
-    image = np.where((other > rng.uniform(-0.2, 0.8))[:, :, None], 0.4 * image + 0.6 * third, image)
-    image = tinted(image.astype(np.float32), 0.10 * noise(rng, height, width, (2.5, 6.0)))
+    regions = np.where((other > rng.uniform(-0.2, 0.8))[:, :, None], 0.4 * regions + 0.6 * third, regions)
+    image = tinted(regions.astype(np.float32), 0.10 * noise(rng, height, width, (2.5, 6.0)))
     for _ in range(int(rng.integers(2, 6))):
         centre = (int(rng.integers(width)), int(rng.integers(height)))
         axes = (int(rng.uniform(0.05, 0.25) * size) + 1, int(rng.uniform(0.05, 0.25) * size) + 1)

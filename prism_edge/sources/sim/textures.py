@@ -10,6 +10,7 @@ from __future__ import annotations
 import colorsys
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -67,7 +68,7 @@ def _sheet(cell: float, stretch: float) -> F32:
     return np.ascontiguousarray(_octave(rng, _SHEET, _SHEET, cell, stretch)[:_SHEET, :_SHEET])
 
 
-def tinted(base: Colour, brightness: F32) -> U8:
+def tinted(base: Colour, brightness: NDArray[np.floating[Any]]) -> U8:
     """A colour (3,) or image (h, w, 3) made lighter and darker by ``brightness`` (h, w), 0 for unchanged."""
     return np.clip(base * (1.0 + brightness[:, :, None]), 0.0, 255.0).astype(np.uint8)
 
