@@ -83,7 +83,6 @@ class ScaleEstimator:
         scale.predict(keyframe.stamp_ns * 1e-9, keyframe.travelled)
         if depth is not None and math.isfinite(depth.bias_sigma) and depth.bias_sigma >= 0.0:
             self._meet(depth)
-            self._bias_sigma = depth.bias_sigma
             if self._bias_sigma > 0.0:
                 scale.expect(self._network_sigma())
         observation, accepted = None, False
@@ -117,7 +116,7 @@ class ScaleEstimator:
             epoch=keyframe.epoch,
             log_scale=here.steady.log_scale,
             map_log_scale=here.of_map.log_scale,
-            sigma=math.hypot(scale.learned_sigma, self._bias_sigma, held),
+            sigma=math.hypot(scale.learned_sigma, self._bias_sigma, held, self._lost_sigma()),
             filter_sigma=scale.learned_sigma,
             bias_sigma=self._bias_sigma,
             local_sigma=here.local.sigma(self._network_sigma()),
@@ -158,9 +157,10 @@ class ScaleEstimator:
 
     def _meet(self, depth: Depth) -> None:
         """Another network has other metres: they are off by its bias and by that of the one before."""
+        both, self._bias_sigma = math.hypot(self._bias_sigma, depth.bias_sigma), depth.bias_sigma
         if self._network and depth.model and not same_network(depth.model, self._network):
             for part in self._parts:
-                part.filter.widen(math.hypot(self._bias_sigma, depth.bias_sigma))
+                part.filter.meet_another(both, self._network_sigma() or self._config.frame_sigma)
         self._network = depth.model or self._network
 
     def _heed(self, depth: Depth | None) -> None:
@@ -179,6 +179,12 @@ class ScaleEstimator:
     def _network_sigma(self) -> float:
         """What the pixels of an image are thought to share with this network."""
         return self._config.frame_sigma * (1.0 if self._says_spread else self._bias_sigma / USUAL_BIAS)
+
+    def _lost_sigma(self) -> float:
+        """What metres may be off by beyond the bias: the network is lost, in whichever part that showed."""
+        if self._says_spread:  # measured, not guessed: where a map wavers, that is the map
+            return 0.0
+        return max(part.filter.lost_sigma for part in self._parts)
 
     @property
     def _filter(self) -> ScaleFilter:

@@ -71,13 +71,23 @@ class ScaleFilter:
     @property
     def learned_sigma(self) -> float:
         """``sigma`` with the spread that this network's observations have here in place of the model's."""
+        return self.sigma * self._learned
+
+    @property
+    def _learned(self) -> float:
+        """How wide the observations spread over the model."""
         model = self._config.frame_sigma
-        return self.sigma * (self._spread.sigma / model if self._kalman and model > 0.0 else 1.0)
+        return self._spread.sigma / model if self._kalman and model > 0.0 else 1.0
 
     @property
     def excess(self) -> float:
         """How many times as far as was thought this network's images surely spread; 1 at least."""
         return self._spread.excess if self._kalman else 1.0
+
+    @property
+    def lost_sigma(self) -> float:
+        """What metres may be off by where this network doesn't know what it sees; 0 where it does."""
+        return self._spread.lost_sigma if self._kalman else 0.0
 
     @property
     def doubt(self) -> str:
@@ -160,6 +170,16 @@ class ScaleFilter:
         self._state = np.array([log_scale, 0.0])
         self._covariance = np.diag([known**2, self._config.frame_sigma**2])
         self._unit_fixed = self._taken_over = True
+
+    def meet_another(self, bias_sigma: float, frame_sigma: float) -> None:
+        """Another network has other metres, by ``bias_sigma`` of both and by how lost the one before may be.
+
+        Its images are thought to spread by ``frame_sigma``; what the other's shared says nothing of them.
+        """
+        known = math.hypot(self.learned_sigma, bias_sigma, self.lost_sigma)
+        self._spread = FrameSpread(frame_sigma)
+        self._state[1] = 0.0
+        self._covariance = np.diag([(known / (self._learned or 1.0)) ** 2, self._config.frame_sigma**2])
 
     def widen(self, sigma: float) -> None:
         """What is known may be off by so much more."""

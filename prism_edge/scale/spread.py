@@ -15,7 +15,9 @@ PRIOR_WEIGHT = 4.0  # independent observations that the network's own word count
 MOST_WEIGHT = 100.0  # that all which was learned counts as: a few minutes of them
 USUAL_BIAS = 0.10  # of the network that frame_sigma was measured with; another's images spread in proportion
 WAVER = 0.06  # of log scale: a map's own, from place to place; no source of depth is to blame for as much
-WILD = 1.5  # times as wide as was thought: more is said to whoever looks after the robot
+TURNING = 0.10  # of log scale: of a map's own where it is made by turns on the spot, which tell no lengths
+LOST_AT = 1.1  # times as wide as network and such a map could make it: metres are worth nothing then
+LOST = 2.0  # of log scale: what they are off by; 0.3 to 3.6 were measured, 2.2 rms
 _NOT_THE_MAP = 2.0  # times the network's variance: a few seconds hold about one draw of it
 _MOST = 1.0  # of log scale: more is no wavering
 
@@ -24,7 +26,7 @@ class FrameSpread:
     """Standard deviation of what a keyframe shows about the estimate of log scale."""
 
     def __init__(self, prior: float) -> None:
-        self._usual = max(prior, WAVER)
+        self._usual, self._at_most = max(prior, WAVER), math.hypot(prior, TURNING)
         self._weight = PRIOR_WEIGHT
         self._sum = PRIOR_WEIGHT * prior**2
 
@@ -40,19 +42,29 @@ class FrameSpread:
 
     @property
     def excess(self) -> float:
-        """How many times as wide as was thought it surely is (by a sigma of its own); 1 at least."""
-        surely = self.sigma * (1.0 - 1.0 / math.sqrt(2.0 * self._weight))
-        return max(surely / self._usual, 1.0)
+        """How many times as wide as was thought it surely is; 1 at least."""
+        return max(self._surely / self._usual, 1.0)
+
+    @property
+    def lost_sigma(self) -> float:
+        """Standard deviation of log scale that no bias on a card has: of a network that may be anywhere."""
+        beyond = self._surely / self._at_most - 1.0
+        return LOST * min(max(beyond / (LOST_AT - 1.0), 0.0), 1.0)
 
     @property
     def doubt(self) -> str:
         """What is to be said of the network, in words; empty where its images agree as it is thought to."""
-        if self.excess < WILD:
+        if self.lost_sigma == 0.0:
             return ""
         return (
             f"the network's images differ in size by {self.sigma:.2f} (log) where {self._usual:.2f} is usual "
             "for it: it may not know what it sees, and then metres are worth little (docs/TROUBLESHOOTING.md)"
         )
+
+    @property
+    def _surely(self) -> float:
+        """``sigma``, less one sigma of what is known of it."""
+        return self.sigma * (1.0 - 1.0 / math.sqrt(2.0 * self._weight))
 
     def take(self, residual: float, sigma: float, share: float) -> None:
         """An observation minus the estimate, which has ``sigma``; ``share`` in [0, 1] of it is new.

@@ -50,6 +50,16 @@ def test_right_and_wrong_are_told_apart():
     assert judged["list"][2]["translation_error_m"] == pytest.approx(0.5, abs=1e-9)
 
 
+@pytest.mark.parametrize("candidate", [59, 20])
+def test_a_right_loop_is_as_near_as_its_length_allows(candidate):
+    true = relative(60, candidate)
+    allowed = 0.2 + 0.1 * np.linalg.norm(true[:3, 3])  # docs/EVALUATION.md
+    for shift, right in ((allowed - 0.01, 1.0), (allowed + 0.01, 0.0)):
+        pose = true.copy()
+        pose[:3, 3] += (0.0, shift, 0.0)
+        assert judge_loops(snapshot((60, candidate, pose)), FRAMES, TRUTH)["precision"] == right
+
+
 def test_lengths_are_turned_to_metres():
     pose = relative(60, 20).copy()
     pose[:3, 3] /= 2.0

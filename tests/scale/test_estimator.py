@@ -265,6 +265,51 @@ def test_sigma_has_the_network_s_bias_and_what_is_held_back():
     assert held.log_scale != best.log_scale
 
 
+def test_a_network_whose_images_disagree_by_more_than_it_is_known_for_may_be_off_by_a_factor():
+    estimator = ScaleEstimator(CONFIG)
+    results = play(estimator, 60, 1.02, waver=0.6)
+    assert results[0].sigma < 0.25
+    for scale in results:
+        beyond = np.sqrt(max(scale.sigma**2 - scale.filter_sigma**2 - 0.1**2, 0.0))
+        assert beyond <= 2.0 + 1e-9
+    assert beyond == pytest.approx(2.0)
+    assert scale.bias_sigma == 0.1, "the card's"
+    # A part of the map that begins is seen by the same network.
+    apart = replace(keyframe_of_wall(60, 24.0, 1.02, parallax_deg=0.0), part=60)
+    assert estimator.process(apart, depth_of(apart))[0].sigma > 2.0
+
+
+def test_another_network_is_not_lost_for_the_one_before_and_has_its_own_metres():
+    estimator = ScaleEstimator(CONFIG)
+    play(estimator, 60, 1.02, waver=0.6)
+    for k in range(60, 64):
+        keyframe = keyframe_of_wall(k, k * 0.4, 1.02)
+        right = replace(depth_of(keyframe, 3.0), bias_sigma=0.1, model="another")
+        scale = estimator.process(keyframe, right)[0]
+    assert scale.log_scale == pytest.approx(np.log(3.06), abs=0.1)
+    assert scale.sigma < 0.3
+
+
+def test_a_steadier_network_makes_nothing_surer_that_was_known_before_it():
+    estimator = ScaleEstimator(CONFIG)
+    known = play(estimator, 20)[-1].filter_sigma
+    later = keyframe_of_wall(20, 8.0)
+    steadier = replace(depth_of(later), valid=False, bias_sigma=0.05, model="steadier")
+    scale = estimator.process(later, steadier)[0]
+    assert scale.filter_sigma == pytest.approx(np.hypot(known, np.hypot(0.1, 0.05)), rel=0.02)
+    assert estimator._filter._spread.sigma == pytest.approx(0.5 * 0.15)
+
+
+def test_a_sensor_is_never_lost():
+    estimator = ScaleEstimator(CONFIG)
+    for k in range(100):
+        keyframe = keyframe_of_wall(k, k * 0.4, parallax_deg=3.0 if k else 0.0)
+        depth = replace(depth_of(keyframe, np.exp(0.3 * np.sin(0.3 * k))), bias_sigma=0.01, frame_sigma=0.06)
+        scale = estimator.process(keyframe, depth)[0]
+    assert estimator.doubt
+    assert scale.sigma == pytest.approx(np.hypot(scale.filter_sigma, 0.01))
+
+
 @pytest.mark.parametrize(("bias", "waver"), [(0.02, 0.0), (0.1, 0.0), (0.1, 0.6)])
 def test_what_is_held_back_goes_with_what_was_learned(bias, waver, monkeypatch):
     """Of a network that is steadier than the model, of one like it, and of a wilder one."""

@@ -62,13 +62,32 @@ def test_excess_is_what_a_sigma_of_doubt_leaves_of_it():
     assert spread.excess == pytest.approx(wide / 0.1 * (1.0 - 1.0 / math.sqrt(200.0)))
 
 
-def test_what_is_surely_half_as_wide_again_is_said():
-    spread = FrameSpread(0.1)
-    assert spread.doubt == ""
-    while spread.excess < 1.5:
-        assert spread.doubt == ""
-        spread.take(0.3, 0.0, 1.0)
+def surely(spread: FrameSpread) -> float:
+    return spread.sigma * (1.0 - 1.0 / math.sqrt(2.0 * spread.weight))
+
+
+def test_metres_may_be_off_by_a_factor_where_neither_network_nor_map_explains_what_is_seen():
+    spread, said = FrameSpread(0.1), []
+    explained = math.hypot(0.1, 0.1)
+    for _ in range(40):
+        wide = surely(spread) / explained
+        said.append(spread.lost_sigma)
+        assert said[-1] == pytest.approx(min(max(20.0 * (wide - 1.0), 0.0), 2.0))
+        assert bool(spread.doubt) == (wide > 1.0)
+        spread.take(0.22, 0.0, 1.0)
+    assert said[0] == 0.0
+    assert said[-1] == 2.0
+    assert any(0.0 < sigma < 2.0 for sigma in said)
     assert f"by {spread.sigma:.2f} (log) where 0.10 is usual" in spread.doubt
+
+
+def test_a_steady_network_is_not_blamed_for_a_map_that_turned_on_the_spot():
+    spread = FrameSpread(0.075)
+    for _ in range(200):
+        spread.take(0.12, 0.0, 1.0)
+    assert spread.excess > 1.4
+    assert spread.lost_sigma == 0.0
+    assert spread.doubt == ""
 
 
 @pytest.mark.parametrize("prior", [0.0, 0.02])
