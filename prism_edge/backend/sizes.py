@@ -9,7 +9,7 @@ map units a metre is there, and its surroundings are drawn to where that is the 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
 
 import gtsam
@@ -28,6 +28,7 @@ SHARE, LEAST_SPREAD = 2.5, 0.03
 CARRIERS = 10  # points about a keyframe that its number is laid on
 # One that says otherwise than the seven about it, or than all by a factor of two, has seen something odd.
 BESIDE, ODD, LEAST_SCATTER, FARTHEST_OFF = 3, 3.0, 0.05, math.log(2.0)
+FEW = 5  # points may be matched wrongly and agree all the same; what more agree on they know
 
 
 @dataclass(frozen=True)
@@ -75,6 +76,46 @@ def size_factors(found: list[Size], log_units: float | None = None) -> list[gtsa
             noise = gtsam.noiseModel.Isotropic.Sigma(1, sigma)
             factors.append(gtsam.RangeFactor3D(X(size.keyframe), L(point), stretch * distance, noise))
     return factors
+
+
+def astray(
+    world: GlobalMap, untied: Set[int], votes: list[Size], points: Iterable[int], log_units: float
+) -> set[tuple[int, int]]:
+    """Observations (keyframe, point) that tie ``untied`` keyframes to others at a size off by a factor.
+
+    A few points are enough to say how large new ground is, and two that were matched wrongly agree with
+    whatever they make of it: then nothing but the network's metres tells, which are ``log_units`` map units,
+    and of it those images that have one of the ``votes``.
+    """
+    odd = {vote.keyframe: max(FARTHEST_OFF, ODD * vote.sigma / SHARE) for vote in votes}
+    off: dict[int, dict[int, float]] = {k: {} for k in odd}  # of each keyframe's ties; beyond 1 by a factor
+    for p in points if odd else ():
+        point = world.points[p]
+        if point.parallax_deg >= LEAST_PARALLAX_DEG and not point.keyframes <= untied:
+            for k in point.keyframes & odd.keys():
+                said = _log_units_at(world, k, p)
+                if math.isfinite(said):
+                    off[k][p] = (said - log_units) / odd[k]
+    # Where a keyframe has more ties, or most are right, they have the say.
+    few = {k: list(ties.values()) for k, ties in off.items() if len(ties) <= FEW}
+    ruled = [k for k, ties in few.items() if 2 * sum(abs(one) > 1.0 for one in ties) > len(ties)]
+    found: set[tuple[int, int]] = set()
+    for p in {p for k in ruled for p in off[k]}:
+        if abs(float(np.median([off[k][p] for k in ruled if p in off[k]]))) > 1.0:
+            inside, outside = world.points[p].keyframes & untied, world.points[p].keyframes - untied
+            # Either side may keep a point that it sees twice.
+            found.update((k, p) for k in (outside if len(inside) > 1 else inside if len(outside) > 1 else ()))
+    return found
+
+
+def _log_units_at(world: GlobalMap, number: int, point: int) -> float:
+    """Logarithm of map units a metre of network depth at a point that a keyframe sees; nan: none there."""
+    keyframe = world.keyframes[number]
+    assert keyframe.depths is not None
+    offset = world.points[point].position - keyframe.world_from_camera[:3, 3]
+    along_axis = float(offset @ keyframe.world_from_camera[:3, 2])
+    metres = float(keyframe.depths[keyframe.observed[point]]) / keyframe.depth_units
+    return math.log(along_axis / metres) if along_axis > 1e-6 and metres > 0.0 else math.nan
 
 
 def _credible(said: Array) -> NDArray[np.bool_]:

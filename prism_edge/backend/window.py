@@ -13,7 +13,7 @@ from gtsam.symbol_shorthand import L, X
 from prism_edge.backend.elimination import points_first, solver
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
-from prism_edge.backend.sizes import size_factors, sizes
+from prism_edge.backend.sizes import astray, size_factors, sizes
 from prism_edge.backend.ties import untied
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
@@ -145,8 +145,8 @@ def assemble(
     for a point, else only where that is as good as a sensor's. A network flattens what it sees, and of the
     points that rays hardly place, which are the far ones, all would be drawn nearer, and the map shrink on
     its way. Keyframes whose size nothing ties to that of those held (ties.py) have a vote each on it
-    (sizes.py). At a point whose rays differ by less than 3 degrees a ray is in place of the reprojection,
-    which would say the same.
+    (sizes.py), and points that would give them quite another one are left to either side alone. At a point
+    whose rays differ by less than 3 degrees a ray is in place of the reprojection, which would say the same.
     """
     graph, values, observations, rays = gtsam.NonlinearFactorGraph(), gtsam.Values(), [], []
     factors = FactorFactory(config, units_per_metre)
@@ -161,7 +161,14 @@ def assemble(
     for k in window.held:
         if k not in standing:
             graph.add(held(X(k), world.keyframes[k].world_from_camera))
-    placed = placed_elsewhere(world, window)
+    told: list[int] = []
+    if use_depth and not scale_is_free:
+        loose = untied(world, window.held, window.free, window.points)
+        told = [k for k in loose if world.keyframes[k].depth_sigma == 0.0]
+    log_units, shown = math.log(units_per_metre), set(window.points)
+    votes = sizes(world, told, {k: sorted(world.keyframes[k].observed.keys() & shown) for k in told}, 0.0)
+    wrong = astray(world, set(told), votes, window.points, log_units)
+    placed = placed_elsewhere(world, window) - {p for _, p in wrong}
     for p in window.points:
         point, point_key = world.points[p], L(p)
         values.insert(point_key, point.position)
@@ -172,6 +179,8 @@ def assemble(
             pose_key, keyframe = members[k]
             keypoint = keyframe.observed[p]
             observations.append((k, p, keypoint))
+            if (k, p) in wrong:
+                continue
             deep = use_depth and keyframe.depths is not None and keyframe.depths[keypoint] > 0
             if deep and (scale_is_free or keyframe.depth_sigma > 0):
                 graph.add(factors.metric_depth(pose_key, point_key, keyframe, keypoint))
@@ -181,12 +190,8 @@ def assemble(
                 graph.add(factors.reprojection_from(point_key, keyframe, keypoint))
             else:
                 graph.add(factors.reprojection(pose_key, point_key, keyframe, keypoint))
-    if use_depth and not scale_is_free:
-        loose = untied(world, window.held, window.free, window.points)
-        told = [k for k in loose if world.keyframes[k].depth_sigma == 0.0]
-        seen = {k: sorted(world.keyframes[k].observed.keys() & set(window.points)) for k in told}
-        for factor in size_factors(sizes(world, told, seen, 0.0), math.log(units_per_metre)):
-            graph.add(factor)
+    for factor in size_factors(votes, log_units):
+        graph.add(factor)
     return Problem(graph, values, observations, rays, factors, standing)
 
 

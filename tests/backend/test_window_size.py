@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import window as module
-from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.backend.sizes import FEW, SHARE, Size, astray
 from prism_edge.backend.ties import untied
-from prism_edge.backend.window import Window, solve
-from prism_edge.geometry.poses import scaled
+from prism_edge.backend.window import Window, placed_elsewhere, solve
+from prism_edge.geometry.poses import inverse, scaled, transform
 from tests.backend.test_window import CONFIG, grown, world_of
 from tests.backend.world import depth_at_keypoints
-from tests.tracking.cloud import pose_at
+from tests.tracking.cloud import CAMERA, pose_at
 
 
 def turned_away(factor: float, depth_factor: float = 1.0) -> tuple[GlobalMap, Window]:
@@ -49,20 +50,121 @@ def test_after_a_turn_on_the_spot_the_network_says_how_large_the_new_ground_is(f
     assert driven(solve(world, window, often, 2.0, use_depth=True)) == pytest.approx(2.0, abs=0.06)
 
 
+AWAY = 12  # a keyframe held elsewhere
+
+
+def tied_by(world: GlobalMap, window: Window, count: int, size: float) -> tuple[Window, list[int]]:
+    """A keyframe far from the spot sees ``count`` points as if all there were of another ``size``."""
+    points = [p for p in window.points if world.points[p].keyframes >= {8, 9, 10, 11}][:count]
+    assert len(points) == count
+    places = size * np.array([world.points[p].position for p in points])
+    pose = pose_at(-2.0, 0.3, 1.0)
+    pixels = CAMERA.project(transform(inverse(pose), places))
+    world.keyframes[AWAY] = GlobalKeyframe(AWAY, AWAY, CAMERA, pose, pixels, np.ones(count), {})
+    for keypoint, (p, place) in enumerate(zip(points, places, strict=True)):
+        world.observe(AWAY, p, keypoint)
+        world.points[p].position, world.points[p].parallax_deg = place, 40.0
+    return Window(window.free, [*window.held, AWAY], window.points), points
+
+
+@pytest.mark.parametrize("size", [0.3, 0.4, 2.5])
+def test_two_wrong_matches_do_not_say_how_large_new_ground_is(size):
+    """They agree with whatever they make of it, and no other point says otherwise."""
+    world, window = turned_away(1.0)
+    window, points = tied_by(world, window, 2, size)
+    assert untied(world, window.held, window.free, window.points) == window.free
+    solution = solve(world, window, replace(CONFIG, iterations=100), 1.0, use_depth=True)
+    assert driven(solution) == pytest.approx(1.0, abs=0.05)
+    assert {(AWAY, p) for p in points} <= set(solution.outliers)
+
+
+def test_nor_where_they_were_matched_outside_of_the_window():
+    """There they would be held where those keyframes have them."""
+    world, window = turned_away(1.0)
+    _, points = tied_by(world, window, 2, 0.4)
+    beside = pose_at(2.0, -0.3, 1.0)
+    places = np.array([world.points[p].position for p in points])
+    pixels = CAMERA.project(transform(inverse(beside), places))
+    world.keyframes[AWAY + 1] = GlobalKeyframe(AWAY + 1, AWAY + 1, CAMERA, beside, pixels, np.ones(2), {})
+    for keypoint, p in enumerate(points):
+        world.observe(AWAY + 1, p, keypoint)
+        world.points[p].parallax_deg = 170.0
+    assert set(points) <= placed_elsewhere(world, window)
+    solution = solve(world, window, replace(CONFIG, iterations=100), 1.0, use_depth=True)
+    assert driven(solution) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_few_right_ones_do_for_all_that_a_network_says():
+    world, window = turned_away(1.0, depth_factor=1.5)
+    often = replace(CONFIG, iterations=100)
+    assert driven(solve(world, window, often, 1.0, use_depth=True)) == pytest.approx(1.5, abs=0.05)
+    window, points = tied_by(world, window, 5, 1.0)
+    solution = solve(world, window, often, 1.0, use_depth=True)
+    assert driven(solution) == pytest.approx(1.0, abs=0.05)
+    assert not {(AWAY, p) for p in points} & set(solution.outliers)
+
+
+def asked(world: GlobalMap, told: set[int], sigma: float = 0.2, log_units: float = 0.0):
+    votes = [Size(k, 0.0, sigma, {}) for k in sorted(told)]
+    return astray(world, told, votes, sorted(world.points), log_units)
+
+
+def test_a_point_that_one_side_sees_once_is_left_to_the_other():
+    world, window = turned_away(1.0)
+    window, (p,) = tied_by(world, window, 1, 0.4)
+    point, told = world.points[p], set(window.free)
+    assert asked(world, told) == {(k, p) for k in point.keyframes - told}
+    point.keyframes -= told - {11}
+    assert asked(world, told) == {(11, p)}
+    point.keyframes &= {11, AWAY}
+    assert asked(world, told) == set(), "twice in all: it says nothing of sizes"
+
+
+@pytest.mark.parametrize("count", [FEW, FEW + 1])
+def test_more_than_a_few_points_that_agree_have_the_say(count):
+    world, window = turned_away(1.0)
+    window, points = tied_by(world, window, count, 0.4)
+    assert {p for _, p in asked(world, set(window.free))} == (set(points) if count <= FEW else set())
+
+
+@pytest.mark.parametrize(("right", "left_out"), [(1, True), (2, False), (3, False)])
+def test_so_have_the_right_ones_where_most_are(right, left_out):
+    world, window = turned_away(1.0)
+    window, points = tied_by(world, window, 2 + right, 0.4)
+    for p in points[2:]:
+        world.points[p].position = world.points[p].position / 0.4
+    found = {p for _, p in asked(world, set(window.free))}
+    assert found == (set(points[:2]) if left_out else set())
+
+
+def test_only_what_a_network_can_tell_counts_against_a_point():
+    world, window = turned_away(1.0)
+    window, (p,) = tied_by(world, window, 1, 0.4)
+    told = set(window.free)
+    assert asked(world, told, log_units=np.log(0.4)) == set(), "as the network has it"
+    off = -np.log(0.4)
+    assert asked(world, told, sigma=0.9 * SHARE * off / 3.0)
+    assert asked(world, told, sigma=1.25 * SHARE * off / 3.0) == set(), "of an image as odd as that"
+    assert astray(world, told, [], sorted(world.points), 0.0) == set()
+    for k in told:
+        world.keyframes[k].depths[world.keyframes[k].observed[p]] = 0.0
+    assert asked(world, told) == set()
+
+
 def test_what_says_how_far_each_point_is_has_no_vote_on_sizes(monkeypatch):
     """It would count twice."""
     world, window = turned_away(1.0)
-    asked = []
-    monkeypatch.setattr(module, "sizes", lambda world, keyframes, *_: asked.append(keyframes) or [])
+    heard = []
+    monkeypatch.setattr(module, "sizes", lambda world, keyframes, *_: heard.append(keyframes) or [])
     for sigma in (0.0, 0.01):
         for keyframe in world.keyframes.values():
             keyframe.depth_sigma = sigma
         module.assemble(world, window, CONFIG, 1.0, use_depth=True)
-    assert asked == [window.free, []]
+    assert heard == [window.free, []]
     # Nor has a network whose every depth is a factor, which it is while one pose is held.
     young = Window(window.held[1:] + window.free, [0], window.points)
     module.assemble(world, young, CONFIG, 1.0, use_depth=True)
-    assert len(asked) == 2
+    assert heard[2:] == [[]]
 
 
 def test_a_network_says_nothing_of_the_size_of_what_held_poses_place():
