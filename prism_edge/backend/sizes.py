@@ -97,8 +97,8 @@ def astray(
                 if math.isfinite(said):
                     off[k][p] = (said - log_units) / odd[k]
     # Where a keyframe has more ties, or most are right, they have the say.
-    few = {k: list(ties.values()) for k, ties in off.items() if len(ties) <= FEW}
-    ruled = [k for k, ties in few.items() if 2 * sum(abs(one) > 1.0 for one in ties) > len(ties)]
+    wrong = {k: sum(abs(one) > 1.0 for one in ties.values()) for k, ties in off.items()}
+    ruled = [k for k, ties in off.items() if len(ties) <= FEW and 2 * wrong[k] > len(ties)]
     found: set[tuple[int, int]] = set()
     for p in {p for k in ruled for p in off[k]}:
         if abs(float(np.median([off[k][p] for k in ruled if p in off[k]]))) > 1.0:

@@ -168,7 +168,8 @@ def assemble(
     log_units, shown = math.log(units_per_metre), set(window.points)
     votes = sizes(world, told, {k: sorted(world.keyframes[k].observed.keys() & shown) for k in told}, 0.0)
     wrong = astray(world, set(told), votes, window.points, log_units)
-    placed = placed_elsewhere(world, window) - {p for _, p in wrong}
+    # What the new ground keeps alone is not to be held where the others have it.
+    placed = placed_elsewhere(world, window) - {p for k, p in wrong if k not in told}
     for p in window.points:
         point, point_key = world.points[p], L(p)
         values.insert(point_key, point.position)

@@ -94,6 +94,17 @@ def test_nor_where_they_were_matched_outside_of_the_window():
     assert driven(solution) == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.parametrize(("left_out", "is_held"), [(11, True), (0, False)])
+def test_a_point_stays_where_others_have_it_unless_the_new_ground_keeps_it(left_out, is_held, monkeypatch):
+    world, window = turned_away(1.0)
+    p = next(p for p in window.points if {0, 11} <= world.points[p].keyframes)
+    monkeypatch.setattr(module, "placed_elsewhere", lambda *_: {p})
+    monkeypatch.setattr(module, "astray", lambda *_: {(left_out, p)})
+    graph = module.assemble(world, window, CONFIG, 1.0, use_depth=True).graph
+    kinds = [type(graph.at(i)).__name__ for i in range(graph.size())]
+    assert ("PriorFactorPoint3" in kinds) == is_held
+
+
 def test_a_few_right_ones_do_for_all_that_a_network_says():
     world, window = turned_away(1.0, depth_factor=1.5)
     often = replace(CONFIG, iterations=100)
