@@ -12,7 +12,7 @@ import logging
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -38,19 +38,21 @@ SHORT = {
     "openvino": "OpenVINOExecutionProvider",
     "qnn": "QNNExecutionProvider",
 }
-# What onnxruntime says before it comes to the point: its code, the path, the place in its source. That is a
-# path with a whole signature (in parentheses, three deep at most), or a file's name with a function's.
+# What onnxruntime says around the point: its code, the path, the place in its source. That is a path with a
+# whole signature (in parentheses, three deep at most), or a file's name with a function's; CUDA's come after.
 _ARGUMENTS = r"\((?:[^()]|\((?:[^()]|\([^()]*\))*\))*\)"
 _AFTER = rf"(?:::<lambda{_ARGUMENTS}>)?(?: const)?(?: \[with [^]]*\])?"
-_PREAMBLES = (
+_AROUND = (
     (re.compile(r"\[ONNXRuntimeError\] : \d+ : \w+ : "), ""),
     (re.compile(r"Load model from .*? failed: ?"), ""),
     (re.compile(r"Non-zero status code .*? running (\w+) node\. Name:'.*?' Status Message: "), r"\1: "),
     (re.compile(rf"/\S+\.(?:cc|h):\d+ [^(]*{_ARGUMENTS}{_AFTER} "), ""),
     (re.compile(r"(?<![\w/.])\w+\.(?:cc|h):\d+ \S+ "), ""),
+    (re.compile(r" ; GPU=-?\d+ ; hostname=.*"), ""),
 )
 _DATA_FOLDER = "session.model_external_initializers_file_folder_path"
 _FORMAT = ("session.load_model_format", "ONNX")  # else content or ending may make another of what was vetted
+_ERRORS = 3  # of what belongs to no session: a line that names the library which is missing is worth having
 _QUIET = 4  # onnxruntime's severity "fatal": errors come as exceptions, once, and warnings are harmless
 
 
@@ -110,14 +112,17 @@ def lacking(name: str, offered: Sequence[str]) -> str:
     return f"this onnxruntime has no {short_name(name)} provider (it has {_words(offered)})"
 
 
-def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
+def start(
+    vetted: Vetted, config: DepthConfig, inner: str = "", without: Collection[str] = ()
+) -> Started:
     """Loads a vetted network on the first of ``depth.providers`` that starts, the CPU after all.
 
-    ``inner`` names an inner tensor that becomes one more output.
+    ``inner`` names an inner tensor that becomes one more output; providers in ``without`` aren't tried.
     Those behind the one that starts get the nodes that it does not take. Raises ModelError where a provider
     that ``depth.required`` names is not there or does not start, or where no provider takes the file.
     """
     check_names(config)  # a wrong setting is no fault of the file
+    onnxruntime.set_default_logger_severity(_ERRORS)
     names = tuple(dict.fromkeys(full_name(name) for name in (*config.providers, "cpu")))
     required = {full_name(name, "depth.required") for name in config.required}
     if missing := absent(config):
@@ -126,6 +131,8 @@ def start(vetted: Vetted, config: DepthConfig, inner: str = "") -> Started:
     offered = onnxruntime.get_available_providers()
     wanted = []
     for name in names:
+        if name in without:
+            continue
         if name in offered:
             wanted.append(name)
         elif name in asked:
@@ -166,10 +173,24 @@ def _first_that_starts(
         if name == CPU:  # what the CPU can't load is no network
             version = f"onnxruntime {onnxruntime.__version__}"
             raise ModelError(f"{path}: no ONNX model that {version} can load (opset {vetted.opset}; {why})")
-        if name in required:
-            raise ModelError(f"{short_name(name)} is required, but can't run {path.name}: {why}")
-        log.warning("%s does not run %s: %s; trying the next", short_name(name), path.name, why)
+        _pass_over(name, path, why, required)
     raise ModelError(f"{path}: this onnxruntime has not even a CPU provider")
+
+
+def fails(provider: str, path: Path, config: DepthConfig, why: str) -> None:
+    """A network that ``provider`` started fails at its first image for ``why``: a warning, and do without it.
+
+    Raises ModelError where it is the CPU, which nothing stands behind, or one that ``depth.required`` names.
+    """
+    if provider == CPU:
+        raise ModelError(f"{path.name}: {why}")
+    _pass_over(provider, path, why, {full_name(name, "depth.required") for name in config.required})
+
+
+def _pass_over(name: str, path: Path, why: str, required: set[str]) -> None:
+    if name in required:
+        raise ModelError(f"{short_name(name)} is required, but can't run {path.name}: {why}")
+    log.warning("%s does not run %s: %s; trying the next", short_name(name), path.name, why)
 
 
 def _start(path: Path, config: DepthConfig, names: Sequence[str], content: bytes) -> Started:
@@ -292,8 +313,8 @@ def _words(names: Sequence[str] | set[str]) -> str:
 
 
 def native_line(error: Exception) -> str:
-    """An exception of native code in one line, without what onnxruntime says first."""
+    """An exception of native code in one line, without what onnxruntime says around it."""
     line = " ".join(first_line(error).split())
-    for pattern, instead in _PREAMBLES:
+    for pattern, instead in _AROUND:
         line = pattern.sub(instead, line)
     return line[:200]

@@ -26,9 +26,9 @@ from prism_edge.depth.prediction import (
     no_confidence,
     no_descriptor,
 )
-from prism_edge.depth.providers import native_line, start, with_own_engines
+from prism_edge.depth.providers import Started, fails, native_line, start, with_own_engines
 from prism_edge.depth.registry import File
-from prism_edge.depth.vetting import vet
+from prism_edge.depth.vetting import Vetted, vet
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 
@@ -56,18 +56,30 @@ class OnnxNetwork:
         self.card: ModelCard = card_of(path, vetted, pinned)
         inner = self.card.descriptor_layer if self.card.has_inner_descriptor else ""
         self.fingerprint = fingerprint(self.card, vetted)
-        started = start(vetted, with_own_engines(config or DepthConfig(), self.fingerprint), inner)
-        self._session, self.provider, self.nodes = started.session, started.provider, started.nodes
         self.name = self.card.name
         self.identity = f"{self.name}@{self.fingerprint}"
         self.bias_sigma = self.card.scale_bias_sigma or 0.0
         self.dsug = self.card.dsug
         self.counters: dict[str, int] = {}
         self._doubted = False
+        self._session: Any = None
+        self._begin(vetted, with_own_engines(config or DepthConfig(), self.fingerprint), inner)
         if len(self.nodes) > 1:
             self.counters["nodes_elsewhere"] = sum(self.nodes.values()) - self.nodes[self.provider]
-        self._input, self._outputs = roles(self._session, self.card, path.name)
-        self._warm_up()
+
+    def _begin(self, vetted: Vetted, config: DepthConfig, inner: str) -> None:
+        """Loads it on the first provider that runs it: on a GPU that is full, say, it fails at an image."""
+        failed: list[str] = []
+        while why := self._try(start(vetted, config, inner, failed)):
+            fails(self.provider, vetted.path, config, why)
+            failed.append(self.provider)
+            self._session = None  # and with it what it holds of the GPU's memory
+
+    def _try(self, started: Started) -> str:
+        """Takes the session for its own and warms it up; why that fails, empty where it does not."""
+        self._session, self.provider, self.nodes = started.session, started.provider, started.nodes
+        self._input, self._outputs = roles(self._session, self.card, self.path.name)
+        return self._warm_up()
 
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
         """Metric depth of an image (height, width, 3) uint8 RGB that ``camera`` took.
@@ -181,8 +193,11 @@ class OnnxNetwork:
                 100 * share,
             )
 
-    def _warm_up(self) -> None:
-        """One inference, so that the first keyframe does not pay for it and output shapes are known."""
+    def _warm_up(self) -> str:
+        """One inference, so that the first keyframe does not pay for it and output shapes are known.
+
+        Why onnxruntime fails at it, empty where it does not.
+        """
         ramp = np.linspace(0, 255, self.card.input_width, dtype=np.uint8)
         image = np.broadcast_to(ramp[None, :, None], (self.card.input_height, self.card.input_width, 3))
         try:
@@ -190,12 +205,13 @@ class OnnxNetwork:
         except ModelError as error:
             raise ModelError(f"{self.path.name}: {error}") from None
         except Exception as error:  # whatever a foreign graph makes onnxruntime raise
-            raise ModelError(f"{self.path.name}: the first inference failed ({native_line(error)})") from None
+            return f"the first inference failed ({native_line(error)})"
         if answer.confidence.size and answer.confidence.shape != answer.depth.shape:
             raise ModelError(
                 f"{self.path.name}: confidence is {answer.confidence.shape}, depth {answer.depth.shape}; "
                 "they must be of one size"
             )
+        return ""
 
 
 def _with_depth(prediction: Prediction, depth: NDArray[np.float32]) -> Prediction:

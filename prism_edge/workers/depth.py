@@ -21,6 +21,7 @@ from prism_edge.errors import first_line
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
 from prism_edge.processes import peers_of
+from prism_edge.workers.failing import Failing
 from prism_edge.workers.sensor_network import SensorNetwork, open_depth
 
 log = logging.getLogger("prism_edge.depth")
@@ -55,6 +56,7 @@ class DepthWorker:
         self._doubted = False
         self._network: DepthNetwork | SensorNetwork | None = None
         self._inference_s = _INFERENCE_S
+        self._failing: Failing | None = None
         if config.depth.network:
             bus.pulse.working("loading the network", _LOADING_S)
             began_s = time.monotonic()
@@ -62,12 +64,17 @@ class DepthWorker:
             self._inference_s = min(max(2.0 * (time.monotonic() - began_s), _INFERENCE_S), _SLOWEST_S)
             bus.pulse.values.update(model=self._network.name, provider=self._network.provider)
             self._show_counters()
+            if not config.is_lockstep and not isinstance(self._network, SensorNetwork):
+                self._failing = Failing(self._network.provider)
             log.info("%s runs on %s", self._network.name, self._network.provider)
         else:
             log.warning("no depth network is configured: keyframes get no depth, and no map begins")
 
     def run(self) -> None:
-        """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""
+        """Works until the bus is stopped; once the stream has ended it stays, for what still comes.
+
+        Raises ModelError where an accelerator fails for good.
+        """
         self._bus.pulse.ready()
         if self._ticks is not None:
             self._bus.await_ready(self._peers, self._patience_s)
@@ -135,7 +142,7 @@ class DepthWorker:
 
     def _answer(self, image: KeyframeImage) -> None:
         self._bus.pulse.working(f"keyframe {image.keyframe}", self._inference_s)
-        self._told = depth = answer(self._network, image)
+        self._told = depth = answer(self._network, image, self._failing)
         self._bus.publish("depth", depth)
         self._bus.pulse.count("keyframes")
         if not depth.valid:
@@ -168,8 +175,13 @@ class DepthWorker:
             self._bus.pulse.values.update({name: str(n) for name, n in self._network.counters.items()})
 
 
-def answer(network: DepthNetwork | SensorNetwork | None, image: KeyframeImage) -> Depth:
-    """The depth of one keyframe; an inference that fails is an answer too, marked invalid with the reason."""
+def answer(
+    network: DepthNetwork | SensorNetwork | None, image: KeyframeImage, failing: Failing | None = None
+) -> Depth:
+    """The depth of one keyframe; an inference that fails is an answer too, marked invalid with the reason.
+
+    Raises ModelError where ``failing``, which is told of each, has had enough.
+    """
     if network is None:
         return _without(image, "none", 0.0, "no depth network is configured")
     try:
@@ -179,8 +191,12 @@ def answer(network: DepthNetwork | SensorNetwork | None, image: KeyframeImage) -
         else:
             prediction = network.infer(rgb(image), camera)
     except Exception as error:  # native code and foreign graphs raise anything; tracking goes on
+        if failing is not None:
+            failing.note(error, time.monotonic())
         failed = f"inference failed: {first_line(error, 200)}"
         return _without(image, network.identity, network.bias_sigma, failed)
+    if failing is not None:
+        failing.note(None, time.monotonic())
     return Depth(
         keyframe=image.keyframe,
         stamp_ns=image.stamp_ns,

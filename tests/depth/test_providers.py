@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -20,13 +21,19 @@ from tests.synthetic.network import TinyNetwork, write_sidecar, write_tiny_netwo
 CPU, CUDA, TENSORRT = "CPUExecutionProvider", "CUDAExecutionProvider", "TensorrtExecutionProvider"
 OPENVINO, QNN = "OpenVINOExecutionProvider", "QNNExecutionProvider"
 Real = onnxruntime.InferenceSession
+# What a GPU said that had 700 MB left when the network was loaded.
+NO_MEMORY = (
+    "[ONNXRuntimeError] : 6 : RUNTIME_EXCEPTION : Non-zero status code returned while running Clip node. "
+    "Name:'clip_7' Status Message: Failed to allocate memory for requested buffer of size 451584"
+)
+FAINTED = "the first inference failed (Clip: Failed to allocate memory for requested buffer of size 451584)"
 
 
 class Border:
     """An onnxruntime that offers more providers than this one has; what they run, the CPU really runs."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, **behaviour: str) -> None:
-        """Each provider of ``behaviour`` is there, and starts, raises, is silent (falls back) or idle."""
+        """Each of ``behaviour`` is there: it starts, raises, is silent (falls back), is idle, or faints."""
         self.behaviour = {providers.SHORT[name]: how for name, how in behaviour.items()}
         self.asked: list[list[str]] = []
         self.options: dict[str, dict[str, str]] = {}
@@ -54,8 +61,11 @@ class Border:
             get_provider_graph_assignment_info=lambda: parts,
             get_inputs=real.get_inputs,
             get_outputs=real.get_outputs,
-            run=real.run,
+            run=self.faint if self.behaviour.get(names[0]) == "faints" else real.run,
         )
+
+    def faint(self, *of_whatever: object) -> None:
+        raise RuntimeError(NO_MEMORY)
 
 
 @pytest.fixture
@@ -78,6 +88,8 @@ def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ({"tensorrt": "silent", "cuda": "starts"}, CUDA),
         ({"tensorrt": "idle", "cuda": "starts"}, CUDA),
         ({"tensorrt": "raises", "cuda": "silent"}, CPU),
+        ({"tensorrt": "faints", "cuda": "starts"}, CUDA),
+        ({"tensorrt": "faints", "cuda": "faints"}, CPU),
         ({"cuda": "starts"}, CUDA),
         ({}, CPU),
     ],
@@ -107,6 +119,16 @@ def test_one_that_is_not_there_is_passed_over_with_a_warning(network, monkeypatc
     ]
 
 
+def test_one_that_starts_and_fails_at_an_image_is_passed_over_with_a_warning(network, monkeypatch, caplog):
+    border = Border(monkeypatch, cuda="faints", openvino="starts")
+    with caplog.at_level(logging.WARNING, "prism_edge.depth"):
+        opened = OnnxNetwork(network, DepthConfig(providers=("cuda", "openvino")))
+    assert opened.provider == OPENVINO
+    assert border.asked == [[CUDA, OPENVINO, CPU], [OPENVINO, CPU]]
+    (said,) = (record.getMessage() for record in caplog.records)
+    assert said == f"cuda does not run tiny.onnx: {FAINTED}; trying the next"
+
+
 @pytest.mark.parametrize(
     ("there", "says"),
     [
@@ -114,6 +136,7 @@ def test_one_that_is_not_there_is_passed_over_with_a_warning(network, monkeypatc
         ({"cuda": "raises"}, "cuda is required, but can't run tiny.onnx: Please install TensorRT libraries"),
         ({"cuda": "silent"}, "cuda is required, but can't run tiny.onnx: it did not start"),
         ({"cuda": "idle"}, "cuda is required, but .* took none of the network"),
+        ({"cuda": "faints"}, f"^cuda is required, but can't run tiny.onnx: {re.escape(FAINTED)}$"),
     ],
 )
 def test_a_required_one_that_is_not_there_is_an_error(network, monkeypatch, there, says):
@@ -266,6 +289,15 @@ NODES = "const std::vector<const Node*>&, const std::function<bool(const std::ba
             "Add: axis == 1 fails. (no)",
         ),
         (f"{CODE}{SOURCE}/a/b.cc:9 onnxruntime::f(int)::<lambda(const A&, B)> no", "no"),
+        (
+            f"{CODE}CUDA failure 100: no CUDA-capable device is detected ; GPU=-1 ; hostname=vm ; "
+            f"file={SOURCE}/providers/cuda/cuda.cc ; line=355 ; expr=cudaSetDevice(info_.device_id);",
+            "CUDA failure 100: no CUDA-capable device is detected",
+        ),
+        (
+            f"Exception during initialization: CUBLAS failure 3: no ; GPU=0 ; hostname=vm ; file={SOURCE} ; ",
+            "Exception during initialization: CUBLAS failure 3: no",
+        ),
         ("Conv (node) has (a shape) that /is/not.h so", "Conv (node) has (a shape) that /is/not.h so"),
         ("/a/b.cc:9 f" + "(x" * 5000, "/a/b.cc:9 f" + ("(x" * 5000)[:189]),
     ],

@@ -177,6 +177,27 @@ def test_an_inference_that_fails_is_an_invalid_answer(tiny: str, change: dict):
     assert bus.pulse.values["invalid"] == "1"
 
 
+@pytest.mark.parametrize("provider", ["CUDAExecutionProvider", "CPUExecutionProvider"])
+@pytest.mark.parametrize("mode", [live, lockstep])
+def test_only_a_gpu_that_is_gone_ends_the_worker_and_only_in_real_time(tiny, mode, provider, monkeypatch):
+    """The supervisor starts it again: another process may have the GPU, or falls back to the CPU."""
+    network = open_network(tiny, DepthConfig())
+    clock = iter(range(0, 10_000, 7))
+    monkeypatch.setattr(network, "provider", provider)
+    monkeypatch.setattr(network, "infer", lambda *picture: 1 / 0)
+    monkeypatch.setattr(worker, "open_depth", lambda config: network)
+    monkeypatch.setattr(worker, "time", SimpleNamespace(monotonic=lambda: float(next(clock))))
+    bus, config = mode(tiny)
+    depth_worker = DepthWorker(config, bus)
+    for keyframe in range(1, 5):
+        if keyframe == 4 and mode is live and provider.startswith("CUDA"):
+            with pytest.raises(ModelError, match="failed at 4 images in 21 s: starting anew"):
+                depth_worker._answer(picture(keyframe))
+        else:
+            depth_worker._answer(picture(keyframe))
+    assert not any(depth.valid for depth in bus.of("depth"))
+
+
 def test_metres_that_can_not_be_are_on_health_and_once_on_the_log(tmp_path: Path, caplog):
     bus, config = live(str(write_tiny_network(tmp_path / "mm.onnx", TinyNetwork(gain=1000.0))))
     bus.give("keyframe_image", picture(1), picture(2), picture(3))
