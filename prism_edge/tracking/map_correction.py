@@ -108,6 +108,10 @@ def apply_correction(
     rows = table.rows(update.points[known])
     table.position[rows] = update.positions[known]
     table.parallax_deg[rows] = np.maximum(update.parallax_deg[known], table.parallax_deg[rows])
+    if len(rows):  # first, as views are fitted to them below
+        angle = np.radians(np.maximum(table.parallax_deg[rows], 1e-3))
+        sigma = depth_sigma(world.newest().camera.fx, angle)
+        table.log_depth_sigma[rows] = np.minimum(table.log_depth_sigma[rows], sigma)
     corrected = np.zeros(len(table), bool)
     corrected[rows] = True
     keyframes = [world.keyframes[k] for k in sorted(world.keyframes)]
@@ -149,10 +153,6 @@ def apply_correction(
             placed[i] = True
         else:
             moved[part[i]] = motions[i]
-    if len(rows):
-        angle = np.radians(np.maximum(table.parallax_deg[rows], 1e-3))
-        sigma = depth_sigma(world.newest().camera.fx, angle)
-        table.log_depth_sigma[rows] = np.minimum(table.log_depth_sigma[rows], sigma)
     return {keyframe.id: motions[row] for row, keyframe in enumerate(keyframes)}
 
 

@@ -16,6 +16,7 @@ from prism_edge.tracking.map_correction import (
     fit,
     take_over,
 )
+from prism_edge.tracking.mapping import depth_sigma
 from prism_edge.tracking.pose_from_map import ENOUGH_TRIANGULATED
 from prism_edge.tracking.submaps import Parts
 from tests.synthetic.messages import map_update
@@ -98,6 +99,19 @@ def test_a_fit_absorbs_what_a_rigid_motion_would_carry_on():
     known = world.points.ids[world.points.reference <= 2].copy()
     apply(world, 2, [0, 1, 2], known, motion=np.eye(4))
     assert np.abs(se3_log(inverse(POSES[3]) @ world.keyframes[3].world_from_camera)).max() < 1e-3
+
+
+def test_points_are_as_sure_as_the_correction_makes_them_when_newer_keyframes_are_fitted():
+    """Seeds of the network's that the backend has placed since are no seeds any more."""
+    fitted = []
+    for sigma in (0.3, depth_sigma(CAMERA.fx, np.radians(5.0))):
+        world, _ = Cloud(600, seed=1).mapped(POSES, noise_px=1.0)
+        named = world.points.reference <= 2
+        known = world.points.ids[named].copy()
+        world.points.log_depth_sigma[named] = sigma
+        apply(world, 2, [0, 1, 2], known, parallax_deg=5.0)
+        fitted.append([world.keyframes[k].world_from_camera for k in (3, 4, 5)])
+    assert np.array(fitted[0]) == pytest.approx(np.array(fitted[1]), abs=1e-9)
 
 
 def test_a_newer_keyframe_also_holds_on_to_what_was_taken_along():
