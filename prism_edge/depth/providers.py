@@ -135,7 +135,7 @@ def start(
             continue
         if name in offered:
             wanted.append(name)
-        elif name in asked:
+        elif name in asked and not without:  # else that was said the first time
             log.warning("%s; trying the next", lacking(name, offered))
     if inner:
         return _with_inner(vetted, config, wanted, required, inner)

@@ -122,11 +122,13 @@ def test_one_that_is_not_there_is_passed_over_with_a_warning(network, monkeypatc
 def test_one_that_starts_and_fails_at_an_image_is_passed_over_with_a_warning(network, monkeypatch, caplog):
     border = Border(monkeypatch, cuda="faints", openvino="starts")
     with caplog.at_level(logging.WARNING, "prism_edge.depth"):
-        opened = OnnxNetwork(network, DepthConfig(providers=("cuda", "openvino")))
+        opened = OnnxNetwork(network, DepthConfig(providers=("qnn", "cuda", "openvino")))
     assert opened.provider == OPENVINO
     assert border.asked == [[CUDA, OPENVINO, CPU], [OPENVINO, CPU]]
-    (said,) = (record.getMessage() for record in caplog.records)
-    assert said == f"cuda does not run tiny.onnx: {FAINTED}; trying the next"
+    assert [record.getMessage() for record in caplog.records] == [
+        "this onnxruntime has no qnn provider (it has cpu, cuda, openvino); trying the next",
+        f"cuda does not run tiny.onnx: {FAINTED}; trying the next",
+    ]
 
 
 @pytest.mark.parametrize(
