@@ -17,7 +17,7 @@ from prism_edge.config import Config
 from prism_edge.depth import DepthNetwork
 from prism_edge.depth.plausible import range_of
 from prism_edge.depth.prediction import no_confidence, no_descriptor
-from prism_edge.errors import first_line
+from prism_edge.depth.providers import native_line
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
 from prism_edge.processes import peers_of
@@ -193,7 +193,7 @@ def answer(
     except Exception as error:  # native code and foreign graphs raise anything; tracking goes on
         if failing is not None:
             failing.note(error, time.monotonic())
-        failed = f"inference failed: {first_line(error, 200)}"
+        failed = f"inference failed: {native_line(error)}"
         return _without(image, network.identity, network.bias_sigma, failed)
     if failing is not None:
         failing.note(None, time.monotonic())

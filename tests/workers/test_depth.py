@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -196,6 +197,13 @@ def test_only_a_gpu_that_is_gone_ends_the_worker_and_only_in_real_time(tiny, mod
         else:
             depth_worker._answer(picture(keyframe))
     assert not any(depth.valid for depth in bus.of("depth"))
+
+
+def test_what_onnxruntime_says_is_told_without_where_in_its_source(tiny: str, monkeypatch):
+    network = open_network(tiny, DepthConfig())
+    lost = "[ONNXRuntimeError] : 1 : FAIL : CUDA failure 999: unknown error ; GPU=0 ; hostname=vm ; file=/a"
+    monkeypatch.setattr(network, "infer", Mock(side_effect=RuntimeError(lost)))
+    assert answer(network, picture(0)).reason == "inference failed: CUDA failure 999: unknown error"
 
 
 def test_metres_that_can_not_be_are_on_health_and_once_on_the_log(tmp_path: Path, caplog):
