@@ -85,10 +85,14 @@ def short_name(name: str) -> str:
 def check_names(config: DepthConfig) -> None:
     """Raises ModelError for what is wrong on any machine: names, and options of no such form."""
     asked = {full_name(name) for name in config.providers}
-    required = {full_name(name, "depth.required") for name in config.required}
+    required = _required(config)
     given_options(config)
     if required - asked:
         raise ModelError(f"depth.required: {_words(required - asked)} is not among depth.providers")
+
+
+def _required(config: DepthConfig) -> set[str]:
+    return {full_name(name, "depth.required") for name in config.required}
 
 
 def idle_options(config: DepthConfig) -> list[str]:
@@ -124,7 +128,7 @@ def start(
     check_names(config)  # a wrong setting is no fault of the file
     onnxruntime.set_default_logger_severity(_ERRORS)
     names = tuple(dict.fromkeys(full_name(name) for name in (*config.providers, "cpu")))
-    required = {full_name(name, "depth.required") for name in config.required}
+    required = _required(config)
     if missing := absent(config):
         raise ModelError(missing[0])
     asked = {full_name(name) for name in config.providers}
@@ -184,7 +188,7 @@ def fails(provider: str, path: Path, config: DepthConfig, why: str) -> None:
     """
     if provider == CPU:
         raise ModelError(f"{path.name}: {why}")
-    _pass_over(provider, path, why, {full_name(name, "depth.required") for name in config.required})
+    _pass_over(provider, path, why, _required(config))
 
 
 def _pass_over(name: str, path: Path, why: str, required: set[str]) -> None:
