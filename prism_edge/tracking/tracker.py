@@ -325,7 +325,7 @@ class Tracker:
         keyframe = self.world.keyframes.get(keyframe_id)
         if keyframe is None:
             return 0
-        first = (not self.initialised and self.last is None) or (keyframe is self._waiting and self._lost)
+        first = (not self.initialised and self.last is None) or keyframe is self._waiting
         most = self._config.features if first or not self.initialised else self._config.features // 3
         # What begins a map or a part has the unit that it is published in.
         units = math.exp(-(self.log_scale if first else self.map_log_scale))

@@ -184,9 +184,17 @@ def test_no_probe_takes_the_place_of_the_picture_that_a_part_waits_for() -> None
     for _ in range(30):
         run.feed(0, room[0][0], at=max(run.results) + 1)
         assert not run.tracker.wants_probe
+    assert max(run.keyframes) == part
+
+
+def test_once_its_depth_is_of_no_use_a_part_waits_for_nothing() -> None:
+    room = other_room(40)
+    run = astray(room)
+    part = max(run.keyframes)
     run.tracker.add_no_depth(part)
     run.feed(0, room[0][0], at=max(run.results) + 1)
-    assert run.tracker.wants_probe or max(run.keyframes) > part, "it has been answered"
+    assert max(run.keyframes) == part, "another begins a moment later"
+    assert run.tracker.wants_probe
 
 
 def test_where_no_part_may_be_mapped_none_is_waited_for() -> None:

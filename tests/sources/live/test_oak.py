@@ -122,6 +122,21 @@ def test_settings_are_made(unit: Unit) -> None:
     assert unit.requested == ((320, 200), "NV12", "CROP", 60.0, False)
 
 
+def test_what_nobody_set_is_left_to_the_camera_and_focus_may_be_at_its_end(unit: Unit) -> None:
+    OakDriver("oak:").connect()
+    assert unit.controls == {"socket": "CAM_A"}
+    OakDriver("oak:?focus=0").connect()
+    assert unit.controls == {"socket": "CAM_A", "focus": 0}
+
+
+def test_a_moment_without_an_image_is_no_error(unit: Unit) -> None:
+    connection = OakDriver("oak:").connect()
+    unit.silent = True
+    assert connection.grab() is None
+    unit.silent = False
+    assert connection.grab() is not None
+
+
 def test_settings_that_are_not_kept_are_refused(unit: Unit, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(oak, "_FIRST_S", 0.1)
     unit.exposure_us = 33_000
