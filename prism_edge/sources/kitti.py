@@ -9,7 +9,7 @@ import numpy as np
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt
-from prism_edge.sources.image_file import read_image
+from prism_edge.sources.image_file import SUFFIXES, read_image
 from prism_edge.sources.listing import Intrinsics, Listing, files_in, lines_of
 from prism_edge.sources.stamps import parse_seconds
 
@@ -42,7 +42,8 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
 def _played(folder: Path) -> tuple[str, list[Path]]:
     """The camera that is played, colour unless its folder is empty, and its images."""
     for name in image_folders(folder):
-        images = [path for path in files_in(folder / name) if path.stem.isdecimal()]
+        files = files_in(folder / name)  # labels or depth of the same numbers may lie beside the images
+        images = [path for path in files if path.suffix.lower() in SUFFIXES and path.stem.isdecimal()]
         if images:
             break
     return name, images

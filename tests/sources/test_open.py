@@ -128,6 +128,17 @@ def test_an_empty_folder_of_colour_leaves_kittis_grey(tmp_path: Path) -> None:
     assert "holds no image" in str(refusal(tmp_path))
 
 
+@pytest.mark.parametrize("labelled", ["image_0", "image_2"])
+def test_what_lies_beside_kittis_images_is_no_image(tmp_path: Path, labelled: str) -> None:
+    tiny.write_kitti(tmp_path)
+    (tmp_path / labelled).mkdir(exist_ok=True)
+    for i in range(3):
+        (tmp_path / labelled / f"{i:06d}.txt").write_text("Car 0 0 0\n")
+    items = all_of(opened(tmp_path))
+    assert [(item.index, item.stamp_ns) for item in items] == [(i, i * 100_000_000) for i in range(3)]
+    assert all(isinstance(item, Image) for item in items)
+
+
 def test_kitti_images_that_are_missing_are_not_passed_over(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
