@@ -89,6 +89,7 @@ def triangulating(
             keyframe.world_from_camera, other.world_from_camera, ray_a, ray_b
         )
         good = (parallax > MIN_PARALLAX) & (depth_a > 0) & (depth_b > 0)
+        good &= np.isfinite(depth_a) & np.isfinite(depth_b)
         good &= _reprojects(keyframe, points, a, scale_factors) & _reprojects(other, points, b, scale_factors)
         # The same corner looks as much smaller as it is farther away.
         ratio = np.where(good, depth_b, 1.0) / np.where(good, depth_a, 1.0)
@@ -143,7 +144,7 @@ def mature(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> in
             rays(first.camera, first.features.pixels[first_keypoints]),
             rays(keyframe.camera, keyframe.features.pixels[keypoints[mine]]),
         )
-        good = (parallax > MIN_PARALLAX) & (depth_a > 0) & (depth_b > 0)
+        good = (depth_a > 0) & (depth_b > 0) & np.isfinite(depth_a) & (parallax > MIN_PARALLAX)
         good &= _reprojects(first, points, first_keypoints, scale_factors)
         good &= _reprojects(keyframe, points, keypoints[mine], scale_factors)
         chosen = rows[mine[good]]

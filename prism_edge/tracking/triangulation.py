@@ -83,7 +83,8 @@ def triangulate(
 ) -> tuple[Array, Array, Array, Array]:
     """Midpoints of two sets of rays: world points (n, 3), depths along z in a and in b, parallax (rad).
 
-    ``ray_a``, ``ray_b`` (n, 3) have z = 1 in their camera. Parallel rays give depths of inf.
+    ``ray_a``, ``ray_b`` (n, 3) have z = 1 in their camera. Parallel rays give depths of inf, and so do
+    those that face each other on one line, whose parallax is pi.
     """
     da = ray_a @ world_from_a[:3, :3].T
     db = ray_b @ world_from_b[:3, :3].T

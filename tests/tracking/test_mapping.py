@@ -9,7 +9,7 @@ from prism_edge.geometry.poses import transform
 from prism_edge.tracking import mapping
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from tests.tracking.cloud import FACTORS, Cloud, check, pose_at
+from tests.tracking.cloud import CAMERA, FACTORS, Cloud, check, pose_at
 
 
 def seeded(cloud: Cloud, every: int = 10, wrong: float = 1.0) -> tuple[LocalMap, np.ndarray]:
@@ -140,6 +140,38 @@ def test_a_point_adjusted_over_many_views_keeps_its_place():
     assert mapping.mature(world, keyframe, FACTORS) > 20
     assert np.array_equal(world.points.position, before)
     assert world.points.parallax_deg.max() > 5.0
+
+
+def test_two_cameras_that_face_each_other_do_not_place_what_is_between_them():
+    world = LocalMap()
+    ahead, facing = np.eye(4), np.diag([-1.0, 1.0, -1.0, 1.0])
+    facing[2, 3] = 8.0
+    cloud = Cloud(50, seed=0)
+    middle = np.array([[CAMERA.cx, CAMERA.cy]])
+    for number, pose in enumerate((ahead, facing)):
+        keyframe, shown = cloud.keyframe(number, pose)
+        features = keyframe.features
+        seen = len(features)
+        # Two corners, alike in both, in the very middle: one will be a point, the other is free.
+        pixels = np.vstack([features.pixels, middle, middle])
+        octaves = np.append(features.octaves, [3, 3])
+        alike = np.arange(8, dtype=np.uint64).reshape(2, 4) * 0x0F0F0F0F0F0F
+        words = np.vstack([features.descriptors, alike])
+        keyframe.features = Features.build(pixels, octaves, words, CAMERA.width, CAMERA.height)
+        keyframe.points = np.full(seen + 2, -1, np.int64)
+        world.add_keyframe(keyframe)
+        if number == 0:
+            world.add_points(keyframe, np.arange(seen), cloud.positions[shown], np.full(seen, 0.01), 30.0)
+            place, sigma = np.array([[0.0, 0.0, 3.0]]), np.array([0.2])
+            between = world.add_points(keyframe, np.array([seen]), place, sigma, 0.0)
+        else:
+            row = world.points.rows(between)
+            world.add_observation(int(between[0]), int(row[0]), keyframe, seen)
+    # Where on the line between both it lies, neither can say.
+    assert mapping.mature(world, keyframe, FACTORS) == 0
+    assert world.points.position[row[0]] == pytest.approx([0, 0, 3.0])
+    with np.errstate(invalid="raise"):
+        assert sum(mapping.triangulating(world, world.keyframes[0], [keyframe], FACTORS)) == 0
 
 
 def test_sharing_lets_a_keyframe_observe_what_another_has():

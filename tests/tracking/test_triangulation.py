@@ -72,6 +72,17 @@ def test_parallel_rays_meet_nowhere():
         assert parallax[0] < 1e-6
 
 
+def test_rays_that_face_each_other_on_one_line_meet_nowhere():
+    facing = np.diag([-1.0, 1.0, -1.0, 1.0])
+    facing[2, 3] = 8.0
+    ray = np.array([[0.0, 0.0, 1.0]])
+    point, depth_a, depth_b, parallax = triangulate(np.eye(4), facing, ray, ray)
+    assert np.isinf(depth_a[0])
+    assert np.isinf(depth_b[0])
+    assert np.isfinite(point).all()
+    assert parallax[0] == pytest.approx(np.pi)
+
+
 def test_diverging_rays_meet_behind():
     _, depth_a, depth_b, _ = triangulate(
         np.eye(4), pose_at(1.0), np.array([[-0.1, 0, 1.0]]), np.array([[0.1, 0, 1.0]])
