@@ -91,8 +91,8 @@ class Pictures:
         for view in self._seen:
             at.setdefault(view.stamp_ns, []).append(view)
         while at and (slot := source.peek()) is not None:
-            # A video's next stamp is expected, not known, before it is decoded.
-            if min(abs(stamp - slot.stamp_ns) for stamp in at) > source.period_ns:
+            # A video's next stamp is a guess before it is read, which skipping would hardly be cheaper than.
+            if not source.decodes_skipped and slot.stamp_ns not in at:
                 source.skip()
                 continue
             item = source.read()
