@@ -51,15 +51,15 @@ def run(args: argparse.Namespace) -> int:
     """Gather, solve, judge, write. Raises ConfigError, SourceError or CalibrationError."""
     from prism_edge.calibration.board import Board
     from prism_edge.cli.board_views import gather
-    from prism_edge.sources.image_folder import COVERAGE
+    from prism_edge.sources.image_folder import coverage_of
     from prism_edge.sources.open import open_source
 
     board = Board.parse(args.board)
     out = Path(args.out)
     check_writable(out, args.overwrite)
-    picture = Path(args.picture) if args.picture else out.with_suffix(COVERAGE)
-    # A picture without its camera file is that of a run that was refused: the next one takes its place.
-    left_over = not args.picture and not out.exists()
+    picture = Path(args.picture) if args.picture else coverage_of(out)
+    # A picture without a camera file is that of a run that was refused: the next one takes its place.
+    left_over = not args.picture and picture not in map(coverage_of, out.parent.iterdir())
     check_writable(picture, args.overwrite or left_over)
     if out.resolve() == picture.resolve():
         raise ConfigError(f"{out} can't be both the camera file and the picture")

@@ -12,7 +12,7 @@ from prism_edge.sources.known_cameras import by_full_name
 from prism_edge.sources.listing import Listing, files_in
 from prism_edge.sources.stamps import at_rate, from_names
 
-COVERAGE = ".coverage.png"  # what calibrate calls its picture, behind the stem of its camera file
+COVERAGE = ".coverage.png"  # what calibrate calls its picture, in the place of its camera file's .yaml
 MASK = "mask.png"  # what `prism-edge mask` writes where nobody says otherwise
 _OWN = (MASK, f"camera{COVERAGE}")  # that is left of a calibration that was refused, too
 _DEPTH = re.compile(r"(?<![a-z])depth(?![a-z])")
@@ -25,8 +25,8 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     """
     files = files_in(folder)
     found = tuple(path for path in files if path.suffix.lower() in SUFFIXES)
-    others = {path.stem for path in files if path.suffix.lower() not in SUFFIXES}
-    images = tuple(path for path in found if not _is_no_frame(path.name, others)) or found
+    pictures = {coverage_of(path) for path in files if path.suffix.lower() not in SUFFIXES}
+    images = tuple(path for path in found if not _is_no_frame(path, pictures)) or found
     if not images:
         return None
     named = from_names([path.stem for path in images])
@@ -34,10 +34,16 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     return Listing("folder of images", images, stamps, lambda: by_full_name(folder), bool(named))
 
 
-def _is_no_frame(name: str, stems: Set[str]) -> bool:
+def coverage_of(camera_file: Path) -> Path:
+    """The picture of the coverage that calibrate puts beside a camera file."""
+    if camera_file.suffix.lower() in (".yaml", ".yml"):
+        return camera_file.with_suffix(COVERAGE)
+    return camera_file.with_name(camera_file.name + COVERAGE)  # cam.left and cam.right are two cameras
+
+
+def _is_no_frame(image: Path, pictures: Set[Path]) -> bool:
     """Whether an image beside others is one that our own tools wrote, or the depth of another.
 
-    A picture of coverage is told by the ``stems`` of what is no image, a camera file among them.
+    ``pictures`` of coverage are those that files which are no image would have, a camera file among them.
     """
-    is_coverage = name.endswith(COVERAGE) and name.removesuffix(COVERAGE) in stems
-    return name in _OWN or is_coverage or _DEPTH.search(name.lower()) is not None
+    return image.name in _OWN or image in pictures or _DEPTH.search(image.name.lower()) is not None

@@ -20,6 +20,7 @@ from prism_edge.errors import CalibrationError
 from prism_edge.sources import Source
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
+from prism_edge.sources.image_folder import coverage_of
 from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.live.driver import Grab
 from prism_edge.sources.open import find_listing
@@ -124,6 +125,23 @@ def test_too_few_views(
     picture.write_bytes(b"of the run before")
     refused(capsys, 9, tmp_path, "--board", SPEC, "--out", tmp_path / "c.yaml")
     assert cv2.imread(str(picture)) is not None
+
+
+@pytest.mark.parametrize(("finished", "tried"), [("cam.left", "cam.right"), ("cam.yaml", "cam.yml")])
+def test_the_picture_of_another_camera_stays_even_where_the_views_are_refused(
+    finished: str, tried: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for k, image in enumerate(gallery(SPEC, PINHOLE_CAMERA)[1][:5]):
+        cv2.imwrite(str(tmp_path / f"{k}.png"), image)
+    (tmp_path / finished).write_text("a camera file")
+    picture = coverage_of(tmp_path / finished)
+    picture.write_bytes(b"of the camera that is done")
+    refused(capsys, 9 if "left" in finished else 3, tmp_path, "--board", SPEC, "--out", tmp_path / tried)
+    assert picture.read_bytes() == b"of the camera that is done"
+    refused(capsys, 9, tmp_path, "--board", SPEC, "--out", tmp_path / tried, "--overwrite")
+    # Neither's is a frame of the folder.
+    (tmp_path / tried).write_text("a camera file")
+    assert len(find_listing(tmp_path).files) == 5
 
 
 def test_too_few_views_that_are_sharp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
