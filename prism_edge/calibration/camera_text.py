@@ -14,8 +14,9 @@ def camera_text(result: Calibration, views: int, source: str, board: str, readou
     sigmas = ", ".join(
         f"{name} {value:.2g}" for name, value in zip(("fx", "fy", "cx", "cy"), result.sigmas, strict=True)
     )
-    # No line of a comment may end early, whatever a source is called.
-    made_from = " ".join(f"{views} views of {board} from {source}".split())
+    # No line of a comment may end early, or hold what YAML can't, whatever a source is called.
+    words = " ".join(f"{views} views of {board} from {source}".split())
+    made_from = "".join(c if c.isprintable() else "?" for c in words)
     lines = [
         f"# Made by prism-edge calibrate: {made_from}",
         f"# Reprojection error {result.rms:.3f} pixels (rms); standard deviations (pixels): {sigmas}",

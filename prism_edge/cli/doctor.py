@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
 
     config = config_from(args)
     colours = {OK: "green", WARN: "yellow", FAIL: "bold red"}
-    console = Console(highlight=False, soft_wrap=True)
+    console = Console(highlight=False, soft_wrap=True, emoji=False)
     failed = 0
     for check in all_checks(config):
         for finding in check():

@@ -7,7 +7,7 @@ import importlib
 import sys
 
 from prism_edge import __version__
-from prism_edge.cli.streams import drop_output, open_closed
+from prism_edge.cli.streams import drop_output, open_closed, print_anything
 from prism_edge.errors import report
 
 # Name: module, one line of help. Only the module that is asked for is imported, so that help comes at once.
@@ -66,6 +66,7 @@ def build_parser(chosen: str | None) -> argparse.ArgumentParser:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line; returns the exit code."""
     open_closed()
+    print_anything()
     given = sys.argv[1:] if arguments is None else arguments
     chosen = next((word for word in given if not word.startswith("-")), None)
     args = build_parser(chosen).parse_args(given)

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
     threads = args.threads or _powers(_cores())
     providers, missing = _there(args.providers or _offered())
     base = load(args.config).depth
-    console = Console(highlight=False, markup=False)
+    console = Console(highlight=False, markup=False, emoji=False)
     table = Table(title=f"{args.model}: {args.runs} inferences each on a {WIDTH}x{HEIGHT} image")
     for heading in ("provider", "threads", "median ms", "p90 ms", "CPU ms", "load s", "memory MB"):
         table.add_column(heading, justify="left" if heading == "provider" else "right")

@@ -35,7 +35,7 @@ _AS_PULLED = {True: "as pulled (given digest)", False: "as pulled (unverified th
 
 def run(args: argparse.Namespace) -> int:
     """Do what was asked; returns the exit code. Raises ModelError where it can't be done."""
-    console = Console(highlight=False, soft_wrap=True, markup=False)
+    console = Console(highlight=False, soft_wrap=True, markup=False, emoji=False)
     if args.action == "pull":
         return _pull(console, args)
     return _verify(console, args.models) if args.action == "verify" else _remove(console, args.name, args.yes)
@@ -157,7 +157,7 @@ def _verify(console: Console, names: list[str]) -> int:
         if unfit:
             failed = True
             table.add_row(name, "", unfit)
-    Console(highlight=False, markup=False).print(table)
+    Console(highlight=False, markup=False, emoji=False).print(table)
     return ModelError.exit_code if failed else 0
 
 

@@ -20,7 +20,7 @@ from prism_edge.errors import ModelError
 
 def run(args: argparse.Namespace) -> int:
     """List or describe; returns the exit code. Raises ModelError for a network that can't be used."""
-    console = Console(highlight=False, soft_wrap=False, markup=False)
+    console = Console(highlight=False, soft_wrap=False, markup=False, emoji=False)
     if args.action == "list":
         console.print(listing())
         console.print("`pull` brings a checkpoint that needs export; unverified: no digest of it is known.")

@@ -17,7 +17,7 @@ _OF_SEGMENTS = ("t_rel_percent", "r_rel_deg_per_100m")
 
 def show(metrics: dict[str, Any], out: Path) -> None:
     """Prints a short table of metrics.json's contents on stdout."""
-    console = Console()
+    console = Console(markup=False, emoji=False)  # paths may hold [brackets] and :colons:
     errors = Table("", "live", "final", title="errors" if metrics["truth"] else "errors (no truth)")
     for label, key, factor, unit in (
         ("ATE SE(3)", "ate_se3_m", 100.0, "cm"),

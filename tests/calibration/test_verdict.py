@@ -170,8 +170,9 @@ def test_without_a_result_corners_are_neither_good_nor_bad(views: list[View]) ->
     assert (picture == (205, 205, 235)).all(axis=2).any() == (verdict.covered(views, 640, 480) == 0).any()
 
 
-def test_what_is_written_is_read_back(result: Calibration) -> None:
-    text = camera_text(result, 20, "folder\nwidth: 3", "chessboard:9x6")
+@pytest.mark.parametrize("source", ["folder\nwidth: 3", "st\udce9r\udce9o", "a\x07bell", "\u2028width: 3"])
+def test_what_is_written_is_read_back(source: str, result: Calibration) -> None:
+    text = camera_text(result, 20, source, "chessboard:9x6").encode().decode()
     camera = parse_camera(text)
     assert (camera.width, camera.height, camera.model) == (640, 480, "pinhole")
     assert camera.fx == pytest.approx(result.camera.fx, abs=1e-6)

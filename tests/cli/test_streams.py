@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -39,3 +42,17 @@ def test_a_reader_that_goes_away_is_no_error(command: str) -> None:
     process.stdout.close()
     assert process.stderr.read() == b""
     assert process.wait() == 0
+
+
+@pytest.mark.parametrize("encoding", ["utf-8:strict", "utf-8:surrogateescape", "ascii:strict"])
+def test_a_folder_whose_name_is_no_text_can_be_spoken_of(encoding: str, tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"st\xe9r\xe9o")
+    folder.mkdir()
+    (folder / "0.png").write_bytes(cv2.imencode(".png", np.zeros((48, 64), np.uint8))[1].tobytes())
+    line = [sys.executable, "-m", "prism_edge.cli", "calibrate", folder, "--out", tmp_path / "camera.yaml"]
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    done = subprocess.run(line, cwd=CHECKOUT, env=environment, capture_output=True, timeout=60)
+    assert done.returncode == 9
+    assert b"looking for chessboard:9x6 in folder of images" in done.stdout
+    assert (b"st\\udce9r" in done.stdout) == (encoding != "utf-8:surrogateescape")
+    assert done.stderr.count(b"\n") == 1

@@ -195,6 +195,12 @@ def test_a_guessed_camera_is_said(capsys: pytest.CaptureFixture[str], tmp_path: 
     assert report(played=Played(camera))["warnings"] == []
 
 
+@pytest.mark.parametrize("name", ["try[office]", "to[/x", ":fire:"])
+def test_a_path_is_shown_as_it_is(name: str, capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+    show(report(), tmp_path / name)
+    assert capsys.readouterr().out.endswith(f"written to {tmp_path / name}\n")
+
+
 def test_final_errors_over_fewer_frames_are_said(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
     torn = report(final=circle(1.1).at(np.arange(N) < 33), final_missing=27)
     assert torn["warnings"] == ["27 of 60 tracked frames are not in the finished map (final.tum)"]
