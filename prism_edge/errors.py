@@ -9,6 +9,9 @@ import traceback
 # Of sysexits.h: a file or device that fails, and an error of our own.
 FAILING_FILE, UNEXPECTED = 74, 70
 
+# That PyYAML raises beside its own: for values that their tags don't fit, and brackets without end.
+YAML_MISFITS = (ValueError, LookupError, AttributeError, RecursionError)
+
 
 class PrismError(Exception):
     """Root of every error that the command line turns into one line."""

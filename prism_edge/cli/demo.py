@@ -77,7 +77,8 @@ def run(args: argparse.Namespace) -> int:
         report = play(config if endpoint_given(args) else on_free_endpoint(config), args.out)
     finally:
         signal.signal(signal.SIGTERM, before)
-    sum_up(report, args.out, draw(config.source.uri, args.out, report), extent_m(config.source.uri))
+    extent = extent_m(config.source.uri, config.source.frames)
+    sum_up(report, args.out, draw(config.source.uri, args.out, report), extent)
     return 0
 
 
@@ -153,14 +154,14 @@ def draw(uri: str, out: Path, report: dict[str, Any]) -> Path | None:
     return file
 
 
-def extent_m(uri: str) -> float:
-    """The longest side (m) of the box round the true path."""
+def extent_m(uri: str, frames: int) -> float:
+    """The longest side (m) of the box round the true path, or round that of its first ``frames`` (0: all)."""
     import numpy as np
 
     from prism_edge.sources.truth import read_truth
 
     own = read_truth(uri)
-    return 0.0 if own is None else float(np.ptp(own[1][:, :3, 3], axis=0).max())
+    return 0.0 if own is None else float(np.ptp(own[1][: frames or None, :3, 3], axis=0).max())
 
 
 def sum_up(report: dict[str, Any], out: Path, picture: Path | None, extent: float) -> None:

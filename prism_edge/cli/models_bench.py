@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import multiprocessing
 import os
+import signal
 import statistics
 import time
 from dataclasses import dataclass, replace
@@ -75,7 +76,12 @@ def measure(config: DepthConfig, runs: int) -> Cost:
     context = multiprocessing.get_context("spawn")
     here, there = context.Pipe()
     child = context.Process(target=_child, args=(there, config, runs), daemon=True)
-    child.start()
+    # Ctrl-C is for us, who end the child: it inherits that it is to ignore it.
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        child.start()
+    finally:
+        signal.signal(signal.SIGINT, before)
     there.close()
     try:
         if not here.poll(_PATIENCE_S):

@@ -17,7 +17,7 @@ import yaml
 
 from prism_edge.depth.inner_tensor import POOLINGS
 from prism_edge.depth.prediction import OPEN, PROBABILITY
-from prism_edge.errors import ModelError
+from prism_edge.errors import YAML_MISFITS, ModelError
 
 CONTRACT = 1  # version of the schema
 PREFIX = "prism_edge."
@@ -166,7 +166,7 @@ def read_yaml(path: Path, most: int = _LARGEST_FILE) -> Any:
         return yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except OSError as error:
         raise ModelError(f"{path}: can't be read ({error.strerror})") from None
-    except (yaml.YAMLError, UnicodeDecodeError, ValueError, RecursionError) as error:
+    except (yaml.YAMLError, *YAML_MISFITS) as error:
         line = getattr(getattr(error, "problem_mark", None), "line", None)
         place = f" line {line + 1}" if line is not None else ""
         problem = " ".join(str(getattr(error, "problem", None) or "").split())[:100]
@@ -178,7 +178,7 @@ def _scalar(key: str, value: str, where: str) -> Any:
         return value
     try:
         return yaml.safe_load(value[:4096])
-    except (yaml.YAMLError, ValueError, RecursionError):
+    except (yaml.YAMLError, *YAML_MISFITS):
         raise ModelError(f"{where}: {key}: {value[:40]!r} can't be read") from None
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import yaml
 
-from prism_edge.errors import ConfigError
+from prism_edge.errors import YAML_MISFITS, ConfigError
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
 
 _OWN_REQUIRED = ("width", "height", "fx", "fy", "cx", "cy")
@@ -85,7 +85,7 @@ def parse_camera(text: str) -> Camera:
         line = f" (line {mark.line + 1})" if mark else ""
         problem = getattr(error, "problem", None) or "unreadable"
         raise ConfigError(f"is no valid YAML{line}: {problem}") from None
-    except (ValueError, RecursionError):  # a date that is none, brackets without end
+    except YAML_MISFITS:
         raise ConfigError("is no valid YAML") from None
     if not isinstance(tree, dict):
         raise ConfigError("holds no keys; expected width, height, fx, fy, cx, cy")

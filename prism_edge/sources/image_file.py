@@ -37,21 +37,22 @@ def decode(data: bytes, bits: int = 16) -> U8 | str:
     0xff there is followed by zero or a restart. A PNG ends with its IEND chunk. What is damaged in
     the middle shows as a failing checksum (PNG); in a JPEG it can't be told from a picture.
     """
-    return _as_8_bits(_decoded(data), bits)
+    return as_8_bits(_decoded(data), bits)
 
 
-def _as_8_bits(pixels: U8 | U16 | str, bits: int) -> U8 | str:
+def as_8_bits(pixels: U8 | U16 | str, bits: int) -> U8 | str:
+    """Pixels of which deeper ones make use of ``bits``; a reason stays as it is."""
     if isinstance(pixels, str):
         return pixels
     upper = np.minimum(pixels >> (bits - 8), 255) if pixels.dtype == np.uint16 else pixels
     return upper.astype(np.uint8, copy=False)
 
 
-def bits_used(paths: Sequence[Path]) -> int | None:
-    """How many bits the pixels of these images make use of; None where none is deeper than 8."""
-    images = (_read(path) for path in paths)
+def bits_used(paths: Sequence[Path]) -> int:
+    """How many bits the pixels of these images make use of; 16 where none can be read or is deeper than 8."""
+    images = (read_pixels(path) for path in paths)
     deep = [image for image in images if not isinstance(image, str) and image.dtype == np.uint16]
-    return next(bits for bits in _BITS if max(image.max() for image in deep) < 1 << bits) if deep else None
+    return next(bits for bits in _BITS if max(image.max() for image in deep) < 1 << bits) if deep else 16
 
 
 def _decoded(data: bytes) -> U8 | U16 | str:
@@ -72,12 +73,13 @@ def _decoded(data: bytes) -> U8 | U16 | str:
     return pixels
 
 
-def read_image(path: Path, bits: int = 16) -> U8 | str:
+def read_image(path: Path) -> U8 | str:
     """The image in a file as :func:`decode` has it, or a line that names the file and says what is wrong."""
-    return _as_8_bits(_read(path), bits)
+    return as_8_bits(read_pixels(path), 16)
 
 
-def _read(path: Path) -> U8 | U16 | str:
+def read_pixels(path: Path) -> U8 | U16 | str:
+    """As :func:`read_image`, as deep as the file has them."""
     try:
         data = path.read_bytes()
     except FileNotFoundError:

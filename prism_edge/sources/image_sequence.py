@@ -5,11 +5,14 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
+import numpy as np
+
 from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.messages import U8
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import check_camera_size
-from prism_edge.sources.image_file import ask_for, bits_used, read_image
+from prism_edge.sources.image_file import as_8_bits, ask_for, bits_used, read_pixels
 from prism_edge.sources.listing import Listing
 from prism_edge.sources.stamps import fits_ros, usual_period_ns, write_seconds
 
@@ -31,7 +34,7 @@ class ImageSequence(Source):
         self._folder = folder
         self._listing = listing
         self._next = self._ahead = 0
-        self._bits: int | None = None  # of deeper pixels; one range for all, or the light would flicker
+        self._bits = 0  # of deeper pixels, once there are any; one range for all, or the light would flicker
 
     def open(self) -> None:
         """Raises SourceError where no image can be read, or has a stamp that can be published.
@@ -44,21 +47,21 @@ class ImageSequence(Source):
             first = write_seconds(stamps[0])
             raise SourceError(f"{self._folder}: no ROS message can hold its stamps, such as {first} s")
         for path in self._listing.files:
-            pixels = read_image(path)
+            pixels = self._read(path)
             if not isinstance(pixels, str):
                 check_camera_size(self.camera, self.camera_origin, pixels, str(path))
-                self._bits = self._bits or self._bits_used(path)
                 return
             reason = reason or f" ({pixels})"
         raise SourceError(f"{self._folder} has no readable image{reason}")
 
-    def _bits_used(self, first: Path) -> int:
-        if bits_used([first]) is None:
-            return 16
-        files = self._listing.files
-        bits = bits_used([first, *files[:: max(1, len(files) // _JUDGED)]]) or 16
-        log.warning("%s: its pixels use %d bits, of which the upper 8 are taken", self._folder, bits)
-        return bits
+    def _read(self, path: Path) -> U8 | str:
+        pixels = read_pixels(path)
+        if not self._bits and not isinstance(pixels, str) and pixels.dtype == np.uint16:
+            files = self._listing.files
+            self._bits = bits_used([path, *files[:: max(1, len(files) // _JUDGED)]])
+            words = "%s: its pixels use %d bits, of which the upper 8 are taken"
+            log.warning(words, self._folder, self._bits)
+        return as_8_bits(pixels, self._bits)
 
     def peek(self) -> Slot | None:
         if self._next >= len(self._listing.files):
@@ -70,7 +73,7 @@ class ImageSequence(Source):
         if slot is None:
             return None
         self._next += 1
-        pixels = read_image(self._listing.files[slot.index], self._bits or 16)
+        pixels = self._read(self._listing.files[slot.index])
         if isinstance(pixels, str):
             return Unreadable(slot.index, slot.stamp_ns, pixels)
         return Image(slot.index, slot.stamp_ns, pixels)

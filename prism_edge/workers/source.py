@@ -182,6 +182,11 @@ class SourceWorker:
             due_ns = now_ns if refused else schedule.due_ns(Slot(item.index, item.stamp_ns))
             if not self._sleep_until(due_ns):
                 return
+            if self._pause.on:  # since it was read
+                held_ns = self._hold()
+                schedule, due_ns = schedule.put_off(held_ns), due_ns + held_ns
+                if self._bus.stopped.is_set():
+                    return
             self._pass_on(item, due_ns)
 
     def _gains(self, catching_up: CatchingUp, index: int, late: float) -> bool:

@@ -125,8 +125,9 @@ def walk(monkeypatch) -> None:
 
 
 def test_the_extent_is_the_longest_side(walk) -> None:
-    assert demo.extent_m("sim:x") == pytest.approx(1.5)
-    assert demo.extent_m("sim:other") == 0.0
+    assert demo.extent_m("sim:x", 0) == pytest.approx(1.5)
+    assert demo.extent_m("sim:x", 4) == pytest.approx(0.9)
+    assert demo.extent_m("sim:other", 0) == 0.0
 
 
 def test_the_picture_is_from_above_and_shows_what_differs_in_size(walk, tmp_path, monkeypatch) -> None:

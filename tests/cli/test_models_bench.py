@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -80,6 +81,17 @@ def test_a_child_that_dies_is_one_line(monkeypatch):
 
 def _die(pipe: object, config: object, runs: int) -> None:
     raise SystemExit(9)
+
+
+def test_ctrl_c_is_left_to_the_one_who_ends_the_child(monkeypatch):
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(models_bench, "_child", _tell_of_ctrl_c)
+    assert models_bench.measure(DepthConfig("x"), 1) == signal.SIG_IGN
+    assert signal.getsignal(signal.SIGINT) == before
+
+
+def _tell_of_ctrl_c(pipe: Any, config: object, runs: int) -> None:
+    pipe.send(signal.getsignal(signal.SIGINT))
 
 
 def test_bench_takes_all_cores_and_all_providers_that_it_knows(capsys, monkeypatch):

@@ -117,6 +117,7 @@ def test_yaml_writes_small_numbers_that_pyyaml_reads_as_text(tmp_path: Path):
 
 
 BROKEN = [b"a: [1", b"\xff\xfe\x00", b"[" * 1500, b"x" * 70_000, b"a: 2020-99-99", b"", b"!!map [a, b]"]
+BROKEN += [b'a: !!int ""', b'a: !!bool ""', b'a: !!timestamp ""']
 
 
 @pytest.mark.parametrize(

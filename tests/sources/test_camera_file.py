@@ -249,6 +249,7 @@ def test_there_are_examples() -> None:
         (OWN.replace("fx: 525.0", "fx: [525.0"), ["YAML", "line"]),
         (OWN + "a: !!python/object/apply:os.getcwd []\n", ["YAML"]),
         (OWN + "? [a, b]\n: 1\n", ["YAML"]),
+        *((OWN + f'a: !!{tag} ""\n', ["YAML"]) for tag in ("int", "float", "bool", "timestamp")),
         ("", ["no keys"]),
         ("- 1\n- 2\n", ["no keys"]),
         ("525\n", ["no keys"]),

@@ -74,6 +74,21 @@ def test_a_few_images_deeper_than_8_bits_have_the_range_that_they_use(tmp_path: 
     np.testing.assert_array_equal(item.pixels, grey)
 
 
+def test_images_deeper_than_8_bits_after_one_of_8_have_the_range_that_they_use(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    greys = [picture(k, colour=False) for k in range(5)]
+    for k, grey in enumerate(greys):
+        write_image(tmp_path / f"{k}.png", grey.astype(np.uint16) << 4 if k else grey)
+    with open_source(SourceConfig(str(tmp_path))) as source:
+        items = list(iter(source.read, None))
+    for item, grey in zip(items, greys, strict=True):
+        assert isinstance(item, Image)
+        np.testing.assert_array_equal(item.pixels, grey)
+    assert caplog.text.count("its pixels use 12 bits") == 1
+
+
 def test_one_image_alone_is_played_again_at_the_usual_rate(tmp_path: Path) -> None:
     with open_source(SourceConfig(str(write_tum(tmp_path, count=1)), loop=True)) as source:
         stamps = [item.stamp_ns for item in (source.read() for _ in range(3)) if item]

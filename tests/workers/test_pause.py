@@ -7,16 +7,18 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
 
-from prism_edge.sources import open_source
+from prism_edge.sources import Image, Slot, Source, open_source
 from prism_edge.workers import pause as module
 from prism_edge.workers.pause import Pause
 from prism_edge.workers.source import SourceWorker
 from tests.waiting import until
 from tests.workers.list_bus import ListBus
 from tests.workers.source_bench import Recorder, running, settings
+from tests.workers.test_source_pace import SlowSource
 
 
 def test_on_off_and_what_was_so_already() -> None:
@@ -90,3 +92,46 @@ def test_a_recording_goes_on_where_it_was_and_skips_nothing(tmp_path: Path) -> N
         frames, stream = bus.until_end()
     assert len(frames) == stream.released == stream.frames
     assert "warning" not in bus.pulse.values
+
+
+class Guessed(SlowSource):
+    """The second image comes a gap after the first, as is known once it is read; then comes a pause."""
+
+    def __init__(self, source: Source, bus: Recorder) -> None:
+        super().__init__(source)
+        self.frame_count, self.period_ns = 5, 200_000_000
+        self._bus, self._last_ns = bus, -self.period_ns
+
+    def peek(self) -> Slot | None:
+        return Slot(self._next, self._last_ns + self.period_ns) if self._next < 5 else None
+
+    def read(self) -> Image:
+        index, self._next = self._next, self._next + 1
+        self._last_ns += self.period_ns * (3 if index == 1 else 1)
+        if index == 1:
+            self._bus.desk.ask("pause", "on")
+        pixels = np.full((self.camera.height, self.camera.width), index, np.uint8)
+        return Image(index, self._last_ns, pixels)
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_an_image_that_was_read_before_its_time_is_held_back_too(goes_on: bool, tmp_path: Path) -> None:
+    config = settings(tiny.write_tum(tmp_path), loop=True)
+
+    def work(bus: Recorder) -> None:
+        with Guessed(open_source(config.source), bus) as source:
+            SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
+
+    with running(work) as bus:
+        first = bus.next()[1]
+        until(lambda: "paused by command" in bus.pulse.values.get("warning", ""), "it says that it pauses")
+        assert bus.published.empty()
+        if goes_on:
+            bus.desk.ask("pause", "off")
+            frames, _ = bus.until_end()
+            held_ns = [f.captured_monotonic_ns - first.captured_monotonic_ns - f.stamp_ns for f in frames]
+            assert [frame.index for frame in frames] == [1, 2, 3, 4]
+            assert held_ns[0] > 0
+            assert len(set(held_ns)) == 1
+    if not goes_on:
+        assert bus.published.empty()
