@@ -47,6 +47,7 @@ from prism_edge.backend.global_map import UNKNOWN, GlobalKeyframe, GlobalMap, Gl
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.map_parts import parts_info, parts_told
 from prism_edge.backend.map_stamps import stamps_info, stamps_of
+from prism_edge.backend.map_stand_ins import stand_ins_info, stand_ins_told
 from prism_edge.errors import ConfigError, MapError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import are_rotations, normalised
@@ -183,7 +184,8 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["depth_units"] = np.array([_units_of(k) for k in keyframes], np.float64)
         arrays["renamed"] = world.renamed()
     known = stamps_info([k.taken_ns for k in keyframes]) | parts_info({k.id: k.part for k in keyframes})
-    return {"cameras": listed, "places_of": index.network, **known}, arrays
+    standing = stand_ins_info([k.id for k in keyframes if k.stands_in])
+    return {"cameras": listed, "places_of": index.network, **known, **standing}, arrays
 
 
 def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap, PlaceIndex]:
@@ -199,7 +201,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     _check_values(arrays)
     cameras = _cameras(info, arrays["cameras"])
     _check_room(cameras, arrays)
-    stamps, away = stamps_of(info, len(arrays["keyframes"])), parts_told(info)
+    stamps, away, standing = stamps_of(info, len(arrays["keyframes"])), parts_told(info), stand_ins_told(info)
     if away and away.keys() >= set(arrays["keyframes"].tolist()):
         away = None  # none is at home: earlier builds wrote that too
     world = GlobalMap(max_carried)
@@ -213,9 +215,9 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     starts = arrays["starts"].tolist()
     for row, number in enumerate(arrays["keyframes"].tolist()):
         part = slice(starts[row], starts[row + 1])
-        world.keyframes[number] = _keyframe(number, row, part, arrays, cameras)
-        world.keyframes[number].taken_ns = stamps[row]
-        world.keyframes[number].part = None if away is None else away.get(number, HOME)
+        made = world.keyframes[number] = _keyframe(number, row, part, arrays, cameras)
+        made.taken_ns, made.stands_in = stamps[row], number in standing
+        made.part = None if away is None else away.get(number, HOME)
         for keypoint, point in enumerate(arrays["seen"][part].tolist()):
             if point >= 0:
                 world.observe(number, point, keypoint)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote, unquote, urljoin, urlsplit
@@ -22,6 +22,7 @@ from prism_edge.errors import ModelError
 
 Approve = Callable[[str], None]  # is given the licence ("": none is stated), raises ModelError to refuse
 ProgressOf = Callable[[str], Progress]
+_REMOVE = "`prism-edge models remove {}` first"
 
 
 def from_entry(entry: Entry, into: Path) -> Pulled:
@@ -60,12 +61,11 @@ def pull(
 ) -> Pulled:
     """Fetches what is missing, checks it, and puts it in place; the network's own file comes last.
 
-    A file without a digest is fetched only if ``unverified``. ``approve`` is asked before anything comes, or,
-    where the licence is known only from the file itself, before that is put in place. Raises ModelError in
-    one line; then nothing but parts has been added.
+    A file without a digest is fetched only if ``unverified``, or where it has come before: it must be the
+    same then. ``approve`` is asked before anything comes, or, where the licence is known only from the file
+    itself, before that is put in place. Raises ModelError in one line; then nothing but parts has been added.
     """
-    if manifest_of(plan.folder) is None:
-        _check_pinned(plan, unverified)
+    _check_pinned(plan, unverified, _remembered(plan))
     if plan.licence:
         approve(plan.licence)
     with _locked(plan.folder):
@@ -73,15 +73,16 @@ def pull(
         if done and all((plan.folder / file.name).is_file() for file in done.files):
             _check_same(plan, done)
             return done
-        parts = {file: _fetch(plan, file, progress, patience) for file in plan.files}
+        before = _remembered(plan)
+        parts = {file: _fetch(plan, file, before, progress, patience) for file in plan.files}
         if plan.runnable:
             network = plan.files[0]
             if not plan.licence:
                 extra, licence = _described(plan, parts[network])
                 plan = replace(plan, licence=licence, files=(network, *extra))
-                _check_pinned(plan, unverified)
+                _check_pinned(plan, unverified, before)
                 approve(licence)
-                parts |= {file: _fetch(plan, file, progress, patience) for file in extra}
+                parts |= {file: _fetch(plan, file, before, progress, patience) for file in extra}
             else:
                 _check_licence(plan, parts[network])
         plan = replace(plan, given=all(file.sha256 for file in plan.files))
@@ -95,8 +96,16 @@ def pull(
     return plan
 
 
-def _check_pinned(plan: Pulled, unverified: bool) -> None:
-    open_ones = [file.name for file in plan.files if not file.sha256]
+def _remembered(plan: Pulled) -> Mapping[str, str]:
+    """The digests of what came before. Raises ModelError where that was from elsewhere."""
+    done = manifest_of(plan.folder)
+    if done and done.files[0].url != plan.files[0].url:
+        raise ModelError(f"{plan.name}: was pulled from {done.files[0].url}; {_REMOVE.format(plan.name)}")
+    return {file.name: file.sha256 for file in done.files} if done else {}
+
+
+def _check_pinned(plan: Pulled, unverified: bool, remembered: Mapping[str, str]) -> None:
+    open_ones = [file.name for file in plan.files if not file.sha256 and file.name not in remembered]
     if open_ones and not unverified:
         raise ModelError(
             f"{plan.name}: no SHA-256 of {' and '.join(open_ones)} is known, so nothing tells that what "
@@ -104,12 +113,15 @@ def _check_pinned(plan: Pulled, unverified: bool) -> None:
         )
 
 
-def _fetch(plan: Pulled, file: File, progress: ProgressOf, patience: Patience) -> Path:
+def _fetch(
+    plan: Pulled, file: File, remembered: Mapping[str, str], progress: ProgressOf, patience: Patience
+) -> Path:
+    sha256 = file.sha256 or remembered.get(file.name, "")
     largest = LARGEST_FILE if plan.runnable and file is plan.files[0] else LARGEST_DATA
     target = plan.folder / file.name
-    if file.sha256 and target.is_file() and sha256_of(target) == file.sha256:
+    if sha256 and target.is_file() and sha256_of(target) == sha256:
         return target  # of an earlier pull that was cut short when all had come
-    wanted = Wanted(file.url, target, file.sha256, file.size, largest)
+    wanted = Wanted(file.url, target, sha256, file.size, largest)
     return download.fetch(wanted, patience, progress(file.name))
 
 
@@ -153,12 +165,10 @@ def _check_licence(plan: Pulled, part: Path) -> None:
 
 def _check_same(plan: Pulled, done: Pulled) -> None:
     known = {file.name: file.sha256 for file in plan.files if file.sha256}
-    advice = f"`prism-edge models remove {plan.name}` first"
-    if done.files[0].url != plan.files[0].url:
-        raise ModelError(f"{plan.name}: was pulled from {done.files[0].url}; {advice}")
     for file in done.files:
         digest = sha256_of(plan.folder / file.name)
         if digest != file.sha256 or known.get(file.name, digest) != digest:
+            advice = _REMOVE.format(plan.name)
             raise ModelError(f"{plan.folder / file.name}: is not the file it should be; {advice}")
 
 

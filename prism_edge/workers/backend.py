@@ -73,8 +73,8 @@ class BackendWorker:
         self._home_scale, self._log_scale = KnownScale(), 0.0  # of the map's first part; where the camera is
         self._scaled: set[int] = set()
         self._gated: dict[int, Gate] = {}
-        self._settled = False
-        self._adjusting_since_ns = 0
+        self._gone: set[int] = set()  # keyframes of a map that another has taken the place of
+        self._settled, self._adjusting_since_ns = False, 0
         recovered = self._keeper.recover()
         if recovered is not None:
             self._home_scale, self._log_scale = recovered, recovered.log_scale
@@ -158,13 +158,13 @@ class BackendWorker:
 
     def _receive(self, timeout_s: float) -> None:
         first = self._keyframes.take(timeout_s)
-        now = time.monotonic()
         if self._ticks is None:  # else between keyframes, for each of which all wait
             self._hear_of_new_maps()
         for keyframe in ([first] if first is not None else []) + self._keyframes.drain():
             if keyframe.epoch >= self._mapper.epoch:
-                self._waiting.append((now, keyframe))
+                self._waiting.append((time.monotonic(), keyframe))
             else:  # of a map that is gone
+                self._gone.add(keyframe.id)
                 self._loaded.remind(self._home_scale)
         late = set()
         for depth in self._depths.drain():
@@ -237,8 +237,7 @@ class BackendWorker:
         self._scaled = {k for k in self._scaled if k > keyframe.id}
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
             self._mapper.add_depth(
-                keyframe, depth.depth, depth.image_to_depth, self._log_scale, depth.frame_sigma,
-                depth.model,
+                keyframe, depth.depth, depth.image_to_depth, self._log_scale, depth.frame_sigma, depth.model
             )
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
             self._mapper.loops.add_place(keyframe.id, depth.descriptor, depth.model)
@@ -348,7 +347,7 @@ class BackendWorker:
         here = any(waiting.id == keyframe for _, waiting in self._waiting)
         has_depth = "depth" not in self._peers or keyframe in self._early
         has_scale = "scale" not in self._peers or (keyframe in self._scaled and keyframe in self._gated)
-        return here and has_depth and has_scale
+        return keyframe in self._gone or (here and has_depth and has_scale)
 
     # -- commands -----------------------------------------------------------------------------------
 
@@ -365,7 +364,8 @@ class BackendWorker:
             self._log_scale = self._home_scale.log_scale
         finally:
             self._rest()
-        self._waiting.clear()  # keyframes of the map that has gone
+        self._gone.update(keyframe.id for _, keyframe in self._waiting)
+        self._waiting.clear()
         self._unsolved = self._late = None
         self._snapshot = self._take_snapshot()
         self._loaded.tell(self._home_scale)

@@ -2,116 +2,35 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import onnx
 import pytest
-import yaml
 
 from prism_edge.config import DepthConfig
-from prism_edge.depth import locate, open_onnx, pulling, registry
+from prism_edge.depth import locate, open_onnx, pulling
 from prism_edge.depth.download import Patience
 from prism_edge.depth.pulled import MANIFEST, Pulled, all_pulled, find_pulled, manifest_of, write_manifest
-from prism_edge.depth.pulling import from_entry, from_url, pull
-from prism_edge.depth.registry import Entry, File, find
+from prism_edge.depth.pulling import from_entry, from_url
+from prism_edge.depth.registry import File
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
+from tests.depth.pulled_networks import (
+    Asked,
+    checkpoint_item,
+    digest,
+    entry,
+    get,
+    only_parts,
+    split_item,
+    tiny_item,
+)
 from tests.depth.test_vetting import split
-from tests.depth.web_server import WebServer, web_server
 from tests.synthetic.network import TinyNetwork, write_sidecar, write_tiny_network
 
 HASTY = Patience(stall_s=30.0, attempts=2, pause_s=0.0)  # only who stalls on purpose is held to less
-
-
-def digest(content: bytes) -> str:
-    return hashlib.sha256(content).hexdigest()
-
-
-@pytest.fixture
-def models(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder that networks are pulled into."""
-    monkeypatch.setenv("PRISM_EDGE_MODELS", str(tmp_path / "models"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.delenv("CACHE_DIRECTORY", raising=False)
-    return tmp_path / "models"
-
-
-@pytest.fixture
-def server(tmp_path: Path) -> Iterator[WebServer]:
-    """Serves a whole network, one with weights beside it, and a checkpoint."""
-    with web_server() as running:
-        made = tmp_path / "made"
-        made.mkdir()
-        write_tiny_network(made / "tiny.onnx")
-        split(made / "split.onnx", "split.onnx.data")
-        running.files = {f"/{path.name}": path.read_bytes() for path in made.iterdir()}
-        running.files |= {"/config.json": b"{}", "/model.safetensors": bytes(range(256)) * 100}
-        yield running
-
-
-@pytest.fixture
-def register(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator:
-    """Puts entries into a registry of the test's own."""
-
-    def put(*models: dict) -> None:
-        (tmp_path / "registry.yaml").write_text(yaml.safe_dump({"registry": 1, "models": list(models)}))
-        monkeypatch.setattr(registry, "data_folder", lambda: tmp_path)
-        registry.entries.cache_clear()
-
-    yield put
-    monkeypatch.undo()
-    registry.entries.cache_clear()
-
-
-def tiny_item(server: WebServer, file: str = "/tiny.onnx", **card: object) -> dict:
-    """The registry's entry of a network of the server."""
-    content = server.files[file]
-    values = {k: v for k, v in vars(TinyNetwork().card()).items() if v not in (None, "")}
-    values = {k: list(v) if isinstance(v, tuple) else v for k, v in values.items()}
-    return {
-        "file": file[1:],
-        "size": len(content),
-        "url": server.url + file,
-        "card": {"contract": 1, **values, "sha256": digest(content), **card},
-    }
-
-
-def split_item(server: WebServer) -> dict:
-    data = server.files["/split.onnx.data"]
-    item = tiny_item(server, "/split.onnx", name="split")
-    listed = {"file": "split.onnx.data", "sha256": digest(data), "url": f"{server.url}/split.onnx.data"}
-    return {**item, "data": [{**listed, "size": len(data)}]}
-
-
-def checkpoint_item(server: WebServer, **more: object) -> dict:
-    files = [{"file": name, "url": f"{server.url}/{name}"} for name in ("config.json", "model.safetensors")]
-    words = {"licence": "CC-BY-NC-4.0", "depth_kind": "relative", "export": "a checkpoint"}
-    return {"kind": "checkpoint", "name": "later", **words, "files": files, **more}
-
-
-class Asked(list):
-    """Records the licences that were put before the user."""
-
-    def __call__(self, licence: str) -> None:
-        self.append(licence)
-
-
-def get(plan, asked=None, **more):
-    return pull(plan, asked if asked is not None else Asked(), lambda name: lambda have, total: None, **more)
-
-
-def entry(name: str) -> Entry:
-    found = find(name)
-    assert found is not None
-    return found
-
-
-def only_parts(folder: Path) -> bool:
-    return not folder.exists() or all(name.endswith(".part") for name in os.listdir(folder))
 
 
 def test_a_registered_network_is_pulled_and_opens_by_name(server, register, models: Path):

@@ -9,11 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from prism_edge.config import StateConfig, TrackingConfig
 from prism_edge.messages import Acknowledged, Epoch, Keyframe
 from prism_edge.workers import backend as worker
 from tests.backend.world import Teller
 from tests.synthetic.messages import tick
-from tests.workers.backend_bench import LOCKSTEP, NO_DEPTH, depth_of, gate_of, keyframes, scale_of
+from tests.workers.backend_bench import LOCKSTEP, NO_DEPTH, depth_of, gate_of, keyframes, live, scale_of
 from tests.workers.list_bus import ListBus
 
 
@@ -24,7 +25,6 @@ def looks(monkeypatch):
     own = {"monotonic": lambda: next(clock), "monotonic_ns": lambda: round(next(clock) * 1e9)}
     monkeypatch.setattr(worker, "time", SimpleNamespace(**own, process_time=lambda: 0.0))
     monkeypatch.setattr(worker, "_PATIENCE_S", 100.0)
-
 
 
 def lockstep(bus: ListBus, told: list[Keyframe], teller: Teller, with_scale: bool = True) -> None:
@@ -153,3 +153,27 @@ def test_a_keyframe_that_never_came_is_no_hang_afterwards(monkeypatch):
     assert bus.of("acknowledged")
     waits = [i for i, state in enumerate(bus.states) if "waiting for keyframe 0" in state]
     assert bus.states[waits[-1] + 1 :][:1] in (["idle"], ["ended"])
+
+
+@pytest.mark.parametrize("already_here", [False, True])
+def test_a_keyframe_of_the_map_before_a_loaded_one_is_not_waited_for(already_here, tmp_path, caplog):
+    """The frame that was under way when the command came: who asks for the loaded map would wait, too."""
+    state = StateConfig(directory=str(tmp_path / "state"), journal=False)
+    config = replace(LOCKSTEP, state=state, tracking=TrackingConfig(levels=8, scale_factor=1.2))
+    teller, told = keyframes(5)
+    live(tmp_path, told[:4], teller, config=replace(config, mode="realtime"), ask=("lab",))
+    bus = ListBus("tracked", patience=200)
+    made = worker.BackendWorker(config, bus)
+    if already_here:
+        bus.give("keyframe", told[4])
+        made._receive(0.0)
+    bus.desk.ask("load_map", "lab")
+    made._desk.serve()
+    assert bus.desk.replies[0].ok
+    bus.give("tracked", tick(4, 4))
+    if not already_here:
+        bus.give("keyframe", told[4])
+    made.run()
+    assert "incomplete" not in caplog.text
+    assert bus.of("acknowledged") == [Acknowledged("backend", 4)]
+    assert sorted(made._mapper.world.keyframes) == [0, 1, 2, 3]
