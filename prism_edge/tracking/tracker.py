@@ -136,9 +136,8 @@ class Tracker:
             self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES and not awaited
             if self._lost and self.may_map:
                 self._look_on(index, stamp_ns, camera, features)
-            if not self.initialised:
-                return self._begin(index, stamp_ns, camera, features)
-            return nothing(LOST if self._lost else DEGRADED)
+            # A map that was given up: the new one begins with the next frame, through the file's own lens.
+            return nothing(INITIALISING if not self.initialised else LOST if self._lost else DEGRADED)
         if self._lost:
             log.info("found again at frame %d, %.1f s later", index, silent_s)
             self._settle(frame)
@@ -153,7 +152,8 @@ class Tracker:
         It begins where the camera was last, so that `odom` goes on from there. A map younger than that
         patience knows neither scale nor shape: looked for as long as it was seen, it gives way to a new one.
         """
-        if len(features) >= MIN_FIRST_FEATURES:
+        shows = len(features) >= MIN_FIRST_FEATURES
+        if shows:
             self._looked_ns += min(stamp_ns - self._looking_at, MOST_BETWEEN_NS)
         self._looking_at = stamp_ns
         if self._waiting is not None:
@@ -167,7 +167,7 @@ class Tracker:
             log.info("lost in a map of %.1f s, which is given up: a new one begins", self._age_s())
             self._restart(scaled(pose, math.exp(self.log_scale)))
             return
-        if not patience_s or looked_s < patience_s or self._unmapped is not None:
+        if not (patience_s and looked_s >= patience_s and self._unmapped is None and shows):
             return
         if not self.parts.at_home and self.parts.size(self.world) == 1:
             # What was never seen from a second place: else what can't be tracked adds such parts for ever.
@@ -370,7 +370,7 @@ class Tracker:
     def reset(self) -> None:
         """Begin a new map with the next frame: another epoch, at the identity."""
         self._restart(np.eye(4))
-        self._seen_at, self.may_map, self._lens = None, True, None
+        self._seen_at, self.may_map = None, True
 
     def adopt(self, world: LocalMap, index: PlaceIndex, parts: Parts, epoch: int, log_scale: float) -> None:
         """Go on in a map that was there: the camera is looked for anywhere in it."""
@@ -395,6 +395,6 @@ class Tracker:
         self._lost, self.wants_probe, self._waiting = False, False, None
         self.epoch += 1
         self.log_scale = self.map_log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
-        self.last, self._unmapped, self.initialised = None, None, False
+        self.last, self._unmapped, self.initialised, self._lens = None, None, False, None
         self._pending, self._fresh, self._result = None, None, None
         self.motion.stop()

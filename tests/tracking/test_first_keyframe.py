@@ -176,6 +176,22 @@ def test_a_part_whose_depth_is_of_no_use_begins_again_soon() -> None:
     assert run.feed(0, room[1][0], at=max(run.results) + 1).odometry == OK
 
 
+def test_in_the_dark_a_part_gives_way_to_none_and_the_first_light_begins_one() -> None:
+    room = other_room(40)
+    run = astray(room)
+    part = max(run.keyframes)
+    run.tracker.add_no_depth(part)
+    for _ in range(60):
+        run.feed(0, BLACK, at=max(run.results) + 1)
+    assert max(run.keyframes) == part
+    assert part not in run.tracker.world.keyframes
+    run.feed(0, room[0][0], at=max(run.results) + 1)
+    begun = max(run.keyframes)
+    assert begun > part
+    run.tracker.add_depth(begun, room[0][1], IDENTITY, 0.1)
+    assert run.feed(0, room[1][0], at=max(run.results) + 1).odometry == OK
+
+
 def test_no_probe_takes_the_place_of_the_picture_that_a_part_waits_for() -> None:
     """The depth worker keeps the newest picture alone: a slow network would see probes only."""
     room = other_room(40)

@@ -9,11 +9,12 @@ import pytest
 
 from prism_edge.geometry.cameras import FISHEYE
 from prism_edge.messages import OK
+from prism_edge.tracking import tracker
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.map_correction import flaw
 from tests.synthetic.messages import map_update
-from tests.tracking.film_run import Run
-from tests.tracking.footage import footage
+from tests.tracking.film_run import BLACK, Run
+from tests.tracking.footage import footage, other_room
 
 
 @pytest.fixture
@@ -50,13 +51,25 @@ def test_one_of_another_camera_changes_nothing(run):
     assert {k.camera for k in world.keyframes.values()} == {given}
 
 
-def test_a_new_map_begins_with_what_the_camera_file_says(run):
-    given = footage().camera
+@pytest.mark.parametrize("way", ["reset", "lost while it was young", "contradicted"])
+def test_a_new_map_begins_with_what_the_camera_file_says(way, monkeypatch):
+    given, run = footage().camera, Run()
+    run.play(range(20))
     run.tracker.apply_update(
         map_update(max(run.tracker.world.keyframes), camera=given.bent(-0.01).to_array())
     )
-    run.tracker.reset()
-    run.play(range(30, 40))
+    if way == "reset":
+        run.tracker.reset()
+        run.play(range(20, 30))
+    elif way == "contradicted":
+        monkeypatch.setattr(tracker, "is_contradicted", lambda *_: run.tracker.epoch == 0)
+        run.play(range(20, 60))
+    else:
+        for i in range(20, 32):
+            run.feed(0, BLACK, at=i)
+        for i in range(32, 60):
+            run.feed(0, other_room(1)[0][0], at=i)
+    assert run.tracker.epoch == 1
     assert {k.camera for k in run.tracker.world.keyframes.values()} == {given}
 
 
