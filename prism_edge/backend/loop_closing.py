@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from prism_edge.backend.loops import Loop, Surroundings, median_depth, plausible
 from prism_edge.backend.places import candidates, half_known
 from prism_edge.config import BackendConfig
 from prism_edge.errors import first_line
-from prism_edge.geometry.poses import Array, inverse, rotation_angle
+from prism_edge.geometry.poses import Array, inverse, rotation_angle, scaled
 from prism_edge.messages import F32
 from prism_edge.tracking.place_index import PlaceIndex
 
@@ -162,7 +162,7 @@ class LoopCloser:
         query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
         # As it was measured: what the loop moves may take the candidate along.
         relative = inverse(candidate.world_from_camera) @ loop.world_from_query
-        units = None
+        units, moved = None, pose_graph.Moved()
         if not self._connected(loop) or not self._slight(loop, query):
             found = pose_graph.spread(world, loop, self._pairs())
             if found is None:
@@ -174,6 +174,7 @@ class LoopCloser:
                 world.part_grew(max(query.part, candidate.part), math.exp(log_unit))
         ends = loop.query, loop.candidate, query.index, candidate.index
         self.accepted.append(Accepted(*ends, relative, loop.inliers, units))
+        self._in_new_units(moved)
         if len(self.accepted) > MOST_ACCEPTED:
             self._forget_one()
         made = self._join(query, [(i, world.present(p)) for i, p in loop.pairs])
@@ -190,6 +191,14 @@ class LoopCloser:
             made,
         )
         return True
+
+    def _in_new_units(self, moved: pose_graph.Moved) -> None:
+        """What loops have measured in a part whose unit is another now."""
+        for i, loop in enumerate(self.accepted):
+            at = moved.get(loop.candidate) or moved.get(loop.query)  # one may have been culled
+            if at is not None and at.unit != 1.0:
+                relative = scaled(loop.candidate_from_query, at.unit)
+                self.accepted[i] = replace(loop, candidate_from_query=relative)
 
     def _forget_one(self) -> None:
         """The oldest loop with an end that was culled, else the oldest: its ends share points by now."""

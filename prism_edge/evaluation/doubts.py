@@ -12,9 +12,15 @@ _TRUTHS = {
 }
 
 
-def apart_in_time(estimate: Trajectory, truth: Trajectory, pairs: int) -> list[str]:
-    """What to say where not even half of the poses of either could be paired: they may be of other times."""
-    if not len(estimate) or 2 * pairs >= min(len(estimate), len(truth)):
+def apart_in_time(
+    estimate: Trajectory, truth: Trajectory, pairs: int, until_ns: int | None = None
+) -> list[str]:
+    """What to say where not even half of the poses of either could be paired: they may be of other times.
+
+    ``until_ns``: when a run ended that played no more of its recording; later true poses are in no count.
+    """
+    met = len(truth) if until_ns is None else max(int((truth.stamps <= until_ns).sum()), 1)
+    if not len(estimate) or 2 * pairs >= min(len(estimate), met):
         return []
     (first, last), (begin, end) = ((t.stamps[0] / NS, t.stamps[-1] / NS) for t in (estimate, truth))
     return [

@@ -8,10 +8,12 @@ import pytest
 from prism_edge.backend.connectivity import tied_parts
 from prism_edge.backend.loop_closing import LoopCloser
 from prism_edge.backend.loops import Loop
+from prism_edge.backend.mapper import Mapper
+from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log, transform
 from tests.backend.closing import DRIFT, finish, two_parts, walk
 from tests.backend.ring import Ring, position_error
-from tests.backend.world import check
+from tests.backend.world import chain, check
 from tests.tracking.cloud import pose_at
 
 BROKEN = range(22, 27)  # keyframes without which the ring is in two pieces
@@ -88,6 +90,29 @@ def test_what_a_part_still_sends_in_its_own_unit_after_it_was_joined_is_understo
         true = transform(to_true, ring.points[ring.point_of[point]][None])[0, 2]
         found = transform(to_here, mapper.world.points[point].position[None])[0, 2]
         assert found == pytest.approx(true, rel=0.08)
+
+
+@pytest.mark.parametrize("query_in_newer", [True, False])
+def test_what_loops_measured_in_a_part_is_in_the_unit_that_it_has_once_it_was_joined(query_in_newer):
+    """The newer part's lengths are told as half of what they are in the older one's unit."""
+    mapper = Mapper(BackendConfig(), use_depth=False)
+    world, loops = mapper.world, mapper.loops
+    chain([pose_at(0.3 * i) for i in range(8)], 0, world)
+    chain([pose_at(50 + 0.15 * i) for i in range(12)], 100, world)
+    for k, keyframe in world.keyframes.items():
+        keyframe.part = 0 if k < 100 else 100
+    loops._join_neighbours = lambda loop: 0  # there are no pictures
+    assert loops._close(Loop(110, 101, world.keyframes[110].world_from_camera.copy(), 1.0, 0.001, 50, 3, []))
+    if query_in_newer:
+        joining = Loop(103, 2, pose_at(0.3 * 2 + 0.05), 2.0, 0.001, 50, 3, [])
+    else:
+        joining = Loop(2, 103, pose_at(50 + 0.15 * 3 - 0.025), 0.5, 0.001, 50, 3, [])
+    assert loops._close(joining)
+    for said in loops.accepted:
+        ends = (world.keyframes[k].world_from_camera for k in (said.candidate, said.query))
+        true = inverse(next(ends)) @ next(ends)
+        assert said.candidate_from_query == pytest.approx(true, abs=0.02)
+    assert loops.accepted[0].candidate_from_query[0, 3] == pytest.approx(2.7, abs=0.05)
 
 
 def test_a_part_of_its_own_is_adjusted_without_being_merged():
