@@ -76,7 +76,8 @@ def write(recording: Recording, things: list[Distractor], contrast: float, out: 
         colours = np.where(mask[..., None], colours, spread)
         mixed = image * (np.float32(1) - alpha) + colours * alpha
         drawn = np.clip(mixed + 0.5, 0, 255).astype(np.uint8)
-        _write_image(target, drawn, cv2.IMWRITE_JPEG_QUALITY, 95)
+        is_jpeg = target.suffix.lower() in (".jpg", ".jpeg")
+        _write_image(target, drawn, *((cv2.IMWRITE_JPEG_QUALITY, 95) if is_jpeg else ()))
         _write_image(out / f"masks/{i:06d}.png", mask.astype(np.uint8) * 255)
         if depth_file is not None:
             _write_depth(recording, depth_file, shown, out)
@@ -113,8 +114,9 @@ def copy_rest(recording: Recording, out: Path) -> None:
             shutil.copyfile(recording.folder / name, out / name)
     if holds_markers(recording.folder) and len(truth := own_truth(str(recording.folder))):
         write_tum(out / "groundtruth.txt", truth)
-    for path in sorted(recording.folder.glob("*.pose.txt")):
-        shutil.copyfile(path, out / path.name)
+    for folder in sorted({path.parent for path in recording.listing.files}):
+        for path in sorted(folder.glob("*.pose.txt")):
+            _copied(path, out / path.relative_to(recording.folder))
     describe(recording.camera, out / "camera.yaml")
 
 

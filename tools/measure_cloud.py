@@ -34,7 +34,8 @@ from prism_edge.geometry.poses import from_rt, so3_exp, transform
 from prism_edge.reconstruction.cloud import Cloud, Voxels, lay
 from prism_edge.scale.gate import DepthView
 from prism_edge.sources import open_source
-from prism_edge.sources.sensor_depth import SensorDepth, image_to_depth
+from prism_edge.sources.open import find_listing
+from prism_edge.sources.sensor_depth import COLOUR_IN_DEPTH, SensorDepth, image_to_depth
 from prism_edge.sources.truth import read_truth
 
 F64 = NDArray[np.float64]
@@ -106,7 +107,10 @@ def poses_of(folder: Path, file: Path | None) -> Trajectory:
     own = read_truth(str(folder))
     if own is None:
         raise EvaluationError(f"{folder} has no true poses: give --truth FILE.tum")
-    return Trajectory(*own)
+    stamps, poses = own
+    if find_listing(folder).layout == "7-Scenes":  # the depth camera's
+        poses = poses @ from_rt(np.eye(3), COLOUR_IN_DEPTH)
+    return Trajectory(stamps, poses)
 
 
 def read_ply(path: Path) -> F64:

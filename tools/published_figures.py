@@ -65,10 +65,11 @@ def published(dataset: str, folder: Path) -> Published | None:
     """What the paper has for the sequence in a folder, known by its name; None where it has nothing.
 
     TUM, BONN and KITTI folders are known by their own name, 7-Scenes by that of the scene's folder, in
-    which the sequences are (`redkitchen/seq-01`, `7scenes_redkitchen/seq-01`).
+    which the sequences are (`redkitchen/seq-01`, `7scenes_redkitchen/seq-01`, `redkitchen/seq-01/seq-01`).
     """
-    scenes = dataset == _SCENES
-    name = (folder.parent if scenes and folder.name.startswith("seq") else folder).name.lower()
+    if dataset == _SCENES:
+        folder = next((path for path in (folder, *folder.parents) if not path.name.startswith("seq")), folder)
+    name = folder.name.lower()
     prefix = r"(rgbd_dataset_|rgbd_|7-?scenes_)?"
     for known, pattern, figures in _PAPER:
         if known == dataset and re.fullmatch(prefix + pattern, name):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prism_edge.config import Config, DepthConfig
+from prism_edge.config import Config, DepthConfig, SourceConfig
 from prism_edge.evaluation.metrics import metrics
 from prism_edge.evaluation.played import Played
 from prism_edge.evaluation.recording import Published, Recording
@@ -155,6 +155,18 @@ def test_sparse_truth_that_is_all_met_is_no_cause_to_warn() -> None:
     assert report(truth=circle(1.0).at(np.arange(0, N, 10)))["warnings"] == []
     assert report()["warnings"] == []
     assert report()["unscored"] is None
+
+
+def test_truth_of_what_was_not_played_is_in_no_count() -> None:
+    truth = circle(1.0)
+    more = truth.stamps[-1] + 1_000_000_000 + (np.arange(200) * NS / 30).astype(np.int64)
+    stamps = np.concatenate([truth.stamps[::10], more])
+    whole = Trajectory(stamps, np.concatenate([truth.poses[::10], np.tile(np.eye(4), (200, 1, 1))]))
+    assert len(report(truth=whole)["warnings"]) == 1
+    beginning = Config(source=SourceConfig(frames=N))
+    assert report(truth=whole, config=beginning)["warnings"] == []
+    later = Trajectory(truth.stamps + 1_000_000_000 * NS, truth.poses)
+    assert len(report(truth=later, config=beginning)["warnings"]) == 1
 
 
 def test_a_run_with_nothing_to_score_says_so() -> None:

@@ -229,6 +229,7 @@ def test_folders_that_would_share_a_place_are_refused(tmp_path: Path, ran, capsy
         ("TUM RGB-D", "rgbd_dataset_freiburg3_walking_xyz", 23.2),
         ("TUM RGB-D", "rgbd_dataset_freiburg3_walking_xyz_validation", None),
         ("7-Scenes", "office/seq-03", 11.7),
+        ("7-Scenes", "office/seq-03/seq-03", 11.7),
         ("7-Scenes", "chess", 7.1),
         ("KITTI odometry", "office/seq-03", None),
     ],

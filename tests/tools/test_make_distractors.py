@@ -235,6 +235,20 @@ def test_bonns_truth_is_carried_over_once(sequence: Path, tmp_path: Path):
     assert poses == pytest.approx(before[1], abs=1e-8)
 
 
+def test_a_scene_s_folder_keeps_the_truth_of_the_sequence_in_it(tmp_path: Path, capfd):
+    scene, out = tmp_path / "7scenes_office", tmp_path / "out"
+    tiny.write_seven_scenes(scene / "seq-01", count=2)
+    for i in range(2):
+        depth = np.full((480, 640), 3000, np.uint16)
+        assert cv2.imwrite(str(scene / "seq-01" / f"frame-{i:06d}.depth.png"), depth)
+    recording = Recording(scene, None)
+    make_distractors.write(recording, [], 1.0, out)
+    make_distractors.copy_rest(recording, out)
+    before, after = (read_truth(str(folder)) for folder in (scene, out))
+    np.testing.assert_array_equal(before[1], after[1])
+    assert capfd.readouterr().err == "", "OpenCV complains of options that a format doesn't have"
+
+
 def test_replaced_extents_are_the_only_change_of_size():
     """Planning scales an object and nothing else of it."""
     ball = thing(ELLIPSOID, (0.2, 0.2, 0.2), [(0.0, 0.0, 2.0), (0.0, 0.0, 2.0)])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -13,7 +14,7 @@ from prism_edge.geometry.poses import from_rt, inverse, so3_exp, transform
 from prism_edge.reconstruction.cloud import Cloud
 from tests.cli.mapped_room import FRAMES, MOUNT, write_room
 from tests.synthetic.scene import hand_held_path
-from tools.measure_cloud import main, read_ply, score
+from tools.measure_cloud import main, poses_of, read_ply, reference, score
 
 MOVED = from_rt(so3_exp(np.array([0.01, -0.02, 0.015])), np.array([0.03, -0.02, 0.02]))
 
@@ -53,6 +54,26 @@ def test_thickness_is_what_a_surface_is_spread_by() -> None:
     walls, rng = corner(0.01), np.random.default_rng(0)
     spread = walls.points + 0.008 * rng.normal(size=(len(walls.points), 1)) * walls.normals
     assert score(spread, walls, np.eye(4)).thickness == pytest.approx(0.008, rel=0.3)
+
+
+def test_seven_scenes_own_poses_are_those_of_the_depth_camera(tmp_path: Path) -> None:
+    """A wall at 2 m, seen from one spot under 50 degrees to both sides: laid together, it is one."""
+    folder = tmp_path / "7scenes" / "seq-01"
+    folder.mkdir(parents=True)
+    row, column = np.mgrid[0:480, 0:640]
+    rays = np.stack([(column - 320.0) / 585.0, (row - 240.0) / 585.0, np.ones(row.shape)], axis=-1)
+    for i, degrees in enumerate((50.0, -50.0)):
+        turned = so3_exp(np.array([0.0, np.radians(degrees), 0.0]))
+        ahead = (rays @ turned.T)[..., 2]
+        depth = np.where(ahead > 1 / 3, 2.0 / np.maximum(ahead, 1 / 3), 0.0)
+        name = folder / f"frame-{i:06d}"
+        cv2.imwrite(f"{name}.depth.png", np.rint(1000.0 * depth).astype(np.uint16))
+        cv2.imwrite(f"{name}.color.png", np.full((480, 640, 3), 100, np.uint8))
+        np.savetxt(f"{name}.pose.txt", from_rt(turned, np.zeros(3)))
+    seen = reference(folder, poses_of(folder, None), 0.02, 6.0)
+    left, right = (seen.points[side, 2] for side in (seen.points[:, 0] < 0, seen.points[:, 0] > 0))
+    assert np.median(left) == pytest.approx(2.0, abs=0.003)
+    assert np.median(right) == pytest.approx(2.0, abs=0.003)
 
 
 @pytest.fixture(scope="module")
