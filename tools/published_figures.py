@@ -68,7 +68,7 @@ def published(dataset: str, folder: Path) -> Published | None:
     which the sequences are (`redkitchen/seq-01`, `7scenes_redkitchen/seq-01`, `redkitchen/seq-01/seq-01`).
     """
     if dataset == _SCENES:
-        folder = next((path for path in (folder, *folder.parents) if not path.name.startswith("seq")), folder)
+        folder = next(path for path in (folder, *folder.parents) if not path.name.startswith("seq"))
     name = folder.name.lower()
     prefix = r"(rgbd_dataset_|rgbd_|7-?scenes_)?"
     for known, pattern, figures in _PAPER:

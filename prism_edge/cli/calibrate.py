@@ -52,6 +52,7 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.calibration.board import Board
     from prism_edge.cli.board_views import gather
     from prism_edge.sources.image_folder import coverage_of
+    from prism_edge.sources.listing import files_in
     from prism_edge.sources.open import open_source
 
     board = Board.parse(args.board)
@@ -59,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     check_writable(out, args.overwrite)
     picture = Path(args.picture) if args.picture else coverage_of(out)
     # A picture without a camera file is that of a run that was refused: the next one takes its place.
-    left_over = not args.picture and picture not in map(coverage_of, out.parent.iterdir())
+    left_over = not args.picture and picture not in map(coverage_of, files_in(out.parent))
     check_writable(picture, args.overwrite or left_over)
     if out.resolve() == picture.resolve():
         raise ConfigError(f"{out} can't be both the camera file and the picture")

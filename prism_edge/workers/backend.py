@@ -73,7 +73,7 @@ class BackendWorker:
         self._home_scale, self._log_scale = KnownScale(), 0.0  # of the map's first part; where the camera is
         self._scaled: set[int] = set()
         self._gated: dict[int, Gate] = {}
-        self._gone: set[int] = set()  # keyframes of a map that another has taken the place of
+        self._gone = -1  # the newest keyframe of a map that another has taken the place of
         self._settled, self._adjusting_since_ns = False, 0
         recovered = self._keeper.recover()
         if recovered is not None:
@@ -164,7 +164,7 @@ class BackendWorker:
             if keyframe.epoch >= self._mapper.epoch:
                 self._waiting.append((time.monotonic(), keyframe))
             else:  # of a map that is gone
-                self._gone.add(keyframe.id)
+                self._gone = max(self._gone, keyframe.id)
                 self._loaded.remind(self._home_scale)
         late = set()
         for depth in self._depths.drain():
@@ -347,7 +347,7 @@ class BackendWorker:
         here = any(waiting.id == keyframe for _, waiting in self._waiting)
         has_depth = "depth" not in self._peers or keyframe in self._early
         has_scale = "scale" not in self._peers or (keyframe in self._scaled and keyframe in self._gated)
-        return keyframe in self._gone or (here and has_depth and has_scale)
+        return keyframe <= self._gone or (here and has_depth and has_scale)
 
     # -- commands -----------------------------------------------------------------------------------
 
@@ -364,7 +364,7 @@ class BackendWorker:
             self._log_scale = self._home_scale.log_scale
         finally:
             self._rest()
-        self._gone.update(keyframe.id for _, keyframe in self._waiting)
+        self._gone = max([self._gone, *(keyframe.id for _, keyframe in self._waiting)])
         self._waiting.clear()
         self._unsolved = self._late = None
         self._snapshot = self._take_snapshot()

@@ -122,6 +122,7 @@ def test_too_few_views(
     assert "only 5 different ways, and 10 are needed" in error
     picture = tmp_path / "c.coverage.png"  # shows why
     assert cv2.imread(str(picture)).shape == (480, 640, 3)
+    (tmp_path / "c").mkdir()  # a folder is no camera file that the picture might be of
     picture.write_bytes(b"of the run before")
     refused(capsys, 9, tmp_path, "--board", SPEC, "--out", tmp_path / "c.yaml")
     assert cv2.imread(str(picture)) is not None
