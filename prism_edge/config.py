@@ -76,7 +76,7 @@ class SourceConfig:
     )
     frames: int = limits(0, 0, 10**9, "play no more than the first so many frames of a recording; 0: all")
     wait_s: float = limits(0.0, 0.0, 3600.0, "release the first frame no sooner than this after ready")
-    absent_s: float = limits(10.0, 0.0, 45.0, "longest wait, at the start, for a camera that isn't there")
+    absent_s: float = limits(10.0, 0.0, 45.0, "longest wait, at the start, for a camera's first image")
     peers_s: float = limits(30.0, 0.0, 3600.0, "longest wait for the run's other processes; 0: none")
     loop: bool = field(default=False, metadata={"help": "start again at the end, with continuing stamps"})
 

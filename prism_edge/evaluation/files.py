@@ -13,16 +13,22 @@ from prism_edge.config import Config
 from prism_edge.depth import locate, networks_of
 from prism_edge.depth.cards import sidecar_of
 from prism_edge.depth.vetting import vet
-from prism_edge.errors import ModelError
+from prism_edge.errors import ModelError, SourceError
 from prism_edge.named_path import named_path
+from prism_edge.sources.sim.options import is_simulated, parse
 
 
 def files_of(config: Config, truth: Path | None) -> list[Path]:
     """What is there of the camera, mask and truth that are given, and each network with its card and weights.
 
-    The truth of 7-Scenes is the folder of its .pose.txt. Not among them are images, videos and tables.
+    The truth of 7-Scenes is the folder of its .pose.txt. A simulated world has the way that it follows. Not
+    among them are images, videos and tables.
     """
-    files = [named_path(name) for name in (config.source.camera, config.source.mask) if name]
+    names = [config.source.camera, config.source.mask]
+    if is_simulated(config.source.uri):
+        with suppress(SourceError):  # no address
+            names.append(parse(config.source.uri).follow)
+    files = [named_path(name) for name in names if name]
     files += [truth] if truth is not None else []
     with suppress(ModelError):  # no pair of names
         files += [file for name in networks_of(config.depth.network) for file in _network_files(name)]

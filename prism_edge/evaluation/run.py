@@ -86,13 +86,16 @@ def evaluate(
     if truth is not None and not truth.is_file():
         what = "a folder: a TUM file is wanted" if truth.is_dir() else "no such file"
         raise EvaluationError(f"{truth}: {what}: nothing to score against")
-    if truth is not None and truth.resolve() in {(out / name).resolve() for name in PATHS}:
-        raise EvaluationError(f"{truth} would be overwritten by this run's own: name another folder for it")
-    true_path = _truth(config, truth)
-    named = files_of(config, Path(made_of.truth_file) if made_of.truth_file else None)
-    made_of = dataclasses.replace(made_of, files=digests_of(named))
     # Where the truth that was given lies among the results, it stays as it is.
     kept = {truth.resolve()} if truth is not None else set()
+    named = files_of(config, Path(made_of.truth_file) if made_of.truth_file else None)
+    written = {(out / name).resolve() for name in PATHS}
+    written |= {(out / name).resolve() for name in (*FILES, *further)} - kept
+    for file in named:
+        if file.resolve() in written:
+            raise EvaluationError(f"{file} would be overwritten by the run's own: name another folder for it")
+    true_path = _truth(config, truth)
+    made_of = dataclasses.replace(made_of, files=digests_of(named))
     config = _prepared(config if keep_endpoint else on_free_endpoint(config), out, kept, further)
     if not config.depth.network and not quiet:
         print(f"prism-edge: warning: depth {WITHOUT_NETWORK}", file=sys.stderr)

@@ -30,6 +30,7 @@ from prism_edge.workers.pause import Pause
 
 log = logging.getLogger("prism_edge.source")
 
+_LOADING_S = 120.0  # what `depth` says that its network may take
 _READING_S = 5.0  # a disk or network share that takes longer hangs
 _TRUTH_FRAME = "simulated_world"
 _GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
@@ -70,7 +71,8 @@ class SourceWorker:
         self._await_peers()
         if self._bus.life and not self._source.live:
             self._resume()
-        self._pause.wait(self._config.source.wait_s)
+        if not self._bus.life:
+            self._pause.wait(self._config.source.wait_s)
         if self._source.live:
             self._play_live()
         elif self._gatekeeper is not None:
@@ -82,15 +84,22 @@ class SourceWorker:
         self._pause.wait(float("inf"))
 
     def _await_peers(self) -> None:
-        """Until all whom the first frames are for listen and are linked to this process."""
-        waited = self._config.source.peers_s
+        """Until all whom the first frames are for listen and are linked to this process.
+
+        In lockstep as long as a start here may take: without a network that loads, a run would be another.
+        """
+        config, waited = self._config, self._config.source.peers_s
         if waited == 0:
             return
         begun = bool(self._bus.life) or goes_on(self._bus)
-        missing = self._bus.await_ready(awaited_peers(self._config, begun), waited)
+        peers = awaited_peers(config, begun)
+        starting = peers - set(config.network.remote) if config.is_lockstep else set()
+        start_s = max(waited, config.supervisor.start_s + _LOADING_S)
+        missing = self._bus.await_ready(starting, start_s)
+        missing |= self._bus.await_ready(peers - starting, waited)
         if missing and not self._bus.stopped.is_set():
             names = ", ".join(sorted(missing))
-            log.warning("not ready after %g s: %s; playing all the same", waited, names)
+            log.warning("not ready in time: %s; playing all the same", names)
 
     def _resume(self) -> None:
         """Started again, a recording goes on after the last frame that was tracked."""

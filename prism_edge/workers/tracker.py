@@ -93,8 +93,9 @@ class TrackerWorker:
 
     def run(self) -> None:
         """Tracks until the bus is stopped."""
-        if self._bus.life and not self._lockstep:
-            self._adopt(self._maps.of_the_last_life())
+        if self._bus.first_id and not self._lockstep:  # one started by hand may be a later life
+            adopted = self._adopt(self._maps.of_the_last_life())
+            self._unproven = adopted and not self._bus.life
         elif goes_on(self._bus) and not self._lockstep:
             self._unproven = self._adopt(self._maps.of_a_run_cut_off())
             if not self._unproven:
@@ -131,7 +132,7 @@ class TrackerWorker:
         """All that becomes of a frame; without ``judge`` no keyframe but one that begins a map."""
         # A copy of what was released before it, which may have been dropped: then it is news.
         follows = frame.index == self._last_index + 1
-        if self._last_index >= 0 or not self._bus.life:  # what came while we were down was not dropped by us
+        if self._last_index >= 0 or not self._bus.first_id:  # while we were down, we dropped nothing
             self._dropped += max(frame.index - self._last_index - 1, 0)
         self._last_index, self._now_ns = frame.index, frame.stamp_ns
         camera = self._camera.of(frame)
@@ -333,7 +334,7 @@ class TrackerWorker:
         """Go on in the map of an earlier run only with the camera that made it."""
         self._unproven = False
         if self._tracker.world.newest().camera.like(camera):
-            self._recovering = True
+            self._recovering = goes_on(self._bus)
             return
         log.warning("the map that was left was made by another camera: a new one begins")
         self._reset("")

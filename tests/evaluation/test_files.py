@@ -45,6 +45,12 @@ def test_what_is_given_and_there_is_listed_with_each_network_its_card(tmp_path: 
     assert sorted(files_of(config, tmp_path / "true.tum")) == [tmp_path / name for name in names]
 
 
+def test_the_way_that_a_simulated_camera_goes_is_listed(tmp_path: Path) -> None:
+    (tmp_path / "way.tum").write_text("")
+    config = Config(source=SourceConfig(uri=f"sim:room?follow={tmp_path}/way.tum&speed=1"))
+    assert files_of(config, None) == [tmp_path / "way.tum"]
+
+
 def test_a_network_that_is_not_there_or_no_pair_leaves_the_rest(tmp_path: Path) -> None:
     (tmp_path / "true.tum").write_text("")
     for model in (str(tmp_path / "gone.onnx"), "nested:one"):

@@ -110,6 +110,24 @@ def test_a_truth_that_would_be_overwritten_is_known_by_any_of_its_names(
     assert truth.read_text() == "1 0 0 0 0 0 0 1\n"
 
 
+def test_a_way_or_mask_among_the_results_is_not_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An earlier run's path, walked once more into the same folder, would be gone before it was walked."""
+    way, mask = tmp_path / "final.tum", tmp_path / "path.png"
+    way.write_text("1 0 0 0 0 0 0 1\n2 1 0 0 0 0 0 1\n")
+    mask.write_bytes(b"a mask")
+    for source, lost in (
+        (SourceConfig(uri=f"sim:room?follow={way}"), way),
+        (SourceConfig(uri="sim:room", mask=str(mask)), mask),
+    ):
+        config = Config(source=source, depth=DepthConfig(model="pretended"))
+        before = lost.read_bytes()
+        with pytest.raises(EvaluationError, match=f"{lost} would be overwritten"):
+            score(monkeypatch, tmp_path, tmp_path, config=config, further=["path.png"])
+        assert lost.read_bytes() == before
+
+
 @pytest.mark.parametrize(
     ("change", "error"), [({"robot": "a/*"}, ConfigError), ({"bus": BusConfig("nonsense")}, BusError)]
 )

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from prism_edge.config import Config, SourceConfig
-from prism_edge.messages import EndOfStream, Frame
+from prism_edge.messages import Acknowledged, EndOfStream, Frame
 from prism_edge.workers.source import main
 from tests.workers.fake_desk import FakeDesk
 
@@ -49,6 +49,7 @@ class Recorder:
         self.states: list[str] = []
         self.budgets: dict[str, float] = {}  # of what was worked on, seconds
         self.boxes: dict[str, Box] = {}
+        self._ready: set[str | None] = set()
         self.desk = FakeDesk()
         self.commands = self.desk.open
         self.pulse = SimpleNamespace(
@@ -73,13 +74,13 @@ class Recorder:
         self.queue(topic).put(message)
 
     def await_ready(self, processes: set[str], timeout_s: float) -> set[str]:
-        missing, deadline = set(processes), time.monotonic() + timeout_s
-        while missing:
+        wanted, deadline = set(processes), time.monotonic() + timeout_s
+        while not wanted <= self._ready:
             said = self.queue("ready").take(0.02)
-            missing.discard(said)  # what was said in time counts, however late we come to it
+            self._ready.add(said)  # what was said in time counts, however late we come to it
             if said is None and (time.monotonic() >= deadline or self.stopped.is_set()):
                 break
-        return missing
+        return wanted - self._ready
 
     def next(self) -> tuple[str, Any]:
         return self.published.get(timeout=DEADLINE_S)
@@ -136,3 +137,12 @@ def undisturbed(work: Callable[[Recorder], None]) -> tuple[list[Frame], EndOfStr
     return frames, end, bus
 
 
+def acknowledging(bus: Recorder, *names: str) -> tuple[list[Frame], EndOfStream]:
+    frames = []
+    while True:
+        topic, message = bus.next()
+        if topic == "end":
+            return frames, message
+        frames.append(message)
+        for name in names:
+            bus.say("acknowledged", Acknowledged(name, message.index))

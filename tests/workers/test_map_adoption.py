@@ -214,6 +214,22 @@ def test_numbers_under_way_when_the_last_life_died_are_not_given_out_again() -> 
     assert late.isdisjoint(np.concatenate([k.points for k in keyframes]).tolist())
 
 
+@pytest.mark.parametrize("same", [True, False])
+def test_one_started_by_hand_goes_on_in_the_map_of_its_own_camera(whole: WholeMap, same: bool) -> None:
+    """A tracker on another computer has lives that nobody counts, and the map is as much its own."""
+    life = Asked(whole, life=0)
+    life.bus.first_id = 10**15
+    camera = frame(AFTER[0]).camera.copy()
+    camera[2] *= 1.0 if same else 1.01  # focal length
+    run(life.bus, [frame(i, camera=camera) for i in AFTER])
+    assert life.asked == ["whole_map"]
+    made = life.bus.of("keyframe")
+    assert {k.epoch for k in made} == {EPOCH if same else EPOCH + 1}
+    assert all(k.id >= 10**15 for k in made)
+    assert life.bus.of("tracked")[-1].dropped == 0, "what came before its start was another's"
+    assert not any("recovered" in message.status[0].message for message in life.bus.of("status"))
+
+
 def test_without_an_answer_a_new_map_begins() -> None:
     life = Asked(None, life=2)
     run(life.bus, [frame(i) for i in AFTER])

@@ -15,15 +15,23 @@ from sources import tiny_datasets as tiny
 from prism_edge.bus.pack import grey, pack, rgb
 from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
-from prism_edge.config import BusConfig, Config, DepthConfig, NetworkConfig
+from prism_edge.config import BusConfig, DepthConfig
 from prism_edge.errors import ConfigError, SourceError
-from prism_edge.messages import Acknowledged, EndOfStream, Frame, Tracked
+from prism_edge.messages import Acknowledged, EndOfStream
 from prism_edge.sources import open_source
 from prism_edge.sources.schedule import GAP
-from prism_edge.workers.source import SourceWorker, awaited_peers, main
+from prism_edge.workers.source import SourceWorker, main
 from tests.synthetic.scene import block_texture
 from tests.waiting import until
-from tests.workers.source_bench import DEADLINE_S, Recorder, playing, running, settings, undisturbed
+from tests.workers.source_bench import (
+    DEADLINE_S,
+    Recorder,
+    acknowledging,
+    playing,
+    running,
+    settings,
+    undisturbed,
+)
 
 
 def test_realtime_plays_everything_and_ends(tmp_path: Path) -> None:
@@ -95,17 +103,6 @@ def mishaps(tmp_path: Path) -> Path:
     rows[7][0], rows[8][0] = rows[6][0], rows[0][0]
     (folder / "rgb.txt").write_text("\n".join(" ".join(row) for row in rows) + "\n")
     return folder
-
-
-def acknowledging(bus: Recorder, *names: str) -> tuple[list[Frame], EndOfStream]:
-    frames = []
-    while True:
-        topic, message = bus.next()
-        if topic == "end":
-            return frames, message
-        frames.append(message)
-        for name in names:
-            bus.say("acknowledged", Acknowledged(name, message.index))
 
 
 def test_mishaps_in_a_recording_are_refused_and_counted(
@@ -180,44 +177,6 @@ def test_lockstep_goes_on_without_who_has_died(tmp_path: Path, caplog: pytest.Lo
     assert "not acknowledged by backend" in caplog.text
 
 
-def test_the_first_frame_waits_for_the_others(tmp_path: Path) -> None:
-    with playing(settings(tiny.write_tum(tmp_path), "lockstep", peers_s=600.0)) as bus:
-        until(lambda: "ready" in bus.states)
-        bus.say("ready", "backend")
-        with pytest.raises(queue.Empty):
-            bus.published.get(timeout=0.3)
-        bus.say("ready", "tracker")
-        frames, _ = acknowledging(bus, "tracker", "backend")
-    assert frames[0].index == 0
-
-
-def test_the_wait_for_the_others_has_an_end(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    config = settings(tiny.write_tum(tmp_path), rate_hz=50.0, peers_s=0.1)
-
-    def work(bus: Recorder) -> None:
-        bus.say("ready", "tracker")
-        main(config, bus)  # type: ignore[arg-type]
-
-    with running(work) as bus:
-        bus.until_end()
-    assert "backend" in caplog.text
-    assert "tracker" not in caplog.text
-
-
-def test_whom_the_first_frames_wait_for() -> None:
-    """Poses don't wait for who is not needed for them: a network that is loading, a computer that is off."""
-    config = Config(depth=DepthConfig(model="net.onnx"))
-    everybody = {"tracker", "depth", "scale", "backend"}
-    away = replace(config, network=NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=("depth",)))
-    lockstep = replace(away, mode="lockstep")
-    assert awaited_peers(config, begun=False) == everybody
-    assert awaited_peers(config, begun=True) == {"tracker"}
-    assert awaited_peers(away, begun=False) == everybody - {"depth"}
-    assert awaited_peers(lockstep, begun=True) == everybody
-    elsewhere = replace(away, network=replace(away.network, remote=("tracker",)))
-    assert awaited_peers(elsewhere, begun=False) == everybody
-
-
 def test_stopping_ends_every_wait(tmp_path: Path) -> None:
     folder = tiny.write_tum(tmp_path)
     waiting_for_peers = settings(folder, peers_s=600.0)
@@ -236,34 +195,6 @@ def test_stopping_ends_every_wait(tmp_path: Path) -> None:
                 until(lambda bus=bus: GAP in bus.pulse.values)
                 assert 900 < float(bus.pulse.values[GAP]) <= 1000
         assert "ended" not in bus.states
-
-
-def test_started_again_it_goes_on_though_the_tracker_takes_seconds_to_say_where(tmp_path: Path) -> None:
-    config = settings(tiny.write_tum(tmp_path), rate_hz=5.0)
-    last = Tracked(2, 0, 0, "ok", True, -1, 0, np.eye(4))
-
-    def work(bus: Recorder) -> None:
-        bus.life = 1
-        bus.ask = lambda topic, timeout_s=1.0: last if timeout_s > 3.0 else None  # type: ignore[attr-defined]
-        main(config, bus)  # type: ignore[arg-type]
-
-    frames, _, _ = undisturbed(work)
-    assert frames[0].index == 3
-
-
-def test_started_again_in_a_loop_it_does_not_play_all_rounds_again(tmp_path: Path) -> None:
-    config = settings(tiny.write_video(tmp_path / "clip.avi", 5), rate_hz=5.0, loop=True)
-    last = Tracked(5_000_002, 0, 0, "ok", True, -1, 0, np.eye(4))
-
-    def work(bus: Recorder) -> None:
-        bus.life = 1
-        bus.ask = lambda topic, timeout_s=1.0: last  # type: ignore[attr-defined]
-        main(config, bus)  # type: ignore[arg-type]
-
-    with running(work) as bus:
-        _, frame = bus.next()
-        until(lambda: int(bus.pulse.values["frames"]) > 5_000_003)
-    assert frame.index == 5_000_003
 
 
 def test_loop_plays_on(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ STREAMING, RECONNECTING = "streaming", "reconnecting"
 class Timing:
     """How long what is waited for (seconds)."""
 
-    absent_s: float = 10.0  # a camera that isn't there when opening
+    absent_s: float = 10.0  # a camera that isn't there, or gives no image, when opening
     first_pause_s: float = 0.25  # before connecting again; doubles with each attempt
     longest_pause_s: float = 1.0  # poses are missed no longer than that once the camera is back
     hang_s: float = 60.0  # a driver that doesn't come back for this long hangs for good
@@ -75,20 +75,12 @@ class LiveCamera(Source):
     def open(self) -> None:
         """Connects and takes one image, then leaves the camera to a thread.
 
-        Raises SourceError where the camera doesn't come within the patience, or refuses what is asked of
+        Raises SourceError where no image comes within the patience, or the camera refuses what is asked of
         it, and ConfigError where its images don't fit the intrinsics.
         """
         self.close()
         self._closing.clear()
         connection = self._first_connection()
-        try:
-            if self._asks_camera:
-                self.camera = self._own_intrinsics(connection)
-            self.period_ns, self.name = self._driver.period_ns, self._driver.name
-            self._check_first_image(connection)
-        except BaseException:
-            connection.close()
-            raise
         self._alive_s = self._image_s = time.monotonic()
         self._thread = threading.Thread(target=self._run, args=(connection,), name="camera", daemon=True)
         self._thread.start()
@@ -146,7 +138,7 @@ class LiveCamera(Source):
         told = False
         while True:
             try:
-                return self._driver.connect()
+                return self._connected()
             except CameraLostError as error:
                 left = deadline - time.monotonic()
                 if left <= 0 or self.stopped.wait(min(left, self._timing.first_pause_s)):
@@ -154,6 +146,19 @@ class LiveCamera(Source):
                 if not told:
                     log.warning("%s: %s; waiting up to %.0f s for it", self.name, error, left)
                 told = True
+
+    def _connected(self) -> Connection:
+        """A connection that has given an image. Raises CameraLostError where there is none."""
+        connection = self._driver.connect()
+        try:
+            if self._asks_camera:
+                self.camera = self._own_intrinsics(connection)
+            self.period_ns, self.name = self._driver.period_ns, self._driver.name
+            self._check_first_image(connection)
+        except BaseException:
+            connection.close()
+            raise
+        return connection
 
     def _own_intrinsics(self, connection: Connection) -> Camera:
         intrinsics = connection.intrinsics
@@ -180,7 +185,7 @@ class LiveCamera(Source):
                 check_camera_size(self.camera, self.camera_origin, pixels, self.name)
                 return
             reason = pixels if grab is not None else reason
-        raise SourceError(f"{self.name} gives no image ({reason})")
+        raise CameraLostError(f"it gives no image ({reason})")
 
     def _compare(self, pixels: U8) -> str:
         """A camera whose settings were changed while it was away is back, and nothing of it can be used."""

@@ -209,6 +209,14 @@ def test_a_camera_that_comes_late_is_waited_for(caplog: pytest.LogCaptureFixture
     assert caplog.text.count("not there") == 1
 
 
+def test_a_camera_that_is_there_before_its_images_is_waited_for() -> None:
+    """One that is stuck: only a connection made anew gives images."""
+    bench = Bench(lambda k: steady(k) if bench.connects >= 3 else None)
+    with LiveCamera(bench, CAMERA, "a test", Timing(absent_s=DEADLINE_S, first_pause_s=0.01)) as camera:
+        next_image(camera)
+        assert (bench.connects, bench.closes) == (3, 2)
+
+
 def test_a_camera_that_never_comes_is_an_error() -> None:
     bench = Bench(steady)
     bench.refusal = CameraLostError("not there")
