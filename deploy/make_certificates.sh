@@ -20,7 +20,7 @@ folder=$1
 shift
 byte='(25[0-5]|2[0-4][0-9]|1[0-9][0-9]|[1-9]?[0-9])'
 for given in "$@"; do
-    if [[ ! $given =~ ^[A-Za-z0-9_-][A-Za-z0-9._-]*(,[A-Za-z0-9.:_-]+)*$ || $given == ca || $given == ca,* ]]; then
+    if [[ ! $given =~ ^[A-Za-z0-9_][A-Za-z0-9._-]*(,[A-Za-z0-9.:_-]+)*$ || $given == ca || $given == ca,* ]]; then
         echo "make_certificates.sh: error: '$given' is no NAME[,HOST...]" >&2
         exit 2
     fi

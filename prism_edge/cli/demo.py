@@ -20,6 +20,8 @@ from prism_edge.cli.settings import (
     config_from,
     endpoint_given,
     find_networks,
+    source_given,
+    with_network,
 )
 from prism_edge.errors import BusError, ConfigError, SourceError
 
@@ -44,7 +46,10 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "`eval` writes (docs/EVALUATION.md), and path.png, a picture of both paths.",
     )
     parser.add_argument(
-        "source", metavar="SIM", nargs="?", default=SOURCE, help=f"simulated world (default: {SOURCE})"
+        "source",
+        metavar="SIM",
+        nargs="?",
+        help=f"simulated world (default: the configuration's where it has one, else {SOURCE})",
     )
     parser.add_argument(
         "--out", metavar="DIR", type=Path, default=OUT, help=f"where results go (default: {OUT})"
@@ -65,6 +70,8 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.sources.sim import is_simulated
 
     config = config_from(args)
+    if not (source_given(args) or is_simulated(config.source.uri)):  # a robot's own file names its camera
+        config = with_network(replace(config, source=replace(config.source, uri=SOURCE)))
     if not is_simulated(config.source.uri):
         shown = shown_address(config.source.uri)
         raise SourceError(f"{shown}: the demo plays simulated worlds; use `prism-edge eval`")

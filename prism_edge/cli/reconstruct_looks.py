@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from prism_edge.config import Config
 from prism_edge.depth.contract import INVERSE_RELATIVE
 from prism_edge.errors import SourceError
 from prism_edge.geometry.poses import Array
+from prism_edge.messages import U8
 from prism_edge.named_path import named_path
 from prism_edge.reconstruction.dense import Progress
 from prism_edge.reconstruction.in_the_map import aligned, from_relative, shown_in
@@ -54,8 +56,9 @@ def gather(
         raise SourceError(f"{source.name} is a camera, which has no past: give the recording of the map")
     depth = depth_for(config, mount)
     gathered = Gathered(depth.name, depth.dsug, depth.is_measured)
-    camera, mask = seen[0].camera, config.source.mask
-    shown = mask_for(named_path(mask), camera.width, camera.height) if mask else None
+    mask = cache(lambda width, height: mask_for(named_path(config.source.mask), width, height))
+    if config.source.mask and len({_size(view) for view in seen}) == 1:
+        mask(*_size(seen[0]))  # said before the first depth; of several sizes the recording has one
     pictures = Pictures(config, seen, gathered.without)
     with source:
         for taken, answer in depth.answers(pictures.of(source, progress)):
@@ -68,7 +71,8 @@ def gather(
             if metres is None:
                 gathered.without[NO_FIT if answer.valid else NO_DEPTH] += 1
                 continue
-            if shown is not None:
+            if config.source.mask:
+                shown = mask(*_size(taken.viewpoint))
                 metres = np.where(shown_in(shown, metres.shape, answer.image_to_depth), metres, np.float32(0))
             seen_so = taken.viewpoint, taken.rgb, metres, answer.confidence, answer.image_to_depth
             gathered.looks[taken.viewpoint.keyframe] = look(*seen_so, width)
@@ -86,7 +90,7 @@ class Pictures:
         self._seen, self._without = seen, without
 
     def of(self, source: Source, progress: Progress) -> Iterator[Taken]:
-        """From an open source, in its order. Raises SourceError for a picture of another camera's size."""
+        """From an open source, in its order. Raises SourceError for a picture of no keyframe's size."""
         at: dict[int, list[Viewpoint]] = {}
         for view in self._seen:
             at.setdefault(view.stamp_ns, []).append(view)
@@ -103,7 +107,7 @@ class Pictures:
                 continue
             progress("depth", len(self._seen) - sum(map(len, at.values())) - len(views), len(self._seen))
             for view in views:
-                _check_size(source, item, view)
+                self._check_size(source, item, view)
                 yield from self._taken(view, item)
         if at:
             self._without[NO_PICTURE] += sum(map(len, at.values()))
@@ -112,16 +116,22 @@ class Pictures:
         """The picture as the keyframe's, if it is."""
         is_grey = item.pixels.ndim == 2
         grey = item.pixels if is_grey else cv2.cvtColor(item.pixels, cv2.COLOR_BGR2GRAY)
-        if not is_picture_of(self._extractor.extract(grey, view.camera), view.features):
+        if grey.shape[::-1] != _size(view) or not self._shows(view, grey):
             self._without[OTHER_PICTURE] += 1
             return
         self.found += 1
         code = cv2.COLOR_GRAY2RGB if is_grey else cv2.COLOR_BGR2RGB
         yield Taken(view, item.index, cv2.cvtColor(item.pixels, code))
 
+    def _shows(self, view: Viewpoint, grey: U8) -> bool:
+        return is_picture_of(self._extractor.extract(grey, view.camera), view.features)
 
-def _check_size(source: Source, item: Image, view: Viewpoint) -> None:
-    shape = item.pixels.shape[:2]
-    if shape != (view.camera.height, view.camera.width):
-        of = f"{view.camera.width}x{view.camera.height}"
-        raise SourceError(f"{source.name} has pictures of {shape[1]}x{shape[0]}, but the map is of {of}")
+    def _check_size(self, source: Source, item: Image, view: Viewpoint) -> None:
+        height, width = item.pixels.shape[:2]
+        if (width, height) not in map(_size, self._seen):
+            of = "{}x{}".format(*_size(view))
+            raise SourceError(f"{source.name} has pictures of {width}x{height}, but the map is of {of}")
+
+
+def _size(view: Viewpoint) -> tuple[int, int]:
+    return view.camera.width, view.camera.height

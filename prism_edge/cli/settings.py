@@ -132,7 +132,16 @@ def config_from(args: argparse.Namespace) -> Config:
 
 def endpoint_given(args: argparse.Namespace) -> bool:
     """Whether the command line names an endpoint, be it the default one."""
-    return args.endpoint is not None or any(s.partition("=")[0].strip() == "bus.endpoint" for s in args.set)
+    return args.endpoint is not None or _is_set(args, "bus.endpoint")
+
+
+def source_given(args: argparse.Namespace) -> bool:
+    """Whether the command line names what is to be played."""
+    return args.source is not None or _is_set(args, "source.uri")
+
+
+def _is_set(args: argparse.Namespace, key: str) -> bool:
+    return any(setting.partition("=")[0].strip() == key for setting in args.set)
 
 
 def find_networks(config: Config) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,7 +24,8 @@ _FLAGS = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATI
 
 _BITS = (8, 10, 12, 14, 16)  # that cameras have; most store them as they are in files of 16
 
-_JPEG_START, _JPEG_SCAN, _JPEG_END = b"\xff\xd8\xff", b"\xff\xda", b"\xff\xd9"
+_JPEG_START, _JPEG_END = b"\xff\xd8\xff", 0xD9
+_JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")  # what a scan holds (zero, restarts) is none
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 
 
@@ -33,9 +35,10 @@ def decode(data: bytes, bits: int = 16) -> U8 | str:
     Deeper pixels, of this many ``bits``, become 8.
 
     A JPEG that was cut short decodes without complaint in some versions of OpenCV, its rest grey; so
-    its end marker is looked for, behind the last scan: inside a scan the marker can't occur, as every
-    0xff there is followed by zero or a restart. A PNG ends with its IEND chunk. What is damaged in
-    the middle shows as a failing checksum (PNG); in a JPEG it can't be told from a picture.
+    its end marker is looked for, from segment to segment and scan to scan: inside a scan it can't occur,
+    and what a segment holds (a thumbnail) or follows the end (a phone's video) may be anything. A PNG
+    ends with its IEND chunk. What is damaged in the middle shows as a failing checksum (PNG); in a JPEG
+    it can't be told from a picture.
     """
     return as_8_bits(_decoded(data), bits)
 
@@ -58,7 +61,7 @@ def bits_used(paths: Sequence[Path]) -> int:
 def _decoded(data: bytes) -> U8 | U16 | str:
     if not data:
         return "is empty"
-    if data.startswith(_JPEG_START) and data.rfind(_JPEG_END, max(data.rfind(_JPEG_SCAN), 0)) < 0:
+    if data.startswith(_JPEG_START) and not _jpeg_ends(data):
         return "is a truncated JPEG"
     if data.startswith(_PNG_START) and data.rfind(_PNG_END) < 0:
         return "is a truncated PNG"
@@ -71,6 +74,16 @@ def _decoded(data: bytes) -> U8 | U16 | str:
     if pixels is None or pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
         return "is damaged, or no image"
     return pixels
+
+
+def _jpeg_ends(data: bytes) -> bool:
+    at = 2
+    while (marker := _JPEG_MARKER.search(data, at)) is not None:
+        at = marker.end()
+        if data[at - 1] == _JPEG_END:
+            return True
+        at += int.from_bytes(data[at : at + 2], "big")  # the segment; a scan's data follow it
+    return False
 
 
 def read_image(path: Path) -> U8 | str:

@@ -29,7 +29,7 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
         table = folder / "times.txt"
         raise SourceError(f"{table} has {len(times)} times, too few for image {images[-1].name}")
     images = _with_gaps(images)
-    missing = len(times) - len(images)
+    missing = len(times) - (int(images[-1].stem) - int(images[0].stem) + 1) if images else len(times)
     return Listing(
         "KITTI odometry",
         tuple(images),

@@ -50,11 +50,15 @@ def path() -> list[np.ndarray]:
 
 
 def true_map(
-    stamped: bool = True, camera: Camera = CAMERA, mount: np.ndarray = MOUNT, twice: bool = False
+    stamped: bool = True,
+    camera: Camera = CAMERA,
+    mount: np.ndarray = MOUNT,
+    twice: bool = False,
+    other: Camera | None = None,
 ) -> bytes:
     """Keyframes where they are, and points of the surfaces that they see, wherever they are seen.
 
-    ``twice``: a second recording, with the same stamps, has gone the way back in the map.
+    ``twice``: a second recording, with the same stamps, went the way back in the map, by ``other``.
     """
     renderer = Renderer(furnished_room(SEED), CAMERA)
     first = hand_held_path(FRAMES, RATE_HZ)[0]
@@ -83,6 +87,7 @@ def true_map(
         placed = pose.copy()
         placed[:3, 3] *= unit
         shows = np.concatenate([shown, np.full(len(corners), -1)])
+        made_by = other if other is not None and k >= len(path()) else camera
         stamp_ns = round(k % len(path()) * APART / RATE_HZ * 1e6) * 1000
         world.absorb(
             blank(
@@ -91,8 +96,8 @@ def true_map(
                 index=k * APART,
                 stamp_ns=stamp_ns,
                 epoch=0,
-                camera_model=camera.model,
-                camera=camera.to_array(),
+                camera_model=made_by.model,
+                camera=made_by.to_array(),
                 world_from_camera=placed,
                 pixels=np.vstack([pixels[shown], corners.pixels]).astype(np.float32),
                 octaves=np.concatenate([np.zeros(len(shown)), corners.octaves]).astype(np.uint8),

@@ -14,6 +14,7 @@ from prism_edge.bus.session import Bus
 from prism_edge.cli import demo, watch
 from prism_edge.cli.demo import sum_up
 from prism_edge.cli.main import main
+from prism_edge.cli.settings import BUNDLED
 from prism_edge.config import Config, SourceConfig
 from prism_edge.errors import BusError, EvaluationError
 from prism_edge.evaluation import run
@@ -36,10 +37,36 @@ REPORT = {
 
 
 @pytest.mark.parametrize(
+    ("arguments", "file", "played"),
+    [
+        ([], "", demo.SOURCE),
+        ([], "v4l2:/dev/video0", demo.SOURCE),
+        ([], "sim:loop", "sim:loop"),
+        (["--set", "source.uri=sim:stairs"], "sim:loop", "sim:stairs"),
+        (["sim:room", "--set", "source.uri=sim:stairs"], "sim:loop", "sim:room"),
+    ],
+)
+def test_it_plays_the_configuration_s_world_where_that_has_one(
+    arguments, file, played, tmp_path, monkeypatch
+) -> None:
+    asked = []
+
+    def play(config: Config, out: object) -> None:
+        asked.append((config.source.uri, config.depth.model))
+        raise EvaluationError("far enough")
+
+    monkeypatch.setattr(demo, "play", play)
+    (tmp_path / "robot.yaml").write_text(f"source:\n  uri: '{file}'\n")
+    main(["demo", *arguments, "--config", str(tmp_path / "robot.yaml"), "--out", str(tmp_path / "out")])
+    assert asked == [(played, BUNDLED)]
+
+
+@pytest.mark.parametrize(
     ("arguments", "words"),
     [
         (["/somewhere/else"], "the demo plays simulated worlds"),
         (["rtsp://me:secret@camera/live"], "rtsp://camera/live: the demo plays simulated worlds"),
+        (["--set", "source.uri=/somewhere/else"], "the demo plays simulated worlds"),
         (["sim:moon"], "no simulated world is called 'moon'"),
         (["sim:room?seed=x"], "seed must be a whole number"),
     ],

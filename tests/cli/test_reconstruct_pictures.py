@@ -19,7 +19,7 @@ from tests.cli.mapped_room import APART, CAMERA, FRAMES, MOUNT, SEED, Call, clou
 from tests.depth.test_several_views import write as write_several
 from tests.synthetic.render import Renderer
 from tests.synthetic.scene import furnished_room, hand_held_path
-from tests.synthetic.sequence import RATE_HZ
+from tests.synthetic.sequence import RATE_HZ, synthetic_camera
 
 
 def test_keyframes_without_a_picture_are_counted(
@@ -44,6 +44,22 @@ def test_of_a_map_of_two_recordings_each_gives_its_own_keyframes(
     assert "8 of 16 keyframes" in heard.out
     assert "left out: 8 keyframes, of whose time the recording's picture is another" in heard.err
     assert np.median(from_the_walls(cloud(tmp_path / "out.ply")[0])) < 0.01
+
+
+def test_of_a_map_of_two_sizes_of_image_a_recording_gives_those_of_its_own(
+    call: Call, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The other camera's keyframes have the same stamps; the mask is as large as the recording's images."""
+    both, mask = tmp_path / "both.prismmap", tmp_path / "mask.png"
+    both.write_bytes(true_map(twice=True, other=synthetic_camera(640, 480)))
+    cv2.imwrite(str(mask), np.full((240, 320), 255, np.uint8))
+    assert call("--no-pictures", "--width", 160, "--mask", mask, map=both) == 0
+    heard = capsys.readouterr()
+    assert "8 of 16 keyframes" in heard.out
+    assert "left out: 8 keyframes, of whose time the recording's picture is another" in heard.err
+    cv2.imwrite(str(mask), np.full((480, 640), 255, np.uint8))
+    assert call("--overwrite", "--mask", mask, map=both) == 3
+    assert "mask.png is 640x480, but the camera's images are 320x240" in capsys.readouterr().err
 
 
 def test_a_recording_that_is_looped_in_the_configuration_ends(

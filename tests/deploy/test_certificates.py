@@ -50,6 +50,14 @@ def test_an_address_that_is_none_is_refused_before_anything_is_made(host: str, t
     assert not (tmp_path / "lab").exists()
 
 
+@pytest.mark.parametrize("name", ["-rover1", "--help", ".rover1", "ca", "ro/ver", ""])
+def test_a_name_that_is_none_is_refused_before_anything_is_made(name: str, tmp_path: Path) -> None:
+    done = make(tmp_path / "lab", "anna", name)
+    assert done.returncode == 2
+    assert done.stderr == f"make_certificates.sh: error: '{name}' is no NAME[,HOST...]\n"
+    assert not (tmp_path / "lab").exists()
+
+
 def test_without_openssl_it_says_so(tmp_path: Path) -> None:
     done = make(tmp_path / "lab", "rover1", path="/nowhere")
     assert done.returncode == 1

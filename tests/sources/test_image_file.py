@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 from pathlib import Path
 
@@ -80,8 +81,18 @@ def test_an_end_marker_in_a_thumbnail_does_not_count() -> None:
 
 
 def test_bytes_behind_the_end_are_allowed() -> None:
+    """A phone's video behind its picture, in which a scan seems to begin, too."""
     for suffix in (".jpg", ".png"):
-        assert not isinstance(decode(encoded(suffix, picture(8)) + b"\0" * 100), str)
+        for more in (b"\0" * 100, b"ftyp\xff\xda and so on"):
+            assert not isinstance(decode(encoded(suffix, picture(8)) + more), str)
+
+
+def test_restarts_within_a_scan_are_no_segments() -> None:
+    """A length read from what follows them would lead past the end."""
+    data = encoded(".jpg", picture(6, 160, 120), cv2.IMWRITE_JPEG_RST_INTERVAL, 2)
+    assert len(re.findall(rb"\xff[\xd0-\xd7]", data)) > 5
+    assert not isinstance(decode(data), str)
+    assert "truncated" in str(decode(data[:-2]))
 
 
 def test_a_png_damaged_in_the_middle_fails_its_checksum() -> None:

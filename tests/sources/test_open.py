@@ -151,6 +151,16 @@ def test_kitti_images_that_are_missing_are_not_passed_over(
     assert "image_0 begins or ends without 1 images of times.txt" in caplog.text
 
 
+def test_a_thinned_kitti_sequence_misses_nothing_at_its_ends(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    tiny.write_kitti(tmp_path, count=9)
+    for number in (1, 2, 3, 5, 6, 7):
+        (tmp_path / "image_0" / f"{number:06d}.png").unlink()
+    assert [item.stamp_ns for item in all_of(opened(tmp_path))] == [0, 400_000_000, 800_000_000]
+    assert "begins or ends" not in caplog.text
+
+
 @pytest.mark.parametrize(
     ("file", "content", "words"),
     [
