@@ -175,6 +175,7 @@ class KeyframeImage:
     camera_model: str
     camera: F64 = array("float64", -1)
     image: U8 = array("uint8", -1, -1)  # as in Frame
+    turns: int = 0  # counter-clockwise quarter turns that bring it nearest to upright (geometry/mount.py)
 
 
 def same_network(one: str, other: str) -> bool:

@@ -14,14 +14,9 @@ from prism_edge.depth import DepthNetwork
 from prism_edge.depth.offline import UnscaledNetwork, open_offline
 from prism_edge.depth.prediction import Prediction
 from prism_edge.depth.several_views import SeveralViewsNetwork
-from prism_edge.depth.upright import (
-    UprightNetwork,
-    camera_from_turned,
-    quarter_turns,
-    turned_back,
-    turned_camera,
-)
+from prism_edge.depth.upright import UprightNetwork, camera_from_turned, turned_back, turned_camera
 from prism_edge.errors import ModelError
+from prism_edge.geometry.mount import quarter_turns
 from prism_edge.geometry.poses import Array
 from prism_edge.reconstruction.viewpoints import Viewpoint
 from prism_edge.workers.sensor_network import SensorNetwork

@@ -19,19 +19,6 @@ from prism_edge.geometry.poses import Array
 if TYPE_CHECKING:
     from prism_edge.depth import DepthNetwork
 
-LEAST_LEVEL = 0.5  # share of "up" that lies in the image: looking down by 60 degrees there is no upright
-
-
-def quarter_turns(base_from_camera: Array) -> int:
-    """Counter-clockwise quarter turns, 0 to 3, that bring a camera's pictures nearest to upright.
-
-    ``base_from_camera`` (4, 4) is its mount, z of the base being up. 0 for one that looks down or up steeply.
-    """
-    right, down = base_from_camera[2, 0], base_from_camera[2, 1]  # "up" in the camera's axes
-    if np.hypot(right, down) < LEAST_LEVEL:
-        return 0
-    return round(float(np.arctan2(right, -down)) / (np.pi / 2)) % 4
-
 
 class UprightNetwork:
     """A network that is shown pictures after so many quarter turns, and whose depths are turned back."""

@@ -14,12 +14,24 @@ from prism_edge.geometry.poses import (
 )
 
 _AHEAD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # base_from_camera, looking along x
+LEAST_LEVEL = 0.5  # share of "up" that lies in the image: looking down by 60 degrees there is no upright
 
 
 def base_from_camera(frames: FramesConfig) -> Array:
     """Pose (4, 4) of the optical camera on the robot, in metres."""
     rotation = rotation_from_quaternion(np.array(frames.base_from_camera_xyzw))
     return from_rt(rotation, np.array(frames.base_from_camera_xyz))
+
+
+def quarter_turns(base_from_camera: Array) -> int:
+    """Counter-clockwise quarter turns, 0 to 3, that bring a camera's pictures nearest to upright.
+
+    ``base_from_camera`` (4, 4) is its mount, z of the base being up. 0 for one that looks down or up steeply.
+    """
+    right, down = base_from_camera[2, 0], base_from_camera[2, 1]  # "up" in the camera's axes
+    if np.hypot(right, down) < LEAST_LEVEL:
+        return 0
+    return round(float(np.arctan2(right, -down)) / (np.pi / 2)) % 4
 
 
 def looking(left_deg: float = 0.0, down_deg: float = 0.0, roll_deg: float = 0.0) -> list[float]:

@@ -11,10 +11,13 @@ from prism_edge.tracking.point_trust import trust
 from prism_edge.tracking.tracker import Tracker
 
 
-def picture_message(frame: Frame, number: int, epoch: int) -> KeyframeImage:
-    """What the depth network is shown: a frame, as keyframe ``number`` or below 0 as a probe."""
+def picture_message(frame: Frame, number: int, epoch: int, turns: int = 0) -> KeyframeImage:
+    """What the depth network is shown: a frame, as keyframe ``number`` or below 0 as a probe.
+
+    ``turns`` counter-clockwise quarter turns set it upright.
+    """
     lens = frame.camera_model, frame.camera
-    return KeyframeImage(number, frame.index, frame.stamp_ns, epoch, frame.colour, *lens, frame.image)
+    return KeyframeImage(number, frame.index, frame.stamp_ns, epoch, frame.colour, *lens, frame.image, turns)
 
 
 def keyframe_message(

@@ -18,6 +18,7 @@ from prism_edge.depth import DepthNetwork
 from prism_edge.depth.plausible import range_of
 from prism_edge.depth.prediction import no_confidence, no_descriptor
 from prism_edge.depth.providers import native_line
+from prism_edge.depth.upright import UprightNetwork
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
 from prism_edge.processes import peers_of
@@ -53,7 +54,7 @@ class DepthWorker:
         self._last = -1
         self._told: Depth | None = None  # the last answer
         self._recent: deque[float] = deque(maxlen=100)
-        self._doubted = False
+        self._doubted = self._turned = False
         self._network: DepthNetwork | SensorNetwork | None = None
         self._inference_s = _INFERENCE_S
         self._failing: Failing | None = None
@@ -142,6 +143,10 @@ class DepthWorker:
 
     def _answer(self, image: KeyframeImage) -> None:
         self._bus.pulse.working(f"keyframe {image.keyframe}", self._inference_s)
+        if image.turns % 4 and not self._turned:
+            self._turned = True
+            degrees = 90 * (image.turns % 4)
+            log.info("the network sees pictures turned by %d degrees: so the camera sits", degrees)
         self._told = depth = answer(self._network, image, self._failing)
         self._bus.publish("depth", depth)
         self._bus.pulse.count("keyframes")
@@ -180,10 +185,13 @@ def answer(
 ) -> Depth:
     """The depth of one keyframe; an inference that fails is an answer too, marked invalid with the reason.
 
-    Raises ModelError where ``failing``, which is told of each, has had enough.
+    A network sees the picture upright: its message says which way that is. Raises ModelError where
+    ``failing``, which is told of each, has had enough.
     """
     if network is None:
         return _without(image, "none", 0.0, "no depth network is configured")
+    if image.turns % 4 and not isinstance(network, SensorNetwork):
+        network = UprightNetwork(network, image.turns % 4)
     try:
         camera = Camera.from_array(image.camera_model, image.camera)
         if isinstance(network, SensorNetwork):

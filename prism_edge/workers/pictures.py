@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from prism_edge.bus.session import Bus
+from prism_edge.geometry.mount import quarter_turns
+from prism_edge.geometry.poses import Array
 from prism_edge.messages import Frame, KeyframeImage, probe_of
 from prism_edge.tracking.announcement import picture_message
 from prism_edge.tracking.depth_watch import SILENT_NS, DepthWatch
@@ -11,17 +13,20 @@ PROBE_NS = 300_000_000  # between two looks of the network at what a lost camera
 
 
 class Pictures:
-    """Sends them to the depth worker; ``answered``: whether there is one that answers."""
+    """Sends them to the depth worker; ``answered``: whether there is one that answers.
 
-    def __init__(self, bus: Bus, answered: bool) -> None:
-        self._bus, self._answered = bus, answered
+    ``mount`` is the camera's on the robot, base_from_camera (4, 4): a network is to see them upright.
+    """
+
+    def __init__(self, bus: Bus, answered: bool, mount: Array) -> None:
+        self._bus, self._answered, self._turns = bus, answered, quarter_turns(mount)
         self._newest: KeyframeImage | None = None  # of a keyframe,
         self._shown_ns = 0  # ... and when it was shown last
         self._probed_ns = -PROBE_NS
 
     def keyframe(self, frame: Frame, number: int, epoch: int, watch: DepthWatch) -> None:
         """Show a keyframe, whose depth is waited for from now on."""
-        self._newest, self._shown_ns = picture_message(frame, number, epoch), frame.stamp_ns
+        self._newest, self._shown_ns = picture_message(frame, number, epoch, self._turns), frame.stamp_ns
         self._bus.publish("keyframe_image", self._newest)
         if self._answered:
             watch.keyframe(number, frame.stamp_ns)
@@ -43,6 +48,6 @@ class Pictures:
         if not self._answered or frame.stamp_ns - self._probed_ns < PROBE_NS:
             return None
         self._probed_ns = frame.stamp_ns
-        picture = picture_message(frame, probe_of(frame.index), epoch)
+        picture = picture_message(frame, probe_of(frame.index), epoch, self._turns)
         self._bus.publish("keyframe_image", picture)
         return picture

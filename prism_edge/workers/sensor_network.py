@@ -12,10 +12,8 @@ from prism_edge.config import SENSOR, Config, SourceConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor
 from prism_edge.depth.providers import idle_options
-from prism_edge.depth.upright import UprightNetwork, quarter_turns
 from prism_edge.errors import ModelError, SourceError
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.mount import base_from_camera
 from prism_edge.named_path import named_path
 from prism_edge.sources.address import shown_address
 from prism_edge.sources.sensor_depth import SensorDepth, image_to_depth
@@ -78,14 +76,9 @@ class SensorNetwork:
 
 
 def open_depth(config: Config) -> DepthNetwork | SensorNetwork:
-    """What ``depth.model`` names, shown its pictures upright where the camera isn't. Raises ModelError."""
+    """What ``depth.model`` names. Raises ModelError."""
     if config.depth.model == SENSOR:
         return SensorNetwork(config.source)
     for line in idle_options(config.depth):
         log.warning("%s", line)
-    network = open_network(config.depth.model, config.depth)
-    turns = quarter_turns(base_from_camera(config.frames))
-    if turns == 0:
-        return network
-    log.info("%s sees pictures turned by %d degrees, as the camera is mounted so", network.name, 90 * turns)
-    return UprightNetwork(network, turns)
+    return open_network(config.depth.model, config.depth)

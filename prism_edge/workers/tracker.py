@@ -17,7 +17,7 @@ from prism_edge.bus.pack import grey
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config, TrackingConfig
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.mount import described
+from prism_edge.geometry.mount import base_from_camera, described
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import (
     INITIALISING,
@@ -83,7 +83,7 @@ class TrackerWorker:
         self._update_sequence = -1
         self._answers = AnswersDue(bus, self._inboxes, self._peers, config.lockstep)
         self._last_index, self._dropped, self._between = -1, 0, 0
-        self._pictures = Pictures(bus, "depth" in self._peers)
+        self._pictures = Pictures(bus, "depth" in self._peers, base_from_camera(config.frames))
         self._now_ns = 0  # stamp of the newest frame
         self._localise_only = False
         # The map of a run that was cut off: the first image says whether it is this camera's.

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from prism_edge.config import Config, SourceConfig
 from prism_edge.depth import NESTED, open_onnx
 from prism_edge.depth.session import OnnxNetwork
-from prism_edge.depth.upright import quarter_turns, turned_camera
+from prism_edge.depth.upright import turned_camera
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.mount import base_from_camera
+from prism_edge.geometry.mount import base_from_camera, quarter_turns
 from prism_edge.messages import U8
 from prism_edge.sources import Image, open_source
 from prism_edge.sources.address import shown_address

@@ -13,10 +13,9 @@ import numpy as np
 import pytest
 
 from prism_edge.bus.pack import pack
-from prism_edge.config import Config, DepthConfig, FramesConfig
+from prism_edge.config import Config, DepthConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.errors import ModelError
-from prism_edge.geometry.mount import looking
 from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage
 from prism_edge.workers import depth as worker
 from prism_edge.workers.depth import DepthWorker, answer, main
@@ -77,15 +76,15 @@ def test_a_keyframes_picture_becomes_its_metric_depth(tiny: str):
     assert float(values["inference_ms_median"]) > 0
 
 
-@pytest.mark.parametrize(("roll", "turned"), [(0, ""), (90, "+270"), (180, "+180")])
+@pytest.mark.parametrize(("turns", "turned"), [(0, ""), (3, "+270"), (2, "+180"), (6, "+180"), (-1, "+270")])
 def test_a_network_sees_upright_what_a_camera_that_is_not_has_taken(
-    tiny: str, roll: int, turned: str, caplog
+    tiny: str, turns: int, turned: str, caplog
 ):
+    """The picture says how it is turned: on another computer nobody knows how the camera sits."""
     caplog.set_level(logging.INFO)
     bus, config = live(tiny)
-    frames = FramesConfig(base_from_camera_xyzw=tuple(looking(roll_deg=roll)))
-    bus.give("keyframe_image", picture(7))
-    main(replace(config, frames=frames), bus)
+    bus.give("keyframe_image", replace(picture(7), turns=turns))
+    main(config, bus)
     (depth,) = bus.of("depth")
     assert re.fullmatch(rf"tiny_tint@[0-9a-f]{{12}}{re.escape(turned)}", depth.model)
     assert (f"turned by {turned[1:]} degrees" in caplog.text) if turned else ("turned" not in caplog.text)

@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from prism_edge.bus import ros
+from prism_edge.config import FramesConfig
+from prism_edge.geometry.mount import base_from_camera, looking
 from prism_edge.messages import DEGRADED, OK, KeyframeImage
 from prism_edge.tracking.depth_watch import SILENT_NS, DepthWatch
 from prism_edge.workers.pictures import PROBE_NS, Pictures
@@ -15,6 +17,7 @@ from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import CONFIG, World, frame
 
 SHOWN_NS = 1_000_000_000
+MOUNT = base_from_camera(FramesConfig())
 
 
 def shown(bus: ListBus) -> list[int]:
@@ -27,7 +30,7 @@ def bus() -> ListBus:
 
 
 def test_a_picture_without_an_answer_is_shown_again_and_again_until_there_is_one(bus: ListBus) -> None:
-    pictures, watch = Pictures(bus, answered=True), DepthWatch()
+    pictures, watch = Pictures(bus, answered=True, mount=MOUNT), DepthWatch()
     pictures.once_more(SHOWN_NS, watch)
     assert shown(bus) == []
     pictures.keyframe(frame(0, stamp_ns=SHOWN_NS), 7, 2, watch)
@@ -45,7 +48,7 @@ def test_a_picture_without_an_answer_is_shown_again_and_again_until_there_is_one
 
 
 def test_only_the_newest_is_and_only_in_the_map_that_it_is_of(bus: ListBus) -> None:
-    pictures, watch = Pictures(bus, answered=True), DepthWatch()
+    pictures, watch = Pictures(bus, answered=True, mount=MOUNT), DepthWatch()
     for number in (7, 8):
         pictures.keyframe(frame(number, stamp_ns=SHOWN_NS), number, 2, watch)
     pictures.once_more(SHOWN_NS + 2 * SILENT_NS, watch)
@@ -55,7 +58,7 @@ def test_only_the_newest_is_and_only_in_the_map_that_it_is_of(bus: ListBus) -> N
 
 
 def test_where_nobody_answers_nothing_is_waited_for(bus: ListBus) -> None:
-    pictures, watch = Pictures(bus, answered=False), DepthWatch()
+    pictures, watch = Pictures(bus, answered=False, mount=MOUNT), DepthWatch()
     pictures.keyframe(frame(0, stamp_ns=SHOWN_NS), 7, 2, watch)
     assert pictures.probe(frame(1), 2) is None
     pictures.once_more(SHOWN_NS + 2 * SILENT_NS, watch)
@@ -64,12 +67,21 @@ def test_where_nobody_answers_nothing_is_waited_for(bus: ListBus) -> None:
 
 
 def test_a_lost_camera_is_looked_at_now_and_then(bus: ListBus) -> None:
-    pictures = Pictures(bus, answered=True)
+    pictures = Pictures(bus, answered=True, mount=MOUNT)
     stamps = [0, PROBE_NS - 1, PROBE_NS, 2 * PROBE_NS - 1, 2 * PROBE_NS]
     probes = [pictures.probe(frame(i, stamp_ns=stamp), 2) for i, stamp in enumerate(stamps)]
     assert [probe is not None for probe in probes] == [True, False, True, False, True]
     assert all(number < 0 for number in shown(bus))
     assert len(set(shown(bus))) == 3
+
+
+@pytest.mark.parametrize(("roll", "turns"), [(0, 0), (90, 3), (180, 2), (-90, 1)])
+def test_each_picture_says_how_it_is_to_be_turned_upright(bus: ListBus, roll: int, turns: int) -> None:
+    mount = base_from_camera(FramesConfig(base_from_camera_xyzw=tuple(looking(roll_deg=roll))))
+    pictures = Pictures(bus, answered=True, mount=mount)
+    pictures.keyframe(frame(0), 7, 2, DepthWatch())
+    pictures.probe(frame(1), 2)
+    assert [picture.turns for picture in bus.of("keyframe_image")] == [turns, turns]
 
 
 def test_a_robot_that_was_parked_while_the_network_was_away_is_degraded_no_longer_than_that() -> None:
