@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 import logging
+import threading
 import time
+from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,12 +18,13 @@ from typing import Any
 import zenoh
 
 from prism_edge.bus import keys
+from prism_edge.bus.arriving import arriving
 from prism_edge.errors import BusError, PrismError
 from prism_edge.topics import COMMANDS, Command
 
 LARGEST_QUERY = 4096  # bytes
 LARGEST_REPLY = 256 * 1024
-_WAITING = 16  # commands that nobody has looked at yet; more are refused by Zenoh's channel, oldest first
+_WAITING = 16  # commands that nobody has looked at yet; of more the oldest get no answer
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -39,30 +42,41 @@ Handler = Callable[[str], Reply]
 
 
 class CommandDesk:
-    """The commands that one process does, one after the other, in the thread that calls :meth:`serve`."""
+    """The commands that one process does, in the order asked, in the thread that calls :meth:`serve`."""
 
     def __init__(self, session: Any, robot: str, handlers: Mapping[str, Handler]) -> None:
         """``handlers`` maps names of ``topics.COMMANDS`` to what does them; it may raise PrismError."""
         self._handlers = dict(handlers)
         self._keys = {name: keys.key(robot, COMMANDS[name]) for name in handlers}
-        self._queryables = {
-            name: session.declare_queryable(key, zenoh.handlers.RingChannel(_WAITING), complete=True)
-            for name, key in self._keys.items()
-        }
+        self._waiting: deque[tuple[str, Any]] = deque(maxlen=_WAITING)
+        self._queryables = [
+            session.declare_queryable(key, zenoh.handlers.FifoChannel(_WAITING), complete=True)
+            for key in self._keys.values()
+        ]
+        # A channel of their own each has forgotten which came first.
+        for name, queryable in zip(self._keys, self._queryables, strict=True):
+            take_in = threading.Thread(target=self._take_in, args=(name, queryable), name=name, daemon=True)
+            take_in.start()
 
     def serve(self) -> None:
         """Do what has been asked since the last call; costs next to nothing where that is nothing."""
-        for name, queryable in self._queryables.items():
-            while (query := queryable.handler.try_recv()) is not None:
-                with query:
-                    if names(str(query.key_expr), COMMANDS[name]):
-                        self._serve(COMMANDS[name], query)
-                del query  # the asker waits until it is gone
+        while self._waiting:
+            name, query = self._waiting.popleft()
+            with query:
+                if names(str(query.key_expr), COMMANDS[name]):
+                    self._serve(COMMANDS[name], query)
+            del query  # the asker waits until it is gone
 
     def close(self) -> None:
         """Answer no more."""
-        for queryable in self._queryables.values():
+        for queryable in self._queryables:
             queryable.undeclare()
+        self._waiting.clear()
+
+    def _take_in(self, name: str, queryable: Any) -> None:
+        for query in arriving(queryable):
+            self._waiting.append((name, query))
+            del query
 
     def _serve(self, command: Command, query: Any) -> None:
         try:

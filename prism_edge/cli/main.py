@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
+from typing import Any
 
 from prism_edge import __version__
 from prism_edge.cli.streams import drop_output, open_closed, print_anything
@@ -45,9 +46,16 @@ EXIT_CODES = """exit codes:
 """
 
 
+class Parser(argparse.ArgumentParser):
+    """One that takes options by their whole names alone: `--mode` is not `--model`."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"allow_abbrev": False, **options})
+
+
 def build_parser(chosen: str | None) -> argparse.ArgumentParser:
     """The parser, complete only for the subcommand ``chosen``; the others are there by name and help."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="prism-edge",
         description="One RGB camera in, metric camera poses out, over Eclipse Zenoh.",
         epilog=EXIT_CODES,

@@ -30,6 +30,7 @@ BUSY_S = PATIENCE_S + 5.0
 LOADED_S = 30.0
 RECOVERED_S = 30.0  # the backend starts beside us, and reads its journal first
 TAKING_OVER_S = 30.0
+TRIES, AGAIN_S = 3, 0.3  # that a loaded map is asked for again: who was to answer may have just ended
 
 
 class MapAdoption:
@@ -77,8 +78,13 @@ class MapAdoption:
             if 0 <= epoch < tracker.epoch:
                 log.error("a map that the backend has taken up is passed over: ours is newer (%d)", epoch)
             return
-        self._bus.pulse.working("asking for the loaded map", LOADED_S + TAKING_OVER_S)
+        self._bus.pulse.working("asking for the loaded map", 2 * LOADED_S + RECOVERED_S + TAKING_OVER_S)
         whole: WholeMap | None = self._bus.ask("whole_map", LOADED_S)
+        for _ in range(TRIES):
+            if whole is not None or self._bus.stopped.wait(AGAIN_S):
+                break
+            self._bus.await_ready(["backend"], RECOVERED_S)  # started again, it has the map in its journal
+            whole = self._bus.ask("whole_map", LOADED_S)
         if whole is None or whole.epoch < epoch or not adopt(whole):
             log.error("the loaded map has not come, or can't be gone on in: a new one begins")
             tracker.epoch = epoch

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 from prism_edge.bus.commands import Reply, on_or_off
 from prism_edge.bus.session import Bus
@@ -13,9 +14,10 @@ _LOOK_S = 0.1  # a command is done within this
 class Pause:
     """Whether the source is to hold its images back."""
 
-    def __init__(self, bus: Bus) -> None:
+    def __init__(self, bus: Bus, meanwhile: Callable[[], None] = lambda: None) -> None:
+        """``meanwhile`` is called now and then in a long wait."""
         self.on = False
-        self._stopped = bus.stopped
+        self._stopped, self._meanwhile = bus.stopped, meanwhile
         self._desk = bus.commands({"pause": self._switch})
 
     @property
@@ -34,6 +36,8 @@ class Pause:
         while not self._stopped.is_set() and (left := end - time.monotonic()) > 0:
             self._stopped.wait(min(left, _LOOK_S))
             self.serve()
+            if left > _LOOK_S:
+                self._meanwhile()
 
     def hold(self) -> int:
         """Returns once images may go on: after how many nanoseconds."""
@@ -41,6 +45,7 @@ class Pause:
         start_ns = time.monotonic_ns()
         while self.on and not self._stopped.is_set():
             self.wait(_LOOK_S)
+            self._meanwhile()
         return time.monotonic_ns() - start_ns
 
     def _switch(self, argument: str) -> Reply:

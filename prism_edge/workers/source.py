@@ -27,6 +27,7 @@ from prism_edge.sources.own_parts_watch import OwnPartsWatch
 from prism_edge.sources.schedule import GAP, CatchingUp, Schedule
 from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.pause import Pause
+from prism_edge.workers.position import Position
 
 log = logging.getLogger("prism_edge.source")
 
@@ -53,7 +54,7 @@ class SourceWorker:
         # Subscribed before we are ready: the others answer the first frame at once.
         peers = peers_of(config, "source")
         self._gatekeeper = Gatekeeper(bus, peers, patience_s) if config.is_lockstep else None
-        self._pause = Pause(bus)
+        self._pause = Pause(bus, self._show)
         self._checks = FrameChecks(source.camera)
         self._camera = source.camera.to_array()
         camera, mask = source.camera, config.source.mask  # the tracker's, but here is who knows the size
@@ -61,6 +62,7 @@ class SourceWorker:
         self._own_parts = OwnPartsWatch(seen)
         self._doubts = doubts(source.camera)
         self._last_index = -1
+        self._position = Position(bus.run_directory)
         self._reported: set[str] = set()
         self._released_at: deque[float] = deque(maxlen=60)
         self._show()
@@ -103,19 +105,26 @@ class SourceWorker:
 
     def _resume(self) -> None:
         """Started again, a recording goes on after the last frame that was tracked."""
-        last = self._bus.ask("tracked", _LAST_S)
-        if last is not None:
-            log.info("going on after frame %d", last.index)
-        while last is not None and not self._bus.stopped.is_set():
+        last = self._last()
+        if last is None:
+            return
+        index, _ = last
+        log.info("going on after frame %d", index)
+        while not self._bus.stopped.is_set():
             slot = self._source.peek()
-            if slot is None or slot.index > last.index:
+            if slot is None or slot.index > index:
                 return
-            self._checks.earlier(self._source.leap(last.index) or self._source.skip())
+            self._checks.earlier(self._source.leap(index) or self._source.skip())
+
+    def _last(self) -> tuple[int, int] | None:
+        """Index and stamp (ns) of the last image that was tracked, or went out if the tracker died too."""
+        tracked = self._bus.ask("tracked", _LAST_S)
+        return self._position.read() if tracked is None else (tracked.index, tracked.stamp_ns)
 
     def _play_live(self) -> None:
         """A camera: what it takes goes out at once; while it is away we say so, and wait for it."""
-        last = self._bus.ask("tracked", _LAST_S) if self._bus.life else None
-        first_index, shift_ns = (0, 0) if last is None else (last.index + 1, -1)
+        last = self._last() if self._bus.life else None
+        first_index, shift_ns = (0, 0) if last is None else (last[0] + 1, -1)
         seen = 0
         while not self._bus.stopped.is_set():
             item = self._read()
@@ -132,7 +141,7 @@ class SourceWorker:
                 self._checks.late()
             seen = item.index + 1
             if shift_ns < 0 and last is not None:  # a clock that was set back must not set the stamps back
-                shift_ns = max(0, last.stamp_ns + self._source.period_ns - item.stamp_ns)
+                shift_ns = max(0, last[1] + self._source.period_ns - item.stamp_ns)
             captured_ns = (isinstance(item, Image) and item.captured_monotonic_ns) or time.monotonic_ns()
             index, stamp_ns = first_index + item.index, item.stamp_ns + shift_ns
             self._pass_on(replace(item, index=index, stamp_ns=stamp_ns), captured_ns)
@@ -254,6 +263,7 @@ class SourceWorker:
             readout_ms=self._source.camera.readout_ms,
         )
         self._bus.publish("frame", frame)
+        self._position.note(frame.index, frame.stamp_ns)
         true_pose = self._source.true_pose(item.index)
         if true_pose is not None:
             from prism_edge.bus import ros  # slow to load, and recordings have no need of it

@@ -41,6 +41,8 @@ def map_path(config: StateConfig, name: str) -> Path:
     """The file of a map. Raises MapError for one that could lead elsewhere, or where there is no folder."""
     if not _NAME.fullmatch(name):
         raise MapError(f"{name!r:.80} is no name for a map: up to 64 letters, digits, _ - and . (not first)")
+    if name.endswith(SUFFIX):  # `map show` would take it for a file
+        raise MapError(f"{name!r:.80} is no name for a map: leave {SUFFIX} out")
     return maps_folder(config) / (name + SUFFIX)
 
 

@@ -119,6 +119,7 @@ class TrackerWorker:
             else:
                 if not self._lockstep:
                     self._take_in(-1)
+                self._status.repeat()
                 self._note_end()
 
     def _note_end(self) -> None:

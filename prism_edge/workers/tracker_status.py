@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from typing import Any
+
 from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.messages import BUILDING, DEGRADED, INITIALISING, LOCALISED, LOST, OK, RELOCALISING
@@ -13,13 +16,22 @@ _LEVELS = {INITIALISING: ros.LEVEL_WARN, DEGRADED: ros.LEVEL_WARN, LOST: ros.LEV
 
 
 class TrackerStatus:
-    """Publishes `status` twice a second and whenever a word changes."""
+    """Publishes `status` twice a second, also where no image comes, and whenever a word changes."""
 
     def __init__(self, bus: Bus) -> None:
         self._bus = bus
         self.metres, self._epoch = DepthWatch(), -1
         self._shown: tuple[str, int, str] | None = None
+        self._last: Any | None = None  # what was said,
+        self._last_s = 0.0  # ... and when
         self._happened, self._happened_until_ns = "", 0  # to the map, and until when we say so
+
+    def repeat(self) -> None:
+        """Say it once more where it is due, by the stamp that it had: there was no image since."""
+        now = time.monotonic()
+        if self._last is not None and now - self._last_s >= _STATUS_NS / 1e9:
+            self._last_s = now
+            self._bus.publish("status", self._last)
 
     def say(self, word: str, now_ns: int) -> None:
         """What has happened to the map: said for a while."""
@@ -50,5 +62,6 @@ class TrackerStatus:
         self._shown = (odometry, due, state)
         shown = {"odometry": odometry, "map": state, **values, "depth": trouble or "ok"}
         row = ("tracking", _LEVELS.get(odometry, ros.LEVEL_OK), f"{odometry} {state}", shown)
-        self._bus.publish("status", ros.diagnostics(stamp_ns, [row]))
+        self._last, self._last_s = ros.diagnostics(stamp_ns, [row]), time.monotonic()
+        self._bus.publish("status", self._last)
         self._bus.pulse.values.update({name: str(value) for name, value in shown.items()})

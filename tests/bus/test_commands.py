@@ -81,6 +81,27 @@ def test_an_error_is_one_line_and_the_next_command_is_served(session):
     assert send(session, "robot", INFO, None, 10).ok
 
 
+def test_what_waits_is_done_in_the_order_asked(config):
+    """A process that was busy: a map that is loaded and then saved is not saved first."""
+    done = []
+
+    def take(name):
+        return lambda argument: done.append((name, argument)) or Reply(True, "done")
+
+    with Bus.open(config, "supervisor", listen=True) as bus:
+        desk = bus.commands({name: take(name) for name in ("save_map", "load_map", "reset")})
+        with open_session(config.bus, listen=False, client=True) as asker:
+            asked = [("load_map", "a"), ("save_map", "a"), ("reset", ""), ("load_map", "b")]
+            replies = []
+            for name, argument in asked:
+                payload = json.dumps({"argument": argument}).encode() if argument else b""
+                replies.append(asker.get(f"prism/robot/command/{name}", payload=payload, timeout=60))
+                until(lambda: len(desk._waiting) == len(replies))
+            desk.serve()
+            assert [parse_reply(reply.ok.payload.to_bytes()).ok for r in replies for reply in r] == 4 * [True]
+    assert done == asked
+
+
 @pytest.mark.parametrize(
     "asked",
     ["prism/robot/**", "**", "prism/robot/command/*", "prism/*/*/pause", "prism/robot/command/pa$*"],

@@ -82,6 +82,8 @@ def test_help_loads_no_heavy_library() -> None:
         [],
         ["fly"],
         ["run", "--fly"],
+        ["run", "sim:room", "--mode", "lockstep"],
+        ["ctl", "info", "--time", "1"],
         ["worker", "pilot", "--config", "x"],
         ["watch", "--count", "0"],
         ["watch", "--count", "-1"],

@@ -13,7 +13,7 @@ from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import Config, StateConfig, TrackingConfig
 from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE, Epoch, MapLoaded
-from prism_edge.workers import backend, loaded_map, tracker
+from prism_edge.workers import backend, loaded_map, map_adoption, tracker
 from prism_edge.workers.map_adoption import MapAdoption
 from prism_edge.workers.state_directory import map_path
 from tests.tracking.cloud import CAMERA
@@ -46,7 +46,8 @@ def test_the_tracker_takes_a_loaded_map_up_whatever_epoch_it_is_in(tmp_path: Pat
     made._desk.serve()
     (loaded,) = bus.of("map_loaded")
     beside, asked = ListBus("frame"), []
-    beside.ask = lambda topic, timeout_s=1.0: asked.append(topic)  # type: ignore[method-assign]
+    whole = SimpleNamespace(epoch=loaded.epoch)
+    beside.ask = lambda topic, timeout_s=1.0: asked.append(topic) or whole  # type: ignore[method-assign]
     adoption = MapAdoption(config, beside)
     beside.give("map_loaded", loaded)
     adoption.take_loaded(SimpleNamespace(epoch=there or 0), lambda whole: True, lambda word: None)
@@ -95,6 +96,28 @@ def test_the_tracker_says_which_epoch_it_is_in() -> None:
     assert bus.answers["epoch"]() == Epoch(IDS_A_LIFE)
     made._reset("")
     assert bus.answers["epoch"]() == Epoch(IDS_A_LIFE + 1)
+
+
+@pytest.mark.parametrize("answers_at", [0, 1, map_adoption.TRIES, None])
+def test_a_backend_that_is_just_started_again_is_asked_once_more(
+    answers_at: int | None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A reload right behind `load_map`: its next life has the map in the journal."""
+    monkeypatch.setattr(map_adoption, "AGAIN_S", 0.0)
+    bus, whole, asked = ListBus("frame"), SimpleNamespace(epoch=7), []
+
+    def ask(topic: str, timeout_s: float = 1.0) -> SimpleNamespace | None:
+        asked.append(topic)
+        return whole if len(asked) - 1 == answers_at else None
+
+    bus.ask = ask  # type: ignore[method-assign,assignment]
+    adoption, adopted, resets = MapAdoption(CONFIG, bus), [], []
+    bus.give("map_loaded", MapLoaded(7, 0.0, 0.1))
+    adoption.take_loaded(SimpleNamespace(epoch=0), lambda whole: adopted.append(whole) or True, resets.append)
+    lost = answers_at is None
+    assert (adopted, resets) == (([], [""]) if lost else ([whole], []))
+    assert len(asked) == (map_adoption.TRIES if lost else answers_at) + 1
+    assert ("has not come" in caplog.text) == lost
 
 
 def test_a_map_that_is_passed_over_is_an_error(caplog: pytest.LogCaptureFixture) -> None:

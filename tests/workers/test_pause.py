@@ -13,6 +13,7 @@ from sources import tiny_datasets as tiny
 
 from prism_edge.sources import Image, Slot, Source, open_source
 from prism_edge.workers import pause as module
+from prism_edge.workers import source as source_worker
 from prism_edge.workers.pause import Pause
 from prism_edge.workers.source import SourceWorker
 from tests.waiting import until
@@ -94,6 +95,24 @@ def test_a_recording_goes_on_where_it_was_and_skips_nothing(tmp_path: Path) -> N
     assert "warning" not in bus.pulse.values
 
 
+@pytest.mark.parametrize("why", ["pause", "end"])
+def test_while_nothing_goes_out_there_is_no_rate(
+    why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(source_worker, "_STILL_S", 0.3)
+    config = settings(tiny.write_tum(tmp_path), rate_hz=50.0, loop=why == "pause")
+
+    def work(bus: Recorder) -> None:
+        with open_source(config.source) as source:
+            SourceWorker(config, bus, source).run()  # type: ignore[arg-type]
+
+    with running(work) as bus:
+        until(lambda: float(bus.pulse.values.get("fps", "0")) > 10.0, "it plays")
+        if why == "pause":
+            bus.desk.ask("pause", "on")
+        until(lambda: bus.pulse.values["fps"] == "0.0", "it stands")
+
+
 class Guessed(SlowSource):
     """The second image comes a gap after the first, as is known once it is read; then comes a pause."""
 
@@ -125,6 +144,8 @@ def test_an_image_that_was_read_before_its_time_is_held_back_too(goes_on: bool, 
     with running(work) as bus:
         first = bus.next()[1]
         until(lambda: "paused by command" in bus.pulse.values.get("warning", ""), "it says that it pauses")
+        due_ns = first.captured_monotonic_ns + 600_000_000
+        until(lambda: time.monotonic_ns() > due_ns + 100_000_000, "its time has come")
         assert bus.published.empty()
         if goes_on:
             bus.desk.ask("pause", "off")

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import queue
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from sources import tiny_datasets as tiny
+from sources.live.bench import CAMERA, QUICK, Bench, steady
 
 from prism_edge.config import Config, DepthConfig, NetworkConfig
 from prism_edge.messages import Tracked
-from prism_edge.workers.source import awaited_peers, main
+from prism_edge.sources.live.camera import LiveCamera
+from prism_edge.workers.position import Position
+from prism_edge.workers.source import SourceWorker, awaited_peers, main
 from tests.waiting import until
 from tests.workers.source_bench import Recorder, acknowledging, playing, running, settings, undisturbed
 
@@ -103,6 +107,37 @@ def test_started_again_in_a_loop_it_does_not_play_all_rounds_again(tmp_path: Pat
         _, frame = bus.next()
         until(lambda: int(bus.pulse.values["frames"]) > 5_000_003)
     assert frame.index == 5_000_003
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_started_again_beside_a_tracker_that_was_too_it_goes_on_where_it_was(
+    live: bool, tmp_path: Path
+) -> None:
+    """Nobody is left who has tracked anything: what went out counts. Stamps don't go back."""
+    config = settings(tiny.write_tum(tmp_path / "seq"), rate_hz=5.0)
+
+    def work(life: int) -> Callable[[Recorder], None]:
+        def life_of(bus: Recorder) -> None:
+            bus.life, bus.run_directory = life, tmp_path
+            bus.ask = lambda topic, timeout_s=1.0: None  # type: ignore[attr-defined]
+            if live:
+                with LiveCamera(Bench(steady), CAMERA, "a test", QUICK) as camera:
+                    SourceWorker(config, bus, camera).run()  # type: ignore[arg-type]
+            else:
+                main(config, bus)  # type: ignore[arg-type]
+
+        return life_of
+
+    with running(work(0)) as bus:
+        bus.next()
+        bus.next()
+    went_out = Position(tmp_path).read()
+    assert went_out is not None
+    index, stamp_ns = went_out
+    with running(work(1)) as bus:
+        first = bus.next()[1]
+    assert first.index > index if live else first.index == index + 1
+    assert first.stamp_ns > stamp_ns
 
 
 def test_started_again_it_does_not_wait_once_more(tmp_path: Path) -> None:

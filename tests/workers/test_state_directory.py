@@ -32,6 +32,12 @@ def test_where_state_is_kept(
     assert state_directory.state_directory(config) == Path(expected)
 
 
+@pytest.mark.parametrize("name", ["lab.prismmap", ".lab", "../lab", "a/b", "", "x" * 65])
+def test_a_name_that_is_none_is_refused(name: str, tmp_path: Path) -> None:
+    with pytest.raises(MapError, match="is no name for a map"):
+        state_directory.map_path(StateConfig(directory=str(tmp_path)), name)
+
+
 def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)

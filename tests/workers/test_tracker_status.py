@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import pytest
+
 from prism_edge.messages import DEGRADED, OK
+from prism_edge.workers import tracker_status
 from prism_edge.workers.tracker_status import TrackerStatus
 
 
@@ -23,6 +26,20 @@ def test_a_new_map_is_not_degraded_for_the_metres_of_the_one_before():
     assert said(1, 2 * 10**9) == (OK, "ok")
     status.metres.depth(7, False, "dark")
     assert said(1, 3 * 10**9) == (DEGRADED, "no usable depth: dark")
+
+
+def test_without_an_image_the_last_is_said_again_twice_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    now, said = [100.0], []
+    monkeypatch.setattr(tracker_status.time, "monotonic", lambda: now[0])
+    pulse = SimpleNamespace(values={})
+    status = TrackerStatus(SimpleNamespace(publish=lambda topic, message: said.append(message), pulse=pulse))
+    status.repeat()
+    assert said == [], "there is nothing to say yet"
+    status.show(0, OK, True, False, 7, {})
+    for _ in range(10):
+        now[0] += 0.2
+        status.repeat()
+    assert said == 4 * said[:1], "at 0, 0.6, 1.2 and 1.8 s"
 
 
 def test_a_map_that_stays_as_it_is_is_not_degraded_for_depth_that_never_came():

@@ -1,0 +1,33 @@
+"""Where a run's images are, as its source's next life finds it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from prism_edge.workers.position import NAME, Position
+
+
+def test_the_last_is_found_by_the_next_life(tmp_path: Path) -> None:
+    first = Position(tmp_path)
+    assert first.read() is None
+    first.note(10**12, -5)
+    first.note(7, 2**62)
+    assert Position(tmp_path).read() == (7, 2**62)
+
+
+@pytest.mark.parametrize("content", [b"", b"half"])
+def test_what_is_none_is_no_position(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / NAME).write_bytes(content)
+    assert Position(tmp_path).read() is None
+
+
+def test_where_nothing_can_be_kept_nothing_is(tmp_path: Path) -> None:
+    (tmp_path / "other").write_text("mine")
+    (tmp_path / NAME).symlink_to(tmp_path / "other")  # never written through
+    for folder in (None, tmp_path / "gone", tmp_path):
+        position = Position(folder)
+        position.note(1, 2)
+        assert position.read() is None
+    assert (tmp_path / "other").read_text() == "mine"
