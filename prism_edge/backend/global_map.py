@@ -219,10 +219,11 @@ class GlobalMap:
                 del self._now[kept]
                 self.fuse(present, kept)
         points = _ids(map(self.present, message.points.tolist()))
-        # Two keypoints may show what is one point now: the first keeps it.
-        _, firsts = np.unique(points, return_index=True)
+        # Two keypoints may show what is one point now: as in fuse(), the one that showed it before keeps it.
+        by_name = np.argsort(points != message.points, kind="stable")
+        _, firsts = np.unique(points[by_name], return_index=True)
         double = np.ones(len(points), bool)
-        double[firsts] = False
+        double[by_name[firsts]] = False
         points[double] = -1
         fresh = np.array([p not in self._now for p in message.new_points.tolist()], bool)
         return replace(

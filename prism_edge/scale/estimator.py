@@ -32,7 +32,7 @@ class ScaleEstimator:
     def __init__(
         self, config: ScaleConfig, ablate: tuple[str, ...] = (), gate: GateConfig | None = None
     ) -> None:
-        self._config = config
+        self._config, self._usual = config, config.frame_sigma
         self._kalman = "kalman" not in ablate
         self._least_squares = "wls" not in ablate
         self._epoch: int | None = None
@@ -50,8 +50,8 @@ class ScaleEstimator:
 
     @property
     def doubt(self) -> str:
-        """Why metres here may be worth little, in words; empty for nothing."""
-        return self._filter.doubt
+        """Why metres may be worth little, here before elsewhere in the map, in words; empty for nothing."""
+        return self._filter.doubt or self._most_lost.doubt
 
     def hear(self, keyframe: Keyframe) -> None:
         """A keyframe has come, whose depth may come later or never: where the map has it counts even so.
@@ -159,8 +159,10 @@ class ScaleEstimator:
         """Another network has other metres: they are off by its bias and by that of the one before."""
         both, self._bias_sigma = math.hypot(self._bias_sigma, depth.bias_sigma), depth.bias_sigma
         if self._network and depth.model and not same_network(depth.model, self._network):
+            if not math.isfinite(depth.frame_sigma):  # the one before may have told its own
+                self._config, self._says_spread = replace(self._config, frame_sigma=self._usual), False
             for part in self._parts:
-                part.filter.meet_another(both, self._network_sigma() or self._config.frame_sigma)
+                part.filter.meet_another(both, self._network_sigma() or self._usual, self._config)
         self._network = depth.model or self._network
 
     def _heed(self, depth: Depth | None) -> None:
@@ -184,7 +186,11 @@ class ScaleEstimator:
         """What metres may be off by beyond the bias: the network is lost, in whichever part that showed."""
         if self._says_spread:  # measured, not guessed: where a map wavers, that is the map
             return 0.0
-        return max(part.filter.lost_sigma for part in self._parts)
+        return self._most_lost.lost_sigma
+
+    @property
+    def _most_lost(self) -> ScaleFilter:
+        return max((part.filter for part in self._parts.apart), key=lambda known: known.lost_sigma)
 
     @property
     def _filter(self) -> ScaleFilter:

@@ -55,7 +55,8 @@ class ScaleFilter:
         self._covariance = np.diag([config.initial_sigma**2, config.frame_sigma**2])
         self._time_s: float | None = None
         self._travelled = 0.0
-        self._spread = FrameSpread(config.frame_sigma)
+        self._thought = config.frame_sigma  # that the network at hand spreads
+        self._spread = FrameSpread(self._thought)
         self._elapsed_s = 0.0  # since the last observation that the spread has
 
     @property
@@ -98,6 +99,7 @@ class ScaleFilter:
         """What the network at hand is thought to spread; heard before anything has been seen of it."""
         if self._is_unseen:
             learned, self._spread = self.learned_sigma, FrameSpread(frame_sigma)
+            self._thought = frame_sigma
             if self._taken_over and self.learned_sigma > 0.0:  # what was known stays as well known
                 self._covariance[0, 0] *= (learned / self.learned_sigma) ** 2
 
@@ -107,6 +109,7 @@ class ScaleFilter:
             sigma = self.learned_sigma if self._taken_over else config.initial_sigma
             self._covariance = np.diag([sigma**2, config.frame_sigma**2])
             self._config, self._spread = config, FrameSpread(config.frame_sigma)
+            self._thought = config.frame_sigma
 
     def correlation(self, elapsed_s: float) -> float:
         """Of what the pixels of a keyframe share with those of another, so long apart."""
@@ -171,13 +174,14 @@ class ScaleFilter:
         self._covariance = np.diag([known**2, self._config.frame_sigma**2])
         self._unit_fixed = self._taken_over = True
 
-    def meet_another(self, bias_sigma: float, frame_sigma: float) -> None:
+    def meet_another(self, bias_sigma: float, frame_sigma: float, config: ScaleConfig) -> None:
         """Another network has other metres, by ``bias_sigma`` of both and by how lost the one before may be.
 
-        Its images are thought to spread by ``frame_sigma``; what the other's shared says nothing of them.
+        Its images are thought to spread by ``frame_sigma``, and ``config`` is the model for them; what the
+        other's shared says nothing of them.
         """
         known = math.hypot(self.learned_sigma, bias_sigma, self.lost_sigma)
-        self._spread = FrameSpread(frame_sigma)
+        self._config, self._thought, self._spread = config, frame_sigma, FrameSpread(frame_sigma)
         self._state[1] = 0.0
         self._covariance = np.diag([(known / (self._learned or 1.0)) ** 2, self._config.frame_sigma**2])
 
@@ -253,7 +257,7 @@ class ScaleFilter:
                 return False
         self._covariance = self._covariance + np.diag([innovation**2 + self._config.initial_sigma**2, 0.0])
         self._support = 0
-        self._spread = FrameSpread(self._config.frame_sigma)
+        self._spread = FrameSpread(max(self._thought, self._config.frame_sigma))
         return True
 
 

@@ -30,6 +30,7 @@ class PartScale:
         self.steady = SteadyScale(config.hold_sigmas if kalman else 0.0, log_scale)
         self.of_map = SteadyScale(MAP_HOLD_SIGMAS if kalman else 0.0, log_scale)
         self.local, self.local_ns = LocalScale(), 0  # the stamp of its newest observation
+        self.joined = False  # to an older one, which has learned what this one had
 
 
 class PartScales:
@@ -41,6 +42,11 @@ class PartScales:
 
     def __iter__(self) -> Iterator[PartScale]:
         return iter(self._parts.values())
+
+    @property
+    def apart(self) -> Iterator[PartScale]:
+        """Those that count for themselves; what has been joined stays for depth that comes late."""
+        return (part for part in self if not part.joined)
 
     @property
     def here(self) -> PartScale:
@@ -66,6 +72,7 @@ class PartScales:
             self._parts[older] = PartScale(config, self._kalman, came.steady.log_scale - log_unit)
         known = self._parts[older]
         known.filter = known.filter.joined(came.filter, log_unit, sigma)
+        came.joined = True
 
     def enter(self, keyframe: Keyframe, config: ScaleConfig) -> bool:
         """A keyframe is next; whether it belongs to another part than the one before."""

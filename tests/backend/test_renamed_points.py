@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
+from prism_edge.backend.mapper import Mapper
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import from_rt
 from prism_edge.messages import Keyframe
 from tests.backend.world import Teller, check, quiet
 from tests.tracking.cloud import CAMERA
@@ -84,3 +88,29 @@ def test_any_sequence_of_fusions_leaves_each_point_one_name(said):
         check(world)
     for point in range(POINTS):
         assert world.present(world.present(point)) == world.present(point)
+
+
+def at(x: float) -> np.ndarray:
+    return from_rt(np.eye(3), np.array([x, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize("first", [2, 50])
+def test_a_keyframe_under_way_keeps_of_two_views_of_a_point_that_of_the_name_that_stays(first: int) -> None:
+    """As if it had been heard before the two became one, and as the tracker does it."""
+    seen = []
+    for heard_before in (True, False):
+        teller, mapper = Teller(), Mapper(BackendConfig(), use_depth=False)
+        for k in range(3):
+            mapper.absorb(teller.keyframe(at(0.1 * k)))
+        told = teller.keyframe(at(0.3))
+        shows = np.flatnonzero(told.points >= 0)
+        second = 52 - first
+        kept, gone = int(told.points[shows[first]]), int(told.points[shows[second]])
+        if heard_before:
+            mapper.absorb(told)
+        mapper.world.fuse(gone, kept)
+        if not heard_before:
+            mapper.absorb(told)
+        assert mapper.world.keyframes[told.id].observed[kept] == shows[first]
+        seen.append(dict(mapper.world.keyframes[told.id].observed))
+    assert seen[0] == seen[1]

@@ -1,0 +1,100 @@
+"""What the estimator thinks of a network's spread after another, a depth camera, or in another part."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.config import ScaleConfig
+from prism_edge.messages import HOME, Scale
+from prism_edge.scale.estimator import ScaleEstimator
+from tests.scale.scene import depth_of, keyframe_of_wall
+
+STEP_S = 0.5
+UNKNOWN = float("nan")  # what a network says of how its images agree; a depth camera knows
+
+
+class Player:
+    """Keyframes of a wall, whose depths err in size by an AR(1) process of a spread."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.estimator = ScaleEstimator(ScaleConfig())
+        self._rng, self._error, self._count = np.random.default_rng(seed), 0.0, 0
+
+    def play(
+        self,
+        count: int,
+        spread: float,
+        model: str = "net@0123456789ab",
+        bias: float = 0.1,
+        said: float = UNKNOWN,
+        part: int = HOME,
+        metres_per_unit: float = 1.0,
+        joined: tuple[int, int] | None = None,
+    ) -> list[Scale]:
+        """The scales that the estimator gives; with ``joined`` the first keyframe says so of two parts."""
+        scales, phi = [], math.exp(-STEP_S / 2.0)
+        for _ in range(count):
+            k, self._count = self._count, self._count + 1
+            self._error = phi * self._error + self._rng.normal() * spread * math.sqrt(1.0 - phi**2)
+            keyframe = keyframe_of_wall(k, k * STEP_S, metres_per_unit, parallax_deg=3.0 if k else 0.0)
+            keyframe = replace(keyframe, part=part, log_scale=0.0)
+            if joined is not None:
+                told = {"joined": np.array([joined], np.int64), "joined_units": np.array([[0.0, 0.02]])}
+                keyframe, joined = replace(keyframe, **told), None
+            depth = replace(depth_of(keyframe, float(np.exp(self._error))), bias_sigma=bias)
+            self.estimator.hear(keyframe)
+            answer = self.estimator.process(keyframe, replace(depth, frame_sigma=said, model=model))
+            assert answer is not None
+            scales.append(answer[0])
+        return scales
+
+
+@pytest.mark.parametrize("spread", [0.15, 0.5])
+def test_a_network_after_a_depth_camera_is_judged_as_after_any_other(spread: float) -> None:
+    """A reload of depth.model: what the camera said of itself is not true of a network."""
+    runs = []
+    for model, said in (("sensor", 0.02), ("other@0123456789ac", UNKNOWN)):
+        player = Player()
+        player.play(20, 0.02, model, 0.01, said)
+        runs.append((player.play(120, spread), player.estimator.doubt))
+    (scales, doubt), (reference, its_doubt) = runs
+    accepted = [sum(scale.accepted for scale in told) for told in (scales, reference)]
+    assert abs(accepted[0] - accepted[1]) <= 3
+    assert scales[-1].sigma == pytest.approx(reference[-1].sigma, rel=0.1)
+    assert bool(doubt) == bool(its_doubt) == (spread > 0.3)
+
+
+def test_a_depth_camera_after_a_network_is_held_to_its_own_word() -> None:
+    player = Player()
+    player.play(40, 0.15)
+    assert player.play(200, 0.02, "sensor", 0.01, said=0.02)[-1].accepted
+    player._error = 0.3  # a network may err by as much, and is believed
+    assert not player.play(1, 0.02, "sensor", 0.01, said=0.02)[-1].accepted
+
+
+def test_a_part_that_was_joined_says_nothing_more_of_the_network() -> None:
+    player = Player()
+    player.play(120, 0.1)
+    lost = player.play(120, 0.6, part=120)[-1]
+    assert lost.sigma > 1.5
+    assert player.estimator.doubt
+    back = player.play(60, 0.1, part=HOME)[-1]
+    assert back.sigma > 1.5, "it waits, and may be met again"
+    assert player.estimator.doubt, "and health says why"
+    joined = player.play(60, 0.1, joined=(120, HOME))[-1]
+    assert joined.sigma < 0.3
+    assert not player.estimator.doubt
+
+
+def test_a_network_of_a_wide_spread_is_not_lost_where_the_unit_has_changed() -> None:
+    """Its card says so: a belief that falls forgets what was seen, not what is known of the network."""
+    player = Player(seed=2)
+    player.play(40, 0.45, bias=0.3)
+    scales = player.play(100, 0.45, bias=0.3, metres_per_unit=30.0)
+    assert scales[-1].log_scale == pytest.approx(math.log(30.0), abs=0.5)
+    assert scales[-1].sigma < 1.0
+    assert not player.estimator.doubt
