@@ -45,10 +45,10 @@ from prism_edge.errors import PrismError  # noqa: E402
 from prism_edge.evaluation.scores import score  # noqa: E402
 from prism_edge.evaluation.trajectory import Trajectory, read_tum  # noqa: E402
 from prism_edge.named_path import named_path  # noqa: E402
-from prism_edge.sources.truth import read_truth  # noqa: E402
 from tools import make_distractors  # noqa: E402
 from tools.benchmark import as_named, path_name  # noqa: E402
 from tools.finished_runs import differences, metrics_there  # noqa: E402
+from tools.true_poses import own_truth, why_unscored  # noqa: E402
 
 NETWORK = "models/fastdepth_nyu_224.onnx"
 FULL = ""  # nothing switched off
@@ -244,11 +244,8 @@ def truth_of(shared: Path, sequence: Sequence) -> Trajectory | None:
     """The true path of a recording; None where it isn't there."""
     if sequence.truth:
         return read_tum(shared / sequence.truth) if (shared / sequence.truth).is_file() else None
-    try:
-        known = read_truth(str(shared / sequence.folder))
-    except PrismError:
-        return None  # `eval` says why
-    return None if known is None else Trajectory(*known)
+    folder = str(shared / sequence.folder)
+    return None if why_unscored(folder) else own_truth(folder)
 
 
 def on_common_frames(out: Path, truth: Trajectory, sequence: Sequence, part: str, seed: int) -> Common | None:
@@ -370,8 +367,8 @@ def main(arguments: list[str] | None = None) -> int:
         except (ValueError, PrismError) as error:
             parser.error(str(error))
         for sequence in TABLES[OWN][1]:
-            if truth_of(shared, sequence) is None:
-                print(f"ablate: warning: {sequence.folder} has no truth: no errors", file=sys.stderr)
+            if not sequence.truth and (why := why_unscored(sequence.folder)):
+                print(f"ablate: warning: {why}: no errors", file=sys.stderr)
     elif args.most and not (shared / NETWORK).is_file():
         print(f"ablate: error: {shared / NETWORK} is not there; see --shared", file=sys.stderr)
         return 2

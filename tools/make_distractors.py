@@ -47,7 +47,7 @@ def write(recording: Recording, things: list[Distractor], contrast: float, out: 
     (out / "masks").mkdir(parents=True, exist_ok=True)
     shares: list[float] = []
     before: NDArray[np.uint8] | None = None
-    place = {path: out / path.relative_to(recording.folder) for path in recording.listing.files}
+    place = {path: out / recording.inside(path) for path in recording.listing.files}
     for i, path in enumerate(recording.listing.files):
         target = place[path]
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -61,8 +61,9 @@ def write(recording: Recording, things: list[Distractor], contrast: float, out: 
             shares.append(shares[-1])
             earlier = recording.sensor_file(i - 1)
             if depth_file is not None and earlier is not None:
-                original = out / earlier.relative_to(recording.folder)
-                _copied(original, out / depth_file.relative_to(recording.folder))
+                original = out / recording.inside(earlier)
+                if original.is_file():
+                    _copied(original, out / recording.inside(depth_file))
             continue
         before = image.copy()
         depth = recording.depth(i)
@@ -95,14 +96,17 @@ def _copied(source: Path, target: Path) -> None:
 
 
 def _write_depth(recording: Recording, file: Path, shown: Array, out: Path) -> None:
-    """The sensor's image with the objects in it, in its own pixels and unit."""
-    raw = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    """The sensor's image with the objects in it, in its own pixels and unit; left out where it is none."""
+    raw = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.is_file() else None
+    if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
+        print(f"make_distractors: warning: {file} is no depth image: left out", file=sys.stderr)
+        return
     unit = 1000.0 if recording.listing.layout == "7-Scenes" else 5000.0
     here = recording.in_sensor(shown, raw.shape)
     # A surface that the colour camera has behind an object may be before it where the sensor is.
     nearer = np.isfinite(here) & ((raw == 0) | (here * unit < raw))
     raw = np.where(nearer, np.clip(here * unit, 1, 65534), raw).astype(np.uint16)
-    target = out / file.relative_to(recording.folder)
+    target = out / recording.inside(file)
     target.parent.mkdir(parents=True, exist_ok=True)
     _write_image(target, raw)
 
@@ -116,7 +120,7 @@ def copy_rest(recording: Recording, out: Path) -> None:
         write_tum(out / "groundtruth.txt", truth)
     for folder in sorted({path.parent for path in recording.listing.files}):
         for path in sorted(folder.glob("*.pose.txt")):
-            _copied(path, out / path.relative_to(recording.folder))
+            _copied(path, out / recording.inside(path))
     describe(recording.camera, out / "camera.yaml")
 
 

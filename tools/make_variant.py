@@ -1,7 +1,7 @@
 """A recording played otherwise: backwards, mirrored, thinned, there and back (other sequences for free).
 
     python tools/make_variant.py FOLDER OUT [--backwards] [--mirrored] [--every N] [--ways N] [--bonnet]
-        [--light SHARE] [--poses TUM]
+        [--light SHARE] [--poses TUM] [--camera FILE]
 
 FOLDER is any folder of images that `prism-edge run` plays. OUT becomes a folder of the TUM RGB-D layout:
 images, rgb.txt and, where FOLDER has true poses, groundtruth.txt with them as this camera would have moved;
@@ -89,7 +89,7 @@ def bonnet(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(blotches, (width, height), interpolation=cv2.INTER_CUBIC), np.uint8)
 
 
-def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -> int:
+def write(folder: str, out: Path, variant: Variant, poses: Path | None = None, camera: str = "") -> int:
     """Writes the recording; returns how many images it has. Raises PrismError for unusable folders."""
     if not 0.0 < variant.light <= 1.0:
         raise SystemExit("--light: a share of the light, above 0, 1 at most")
@@ -99,7 +99,7 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -
     reference = None if poses is None else read_tum(poses)
     truth = own_truth(folder)
     taken: list[tuple[int, str]] = []  # stamp, file
-    source = open_source(SourceConfig(uri=folder))
+    source = open_source(SourceConfig(uri=folder, camera=camera))
     with source:
         if not source.camera.is_ideal:
             raise SystemExit("the camera has distortion: its images would have to be undistorted first")
@@ -107,6 +107,8 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None) -
         describe(variant.camera(source.camera), out / "camera.yaml")
         while (image := source.read()) is not None:
             if not isinstance(image, Image) or image.index % variant.every:
+                continue
+            if taken and image.stamp_ns <= taken[-1][0]:  # the daemon would leave it out, too
                 continue
             name, pixels = f"rgb/{image.index:06d}.png", variant.image(image.pixels, image.index)
             if not cv2.imwrite(str(out / name), pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1]):
@@ -145,10 +147,11 @@ def main() -> None:
     parser.add_argument("--bonnet", action="store_true", help="the robot itself below, never moving")
     parser.add_argument("--light", type=float, default=1.0, metavar="SHARE", help="so much of the light")
     parser.add_argument("--poses", type=Path, metavar="TUM", help="a reference to carry along")
+    parser.add_argument("--camera", default="", metavar="FILE", help="camera file; default: the recording's")
     given = parser.parse_args()
     variant = Variant(given.backwards, given.mirrored, given.every, given.ways, given.bonnet, given.light)
     try:
-        count = write(given.folder, given.out, variant, given.poses)
+        count = write(given.folder, given.out, variant, given.poses, given.camera)
     except (PrismError, OSError) as error:
         sys.exit(in_words(error))
     print(f"{count} images in {given.out}")

@@ -72,6 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("cloud", metavar="CLOUD.ply", type=Path)
     parser.add_argument("--map", required=True, help="the map that the cloud was made of")
     parser.add_argument("--truth", metavar="FILE.tum", type=Path, help="poses in place of the folder's own")
+    parser.add_argument("--camera", metavar="FILE", default="", help="camera file, as the map was made with")
     parser.add_argument("--up-to-scale", action="store_true", help="let the alignment choose the scale")
     parser.add_argument("--voxel", type=float, default=0.02, help="of the reference, m (default 0.02)")
     parser.add_argument("--within", type=float, nargs=2, default=(0.02, 0.05), help="m (default 0.02 0.05)")
@@ -83,7 +84,7 @@ def main(arguments: list[str] | None = None) -> int:
         points = read_ply(args.cloud)
         found = opened(args.map, load(None, {})).metric
         guess, scale = first_guess(found.trajectory(False), truth, args.up_to_scale)
-        seen = reference(args.folder, truth, args.voxel, args.far)
+        seen = reference(args.folder, truth, args.voxel, args.far, args.camera)
         scores = score(scale * points, seen, guess)
     except (PrismError, OSError, ValueError) as error:
         print(f"measure_cloud: error: {error}", file=sys.stderr)
@@ -144,10 +145,10 @@ def pose_at(truth: Trajectory, stamp_ns: int) -> F64 | None:
     return truth.poses[nearest] if abs(int(truth.stamps[nearest]) - stamp_ns) <= APART_NS else None
 
 
-def reference(folder: Path, truth: Trajectory, voxel: float, farthest: float) -> Cloud:
+def reference(folder: Path, truth: Trajectory, voxel: float, farthest: float, camera: str = "") -> Cloud:
     """What the depth camera saw, from the true poses."""
     sensor, voxels = SensorDepth(folder), Voxels(voxel)
-    with open_source(SourceConfig(uri=str(folder))) as source:
+    with open_source(SourceConfig(uri=str(folder), camera=camera)) as source:
         while (slot := source.peek()) is not None:
             source.skip()
             pose = pose_at(truth, slot.stamp_ns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from prism_edge.errors import PrismError
 from prism_edge.evaluation.loops import pose_at
 from prism_edge.evaluation.trajectory import Trajectory, nearest_rows
 from prism_edge.geometry.poses import Array
@@ -17,6 +18,14 @@ def own_truth(folder: str) -> Trajectory:
     """The recording's own true poses, none where it has none. Raises SourceError for damaged ones."""
     truth = read_truth(folder)
     return Trajectory.of([]) if truth is None else Trajectory(*truth)
+
+
+def why_unscored(folder: str) -> str:
+    """Why a recording's own truth is of no use, in words; empty where it is."""
+    try:
+        return "" if len(own_truth(folder)) else f"{folder} has no truth"
+    except PrismError as error:
+        return f"the truth can't be read: {error}"
 
 
 def pose_of_image(truth: Trajectory, stamp_ns: int) -> Array | None:

@@ -65,6 +65,7 @@ def metrics(
     until_ns = recording.frames[-1].stamp_ns if config.source.frames and recording.frames else None
     apart = [] if truth is None else apart_in_time(live, truth, scores["live"]["pairs"], until_ns)
     nothing = silent or (apart if not scores["live"]["pairs"] else [])
+    refused = not_played(flow["unreadable_frames"], flow["frames"])
     processed = len({frame.index for frame in recording.frames})
     settled = snapshot is not None and snapshot.settled
     report = {
@@ -94,11 +95,11 @@ def metrics(
         "scale": recording.last_scale(),
         "violations": recording.violations(),
         # Without a network no pose is due, and that was said before.
-        "unscored": nothing[0] if nothing and config.depth.network else None,
+        "unscored": "; ".join([nothing[0], *refused]) if nothing and config.depth.network else None,
         "warnings": [
             *silent,
             *apart,
-            *not_played(flow["unreadable_frames"], flow["frames"]),
+            *refused,
             *guessed_camera(played),
             *not_in_the_map(final_missing, len(recording.tracked)),
             *unfinished(settled or snapshot is None),

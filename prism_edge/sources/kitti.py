@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -28,8 +29,10 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     if images and int(images[-1].stem) >= len(times):
         table = folder / "times.txt"
         raise SourceError(f"{table} has {len(times)} times, too few for image {images[-1].name}")
-    images = _with_gaps(images)
-    missing = len(times) - (int(images[-1].stem) - int(images[0].stem) + 1) if images else len(times)
+    step = _step([int(path.stem) for path in images])
+    images = _with_gaps(images) if step == 1 else images
+    before, after = (int(images[0].stem), len(times) - 1 - int(images[-1].stem)) if images else (0, 0)
+    missing = before + after if max(before, after) >= step else 0
     return Listing(
         "KITTI odometry",
         tuple(images),
@@ -49,13 +52,17 @@ def _played(folder: Path) -> tuple[str, list[Path]]:
     return name, images
 
 
-def _with_gaps(images: list[Path]) -> list[Path]:
-    """The same with a name for each number that is missing in between, which then can't be read.
+def _step(numbers: list[int]) -> int:
+    """From one image to the next in a sequence that was thinned: all alike, or most are left out; else 1."""
+    if len(numbers) < 3:
+        return 1
+    steps = {after - before for before, after in pairwise(numbers)}
+    length = numbers[-1] - numbers[0]
+    return length // (len(numbers) - 1) if len(steps) == 1 or 2 * len(numbers) <= length else 1
 
-    Not where most are missing: such a sequence was thinned.
-    """
-    if images and 2 * len(images) <= int(images[-1].stem) - int(images[0].stem):
-        return images
+
+def _with_gaps(images: list[Path]) -> list[Path]:
+    """The same with a name for each number that is missing in between, which then can't be read."""
     out: list[Path] = []
     for path in images:
         for number in range(int(out[-1].stem) + 1, int(path.stem)) if out else ():

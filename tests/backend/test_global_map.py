@@ -318,7 +318,7 @@ def test_a_pose_that_fits_few_of_the_common_points_is_not_believed(told):
     assert world.absorb(few).world_from_camera == pytest.approx(true, abs=1e-5)
 
 
-def test_of_two_keypoints_that_show_one_point_now_the_first_keeps_it(told):
+def test_of_two_keypoints_that_show_one_point_now_that_of_the_name_that_stays_keeps_it(told):
     world, teller, _ = told
     message = teller.keyframe(pose_at(0.9))
     known = [p for p in message.points.tolist() if p in world.points]
@@ -327,7 +327,7 @@ def test_of_two_keypoints_that_show_one_point_now_the_first_keeps_it(told):
         world.fuse(gone, kept)
     observed = world.absorb(message).observed
     points = message.points.tolist()
-    assert observed[second] == points.index(first)
+    assert observed[second] == points.index(second)
     assert observed[known[14]] == points.index(known[14])
     check(world)
 

@@ -175,6 +175,9 @@ def test_a_run_with_nothing_to_score_says_so() -> None:
     silent = report(config=network, live=empty, final=empty)
     assert silent["warnings"] == ["no pose came out of 60 frames"]
     assert silent["unscored"] == "no pose came out of 60 frames"
+    refused = Recording(end=EndOfStream(N, N - 20, 0, 20, N - 1))
+    unplayed = report(config=network, live=empty, final=empty, recording=refused)["unscored"]
+    assert unplayed.startswith("no pose came out of 60 frames; 20 of 60 frames were not played")
     assert report(live=empty, final=empty)["unscored"] is None, "without a network none is due"
     truth = circle(1.0)
     elsewhen = report(config=network, truth=Trajectory(truth.stamps + 9 * NS, truth.poses))

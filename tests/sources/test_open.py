@@ -151,13 +151,15 @@ def test_kitti_images_that_are_missing_are_not_passed_over(
     assert "image_0 begins or ends without 1 images of times.txt" in caplog.text
 
 
-def test_a_thinned_kitti_sequence_misses_nothing_at_its_ends(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize(("step", "count"), [(4, 9), (4, 11), (2, 9), (2, 10), (3, 51)])
+def test_a_thinned_kitti_sequence_misses_nothing(
+    step: int, count: int, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    tiny.write_kitti(tmp_path, count=9)
-    for number in (1, 2, 3, 5, 6, 7):
+    tiny.write_kitti(tmp_path, count=count)
+    for number in set(range(count)) - set(range(0, count, step)):
         (tmp_path / "image_0" / f"{number:06d}.png").unlink()
-    assert [item.stamp_ns for item in all_of(opened(tmp_path))] == [0, 400_000_000, 800_000_000]
+    stamps = [item.stamp_ns for item in all_of(opened(tmp_path))]
+    assert stamps == [number * 100_000_000 for number in range(0, count, step)]
     assert "begins or ends" not in caplog.text
 
 

@@ -13,6 +13,7 @@ import pytest
 from sources import tiny_datasets as tiny
 
 from prism_edge.errors import ConfigError, SourceError
+from prism_edge.geometry.poses import so3_exp
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.sensor_depth import SensorDepth
 from prism_edge.sources.truth import read_truth, truth_file
@@ -71,6 +72,22 @@ def test_seven_scenes_leaves_out_what_was_not_tracked(tmp_path: Path) -> None:
     assert truth is not None
     assert truth[0].tolist() == [0, 66666667]
     np.testing.assert_allclose(truth[1][:, 0, 3], [0.0, 0.2])
+
+
+def test_a_rotation_that_is_a_little_off_is_read_as_the_nearest_one(tmp_path: Path) -> None:
+    """7-Scenes' own are 4e-4 off, and angles between them would be, too."""
+    tiny.write_seven_scenes(tmp_path, count=2)
+    turned = so3_exp(np.array([0.1, -0.4, 0.2]))
+    rows = np.eye(4)
+    rows[:3, :3] = turned + 3e-4 * np.random.default_rng(0).normal(size=(3, 3))
+    np.savetxt(tmp_path / "frame-000001.pose.txt", rows)
+    _, poses = read_truth(str(tmp_path))  # type: ignore[misc]
+    read = poses[1, :3, :3]
+    np.testing.assert_allclose(read @ read.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(read, turned, atol=1e-3)
+    away = np.linalg.norm(rows[:3, :3] - read)
+    for nudge in 1e-4 * np.random.default_rng(1).normal(size=(20, 3)):
+        assert np.linalg.norm(rows[:3, :3] - so3_exp(nudge) @ read) > away
 
 
 def test_kitti_beside_the_images_or_as_the_benchmark_has_it(tmp_path: Path) -> None:

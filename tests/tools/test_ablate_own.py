@@ -10,6 +10,7 @@ import pytest
 
 from prism_edge.config import ABLATIONS
 from prism_edge.evaluation.trajectory import write_tum
+from tests.sources import tiny_datasets as tiny
 from tests.sources.tiny_datasets import write_seven_scenes
 from tests.tools.runs import metrics_of, on_a_spiral
 from tools import ablate
@@ -67,6 +68,18 @@ def test_a_recording_that_is_not_there_fails_run_by_run(tmp_path: Path, own, mon
     assert said.err.count("eval ended with code 4") == 2
     assert "| full system | - / - | - |" in said.out
     assert f"ablate: warning: {tmp_path / 'nowhere'} has no truth" in said.err
+
+
+def test_a_recording_that_is_damaged_is_not_said_to_have_no_truth(tmp_path: Path, own, monkeypatch, capsys):
+    monkeypatch.setattr(ablate, "prism_edge", lambda words: 4)
+    folder = tiny.write_tum(tmp_path / "hall")
+    (folder / "groundtruth.txt").write_text("0.0 0 0 0 0 0 0 1\n")
+    (folder / "rgb.txt").write_text("soon,rgb/0.png\n")
+    words = [str(folder), "--model", "mine.onnx", "--out", str(tmp_path / "out"), "--seeds", "0"]
+    assert ablate.main([*words, "--most", "1"]) == 8
+    warning = capsys.readouterr().err.splitlines()[0]
+    assert "no truth" not in warning
+    assert "rgb.txt line 1" in warning
 
 
 @pytest.mark.parametrize(

@@ -213,6 +213,62 @@ def test_poses_of_another_time_or_a_single_one_are_no_path(sequence: Path, tmp_p
         assert error.count("\n") == 1
 
 
+def beside(sequence: Path, folder: Path, name: str) -> Path:
+    """A recording whose tables lie in one folder and images in another, which they reach by ``name``."""
+    shutil.copytree(sequence, folder / "images")
+    (folder / "tables").mkdir()
+    for table in ("rgb.txt", "depth.txt", "groundtruth.txt", "camera.yaml"):
+        (folder / "images" / table).rename(folder / "tables" / table)
+    for table in ("rgb.txt", "depth.txt"):
+        lines = (folder / "tables" / table).read_text().splitlines()
+        named = [line if line.startswith("#") else line.replace(" ", f" {name}/", 1) for line in lines]
+        (folder / "tables" / table).write_text("\n".join(named) + "\n")
+    return folder / "tables"
+
+
+@pytest.mark.parametrize("by", ["parent", "absolute", "within"])
+def test_images_of_another_folder_are_refused_and_not_written_over(
+    by: str, sequence: Path, tmp_path: Path, capsys
+):
+    name = {"parent": "../images", "absolute": str(tmp_path / "images"), "within": "mine"}[by]
+    folder = beside(sequence, tmp_path, name)
+    if by == "within":
+        (tmp_path / "images").rename(folder / "mine")
+        assert Recording(folder, None).inside(folder / "mine/../mine/rgb/x.png") == Path("mine/rgb/x.png")
+        return
+    before = {path: path.read_bytes() for path in (tmp_path / "images").rglob("*") if path.is_file()}
+    assert make_distractors.main([str(folder), str(tmp_path / "out")]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "is not in" in error
+    assert not (tmp_path / "out").exists()
+    assert {path: path.read_bytes() for path in (tmp_path / "images").rglob("*") if path.is_file()} == before
+
+
+def test_absolute_names_within_the_folder_are_refused_too(sequence: Path, tmp_path: Path, capsys):
+    """The copied table would play the originals."""
+    folder = shutil.copytree(sequence, tmp_path / "seq")
+    text = (folder / "rgb.txt").read_text()
+    (folder / "rgb.txt").write_text(text.replace(" rgb/", f" {folder}/rgb/"))
+    assert make_distractors.main([str(folder), str(tmp_path / "out")]) == 2
+    assert "rgb.txt line" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("how", ["missing", "damaged", "8 bits"])
+def test_a_depth_image_that_is_none_is_left_out(how: str, sequence: Path, tmp_path: Path, capsys):
+    folder = shutil.copytree(sequence, tmp_path / "seq")
+    file = sorted((folder / "depth").iterdir())[19]  # its colour image has a copy
+    if how == "8 bits":
+        assert cv2.imwrite(str(file), np.full((120, 160), 200, np.uint8))
+    else:
+        file.unlink() if how == "missing" else file.write_bytes(b"no image")
+    assert make_distractors.main([str(folder), str(tmp_path / "out"), "--coverage", "0.2"]) == 0
+    assert f"{file} is no depth image: left out" in capsys.readouterr().err
+    assert not (tmp_path / "out" / "depth" / file.name).exists()
+    with open_source(SourceConfig(uri=str(tmp_path / "out"))) as made:
+        assert made.frame_count == 60
+
+
 def test_a_folder_without_depth_and_one_that_is_taken_are_refused(sequence: Path, tmp_path: Path, capsys):
     plain = tmp_path / "plain"
     plain.mkdir()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,6 +17,7 @@ from prism_edge.geometry.poses import from_rt, inverse, so3_exp, transform
 from prism_edge.sources import open_source
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.truth import read_truth
+from tests.sources import tiny_datasets as tiny
 from tests.synthetic.sequence import write_sequence
 from tools import make_variant
 from tools.make_kidnapping import describe
@@ -51,6 +53,26 @@ def test_images_and_poses_stay_together(tmp_path, backwards, mirrored, every):
     assert np.diff(new_stamps) == pytest.approx(np.abs(np.diff(np.array(stamps)[kept])), abs=2)
     assert new_camera.cx == (pytest.approx(159 - camera.cx) if mirrored else camera.cx)
     assert read_tum(out / "reference.tum").poses == pytest.approx(new_poses, abs=1e-6)
+
+
+def test_images_whose_stamps_go_back_are_left_out(tmp_path):
+    """As the daemon would: of a table that is listed backwards in time there is one image."""
+    folder = tiny.write_tum(tmp_path / "seq")
+    lines = [line for line in (folder / "rgb.txt").read_text().splitlines() if not line.startswith("#")]
+    (folder / "rgb.txt").write_text("\n".join([*lines[2:], *lines[:2], lines[-1]]) + "\n")
+    assert write(str(folder), tmp_path / "out", Variant(ways=2)) == 2 * (len(lines) - 2) - 1
+
+
+def test_a_camera_may_be_given(tmp_path):
+    folder = tmp_path / "images"
+    folder.mkdir()
+    for i in range(3):
+        assert cv2.imwrite(str(folder / f"{i}.png"), tiny.picture(i))
+    camera = tmp_path / "camera.yaml"
+    camera.write_text(tiny.CAMERA)
+    assert write(str(folder), tmp_path / "out", Variant(), camera=str(camera)) == 3
+    with open_source(SourceConfig(uri=str(tmp_path / "out"))) as made:
+        assert made.camera.fx == 60.0
 
 
 @pytest.mark.parametrize("backwards", [False, True])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import cv2
@@ -94,6 +95,19 @@ def test_a_reconstruction_from_true_depth_is_the_reference(
     precision = float(said.split("precision ")[2].split("%")[0])
     assert chamfer < 8.0, "keyframes see less of the room than all images do"
     assert precision > 99.0
+
+
+def test_the_reference_is_seen_by_the_camera_that_is_given(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "camera.yaml"
+    text = (room / "seq" / "camera.yaml").read_text()
+    twice = re.sub(r"^(width|height): (\d+)", lambda m: f"{m[1]}: {2 * int(m[2])}", text, flags=re.MULTILINE)
+    other.write_text(twice)
+    (tmp_path / "any.ply").write_bytes(ply("any", np.zeros((100, 3))))
+    words = [str(room / "seq"), str(tmp_path / "any.ply"), "--map", str(room / "room.prismmap")]
+    assert main([*words, "--camera", str(other)]) == 3
+    assert "camera.yaml" in capsys.readouterr().err
 
 
 def test_a_free_scale_is_that_of_the_keyframes(

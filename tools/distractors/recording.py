@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log
 from prism_edge.sources.bonn import holds_markers
+from prism_edge.sources.listing import lines_of
 from prism_edge.sources.open import find_listing, open_source
 from prism_edge.sources.sensor_depth import COLOUR_IN_DEPTH, DEPTH_CAMERA, SensorDepth
 from prism_edge.sources.truth import read_truth
@@ -44,6 +46,13 @@ class Recording:
         if not self.camera.is_ideal:
             raise SourceError(f"{folder}: its lens bends rays; objects are drawn for an ideal camera")
         self._depth = SensorDepth(folder)
+        for file in (*self.listing.files, *(self.sensor_file(i) for i in range(len(self.listing.files)))):
+            if file is not None:
+                self.inside(file)
+        for table in (folder / "rgb.txt", folder / "depth.txt"):
+            for number, words in lines_of(table) if table.is_file() else ():
+                if len(words) > 1 and Path(words[1]).is_absolute():
+                    raise SourceError(f"{table} line {number}: a path of its own, which OUT would share")
         self.stamps = np.array(self.listing.stamps_ns) * 1e-9
         truth = read_truth(str(folder))
         if poses is not None:
@@ -56,6 +65,13 @@ class Recording:
         if not among:
             raise SourceError(f"{poses or folder}: its poses are of other times than most images")
         self.poses = interpolated(times, truth[1], self.stamps)
+
+    def inside(self, file: Path) -> Path:
+        """Where a file lies in the folder, and in OUT. Raises SourceError for one that lies elsewhere."""
+        relative = Path(os.path.relpath(file, self.folder))
+        if relative.parts[:1] == (os.pardir,):
+            raise SourceError(f"{file} is not in {self.folder}: OUT would have no place for it")
+        return relative
 
     def depth(self, index: int, step: int = 1) -> Array:
         """True depth (h, w) at every ``step``-th pixel of the colour image, inf where nothing is known."""
