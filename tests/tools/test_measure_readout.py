@@ -58,7 +58,7 @@ def test_more_is_not_said_than_the_tracker_takes(way: float) -> None:
 
 def test_a_simulated_camera_s_rows_are_seen() -> None:
     network = open_network("prism_nano", DepthConfig())
-    source = SourceConfig(uri="sim:room?seed=1&frames=180&speed=1.2&noise=0.5&blur=0&readout=40")
+    source = SourceConfig(uri="sim:room?seed=1&frames=100&speed=1.2&noise=0.5&blur=0&readout=40")
     unsaid, said = (measure_readout.left_over(source, network, readout)[0] for readout in (0.0, 40.0))
     assert unsaid > 5.0
     assert abs(said) < 2.5
