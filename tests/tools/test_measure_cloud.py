@@ -85,8 +85,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_reconstruction_from_true_depth_is_the_reference(
     room: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["reconstruct", room / "seq", "--map", room / "room.prismmap", "--model", "sensor", "--width", 160]
-    assert prism_edge([*map(str, words), "--no-pictures", "--out", str(room / "room.ply")]) == 0
+    words = ["reconstruct", room / "seq", "--map", room / "room.prismmap", "--model", "sensor"]
+    assert prism_edge([*map(str, words), "--no-pictures", "--width=160", "--out", f"{room}/room.ply"]) == 0
     capsys.readouterr()
     assert main([str(room / "seq"), str(room / "room.ply"), "--map", str(room / "room.prismmap")]) == 0
     said = capsys.readouterr().out
