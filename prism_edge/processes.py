@@ -29,6 +29,8 @@ PROCESSES = {
     )
 }
 
+LOADING_S = 120.0  # that a depth network may take to load: depth's, and in lockstep source waits for it
+
 # What the depth network's metres are for: without a network they have no work.
 _NEED_DEPTH = ("depth", "scale")
 

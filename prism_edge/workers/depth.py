@@ -21,7 +21,7 @@ from prism_edge.depth.providers import native_line
 from prism_edge.depth.upright import UprightNetwork
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
-from prism_edge.processes import peers_of
+from prism_edge.processes import LOADING_S, peers_of
 from prism_edge.workers.failing import Failing
 from prism_edge.workers.sensor_network import SensorNetwork, open_depth
 
@@ -29,7 +29,6 @@ log = logging.getLogger("prism_edge.depth")
 
 _WAIT_S = 0.2
 _ONE_LIFE = 100_000  # no tracker gives so many keyframes between two that are seen here
-_LOADING_S = 120.0
 _INFERENCE_S = 20.0  # the slowest network in use takes a tenth of that on a small computer
 _SLOWEST_S = 120.0  # where loading, which ends with an inference, said that this one is slower
 # Lockstep: a picture that takes longer isn't coming (the tracker died with it), and all wait for us.
@@ -59,7 +58,7 @@ class DepthWorker:
         self._inference_s = _INFERENCE_S
         self._failing: Failing | None = None
         if config.depth.network:
-            bus.pulse.working("loading the network", _LOADING_S)
+            bus.pulse.working("loading the network", LOADING_S)
             began_s = time.monotonic()
             self._network = open_depth(config)
             self._inference_s = min(max(2.0 * (time.monotonic() - began_s), _INFERENCE_S), _SLOWEST_S)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 
 from prism_edge.backend import map_file
@@ -79,9 +80,10 @@ class MapAdoption:
                 log.error("a map that the backend has taken up is passed over: ours is newer (%d)", epoch)
             return
         self._bus.pulse.working("asking for the loaded map", 2 * LOADED_S + RECOVERED_S + TAKING_OVER_S)
+        silent_s = time.monotonic() + LOADED_S
         whole: WholeMap | None = self._bus.ask("whole_map", LOADED_S)
         for _ in range(TRIES):
-            if whole is not None or self._bus.stopped.wait(AGAIN_S):
+            if whole is not None or time.monotonic() >= silent_s or self._bus.stopped.wait(AGAIN_S):
                 break
             self._bus.await_ready(["backend"], RECOVERED_S)  # started again, it has the map in its journal
             whole = self._bus.ask("whole_map", LOADED_S)

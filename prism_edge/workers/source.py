@@ -16,7 +16,7 @@ from prism_edge.errors import SourceError
 from prism_edge.geometry.unlikely_camera import doubts
 from prism_edge.messages import EndOfStream, Frame
 from prism_edge.named_path import named_path
-from prism_edge.processes import peers_of
+from prism_edge.processes import LOADING_S, peers_of
 from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
 from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.live.camera import LiveCamera
@@ -31,7 +31,6 @@ from prism_edge.workers.position import Position
 
 log = logging.getLogger("prism_edge.source")
 
-_LOADING_S = 120.0  # what `depth` says that its network may take
 _READING_S = 5.0  # a disk or network share that takes longer hangs
 _TRUTH_FRAME = "simulated_world"
 _GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
@@ -96,7 +95,7 @@ class SourceWorker:
         begun = bool(self._bus.life) or goes_on(self._bus)
         peers = awaited_peers(config, begun)
         starting = peers - set(config.network.remote) if config.is_lockstep else set()
-        start_s = max(waited, config.supervisor.start_s + _LOADING_S)
+        start_s = max(waited, config.supervisor.start_s + LOADING_S)
         missing = self._bus.await_ready(starting, start_s)
         missing |= self._bus.await_ready(peers - starting, waited)
         if missing and not self._bus.stopped.is_set():

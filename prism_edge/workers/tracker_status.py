@@ -23,14 +23,13 @@ class TrackerStatus:
         self.metres, self._epoch = DepthWatch(), -1
         self._shown: tuple[str, int, str] | None = None
         self._last: Any | None = None  # what was said,
-        self._last_s = 0.0  # ... and when
+        self._again_s = 0.0  # ... and when it is due again without an image
         self._happened, self._happened_until_ns = "", 0  # to the map, and until when we say so
 
     def repeat(self) -> None:
-        """Say it once more where it is due, by the stamp that it had: there was no image since."""
-        now = time.monotonic()
-        if self._last is not None and now - self._last_s >= _STATUS_NS / 1e9:
-            self._last_s = now
+        """Say it once more where it is due, by the stamp that it had: no image came for a while."""
+        if self._last is not None and time.monotonic() >= self._again_s:
+            self._again_s = time.monotonic() + _STATUS_NS / 1e9
             self._bus.publish("status", self._last)
 
     def say(self, word: str, now_ns: int) -> None:
@@ -62,6 +61,7 @@ class TrackerStatus:
         self._shown = (odometry, due, state)
         shown = {"odometry": odometry, "map": state, **values, "depth": trouble or "ok"}
         row = ("tracking", _LEVELS.get(odometry, ros.LEVEL_OK), f"{odometry} {state}", shown)
-        self._last, self._last_s = ros.diagnostics(stamp_ns, [row]), time.monotonic()
+        self._last = ros.diagnostics(stamp_ns, [row])
+        self._again_s = time.monotonic() + 2 * _STATUS_NS / 1e9  # a slow camera's next image may still say it
         self._bus.publish("status", self._last)
         self._bus.pulse.values.update({name: str(value) for name, value in shown.items()})

@@ -120,6 +120,23 @@ def test_a_backend_that_is_just_started_again_is_asked_once_more(
     assert ("has not come" in caplog.text) == lost
 
 
+def test_a_backend_that_is_silent_is_not_waited_for_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would be taken for a hang, and poses would wait for minutes."""
+    bus, now, asked, resets = ListBus("frame"), [100.0], [], []
+    monkeypatch.setattr(map_adoption.time, "monotonic", lambda: now[0])
+
+    def ask(topic: str, timeout_s: float = 1.0) -> None:
+        asked.append(topic)
+        now[0] += timeout_s
+
+    bus.ask = ask  # type: ignore[method-assign]
+    adoption = MapAdoption(CONFIG, bus)
+    bus.give("map_loaded", MapLoaded(7, 0.0, 0.1))
+    adoption.take_loaded(SimpleNamespace(epoch=0), lambda whole: True, resets.append)
+    assert (len(asked), resets) == (1, [""])
+    assert now[0] - 100.0 < bus.budgets_s["asking for the loaded map"]
+
+
 def test_a_map_that_is_passed_over_is_an_error(caplog: pytest.LogCaptureFixture) -> None:
     bus = ListBus("frame")
     adoption = MapAdoption(CONFIG, bus)

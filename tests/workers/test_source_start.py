@@ -21,12 +21,16 @@ from tests.waiting import until
 from tests.workers.source_bench import Recorder, acknowledging, playing, running, settings, undisturbed
 
 
-def test_the_first_frame_waits_for_the_others(tmp_path: Path) -> None:
-    with playing(settings(tiny.write_tum(tmp_path), "lockstep", peers_s=600.0)) as bus:
+@pytest.mark.parametrize("peers_s", [600.0, 0.1])
+def test_in_lockstep_the_first_frame_waits_for_all_as_long_as_a_start_takes(
+    peers_s: float, tmp_path: Path
+) -> None:
+    """Such as a network that loads for a minute: without it the run would not be that of another time."""
+    with playing(settings(tiny.write_tum(tmp_path), "lockstep", peers_s=peers_s)) as bus:
         until(lambda: "ready" in bus.states)
         bus.say("ready", "backend")
         with pytest.raises(queue.Empty):
-            bus.published.get(timeout=0.3)
+            bus.published.get(timeout=0.5)
         bus.say("ready", "tracker")
         frames, _ = acknowledging(bus, "tracker", "backend")
     assert frames[0].index == 0
@@ -57,17 +61,6 @@ def test_whom_the_first_frames_wait_for() -> None:
     assert awaited_peers(lockstep, begun=True) == everybody
     elsewhere = replace(away, network=replace(away.network, remote=("tracker",)))
     assert awaited_peers(elsewhere, begun=False) == everybody
-
-
-def test_in_lockstep_a_slow_start_is_waited_for(tmp_path: Path) -> None:
-    """A network that loads for a minute: without it the run would not be the one of another time."""
-    with playing(settings(tiny.write_tum(tmp_path), "lockstep", peers_s=0.1)) as bus:
-        bus.say("ready", "backend")
-        with pytest.raises(queue.Empty):
-            bus.published.get(timeout=0.5)
-        bus.say("ready", "tracker")
-        frames, _ = acknowledging(bus, "tracker", "backend")
-    assert frames[0].index == 0
 
 
 def test_in_lockstep_another_computer_that_is_off_is_not_waited_for_so_long(

@@ -35,11 +35,17 @@ def test_without_an_image_the_last_is_said_again_twice_a_second(monkeypatch: pyt
     status = TrackerStatus(SimpleNamespace(publish=lambda topic, message: said.append(message), pulse=pulse))
     status.repeat()
     assert said == [], "there is nothing to say yet"
-    status.show(0, OK, True, False, 7, {})
-    for _ in range(10):
-        now[0] += 0.2
+    for image in range(7):  # of a slow camera, which says it itself
+        status.show(0, OK, True, False, image * 400_000_000, {})
+        for _ in range(4):
+            now[0] += 0.1
+            status.repeat()
+    stamps = [(m.header.stamp.sec, m.header.stamp.nanosec) for m in said]
+    assert len(set(stamps)) == len(stamps) == 5, "a half second has one"
+    for _ in range(8):
+        now[0] += 0.25
         status.repeat()
-    assert said == 4 * said[:1], "at 0, 0.6, 1.2 and 1.8 s"
+    assert said[5:] == 4 * said[4:5], "0.75, 1.25, 1.75 and 2.25 s after the last image"
 
 
 def test_a_map_that_stays_as_it_is_is_not_degraded_for_depth_that_never_came():
