@@ -29,10 +29,10 @@ _JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")  # what a scan holds
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 
 
-def decode(data: bytes, bits: int = 16) -> U8 | str:
+def decode(data: bytes) -> U8 | str:
     """Grey (h, w) or BGR (h, w, 3) image of an encoded one, or the reason why there is none.
 
-    Deeper pixels, of this many ``bits``, become 8.
+    Pixels of 16 bits become 8.
 
     A JPEG that was cut short decodes without complaint in some versions of OpenCV, its rest grey; so
     its end marker is looked for, from segment to segment and scan to scan: inside a scan it can't occur,
@@ -40,7 +40,7 @@ def decode(data: bytes, bits: int = 16) -> U8 | str:
     ends with its IEND chunk. What is damaged in the middle shows as a failing checksum (PNG); in a JPEG
     it can't be told from a picture.
     """
-    return as_8_bits(_decoded(data), bits)
+    return as_8_bits(_decoded(data), 16)
 
 
 def as_8_bits(pixels: U8 | U16 | str, bits: int) -> U8 | str:

@@ -34,5 +34,5 @@ class Backlog:
 
     @property
     def misled(self) -> bool:
-        """Whether packets have long been late although none waits for us: their stamps run too fast."""
+        """Whether packets have long been late although none waits for us: their stamps run too slow."""
         return self._late_ns > _LATE_NS and self._awaited >= _AWAITED

@@ -30,7 +30,7 @@ SCHEMES = ("rtsp", "rtsps", "http", "https")
 # What a server may make FFmpeg open: nothing but connections to itself.
 _PROTOCOLS = "rtsp,rtp,srtp,tcp,udp,tls,http,https,httpproxy,crypto"
 _ESCAPES = "in a password write # as %23, @ as %40, / as %2F and ? as %3F"
-_SHORT_NS = 1_000_000_000  # the clock's window where stamps run too fast: it lags by less than that
+_SHORT_NS = 1_000_000_000  # the clock's window where stamps run too slow: it lags by less than that
 _MJPEG = "mpjpeg"  # FFmpeg's name of multipart JPEG
 
 
@@ -151,11 +151,11 @@ class StreamConnection:
         return self._decoded.popleft() if self._decoded else None
 
     def _distrust(self, stamp_ns: int, arrival_ns: int) -> None:
-        """The sender's clock runs faster than its images come: it is followed over short times only."""
+        """The sender's stamps advance by less than the time that passes: they are followed over short times only."""
         self._misled = True
         self._clock = ArrivalClock(_SHORT_NS)
         self._clock.observe(stamp_ns, arrival_ns)
-        log.warning("the stream's stamps run faster than its images come: stamps go by the arrivals now")
+        log.warning("the stream's stamps run slower than time: images are stamped by their arrivals now")
 
     def close(self) -> None:
         with contextlib.suppress(Exception):  # it may be broken already
