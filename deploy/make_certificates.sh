@@ -18,16 +18,28 @@ if (($# < 2)); then
 fi
 folder=$1
 shift
+if [[ ! $days =~ ^[1-9][0-9]{0,4}$ ]]; then
+    echo "make_certificates.sh: error: DAYS=$days is no number of days from 1 to 99999" >&2
+    exit 2
+fi
 byte='(25[0-5]|2[0-4][0-9]|1[0-9][0-9]|[1-9]?[0-9])'
 for given in "$@"; do
     if [[ ! $given =~ ^[A-Za-z0-9_][A-Za-z0-9._-]*(,[A-Za-z0-9.:_-]+)*$ || $given == ca || $given == ca,* ]]; then
         echo "make_certificates.sh: error: '$given' is no NAME[,HOST...]" >&2
         exit 2
     fi
-    IFS=, read -r _ hosts <<< "$given"
+    IFS=, read -r name hosts <<< "$given"
+    if ((${#name} > 64)); then
+        echo "make_certificates.sh: error: '$name' is longer than a certificate's name may be: 64 letters" >&2
+        exit 2
+    fi
     for host in ${hosts//,/ }; do
         if [[ $host =~ ^[0-9.]+$ && ! $host =~ ^$byte(\.$byte){3}$ ]]; then
             echo "make_certificates.sh: error: '$host' is no IPv4 address: four numbers from 0 to 255" >&2
+            exit 2
+        fi
+        if [[ $host == *:* && ! $host =~ ^[0-9A-Fa-f]*(:[0-9A-Fa-f]*){2,7}$ ]]; then
+            echo "make_certificates.sh: error: '$host' is no IPv6 address, and a host goes without a port" >&2
             exit 2
         fi
     done

@@ -9,3 +9,14 @@ from pathlib import Path
 def named_path(name: str) -> Path:
     """A leading ~ is a user's home, as in a shell; where there is no such user or home it stays, as there."""
     return Path(os.path.expanduser(name))
+
+
+def hindrance(path: Path) -> str:
+    """What keeps us from looking whether a file is there, such as a closed folder; empty: nothing does."""
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # a NUL in the name
+        return ""
+    except OSError as error:
+        return error.strerror or type(error).__name__
+    return ""

@@ -48,7 +48,7 @@ class Journal:
             data = map_file.read(self._base)
             info, arrays = map_file.unpack(data)
             generation = info.pop("generation")
-            records = _records(map_file.read(self._tail)) if self._tail.exists() else []
+            records = _records(map_file.read(self._tail)) if os.path.exists(self._tail) else []
         except (MapError, KeyError):
             return None
         if not isinstance(generation, int) or not 0 <= generation < 2**63:
@@ -82,11 +82,11 @@ class Journal:
         """
         if self._file is None:
             raise MapError("the journal has no base to go on from")
-        if os.fstat(self._file.fileno()).st_nlink == 0 or not self._base.exists():  # a cleaner's work
-            self.close()
-            raise MapError(f"the journal in {self._base.parent} has been removed")
         data = _HEAD.pack(_MAGIC, len(record), zlib.crc32(record)) + record
         try:
+            if os.fstat(self._file.fileno()).st_nlink == 0 or not os.path.exists(self._base):
+                self.close()
+                raise MapError(f"the journal in {self._base.parent} has been removed")  # a cleaner's work
             if self._file.write(data) != len(data):
                 self.close()
                 raise MapError(f"can't write all of a record to {self._tail}")

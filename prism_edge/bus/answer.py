@@ -9,7 +9,7 @@ from typing import Any
 
 import zenoh
 
-from prism_edge.bus.arriving import arriving
+from prism_edge.bus.arriving import arriving, no_more
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -26,9 +26,7 @@ class Answer:
 
     def close(self) -> None:
         """Ends the queryable and its thread."""
-        self._queryable.undeclare()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(timeout=1.0)
+        no_more(self._queryable, self._thread)
 
     def _run(self) -> None:
         for query in arriving(self._queryable):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator
 from typing import Any
 
 import zenoh
+
+_OVER_S = 5.0  # for a thread to come back from recv(), on a busy machine too
 
 
 def arriving(declared: Any) -> Iterator[Any]:
@@ -19,3 +22,13 @@ def arriving(declared: Any) -> Iterator[Any]:
             yield handler.recv()
     except zenoh.ZError:
         return
+
+
+def no_more(declared: Any, thread: threading.Thread) -> None:
+    """Undeclare what a thread takes arrivals of, and wait for the thread, unless that is who asks.
+
+    One that came back from Zenoh's code only while Python shuts down would abort the process.
+    """
+    declared.undeclare()
+    if threading.current_thread() is not thread:
+        thread.join(timeout=_OVER_S)

@@ -18,7 +18,7 @@ from typing import Any
 import zenoh
 
 from prism_edge.bus import keys
-from prism_edge.bus.arriving import arriving
+from prism_edge.bus.arriving import arriving, no_more
 from prism_edge.errors import BusError, PrismError
 from prism_edge.topics import COMMANDS, Command
 
@@ -54,9 +54,12 @@ class CommandDesk:
             for key in self._keys.values()
         ]
         # A channel of their own each has forgotten which came first.
-        for name, queryable in zip(self._keys, self._queryables, strict=True):
-            take_in = threading.Thread(target=self._take_in, args=(name, queryable), name=name, daemon=True)
-            take_in.start()
+        self._threads = [
+            threading.Thread(target=self._take_in, args=(name, queryable), name=name, daemon=True)
+            for name, queryable in zip(self._keys, self._queryables, strict=True)
+        ]
+        for thread in self._threads:
+            thread.start()
 
     def serve(self) -> None:
         """Do what has been asked since the last call; costs next to nothing where that is nothing."""
@@ -69,8 +72,8 @@ class CommandDesk:
 
     def close(self) -> None:
         """Answer no more."""
-        for queryable in self._queryables:
-            queryable.undeclare()
+        for queryable, thread in zip(self._queryables, self._threads, strict=True):
+            no_more(queryable, thread)
         self._waiting.clear()
 
     def _take_in(self, name: str, queryable: Any) -> None:

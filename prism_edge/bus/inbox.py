@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from prism_edge.bus.arriving import arriving
+from prism_edge.bus.arriving import arriving, no_more
 
 # How long a waiting thread sleeps before it looks whether the process is to stop: a signal handler can't
 # wake it safely.
@@ -84,8 +84,7 @@ class Inbox:
 
     def close(self) -> None:
         """Ends the subscription and its thread."""
-        self._subscriber.undeclare()
-        self._thread.join(timeout=1.0)
+        no_more(self._subscriber, self._thread)
 
     def _receive(self) -> None:
         for sample in arriving(self._subscriber):

@@ -90,7 +90,7 @@ def on_this_host(endpoint: str) -> bool:
             with socket.socket(family, kind) as probe:
                 probe.bind(own)
                 return True
-    except OSError:
+    except (OSError, UnicodeError):  # no such host, or a name that can't be one
         pass
     return False
 

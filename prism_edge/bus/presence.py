@@ -9,7 +9,7 @@ from typing import Any
 import zenoh
 
 from prism_edge.bus import keys
-from prism_edge.bus.arriving import arriving
+from prism_edge.bus.arriving import arriving, no_more
 
 # How often a waiting thread looks whether the process is to stop: a signal handler can't wake it safely.
 _LOOK_S = 0.1
@@ -46,8 +46,7 @@ class Presence:
 
     def close(self) -> None:
         """Ends the subscription and its thread."""
-        self._subscriber.undeclare()
-        self._thread.join(timeout=1.0)
+        no_more(self._subscriber, self._thread)
 
     def _listen(self) -> None:
         for token in arriving(self._subscriber):

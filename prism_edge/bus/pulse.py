@@ -18,6 +18,7 @@ STARTING_S = 60.0
 # Work that may take longer is said at once: native code may let nobody speak until it is done, and who was
 # idle when last heard may be silent for no longer than that (supervisor/liveness.py).
 LONG_S = 5.0
+CLOSING_S = 5.0  # for the thread to come back from what it says, on a busy machine too
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -88,7 +89,7 @@ class Pulse:
         self._closing = True
         self._due.set()
         if threading.current_thread() is not self._thread:
-            self._thread.join(timeout=1.0)
+            self._thread.join(timeout=CLOSING_S)
 
     def _is_new(self) -> bool:
         return self._ready and time.monotonic() < self._ready_s + FIRST_S

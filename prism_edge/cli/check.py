@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 
 from prism_edge.bus.access import check_settings, unreadable
@@ -12,7 +13,7 @@ from prism_edge.depth import locate, networks_of
 from prism_edge.depth.providers import absent, check_names, idle_options
 from prism_edge.errors import ConfigError, ModelError, SourceError
 from prism_edge.geometry.unlikely_camera import doubts
-from prism_edge.named_path import named_path
+from prism_edge.named_path import hindrance, named_path
 from prism_edge.sources.camera_file import read_camera
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.oak import is_oak
@@ -83,25 +84,27 @@ def _source(source: SourceConfig) -> list[str]:
     camera = None
     if source.camera != AUTO:
         named = [named_path(source.camera)] if source.camera else camera_files(source.uri)
-        camera = next((read_camera(path) for path in named if path.is_file()), None)
+        camera = next((read_camera(path) for path in named if os.path.isfile(path)), None)
     mask = named_path(source.mask)
-    if source.mask and not mask.exists():
-        missing.append(f"mask {source.mask} is not there")
+    if source.mask and not os.path.exists(mask):
+        hindered = hindrance(mask)
+        what = f"can't be read ({hindered})" if hindered else "is not there"
+        missing.append(f"mask {source.mask} {what}")
     try:
         opened = open_source(source).camera
         camera = None if opened is UNCALIBRATED else opened  # known once it is connected, or estimated
     except (ConfigError, SourceError) as error:
         missing.append(str(error))
-    if source.mask and mask.exists() and camera:
+    if source.mask and os.path.exists(mask) and camera:
         mask_for(mask, camera.width, camera.height)
-    elif source.mask and mask.exists():
+    elif source.mask and os.path.exists(mask):
         read_mask(mask)
     return missing + [f"camera: {doubt}" for doubt in (doubts(camera) if camera else [])]
 
 
 def _sensor(source: SourceConfig) -> list[str]:
     """A line where a recording that is here has no depth images."""
-    if not source.uri or is_simulated(source.uri) or not named_path(source.uri).exists():
+    if not source.uri or is_simulated(source.uri) or not os.path.exists(named_path(source.uri)):
         return []
     try:
         depth_of(source)

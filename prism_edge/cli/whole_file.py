@@ -6,12 +6,15 @@ import os
 from pathlib import Path
 
 from prism_edge.errors import ConfigError
+from prism_edge.named_path import hindrance
 
 MAP_BEGINS = b"PRISMMAP"  # of map_file.py, which help does not wait for
 
 
 def check_writable(path: Path, overwrite: bool) -> None:
     """Before anybody takes the trouble. Raises ConfigError."""
+    if hindered := hindrance(path):
+        raise ConfigError(f"{path} can't be written ({hindered})")
     if path.exists() and not path.is_file() and not path.is_dir():
         raise ConfigError(f"{path} is a pipe or a device; name a file")  # whole, or not at all
     if _is_map(path):
@@ -22,7 +25,7 @@ def check_writable(path: Path, overwrite: bool) -> None:
         raise ConfigError(f"{path}: there is no folder {path.parent}")
     if path.is_dir():
         raise ConfigError(f"{path} is a folder; name a file")
-    temporary = _beside(path)
+    temporary = _beside(path.resolve())
     try:
         temporary.touch()
         temporary.unlink()
@@ -41,14 +44,16 @@ def _is_map(path: Path) -> bool:
 
 def put_whole(path: Path, data: bytes) -> None:
     """All or nothing: a file cut short might be read as another one. Raises OSError with the file's name."""
-    temporary = _beside(path)
+    file = path.resolve()  # what a link leads to is replaced, not the link
+    temporary = _beside(file)
     try:
         temporary.write_bytes(data)
-        temporary.replace(path)
+        temporary.replace(file)
     except OSError as error:
         temporary.unlink(missing_ok=True)
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def _beside(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}")
+    """In the folder of the file itself, and short: a name may be as long as the system lets it."""
+    return path.with_name(f".prism-edge.{os.getpid()}")

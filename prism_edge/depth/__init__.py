@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Protocol
 
@@ -17,7 +18,7 @@ from prism_edge.depth.registry import File, entries, find
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
-from prism_edge.named_path import named_path
+from prism_edge.named_path import hindrance, named_path
 
 NESTED = "nested:"
 
@@ -91,17 +92,19 @@ def locate(spec: str) -> Path:
     if not spec:
         raise ModelError("model '': the name is empty")
     path = named_path(spec)
-    if path.is_file():
+    if os.path.isfile(path):  # pathlib's raises where a folder is closed to us
         return path
     entry = find(spec)
     if entry is None:
         pulled = find_pulled(spec)
         if pulled and pulled.runnable:
             return pulled.path
-        if path.is_dir():
+        if os.path.isdir(path):
             raise ModelError(f"model {spec!r} is a folder; an ONNX file is needed")
         if path.suffix == ".onnx" or len(path.parts) > 1:
-            raise ModelError(f"model {spec!r}: there is no such file")
+            hindered = hindrance(path)
+            what = f"can't be read ({hindered})" if hindered else "there is no such file"
+            raise ModelError(f"model {spec!r:.200}: {what}")
         known = ", ".join(item.name for item in entries() if item.card)
         raise ModelError(f"model {spec!r} is neither a file nor a registered name ({known})")
     if entry.card is None:

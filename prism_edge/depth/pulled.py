@@ -43,7 +43,7 @@ class Pulled:
 def manifest_of(folder: Path) -> Pulled | None:
     """What was pulled into a folder, None where nothing was. Raises ModelError for a broken manifest."""
     path = folder / MANIFEST
-    if not path.is_file():
+    if not os.path.isfile(path):
         return None
     content = contract.read_yaml(path, _LARGEST_MANIFEST)
     listed = content.get("files") if isinstance(content, Mapping) and content.get("pulled") == 1 else None
@@ -79,8 +79,8 @@ def pulled_files(path: Path) -> tuple[File, ...]:
 
 def pulled_names() -> list[str]:
     """The names of everything that was pulled, be its manifest broken."""
-    manifests = (path for folder in folders() for path in folder.glob(f"*/{MANIFEST}") if path.is_file())
-    return sorted({path.parent.name for path in manifests})
+    manifests = (path for folder in folders() for path in folder.glob(f"*/{MANIFEST}"))
+    return sorted({path.parent.name for path in manifests if os.path.isfile(path)})
 
 
 def all_pulled() -> list[Pulled]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -70,7 +71,7 @@ class Entry:
         """
         for folder in folders():
             for place in (folder / self.name, folder) if self.card else (folder / self.name,):
-                if self.files and all((place / file.name).is_file() for file in self.files):
+                if self.files and all(os.path.isfile(place / file.name) for file in self.files):
                     return place / self.file
         return None
 

@@ -26,7 +26,9 @@ _SAMPLE_KEYS |= {"image_points", "grid_points"}
 _INFO_REQUIRED = ("width", "height", "distortion_model", "d", "k")
 _INFO_KEYS = {*_INFO_REQUIRED, "header", "r", "p", "binning_x", "binning_y", "roi"}
 _ROI_KEYS = {"x_offset", "y_offset", "height", "width", "do_rectify"}
+_CAPITALS = ("D", "K", "R", "P")
 _MATRIX_KEYS = {"rows", "cols", "data", "dt"}
+_DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 # ROS's name -> our model, and how many coefficients go with it
 _ROS_MODELS = {
     "plumb_bob": (PINHOLE, (4, 5)),
@@ -36,7 +38,10 @@ _ROS_MODELS = {
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML whose 1e-8 is a number and whose repeated keys are errors; OpenCV's matrix tag is read over."""
+    """YAML whose numbers are decimal, 1e-8 too, and whose repeated keys are errors, in capitals or not.
+
+    OpenCV's matrix tag is read over.
+    """
 
 
 _Loader.add_implicit_resolver(
@@ -45,7 +50,7 @@ _Loader.add_implicit_resolver(
 
 
 def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
-    keys = [key.value for key, _ in node.value]
+    keys = [key.value.lower() if key.value in _CAPITALS else key.value for key, _ in node.value]
     repeated = sorted({str(key) for key in keys if keys.count(key) > 1})
     if repeated:
         problem = f"key {repeated[0]!r} is given twice"
@@ -53,8 +58,20 @@ def _mapping(loader: _Loader, node: yaml.MappingNode) -> dict[Any, Any]:
     return loader.construct_mapping(node, deep=True)
 
 
-for _tag in ("tag:yaml.org,2002:map", "tag:yaml.org,2002:opencv-matrix"):
-    _Loader.add_constructor(_tag, _mapping)
+def _decimal(loader: _Loader, node: yaml.ScalarNode) -> float:
+    """What YAML 1.1 takes for octal (0525) or sixtieths (8:45) nobody has meant so."""
+    text = str(loader.construct_scalar(node))
+    if not _DECIMAL.fullmatch(text):
+        if text.lstrip("-+").lower() in (".inf", ".nan"):
+            return float(text.replace(".", ""))
+        raise yaml.constructor.ConstructorError(None, None, f"{text} is no decimal number", node.start_mark)
+    return float(text) if set(text) & set(".eE") else int(text)
+
+
+for _tag in ("map", "opencv-matrix"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _mapping)
+for _tag in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _decimal)
 
 
 def read_camera(path: Path) -> Camera:
@@ -100,7 +117,8 @@ def _own(tree: dict[Any, Any]) -> Camera:
     if model not in (PINHOLE, FISHEYE):
         raise ConfigError(f"model: {model!r} is not known (use {PINHOLE} or {FISHEYE})")
     fx, fy, cx, cy = (_number(key, tree[key]) for key in ("fx", "fy", "cx", "cy"))
-    distortion = _numbers("distortion", tree.get("distortion") or [])
+    distortion = tree.get("distortion")
+    distortion = _numbers("distortion", [] if distortion is None else distortion)
     readout_ms = _number("readout_ms", tree.get("readout_ms", 0.0))
     size = _size(tree, "width"), _size(tree, "height")
     return Camera(*size, fx, fy, cx, cy, model, distortion, readout_ms)
@@ -120,13 +138,13 @@ def _ros(tree: dict[Any, Any]) -> Camera:
 
 def _echoed(tree: dict[Any, Any]) -> Camera:
     """A camera_info message: its k and d, which belong to the raw image; r and p belong to the rectified."""
-    tree = {key.lower() if key in ("D", "K", "R", "P") else key: value for key, value in tree.items()}
+    tree = {key.lower() if key in _CAPITALS else key: value for key, value in tree.items()}
     _check_keys(tree, _INFO_KEYS, _INFO_REQUIRED)
     width, height = _size(tree, "width"), _size(tree, "height")
     for key in ("binning_x", "binning_y"):
         if _number(key, tree.get(key, 0)) not in (0, 1):  # 0 is 1 there
             raise ConfigError(f"{key}: {tree[key]} pixels are taken together, and k is of the whole sensor")
-    _check_whole(tree.get("roi") or {}, width, height)
+    _check_whole({} if tree.get("roi") is None else tree["roi"], width, height)
     distortion = _numbers("d", tree["d"])
     if tree["distortion_model"] == "" and not any(distortion):  # of a simulator, or rectified
         tree["distortion_model"] = "plumb_bob"

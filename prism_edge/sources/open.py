@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import ConfigError, SourceError
-from prism_edge.named_path import named_path
+from prism_edge.named_path import hindrance, named_path
 from prism_edge.sources import image_folder, kitti, seven_scenes, tum
 from prism_edge.sources.address import shown_address
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Source
@@ -61,16 +62,18 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
         source = SimSource(config.uri)
     elif is_live(config.uri):
         return open_live(config, calibrated)
-    elif path.is_dir():
+    elif os.path.isdir(path):
         source = _folder(path, config, calibrated)
-    elif path.is_file() and (words := no_video(path)):
+    elif os.path.isfile(path) and (words := no_video(path)):
         raise SourceError(f"{path} {words}")
-    elif path.is_file():
+    elif os.path.isfile(path):
         known = _camera_file([path.parent], config) if calibrated else _UNKNOWN
         origin, camera = known or _no_camera(path)
         source = Video(path, camera, origin, config.rate_hz)
-    elif path.exists():
+    elif os.path.exists(path):
         raise SourceError(f"{path} is neither a folder nor a file; recognised are: {RECOGNISED}")
+    elif hindered := hindrance(path):
+        raise SourceError(f"{shown_address(str(path))} can't be read ({hindered})")
     else:
         raise SourceError(f"{shown_address(str(path))} does not exist; give one of: {RECOGNISED}")
     source = Beginning(source, config.frames) if config.frames else source
@@ -80,7 +83,10 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
 def find_listing(folder: Path, rate_hz: float = 0.0) -> Listing:
     """What a folder holds; raises SourceError where nothing is recognised or it lists no image."""
     for find in LAYOUTS:
-        listing = find(folder, rate_hz)
+        try:
+            listing = find(folder, rate_hz)
+        except OSError as error:  # it may be listed, but not entered
+            raise SourceError(f"{folder} can't be read ({error.strerror})") from None
         if listing is not None:
             if not listing.files:
                 raise SourceError(f"{folder} looks like {listing.layout} but holds no image")
@@ -113,7 +119,7 @@ def _camera_file(folders: Iterable[Path], config: SourceConfig) -> Intrinsics | 
     if config.camera:
         return config.camera, read_camera(named_path(config.camera))
     for path in chain.from_iterable(camera_files(str(folder)) for folder in folders):
-        if path.is_file():
+        if os.path.isfile(path):
             return str(path), read_camera(path)
     return None
 
@@ -121,8 +127,8 @@ def _camera_file(folders: Iterable[Path], config: SourceConfig) -> Intrinsics | 
 def camera_files(uri: str) -> list[Path]:
     """Where a camera file may lie with a recording that is there, best first; others have none."""
     path = named_path(uri)
-    folder = path if path.is_dir() else path.parent
-    return [folder / name for name in CAMERA_FILES] if path.exists() else []
+    folder = path if os.path.isdir(path) else path.parent
+    return [folder / name for name in CAMERA_FILES] if os.path.exists(path) else []
 
 
 def _no_camera(path: Path) -> Intrinsics:

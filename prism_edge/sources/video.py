@@ -87,7 +87,9 @@ class Video(Source):
         self.close()
         cv2.utils.logging.setLogLevel(_QUIET)
         # One decoding thread: the cores belong to the tracker.
-        capture = cv2.VideoCapture(str(self._path), cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
+        # From the root: FFmpeg takes what stands before a name's first colon for a protocol.
+        file = os.path.abspath(self._path)
+        capture = cv2.VideoCapture(file, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
         if not capture.isOpened():
             raise SourceError(f"{self._path} is no video that can be read (and no folder of images)")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # intrinsics belong to frames as stored

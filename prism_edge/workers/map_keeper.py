@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import os
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -244,7 +245,7 @@ class MapKeeper:
             path.parent.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise MapError(f"can't make {path.parent}: {error.strerror or error}") from None
-        earlier = ", in place of an earlier map of that name" if path.exists() else ""
+        earlier = ", in place of an earlier map of that name" if os.path.exists(path) else ""
         map_file.write(path, data)
         counts = f"{len(world.keyframes)} keyframes, {len(world.points)} points"
         return f"saved {name}: {counts}, {len(data) / 1e6:.1f} MB{earlier}"

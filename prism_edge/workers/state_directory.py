@@ -9,7 +9,7 @@ from pathlib import Path
 from prism_edge.backend.map_file import SUFFIX
 from prism_edge.config import StateConfig
 from prism_edge.errors import MapError
-from prism_edge.named_path import named_path
+from prism_edge.named_path import hindrance, named_path
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]{0,63}")
 
@@ -49,7 +49,9 @@ def map_path(config: StateConfig, name: str) -> Path:
 def stored_map(config: StateConfig, name: str) -> Path:
     """The file of a map that there is. Raises MapError, which says what there is, where there is none."""
     path = map_path(config, name)
-    if not path.exists():
+    if not os.path.exists(path):
+        if hindered := hindrance(path):
+            raise MapError(f"map {name} can't be read ({hindered})")
         there = ", ".join(map_names(config)) or "none"
         raise MapError(f"there is no map {name}; there are: {there}")
     return path
@@ -62,4 +64,8 @@ def maps_folder(config: StateConfig) -> Path:
 
 def map_names(config: StateConfig) -> list[str]:
     """The maps that there are."""
-    return sorted(path.name.removesuffix(SUFFIX) for path in maps_folder(config).glob("[!.]*" + SUFFIX))
+    try:
+        files = os.listdir(maps_folder(config))
+    except OSError:
+        return []
+    return sorted(file.removesuffix(SUFFIX) for file in files if file.endswith(SUFFIX) and file[0] != ".")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import stat
@@ -134,6 +135,26 @@ def test_it_is_long_once_the_tail_has_outgrown_the_base(
     assert 900 <= written <= 1100
     journal.begin(base(1))
     assert not journal.is_long
+
+
+def test_a_folder_that_fails_is_an_error_and_the_next_base_tries_afresh(
+    written: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A card that dies, or a share on a network that does: even to look whether a file is there fails."""
+    journal = Journal(written)
+    journal.begin(base(8))
+
+    def fails(*_: object, **__: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as dying:
+        dying.setattr(os, "stat", fails)
+        with pytest.raises(MapError):
+            journal.append(b"more")
+    assert not journal.is_open
+    journal.begin(base(9))
+    journal.append(b"again")
+    assert recovered(written) == (9, [b"again"])
 
 
 def test_a_full_disk_is_an_error_and_the_next_base_tries_afresh(written: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import threading
+import time
 from dataclasses import replace
 
 import pytest
@@ -12,6 +13,8 @@ import zenoh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from prism_edge.bus import commands
+from prism_edge.bus.arriving import arriving
 from prism_edge.bus.commands import (
     LARGEST_QUERY,
     LARGEST_REPLY,
@@ -100,6 +103,21 @@ def test_what_waits_is_done_in_the_order_asked(config):
             desk.serve()
             assert [parse_reply(reply.ok.payload.to_bytes()).ok for r in replies for reply in r] == 4 * [True]
     assert done == asked
+
+
+def test_no_thread_outlasts_the_desk(config, monkeypatch):
+    """One that comes back from Zenoh only while Python shuts down aborts the process."""
+    over = []
+
+    def slowly(declared):
+        yield from arriving(declared)
+        time.sleep(0.2)  # a machine that is busy
+        over.append(declared)
+
+    monkeypatch.setattr(commands, "arriving", slowly)
+    with Bus.open(config, "supervisor", listen=True) as bus:
+        bus.commands({name: lambda argument: Reply(True, "done") for name in ("pause", "info")})
+    assert len(over) == 2
 
 
 @pytest.mark.parametrize(

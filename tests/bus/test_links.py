@@ -76,6 +76,8 @@ def test_from_another_host_an_absent_listener_is_an_error(monkeypatch):
         ("unixsock-stream//tmp/x", True),
         ("tcp/192.0.2.1:7447", False),  # set aside for documentation (RFC 5737)
         ("tcp/nowhere.invalid:7447", False),
+        ("tcp/robot..local:7447", False),
+        (f"tcp/{'x' * 64}.local:7447", False),
     ],
 )
 def test_this_host_is_told_from_others(endpoint, here):

@@ -17,6 +17,7 @@ from prism_edge.sources.open import open_source
 from tests.sources.tiny_datasets import write_images
 
 CAMERA = "width: 640\nheight: 480\nfx: 525\nfy: 525\ncx: 319.5\ncy: 239.5\n"
+LONG = "x" * 300  # what can't be looked for, as in a folder that is closed to us
 USB = "source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\ndepth: {model: prism_nano}\n"
 
 
@@ -95,6 +96,9 @@ def test_what_is_wrong_in_the_file_is_an_error(
         (["--config", "other.yaml"], 3, "--config"),
         (["--model", "/nowhere/net.onnx"], 0, "there is no such file"),
         (["/nowhere/recording"], 0, "/nowhere/recording does not exist"),
+        ([LONG], 0, "can't be read (File name too long)"),
+        (["--model", f"{LONG}.onnx"], 0, "can't be read (File name too long)"),
+        (["--set", f"source.mask={LONG}"], 0, "can't be read (File name too long)"),
     ],
 )
 def test_options_beside_the_file_are_checked_with_it(

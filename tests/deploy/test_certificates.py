@@ -14,8 +14,8 @@ OPENSSL = shutil.which("openssl")
 needs_openssl = pytest.mark.skipif(not OPENSSL, reason="no openssl here")
 
 
-def make(folder: Path, *names: str, path: str = "") -> subprocess.CompletedProcess[str]:
-    environment = {**os.environ, "PATH": path or os.environ["PATH"]}
+def make(folder: Path, *names: str, path: str = "", days: str = "") -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PATH": path or os.environ["PATH"], **({"DAYS": days} if days else {})}
     return subprocess.run(
         ["/bin/bash", MAKE, folder, *names], env=environment, capture_output=True, text=True, timeout=60
     )
@@ -56,6 +56,31 @@ def test_a_name_that_is_none_is_refused_before_anything_is_made(name: str, tmp_p
     assert done.returncode == 2
     assert done.stderr == f"make_certificates.sh: error: '{name}' is no NAME[,HOST...]\n"
     assert not (tmp_path / "lab").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "days", "words"),
+    [
+        ("rover1", "x", "DAYS=x is no number of days"),
+        ("rover1", "0", "DAYS=0 is no number of days"),
+        ("x" * 65, "", f"'{'x' * 65}' is longer than"),
+        ("rover1,rover1.local,1:2", "", "'1:2' is no IPv6 address"),
+        ("rover1,rover1.local:7448", "", "'rover1.local:7448' is no IPv6 address"),
+    ],
+)
+def test_what_openssl_would_refuse_is_said_before_anything_is_made(
+    name: str, days: str, words: str, tmp_path: Path
+) -> None:
+    done = make(tmp_path / "lab", "anna", name, days=days)
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"make_certificates.sh: error: {words}")
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "lab").exists()
+
+
+@needs_openssl
+def test_a_name_may_have_64_letters(tmp_path: Path) -> None:
+    assert make(tmp_path, "x" * 64, days="1").returncode == 0
 
 
 def test_without_openssl_it_says_so(tmp_path: Path) -> None:

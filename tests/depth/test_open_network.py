@@ -52,6 +52,7 @@ def test_a_relative_network_alone_is_refused_and_told_how_to_pair(tmp_path: Path
         ("nested:a,", "takes two networks"),
         ("nested:a,b", "'a' is neither"),
         ("bad\x00name", "neither|no such"),
+        ("x" * 300 + ".onnx", r"can't be read \(File name too long\)"),
     ],
 )
 def test_what_can_not_be_opened_is_one_line(spec: str, says: str):

@@ -36,6 +36,13 @@ def test_an_address_is_shown_without_what_is_secret(uri: str, expected: str) -> 
     assert shown_address(uri) == expected
 
 
+@pytest.mark.parametrize("name", ["x" * 300, f"{'x' * 300}/seq-01"])
+def test_what_can_not_be_looked_for_is_refused_in_one_line(name: str) -> None:
+    """As what lies in a folder that is closed to us."""
+    with pytest.raises(SourceError, match=r"can't be read \(File name too long\)$"):
+        open_source(SourceConfig(uri=name))
+
+
 @pytest.mark.parametrize("scheme", ["rstp://", "rtsp:/", ""])
 def test_a_misspelt_address_is_refused_without_its_password(scheme: str) -> None:
     with pytest.raises(SourceError, match="does not exist") as error:

@@ -197,6 +197,8 @@ def test_lenses_of_a_camera_info(model: str, d: str, expected: tuple[str, tuple[
         (INFO.replace("distortion_model: plumb_bob\n", ""), ["distortion_model", "missing"]),
         (INFO.replace("binning_y: 0", "bin_y: 0"), ["bin_y"]),
         (INFO + INFO, ["YAML"]),
+        (INFO.replace("binning_x: 0", "K: [1, 0, 1, 0, 1, 1, 0, 0, 1]"), ["'k' is given twice"]),
+        (re.sub(r"roi:\n(  .*\n)+", "roi: 0\n", INFO), ["roi: expected x_offset"]),
     ],
 )
 def test_a_camera_info_that_no_camera_here_can_be(text: str, words: list[str]) -> None:
@@ -204,6 +206,21 @@ def test_a_camera_info_that_no_camera_here_can_be(text: str, words: list[str]) -
         parse_camera(text)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_numbers_are_decimal() -> None:
+    """YAML 1.1 would take 0525 for 341 and 8:45 for 525."""
+    assert parse_camera(OWN.replace("525.0", "0525").replace("640", "0640")) == parse_camera(OWN)
+    for number in ("8:45", "8:45.5", "0x20D", "0b101", "5_25", "08_5.0"):
+        with pytest.raises(ConfigError, match=r"no valid YAML \(line 4\)|fx: expected a number"):
+            parse_camera(OWN.replace("525.0", number))
+
+
+@pytest.mark.parametrize("distortion", ["0", "false", "''", "0.0", "{}"])
+def test_a_distortion_that_is_no_list_is_refused(distortion: str) -> None:
+    with pytest.raises(ConfigError, match="distortion: expected a list of numbers"):
+        parse_camera(f"{OWN}distortion: {distortion}\n")
+    assert parse_camera(f"{OWN}distortion:\n") == parse_camera(f"{OWN}distortion: []\n") == parse_camera(OWN)
 
 
 @pytest.mark.parametrize("path", sorted(CONFIGS.glob("*.yaml")), ids=lambda path: path.name)

@@ -38,6 +38,13 @@ def test_frames_and_stamps_are_the_containers(tmp_path: Path) -> None:
         assert int(np.argmin(errors)) == i
 
 
+def test_a_colon_in_a_name_is_no_protocol(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    tiny.write_video(tmp_path / "clip.avi", count=3).rename(tmp_path / "2026-11-27T12:30:05.avi")
+    monkeypatch.chdir(tmp_path)
+    with opened(Path("2026-11-27T12:30:05.avi")) as source:
+        assert source.frame_count == 3
+
+
 def test_skipping_and_what_comes_next(tmp_path: Path) -> None:
     with opened(tiny.write_video(tmp_path / "clip.avi")) as source:
         source.skip()

@@ -38,6 +38,13 @@ def test_a_name_that_is_none_is_refused(name: str, tmp_path: Path) -> None:
         state_directory.map_path(StateConfig(directory=str(tmp_path)), name)
 
 
+def test_a_folder_that_is_closed_to_us_has_no_maps(tmp_path: Path) -> None:
+    """Here as its name is too long, since root may enter any."""
+    with pytest.raises(MapError, match=r"map lab can't be read \(File name too long\)"):
+        state_directory.stored_map(StateConfig(directory=str(tmp_path / ("x" * 300))), "lab")
+    assert state_directory.map_names(StateConfig(directory=str(tmp_path / ("x" * 300)))) == []
+
+
 def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("STATE_DIRECTORY", "XDG_STATE_HOME"):
         monkeypatch.delenv(name, raising=False)

@@ -151,7 +151,7 @@ class StreamConnection:
         return self._decoded.popleft() if self._decoded else None
 
     def _distrust(self, stamp_ns: int, arrival_ns: int) -> None:
-        """The sender's stamps advance by less than the time that passes: they are followed over short times only."""
+        """The sender's stamps run slower than time: they are followed over short times only."""
         self._misled = True
         self._clock = ArrivalClock(_SHORT_NS)
         self._clock.observe(stamp_ns, arrival_ns)
