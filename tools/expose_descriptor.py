@@ -186,6 +186,10 @@ def write(
     taken = {name for node in model.graph.node for name in node.output}
     if OUTPUT in taken:
         raise ModelError(f"{source.name}: has an output {OUTPUT!r} already")
+    outputs = [output.name for output in model.graph.output if output.name != layer]
+    if not card.depth_output and len(outputs) != 1:
+        raise ModelError(f"{source.name}: its card must name depth_output, one of {', '.join(outputs)}")
+    depth = card.depth_output or outputs[0]
     shape = poolable(model)[layer]
     opset = max(item.version for item in model.opset_import if item.domain in ("", "ai.onnx"))
     model.graph.node.extend(pooling_nodes(layer, shape, pooling, opset))
@@ -195,7 +199,7 @@ def write(
         card,
         name=f"{card.name[:57]}_places",
         sha256="",
-        depth_output=card.depth_output or model.graph.output[0].name,
+        depth_output=depth,
         descriptor_output=OUTPUT,
         descriptor_layer=layer,
         descriptor_pooling=pooling,

@@ -21,9 +21,10 @@ from rich.table import Table
 
 from prism_edge.cli.models_trial import tried
 from prism_edge.config import DepthConfig
-from prism_edge.depth import entries, find, networks_of, open_network, open_onnx, pulling
+from prism_edge.depth import entries, find, networks_of, open_network, pulling
 from prism_edge.depth.download import Patience
 from prism_edge.depth.folders import download_folder, folders
+from prism_edge.depth.offline import open_file
 from prism_edge.depth.pulled import MANIFEST, NAME, Pulled, find_pulled, manifest_of, pulled_at, pulled_names
 from prism_edge.depth.registry import File, find_digest, is_non_commercial, sha256_of
 from prism_edge.errors import ModelError
@@ -120,12 +121,14 @@ def _say_next(console: Console, done: Pulled) -> None:
         console.print(f"Next: export it to ONNX: {script} (docs/EXPORT.md)")
         return
     try:
-        network = open_onnx(str(done.path), DepthConfig())
+        network = open_file(str(done.path), DepthConfig())
     except ModelError as error:
         console.print(f"It can't be run yet: {error}")
         return
     name = done.name if done.folder.parent in folders() else str(done.path)
     use = f"--model {name}" if network.card.has_metres else f"--model nested:{name},METRIC"
+    if network.card.views > 1:
+        use = f"`prism-edge reconstruct --model {name}`"
     console.print(f"It loads and runs: use it with {use}")
 
 
@@ -219,7 +222,7 @@ def _runs(name: str) -> tuple[str, bool]:
         entry, pulled = find(name), find_pulled(name)
         if (entry and entry.card is None) or (pulled and not pulled.runnable):
             return "needs export", True
-        network = open_onnx(name, DepthConfig())
+        network = open_file(name, DepthConfig())
         trial = tried(network)
     except ModelError as error:
         return str(error), False

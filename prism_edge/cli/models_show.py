@@ -11,8 +11,9 @@ from rich.table import Table
 
 from prism_edge.cli.models_trial import tried
 from prism_edge.config import DepthConfig
-from prism_edge.depth import entries, find, locate, networks_of, open_network, open_onnx
+from prism_edge.depth import entries, find, locate, networks_of, open_network
 from prism_edge.depth.contract import ModelCard
+from prism_edge.depth.offline import open_file
 from prism_edge.depth.pulled import Pulled, all_pulled, find_pulled
 from prism_edge.depth.registry import Entry, File, is_non_commercial, sha256_of
 from prism_edge.errors import ModelError
@@ -81,11 +82,11 @@ def _describe(console: Console, model: str) -> None:
     if entry is not None and (entry.card is None or entry.located() is None):
         _describe_entry(console, entry)
         return
-    network = open_onnx(model, DepthConfig())
+    network = open_file(model, DepthConfig())
     trial = tried(network)
     console.print(_card_table(network.card, f"{network.name}: the file agrees with its card"))
     console.print(f"file      {locate(model)}", soft_wrap=True)
-    console.print(f"sha256    {network.digest}", soft_wrap=True)
+    console.print(f"sha256    {sha256_of(locate(model))}", soft_wrap=True)
     console.print(f"provider  {network.provider}")
     console.print(f"depth     of a test picture: {trial.words}", soft_wrap=True)
     if trial.warning:
@@ -140,5 +141,8 @@ def _card_table(card: ModelCard, title: str) -> Table:
 
 
 def _say_use(console: Console, card: ModelCard) -> None:
-    if not card.has_metres:
+    if card.views > 1:
+        how = "use it with `prism-edge reconstruct`"
+        console.print(f"It takes {card.views} pictures and their poses at once: {how}.", soft_wrap=True)
+    elif not card.has_metres:
         console.print("It has no metres of its own: use it as nested:THIS,METRIC.")

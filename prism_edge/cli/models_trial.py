@@ -11,9 +11,12 @@ from prism_edge.depth.contract import INVERSE_RELATIVE, RELATIVE
 from prism_edge.depth.plausible import range_of
 from prism_edge.depth.prediction import Prediction, checked
 from prism_edge.depth.session import OnnxNetwork
+from prism_edge.depth.several_views import SeveralViewsNetwork
 from prism_edge.geometry.cameras import Camera
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)  # an ordinary one: what a focal-normalised one needs
+
+STEP = 0.2  # m between cameras where several pictures are asked for
 
 
 @dataclass(frozen=True)
@@ -25,9 +28,11 @@ class Trial:
     warning: str = ""
 
 
-def tried(network: OnnxNetwork) -> Trial:
+def tried(network: OnnxNetwork | SeveralViewsNetwork) -> Trial:
     """The answer to :func:`picture`. Raises ModelError where an output is not of the shape it should be."""
     rgb = picture()
+    if isinstance(network, SeveralViewsNetwork):
+        return _tried_together(network, rgb)
     network.check_offline_outputs(rgb)
     if network.card.has_metres:
         answer = network.infer(rgb, CAMERA)
@@ -37,6 +42,17 @@ def tried(network: OnnxNetwork) -> Trial:
         return Trial(False, f"its answer is of no use: {answer.reason}")
     metres = range_of(answer.depth) if network.card.has_metres else None
     return Trial(True, str(metres or "no metres of its own"), metres.doubt if metres else "")
+
+
+def _tried_together(network: SeveralViewsNetwork, rgb: NDArray[np.uint8]) -> Trial:
+    """The answers to one picture as if several cameras beside each other had taken it."""
+    poses = np.tile(np.eye(4), (network.views, 1, 1))
+    poses[:, 0, 3] = STEP * np.arange(network.views)
+    answers = network.infer([rgb] * network.views, [CAMERA] * network.views, poses)
+    useless = next((answer for answer in answers if not answer.valid), None)
+    if useless is not None:
+        return Trial(False, f"its answer is of no use: {useless.reason}")
+    return Trial(True, f"{network.views} pictures at once, for `prism-edge reconstruct` alone")
 
 
 def picture() -> NDArray[np.uint8]:

@@ -152,15 +152,12 @@ def run(args: argparse.Namespace) -> int:
 
 def _options(args: argparse.Namespace, config: Config, gathered: Gathered) -> Options:
     from prism_edge.reconstruction.dense import Options
-    from prism_edge.scale.gate import GateParameters
+    from prism_edge.scale.gate_keyframes import gate_parameters
 
-    tau, temperature = config.gate.tau or gathered.dsug[0], config.gate.temperature or gathered.dsug[1]
-    is_fitted = math.isfinite(tau) and math.isfinite(temperature)
-    gate = GateParameters(config.gate.alpha, tau, temperature)
     return Options(
         voxel=args.voxel,
         agreeing=args.agree,
         farthest=args.far,
         by_pictures=not (args.no_pictures or gathered.is_measured),
-        gate=gate if is_fitted and "dsug" not in config.ablate else None,
+        gate=None if "dsug" in config.ablate else gate_parameters(config.gate, *gathered.dsug),
     )

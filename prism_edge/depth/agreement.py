@@ -23,11 +23,12 @@ def roles(session: Any, card: ModelCard, file: str) -> tuple[str, dict[str, str]
     expected = (1, 3, card.input_height, card.input_width)
     shape = inputs[name].shape
     free_or_equal = [not isinstance(n, int) or n == e for n, e in zip(shape, expected, strict=False)]
-    if len(shape) != 4 or not all(free_or_equal):
+    if shape and (len(shape) != 4 or not all(free_or_equal)):  # one that isn't said may be any
         raise ModelError(f"{file}: input {name!r} has shape {shape}, but its card says {list(expected)}")
     outputs = {item.name: item for item in session.get_outputs()}
     # An inner tensor is an output by our own doing: the file has but those beside it.
-    own = [output for output in outputs if not card.has_inner_descriptor or output != card.descriptor_layer]
+    inner = card.descriptor_layer if card.has_inner_descriptor and len(outputs) > 1 else ""
+    own = [output for output in outputs if output != inner]
     depth = card.depth_output or (own[0] if len(own) == 1 else "")
     if not depth:
         raise ModelError(f"{file}: its card must name depth_output, one of {', '.join(outputs)}")

@@ -302,6 +302,6 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "intrinsics_output": _text,
     "views": _whole(1, 64),
     "scale_bias_sigma": _number(1e-4, 2.0),
-    "dsug_tau": _number(0.0, 10.0),
+    "dsug_tau": _number(1e-6, 10.0),
     "dsug_temperature": _number(1e-6, 10.0),
 }

@@ -33,9 +33,16 @@ def open_offline(spec: str, config: DepthConfig) -> DepthNetwork | SeveralViewsN
     """The network that ``spec`` names, of any kind and number of views. Raises ModelError."""
     if len(networks_of(spec)) == 2:
         return open_network(spec, config)
+    network = open_file(spec, config)
+    if isinstance(network, SeveralViewsNetwork) or network.card.has_metres:
+        return network
+    return UnscaledNetwork(network)
+
+
+def open_file(spec: str, config: DepthConfig) -> OnnxNetwork | SeveralViewsNetwork:
+    """One network by file or registered name, of any kind and number of views. Raises ModelError."""
     path = locate(spec)
     pinned = pinned_for(spec, path)
     if card_of(path, vet(path, pinned[0].sha256 if pinned else ""), pinned).views > 1:
         return SeveralViewsNetwork(path, config, pinned)
-    network = open_onnx(spec, config)
-    return network if network.card.has_metres else UnscaledNetwork(network)
+    return open_onnx(spec, config)

@@ -58,12 +58,12 @@ def fit_depth(relative: F64, metric: F64) -> Fit | None:
     """As :func:`fit_inverse_depth` of relative depths (n,): the better fit of 1 / z by 1 / d and of z by d.
 
     The latter, which alone knows a shift of depth, is of relative residuals, else the far would outweigh all.
-    Exactly 0 is no depth. Below 0 lies a depth whose shift is unknown: 1 / d of it has no sense, and is tried
-    only where nearly all values are above.
+    Exactly 0 is no depth, and infinity, of the sky, is none either. Below 0 lies a depth whose shift is
+    unknown: 1 / d of it has no sense, and is tried only where nearly all values are above.
     """
     said = np.isfinite(relative) & (relative != 0)
-    positive = relative > 0
-    nearly_all = np.sum(positive & said) >= _NEARLY_ALL * np.sum(said)
+    positive = said & (relative > 0)
+    nearly_all = np.sum(positive) >= _NEARLY_ALL * np.sum(said)
     fits = (
         _fit(1.0 / relative[positive], metric[positive], of_depth=False) if nearly_all else None,
         _fit(relative[said], metric[said], of_depth=True),
@@ -170,7 +170,7 @@ class PairedNetwork:
         values = raw.depth
         if is_depth:
             inverse = 1.0 / np.maximum(values, 1e-6)
-            there = values != 0 if fit.of_depth else values > 0
+            there = np.isfinite(values) & (values != 0 if fit.of_depth else values > 0)
             values = np.where(there, values if fit.of_depth else inverse, np.nan).astype(np.float32)
         farthest = 1.5 * float(np.percentile(metric.depth[metric.depth > 0], 99))
         depth = metres(values, fit, farthest)

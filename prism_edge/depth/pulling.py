@@ -133,6 +133,9 @@ def _described(plan: Pulled, part: Path) -> tuple[list[File], str]:
     extra = []
     for location in sorted({item.location for item in outline.external}):
         check_location(part, location)
+        if "/" in location:
+            what = f"external data {location[:80]!r} in a folder of their own"
+            raise ModelError(f"{plan.name}: names {what}, which is not fetched")
         if location in (plan.files[0].name, MANIFEST) or location.endswith(".part"):
             raise ModelError(f"{plan.name}: names external data {location[:80]!r}, which is not fetched")
         url = urljoin(plan.files[0].url, quote(location))

@@ -19,6 +19,7 @@ from prism_edge.depth.fingerprint import fingerprint
 from prism_edge.depth.inner_tensor import pool
 from prism_edge.depth.placement import Placement, place, tensor
 from prism_edge.depth.prediction import (
+    OPEN,
     PROBABILITY,
     Prediction,
     checked,
@@ -36,6 +37,11 @@ log = logging.getLogger("prism_edge.depth")
 
 _LARGEST_DESCRIPTOR = 16_384
 _SURELY_NO_PROBABILITY = 1.001  # rounding makes a little more than 1 of one
+_SURELY_NOT_OPEN = 0.999
+_DOUBTS = {
+    PROBABILITY: "above 1, though its card says probability; is it percent, or open-ended (docs/MODELS.md)?",
+    OPEN: "between 0 and 1, though its card says open; is it a probability (docs/MODELS.md)?",
+}
 
 
 class OnnxNetwork:
@@ -98,7 +104,8 @@ class OnnxNetwork:
         if self.card.depth_kind == FOCAL_NORMALISED and self.card.canonical_focal_length:
             factor *= placement.focal_length(camera) / self.card.canonical_focal_length
         if factor != 1.0:
-            raw = _with_depth(raw, raw.depth * np.float32(factor))
+            with np.errstate(over="ignore"):  # infinite depth is none, and said to be
+                raw = _with_depth(raw, raw.depth * np.float32(factor))
         return checked(raw)
 
     def intrinsics(self, rgb: NDArray[np.uint8]) -> NDArray[np.float64] | None:
@@ -156,7 +163,10 @@ class OnnxNetwork:
         if "sky" in answer:
             # Inverse depth 0 is as good as any: what isn't there must be told apart from it.
             nothing = np.float32(0 if self.card.has_metres else np.nan)
-            depth = np.where(_plane(answer["sky"]) < self.card.sky_limit, depth, nothing)
+            sky = _plane(answer["sky"])
+            if sky.shape != depth.shape:
+                raise ModelError(f"sky is {sky.shape}, depth {depth.shape}; they must be of one size")
+            depth = np.where(sky < self.card.sky_limit, depth, nothing)
         descriptor = no_descriptor()
         if self.card.has_inner_descriptor:
             descriptor = pool(answer["descriptor"], self.card.descriptor_pooling)
@@ -180,18 +190,16 @@ class OnnxNetwork:
         return prediction, placement
 
     def _doubt(self, confidence: NDArray[np.float32]) -> None:
-        """Says once where what the card calls a probability mostly is none, and would be clipped away."""
-        if self._doubted or self.card.confidence_kind != PROBABILITY:
+        """Says once where confidence mostly is of another kind than the card says, and would be clipped."""
+        kind = self.card.confidence_kind
+        if self._doubted or kind not in _DOUBTS:
             return
-        share = float(np.mean(confidence > _SURELY_NO_PROBABILITY))
+        above = confidence > _SURELY_NO_PROBABILITY
+        below = (confidence > 0) & (confidence < _SURELY_NOT_OPEN)
+        share = float(np.mean(above if kind == PROBABILITY else below))
         if share > 0.5:
             self._doubted = True
-            log.warning(
-                "%s: %.0f %% of its confidence is above 1, though its card says probability; is it percent, "
-                "or open-ended (docs/MODELS.md)?",
-                self.name,
-                100 * share,
-            )
+            log.warning("%s: %.0f %% of its confidence is %s", self.name, 100 * share, _DOUBTS[kind])
 
     def _warm_up(self) -> str:
         """One inference, so that the first keyframe does not pay for it and output shapes are known.

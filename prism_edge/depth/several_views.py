@@ -32,6 +32,15 @@ LEAST_UNIT = 0.1  # m: views that are nearer together count as so far apart
 POSES, MATRICES, PREDICTED = "extrinsics", "intrinsics", "predicted_extrinsics"  # of the exported file
 
 
+def unit_of(centres: Array) -> float:
+    """The distance that is 1 in what the network is given, of camera centres (n, 3) from the first view's.
+
+    The median, of two in the middle the lower one, as PyTorch's is, by which the network has learned.
+    """
+    distances = np.sort(np.linalg.norm(centres, axis=1))
+    return max(float(distances[(len(distances) - 1) // 2]), LEAST_UNIT)
+
+
 class SeveralViewsNetwork:
     """A loaded and verified network of ``views`` pictures; other names as of OnnxNetwork."""
 
@@ -67,9 +76,10 @@ class SeveralViewsNetwork:
     ) -> list[Prediction]:
         """Depth in the poses' unit of ``views`` RGB pictures (height, width, 3), each with camera and pose.
 
-        The poses (views, 4, 4) are given relative to the first, their median distance from it being 1. What
-        the network says is in the unit of the cameras that it predicts itself, which are laid over the given
-        ones; where those are all in one place, in the unit of what it was given.
+        The poses (views, 4, 4) are given relative to the first, their median distance from it being 1 (the
+        first's own 0 among them). What the network says is in the unit of the cameras that it predicts
+        itself, which are laid over the given ones; where those are all in one place, in the unit of what it
+        was given.
         Raises ModelError where pictures are not of their cameras, or the network fails.
         """
         for rgb, camera in zip(pictures, cameras, strict=True):
@@ -80,7 +90,7 @@ class SeveralViewsNetwork:
         placements = [place(self.card, camera.width, camera.height) for camera in cameras]
         relative = inverse(world_from_camera) @ world_from_camera[0]
         centres = inverse(relative)[:, :3, 3]
-        unit = max(float(np.median(np.linalg.norm(centres, axis=1))), LEAST_UNIT)
+        unit = unit_of(centres)
         relative[:, :3, 3] /= unit
         started = time.perf_counter()
         feed = {

@@ -20,7 +20,8 @@ from prism_edge.tracking.seeding import MIN_ALIGNED, sample_depth
 
 F32 = NDArray[np.float32]
 
-STEP = 4  # pixels between those that the ratio is worked out at; it bends over some ten of them
+_STEP = 4  # pixels at most between those that the ratio is worked out at
+_OF_REACH = 0.4  # between them at most: the ratio bends over one reach of a point
 FARTHEST = 3.0  # times the farthest point: inverse depth blows up beyond
 _AT_ONCE = 512  # places: times as many points, they fit a cache
 
@@ -40,8 +41,8 @@ def from_relative(
     if fit is None:
         return None
     values = said
-    if not is_inverse:  # exactly 0 is no depth, and below 0 it has no inverse
-        usable = said != 0 if fit.of_depth else said > 0
+    if not is_inverse:  # exactly 0 and infinity are no depth, and below 0 it has no inverse
+        usable = np.isfinite(said) & (said != 0 if fit.of_depth else said > 0)
         known = np.where(usable, said, np.float32(np.nan))
         values = np.asarray(known if fit.of_depth else 1.0 / known, np.float32)
     return metres(values, fit, FARTHEST * float(viewpoint.depths.max()))
@@ -66,12 +67,13 @@ def aligned(
         return np.asarray(depth * np.float32(fit.overall.units_per_metre), np.float32)
     height, width = depth.shape
     a, b, c, d = image_to_depth
-    rows, columns = _steps(height), _steps(width)
+    step = max(1, min(_STEP, int(_OF_REACH * fit.reach * min(abs(a), abs(c)))))
+    rows, columns = _steps(height, step), _steps(width, step)
     x, y = np.meshgrid((columns - b) / a, (rows - d) / c)
     places = np.column_stack([x.ravel(), y.ravel()])
     some = range(0, len(places), _AT_ONCE)
     coarse = np.concatenate([fit.at(places[i : i + _AT_ONCE])[0] for i in some]).reshape(x.shape)
-    at_x, at_y = np.meshgrid(np.arange(width) / STEP, np.arange(height) / STEP)
+    at_x, at_y = np.meshgrid(np.arange(width) / step, np.arange(height) / step)
     ratio = cv2.remap(
         coarse.astype(np.float32),
         at_x.astype(np.float32),
@@ -92,6 +94,6 @@ def shown_in(
     return np.asarray(at > 0)
 
 
-def _steps(extent: int) -> Array:
-    """Each STEP-th pixel, one beyond the last so that all lie between two."""
-    return np.arange(0, extent + STEP, STEP, dtype=np.float64)
+def _steps(extent: int, step: int) -> Array:
+    """Each ``step``-th pixel, one beyond the last so that all lie between two."""
+    return np.arange(0, extent + step, step, dtype=np.float64)

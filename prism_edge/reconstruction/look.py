@@ -8,10 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.depth.prediction import OPEN, PROBABILITY, in_its_range
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.reconstruction.viewpoints import Viewpoint
-from prism_edge.scale.gate import DepthView, image_pixels
+from prism_edge.scale.gate import DepthView, image_pixels, is_open_ended
 
 F32 = NDArray[np.float32]
 U8 = NDArray[np.uint8]
@@ -58,7 +59,7 @@ def look(
         small,
         between_four(depth, *_places(at, small)),
         np.array([1.0, 0.0, 1.0, 0.0]),
-        cv2.remap(confidence, *_places(at, small), cv2.INTER_LINEAR) if confidence.size else confidence,
+        _resampled(_settled(confidence), *_places(at, small)) if confidence.size else confidence,
         1.0,
     )
     return Look(view, cv2.cvtColor(colours, cv2.COLOR_RGB2GRAY), np.ascontiguousarray(colours))
@@ -78,6 +79,19 @@ def between_four(depth: F32, x: F32, y: F32) -> F32:
     blended = cv2.remap(np.where(depth > 0, depth, np.float32(0)), x, y, cv2.INTER_LINEAR)
     whole = there > _WHOLE
     return np.where(whole, blended / np.where(whole, there, np.float32(1)), np.float32(0))
+
+
+def _settled(confidence: F32) -> F32:
+    """Confidence in the range of the kind that the whole of it shows: blended pixels may show another."""
+    positive = confidence[confidence > 0]
+    is_open = bool(positive.size) and is_open_ended(positive)
+    return in_its_range(confidence, OPEN if is_open else PROBABILITY)
+
+
+def _resampled(confidence: F32, x: F32, y: F32) -> F32:
+    return np.asarray(
+        cv2.remap(confidence, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.float32
+    )
 
 
 def _small(taken: Camera, width: int) -> Camera:

@@ -92,13 +92,16 @@ def spatial_uncertainty(confidence: Floats) -> Floats:
     if not positive.any():
         return np.full(np.shape(confidence), np.nan)
     safe = np.where(known, confidence, 1.0)
-    if _is_open_ended(confidence[positive]):
+    if is_open_ended(confidence[positive]):
         return np.asarray(np.where(positive, 1.0 / np.maximum(safe, 1.0), np.nan))
     return np.asarray(np.where(known, 1.0 - np.clip(safe, 0.0, 1.0), np.nan))
 
 
-def _is_open_ended(positive: Floats) -> bool:
-    """Whether no value is below 1, or most are above it: upsampling takes some probabilities there too."""
+def is_open_ended(positive: Floats) -> bool:
+    """Whether of confidences (n,) above 0 none is below 1, or most are above it.
+
+    Upsampling takes some probabilities there, too.
+    """
     above = positive > 1.0
     return bool(above.any() and (positive.min() >= 1.0 or np.mean(above) > 0.5))
 

@@ -17,6 +17,13 @@ MIN_ALIGNED = 15  # triangulated points that make a depth map's own scale better
 _MIN_PARALLAX_DEG = 1.0  # of those; whatever the filter's own samples are held to
 
 
+def gate_parameters(config: GateConfig, tau: float, temperature: float) -> GateParameters | None:
+    """tau and T: the configuration's where set, else those given, a network's; None where there are none."""
+    tau, temperature = config.tau or tau, config.temperature or temperature
+    usable = math.isfinite(tau) and math.isfinite(temperature) and tau > 0.0 and temperature > 0.0
+    return GateParameters(config.alpha, tau, temperature) if usable else None
+
+
 class KeyframeGate:
     """Gates one keyframe after another of one map; an open gate (all weights 1) where it can't.
 
@@ -37,10 +44,7 @@ class KeyframeGate:
 
     def parameters(self, depth: Depth) -> GateParameters | None:
         """tau and T: the configuration's where set, else the network's; None where there are none."""
-        c = self._config
-        tau, temperature = c.tau or depth.dsug_tau, c.temperature or depth.dsug_temperature
-        usable = math.isfinite(tau) and math.isfinite(temperature) and tau > 0.0 and temperature > 0.0
-        return GateParameters(c.alpha, tau, temperature) if usable else None
+        return gate_parameters(self._config, depth.dsug_tau, depth.dsug_temperature)
 
     def note(self, keyframe: Keyframe) -> Array:
         """A keyframe has come, with depth or without; where it lies by now.

@@ -73,6 +73,7 @@ def test_a_complete_card_is_read_with_its_types():
         ({"scale_bias_sigma": 10**400}, "too large"),
         ({"dsug_tau": 0.1}, "come together"),
         ({"dsug_tau": 0.1, "dsug_temperature": 0}, "not within"),
+        ({"dsug_tau": 0, "dsug_temperature": 0.1}, "not within"),
         ({"descriptor_layer": "276"}, "needs descriptor_pooling"),
         ({"descriptor_pooling": "mean"}, "needs a descriptor_output or a descriptor_layer"),
         ({"descriptor_output": "d", "descriptor_pooling": "sum"}, "none of token, mean, max, gem, grid"),

@@ -100,9 +100,20 @@ def test_depth_up_to_scale_alone_is_exact_too():
 def test_relative_depth_that_is_nothing_counts_for_nothing():
     relative = np.where(np.arange(DEPTHS.size) % 3 == 0, 0.0, (DEPTHS - 3.0) / 7)
     relative[1:600:3] = np.nan
+    relative[601:900:3] = np.inf  # sky
     fit = fit_depth(relative, DEPTHS)
     assert fit is not None
     assert (fit.of_depth, fit.slope, fit.shift) == (True, pytest.approx(7.0), pytest.approx(3.0))
+
+
+def test_infinite_relative_depth_counts_for_nothing_in_inverse_depth_either():
+    """1 / inf is 0, which would be a sample like any other."""
+    relative = 1.0 / (0.5 / DEPTHS + 0.1)
+    sky = np.where(np.arange(DEPTHS.size) % 3 == 0, np.inf, relative)
+    fit = fit_depth(sky, DEPTHS)
+    assert fit is not None
+    assert fit == fit_depth(np.where(np.isinf(sky), np.nan, sky), DEPTHS)
+    assert not fit.of_depth
 
 
 @settings(max_examples=60, deadline=None)

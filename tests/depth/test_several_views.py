@@ -9,11 +9,13 @@ import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
 
+from prism_edge.cli.main import main
 from prism_edge.config import DepthConfig
 from prism_edge.depth import open_onnx
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.offline import open_offline
-from prism_edge.depth.several_views import LEAST_UNIT, SeveralViewsNetwork
+from prism_edge.depth.registry import sha256_of
+from prism_edge.depth.several_views import LEAST_UNIT, SeveralViewsNetwork, unit_of
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import from_rt, so3_exp
@@ -124,6 +126,12 @@ def test_depth_is_in_the_unit_of_the_poses(tmp_path: Path) -> None:
         assert f"{metres * (1 + rgb[0, 0, 0] / 255):.3g} m" in answer.reason
 
 
+@pytest.mark.parametrize(("views", "unit"), [(1, 0.1), (2, 0.1), (3, 1.0), (4, 1.0), (5, 2.0), (6, 2.0)])
+def test_the_unit_of_an_even_number_of_views_is_the_lower_one_in_the_middle(views: int, unit: float) -> None:
+    """Cameras 1 m apart on a line; torch.median(torch.tensor([0., 1., 2., 3.])) is 1."""
+    assert unit_of(np.arange(views, dtype=float)[::-1, None] * [-1.0, 0.0, 0.0]) == pytest.approx(unit)
+
+
 def test_what_it_is_given(tmp_path: Path) -> None:
     outputs = ("depth", "predicted_extrinsics", "confidence")
     network = opened(write(tmp_path / "net.onnx", outputs, confidence_output="confidence"))
@@ -182,6 +190,20 @@ def test_files_that_are_not_what_they_say_are_refused(tmp_path: Path) -> None:
     onnx.save(model, str(path))
     with pytest.raises(ModelError, match="a network of 2 views takes"):
         opened(path)
+
+
+def test_it_is_verified_and_described_as_what_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "400")
+    path = str(write(tmp_path / "net.onnx"))
+    assert main(["models", "verify", path]) == 0
+    assert "3 pictures at once, for `prism-edge reconstruct` alone" in capsys.readouterr().out
+    assert main(["models", "info", path]) == 0
+    shown = capsys.readouterr().out
+    assert "It takes 3 pictures and their poses at once: use it with `prism-edge reconstruct`." in shown
+    assert sha256_of(Path(path)) in shown
+    assert "nested:" not in shown
 
 
 def test_the_daemon_has_no_use_for_it(tmp_path: Path) -> None:

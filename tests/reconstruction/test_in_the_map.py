@@ -111,6 +111,27 @@ def test_relative_depth_gets_its_scale_and_its_shift(shift: float) -> None:
     assert (made[10:] > 0).mean() > 0.99
 
 
+def test_infinite_relative_depth_is_none_by_its_inverse_too() -> None:
+    said = (1.0 / (0.4 / DEPTH - 0.08)).astype(np.float32)  # 1 / inf would be 5 m
+    said[:10] = np.inf
+    made = from_relative(said, TO_DEPTH, viewpoint(600), False)
+    assert made is not None
+    assert (made[:10] == 0).all()
+    assert np.median(np.abs(made[10:] / DEPTH[10:] - 1)) < 0.01
+
+
+def test_in_a_coarse_depth_map_no_step_skips_what_points_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A pixel of it is ten of the image, in which a point's ratio holds for 25."""
+    off = np.exp(0.12 * np.sin(X / 15.0)).astype(np.float32)
+    coarse = (DEPTH * off)[2::5, 2::5], np.array([0.1, -0.45, 0.1, -0.45])
+    made = aligned(*coarse, viewpoint(2000))
+    monkeypatch.setattr(in_the_map, "_STEP", 1)
+    at_each = aligned(*coarse, viewpoint(2000))
+    assert made is not None
+    assert at_each is not None
+    assert np.std(np.log(made / at_each)) < 0.005
+
+
 def test_large_maps_are_aligned_in_portions(monkeypatch: pytest.MonkeyPatch) -> None:
     off = np.exp(0.12 * np.sin(X / 60.0)).astype(np.float32)
     whole = aligned(DEPTH * off, TO_DEPTH, viewpoint(800))

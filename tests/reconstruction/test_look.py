@@ -9,7 +9,7 @@ from prism_edge.backend.global_map import no_features
 from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.reconstruction.look import look
 from prism_edge.reconstruction.viewpoints import Viewpoint
-from prism_edge.scale.gate import image_pixels
+from prism_edge.scale.gate import image_pixels, spatial_uncertainty
 
 NONE = np.zeros((0, 0), np.float32)
 CAMERAS = {
@@ -65,6 +65,24 @@ def test_a_smaller_picture_ends_where_the_picture_ended() -> None:
     small = look(viewpoint(camera), rgb, depth, NONE, whole, 160).view.camera
     ends = [[np.array([[-0.5, -0.5], [c.width - 0.5, c.height - 0.5]])] for c in (small, camera)]
     np.testing.assert_allclose(small.normalise(*ends[0]), camera.normalise(*ends[1]), atol=1e-12)
+
+
+@pytest.mark.parametrize("masked", [False, True])
+def test_what_a_confidence_is_doesnt_change_on_the_way(masked: bool) -> None:
+    """An open-ended one that mostly has no idea, which is 1: beside the rim it is no probability of 1."""
+    camera = CAMERAS["bent"]
+    confidence = np.ones((150, 224), np.float32)
+    confidence[:, :90] = 4.0
+    if masked:
+        confidence[40:60, 120:140] = 0.0
+    image_to_depth = np.array([0.35, -0.3, 0.31, 0.2])
+    rgb, depth = np.zeros((480, 640, 3), np.uint8), np.ones((150, 224), np.float32)
+    made = look(viewpoint(camera), rgb, depth, confidence, image_to_depth, 320)
+    u = spatial_uncertainty(made.view.confidence)
+    assert np.nanmax(u[:, :120]) < 0.5
+    right = u[:, 160:]
+    assert np.nanmin(right) > 0.99
+    assert np.isnan(right).any() == masked
 
 
 def test_holes_stay_holes() -> None:

@@ -130,6 +130,9 @@ def test_what_cannot_be_done_is_refused_in_one_line_and_leaves_no_file(tmp_path,
     (tmp_path / "text.onnx").write_text("no model")
     elsewhere = {"descriptor_layer": "gone", "descriptor_pooling": "grid"}
     save(tmp_path / "gone.onnx", tiny_graph(TinyNetwork()), replace(TinyNetwork().card(), **elsewhere))
+    both = TinyNetwork(confidence=True)  # which of its two outputs is depth its card doesn't say
+    mute = replace(both.card(), depth_output="", confidence_output="")
+    save(tmp_path / "both.onnx", tiny_graph(both), mute)
     what = TinyNetwork(misbehaviour="zero")  # a constant 0 somewhere: its norm can't be 1
     save(tmp_path / "silent.onnx", tiny_graph(what), replace(what.card(), name="silent"))
     for arguments, says in (
@@ -137,6 +140,7 @@ def test_what_cannot_be_done_is_refused_in_one_line_and_leaves_no_file(tmp_path,
         ([tmp_path / "gone.onnx", out], "no tensor 'gone' that its card names"),
         ([path, out, "--layer", "small", "--pooling", "token"], "does not go with"),
         ([path, path], "name another file"),
+        ([tmp_path / "both.onnx", out, "--layer", "small"], "depth_output, one of depth, confidence"),
         ([foreign, out], "does not say what it predicts"),
         ([tmp_path / "text.onnx", out], "no ONNX model"),
         ([tmp_path / "absent.onnx", out], "can't be read"),

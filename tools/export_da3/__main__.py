@@ -35,7 +35,7 @@ HEIGHT, WIDTH = 252, 336  # of a camera of 4:3
 
 
 def main(arguments: list[str] | None = None) -> int:
-    args = _parser().parse_args(arguments)
+    args = _parser().parse_intermixed_args(arguments)  # options may stand between CHECKPOINT and OUT
     try:
         names = _names(args)
         job = Job(
