@@ -55,6 +55,7 @@ class GlobalKeyframe:
     stamp_ns: int = LONG_AGO  # of its image, where this run took it
     part: int | None = None  # of the map, as the tracker has it; None: nobody has said (earlier builds' maps)
     taken_ns: int | None = None  # the same, whichever run took it; None where a file did not say
+    grown: float = 1.0  # by how much a loop has lengthened its part since it was made
     # world_from_camera, were the map's frame kept to the last digit (frame.py).
     reference: Array = field(init=False, repr=False)
 
@@ -130,6 +131,7 @@ class GlobalMap:
             stamp_ns=message.stamp_ns,
             part=message.part,
             taken_ns=message.stamp_ns,
+            grown=self._grown.get(message.part, 1.0),
         )
         for newer, older in message.joined.tolist():
             self._grown.pop(newer, None)

@@ -171,7 +171,9 @@ class LoopCloser:
             units = None if log_unit is None else (log_unit, loop.log_scale_sigma)
             pose_graph.apply(world, moved)
             if log_unit is not None and query.part is not None and candidate.part is not None:
-                world.part_grew(max(query.part, candidate.part), math.exp(log_unit))
+                newer = max(query.part, candidate.part)
+                for part in {newer, *_moved_alone(world, moved)}:  # others were joined to it before
+                    world.part_grew(part, math.exp(log_unit))
         ends = loop.query, loop.candidate, query.index, candidate.index
         self.accepted.append(Accepted(*ends, relative, loop.inliers, units))
         self._in_new_units(moved)
@@ -328,3 +330,10 @@ class LoopCloser:
         """What has changed since this was last asked."""
         taken, self.changes = self.changes, MapChanges()
         return taken
+
+
+def _moved_alone(world: GlobalMap, moved: pose_graph.Moved) -> set[int]:
+    """The parts whose keyframes have all come into another unit."""
+    of = {k: world.keyframes[k].part for k in moved}
+    kept = {of[k] for k, at in moved.items() if at.unit == 1.0}
+    return {part for k, part in of.items() if part is not None and moved[k].unit != 1.0 and part not in kept}

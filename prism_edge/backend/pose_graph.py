@@ -136,6 +136,7 @@ def apply(world: GlobalMap, moved: Moved) -> None:
                 world.points[p].position = place
         keyframe = world.keyframes[k]
         keyframe.world_from_camera = similarity.world_from_camera
+        keyframe.grown *= similarity.unit
         world.carried.stretch(k, similarity.scale)
         if keyframe.depths is not None:
             factor = similarity.unit if keyframe.depth_sigma > 0 else similarity.scale

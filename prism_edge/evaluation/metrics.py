@@ -87,7 +87,7 @@ def metrics(
         "peak_pss_mb": _with_total(usage.peak_pss_mb, usage.peak_total_pss_mb),
         "foreign_cpu": usage.foreign_cpu,
         "timings_void": usage.foreign_cpu is None or usage.foreign_cpu > VOID_ABOVE,
-        "keyframes": len(snapshot.keyframes) if snapshot is not None else None,
+        "keyframes": len(snapshot.keyframes) - snapshot.carried if snapshot is not None else None,
         "map_points": len(snapshot.points) if snapshot is not None else None,
         "adjustments": cost_of_adjustments(recording),
         "loops": judge_loops(snapshot, recording.frames, truth, scores["final"]["scale_ratio"]),

@@ -46,6 +46,11 @@ class Recording:
         """The frames that count as tracked: state ok or degraded, and a pose arrived."""
         return [f for f in self.frames if f.odometry in (OK, DEGRADED) and f.stamp_ns in self.published]
 
+    @cached_property
+    def apart(self) -> list[Tracked]:
+        """The frames that were tracked in a part of the map whose place in it was not known then."""
+        return [f for f in self.frames if f.odometry in (OK, DEGRADED) and not f.published]
+
     def live(self) -> Trajectory:
         """Every pose exactly as published, map_from_camera; poses that aren't finite are left out."""
         finite = (pose for pose in self.poses if np.isfinite(pose.map_from_camera).all())
@@ -54,19 +59,26 @@ class Recording:
     def final(self, snapshot: MapSnapshot, map_from_world: Array) -> tuple[Trajectory, int]:
         """Every tracked frame as the finished map has it, carried by its reference keyframe.
 
-        In metres, map_from_camera: the snapshot's map units are multiplied by exp(log_scale), then brought
-        from the map's world frame by ``map_from_world`` (4, 4). Also returns how many frames had to be
-        left out because the map no longer holds their reference keyframe, or holds no numbers for it.
+        So also those without a pose as they came, in parts of the map that a loop has joined since. In
+        metres, map_from_camera: the snapshot's map units are multiplied by exp(log_scale), then brought
+        from the map's world frame by ``map_from_world`` (4, 4). Also returns how many frames with a pose had
+        to be left out because the map no longer holds their reference keyframe, or holds no numbers for it.
         """
-        keyframes = {int(k): pose for k, pose in zip(snapshot.keyframes, snapshot.poses, strict=True)}
+        away = set(snapshot.away.tolist())
+        at = zip(snapshot.keyframes.tolist(), snapshot.poses, strict=True)
+        keyframes = {k: pose for k, pose in at if k not in away}
+        regauged = dict(zip(snapshot.regauged.tolist(), snapshot.regauged_by.tolist(), strict=True))
         factor = float(np.exp(snapshot.log_scale))
-        rows = [
-            (f.stamp_ns, map_from_world @ scaled(keyframes[f.reference] @ f.reference_from_camera, factor))
-            for f in self.tracked
-            if f.reference in keyframes
-        ]
+        rows = []
+        for f in (*self.tracked, *self.apart):
+            unit = 1.0 if f.published else regauged.get(f.reference, 1.0)  # the part's own then
+            if f.reference in keyframes:
+                pose = keyframes[f.reference] @ scaled(f.reference_from_camera, unit)
+                rows.append((f.stamp_ns, map_from_world @ scaled(pose, factor)))
         rows = [(stamp_ns, pose) for stamp_ns, pose in rows if np.isfinite(pose).all()]
-        return Trajectory.of(rows), len(self.tracked) - len(rows)
+        final = Trajectory.of(rows)
+        stamps = set(final.stamps.tolist())
+        return final, sum(f.stamp_ns not in stamps for f in self.tracked)
 
     def latencies_ms(self) -> Array:
         """From scheduled capture to the subscriber, one for each published pose whose frame is known."""

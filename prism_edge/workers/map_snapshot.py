@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from prism_edge.backend.connectivity import parts_of
 from prism_edge.backend.mapper import Mapper
 from prism_edge.messages import MapSnapshot
 
@@ -12,6 +13,10 @@ def snapshot(mapper: Mapper, settled: bool, log_scale: float) -> MapSnapshot:
     """The map of this moment, for who asks; ``settled`` where nothing is left to be done."""
     world, loops = mapper.world, mapper.loops.accepted
     numbers, poses = world.table()
+    apart = parts_of(world)
+    # A culled keyframe is where that is which it hangs on.
+    at = np.concatenate([numbers[: len(world.keyframes)], world.carried.numbers[:, 1]]).tolist()
+    grown = np.array([world.keyframes[k].grown for k in at])
     return MapSnapshot(
         epoch=mapper.epoch,
         sequence=mapper.sequence,
@@ -20,6 +25,10 @@ def snapshot(mapper: Mapper, settled: bool, log_scale: float) -> MapSnapshot:
         keyframes=numbers,
         poses=poses,
         points=np.array(list(world.points), np.int64),
+        carried=len(world.carried),
+        away=numbers[[k in apart for k in at]],
+        regauged=numbers[grown != 1.0],
+        regauged_by=grown[grown != 1.0],
         loop_queries=np.array([loop.query_index for loop in loops], np.int64),
         loop_candidates=np.array([loop.candidate_index for loop in loops], np.int64),
         loop_poses=np.array([loop.candidate_from_query for loop in loops]).reshape(-1, 4, 4),

@@ -361,6 +361,8 @@ def test_what_was_under_way_while_a_loop_gave_its_part_another_unit_is_in_that_u
     assert len(message.new_points) > 3
     if not has_heard:
         assert keyframe.world_from_camera == pytest.approx(moved(message.world_from_camera), abs=1e-6)
+    assert keyframe.grown == factor
+    assert world.keyframes[messages[0].id].grown == 2.0
     for point, told in zip(message.new_points.tolist(), message.new_positions, strict=True):
         depth = transform(inverse(message.world_from_camera), told[None])[0, 2]
         here = transform(inverse(keyframe.world_from_camera), world.points[point].position[None])[0, 2]

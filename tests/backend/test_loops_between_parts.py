@@ -11,6 +11,7 @@ from prism_edge.backend.loops import Loop
 from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log, transform
+from prism_edge.messages import HOME
 from tests.backend.closing import DRIFT, finish, two_parts, walk
 from tests.backend.ring import Ring, position_error
 from tests.backend.world import chain, check
@@ -113,6 +114,28 @@ def test_what_loops_measured_in_a_part_is_in_the_unit_that_it_has_once_it_was_jo
         true = inverse(next(ends)) @ next(ends)
         assert said.candidate_from_query == pytest.approx(true, abs=0.02)
     assert loops.accepted[0].candidate_from_query[0, 3] == pytest.approx(2.7, abs=0.05)
+
+
+def test_a_part_that_was_joined_to_another_has_that_ones_unit_too_once_both_are_joined():
+    """The tracker may have heard of the first loop, of both, or of none."""
+    mapper = Mapper(BackendConfig(), use_depth=False)
+    world, loops = mapper.world, mapper.loops
+    starts = {HOME: 0, 3: 100, 6: 200}
+    for part, start in starts.items():
+        chain([pose_at(start + 0.3 * i) for i in range(8)], start, world)
+        for k in range(start, start + 8):
+            world.keyframes[k].part = part
+    loops._join_neighbours = lambda loop: 0  # there are no pictures
+    before = world.poses()
+    assert loops._close(Loop(203, 102, pose_at(100.7), 2.0, 0.001, 50, 3, []))
+    assert {part: round(by, 2) for part, by in world._grown.items()} == {6: 2.0}
+    assert loops._close(Loop(204, 2, pose_at(0.7), 1.5, 0.001, 50, 3, []))
+    assert {part: round(by, 2) for part, by in world._grown.items()} == {6: 3.0, 3: 1.5}
+    for start, by in zip(starts.values(), (1.0, 1.5, 3.0), strict=True):
+        for k in range(start, start + 7):
+            steps = [inverse(poses[k]) @ poses[k + 1] for poses in (before, world.poses())]
+            assert steps[1][0, 3] == pytest.approx(by * steps[0][0, 3], rel=0.02)
+            assert world.keyframes[k].grown == pytest.approx(by, rel=0.02)
 
 
 def test_a_part_of_its_own_is_adjusted_without_being_merged():

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -97,7 +99,7 @@ def test_final_poses_are_carried_by_their_keyframes_in_metres() -> None:
     final, missing = recording.final(
         snapshot({3: np.eye(4), 7: world_from_keyframe}, np.log(2.0)), map_from_world
     )
-    # frame 2 was lost, the keyframe of 3 is gone, and 4 was never published
+    # frame 2 was lost, the keyframe of 3 is gone, and 4 has never arrived
     assert final.stamps.tolist() == [0, PERIOD]
     assert missing == 1
     centre = (world_from_keyframe @ keyframe_from_camera @ [0, 0, 0, 1])[:3]
@@ -105,6 +107,27 @@ def test_final_poses_are_carried_by_their_keyframes_in_metres() -> None:
     np.testing.assert_allclose(final.positions[1], expected, atol=1e-12)
     turned = map_from_world[:3, :3] @ world_from_keyframe[:3, :3] @ keyframe_from_camera[:3, :3]
     assert Rotation.from_matrix(final.poses[1, :3, :3] @ turned.T).magnitude() < 1e-9
+
+
+def test_frames_of_a_part_that_a_loop_has_joined_since_are_in_the_finished_map() -> None:
+    """They had no pose as they came; what they lie from their keyframe is in the part's unit of then."""
+    there, offset = se3_exp(np.array([1.0, 2.0, 3.0, 0.1, -0.2, 0.3])), np.eye(4)
+    offset[0, 3] = 0.4
+    then = [Tracked(i, i * PERIOD, 0, OK, i > 2, -1, k, offset) for i, k in ((1, 7), (2, 8), (3, 7), (4, 9))]
+    taken = replace(
+        snapshot({3: np.eye(4), 7: there, 8: there, 9: there}, np.log(2.0)),
+        away=np.array([8, 9]),
+        regauged=np.array([7]),
+        regauged_by=np.array([1.5]),
+    )
+    recording = Recording([pose(0), pose(3), pose(4)], [frame(0, reference=3), *then])
+    final, missing = recording.final(taken, np.eye(4))
+    # 2 is of a part that nothing has joined; so would 4 be, whose pose was published all the same
+    assert final.stamps.tolist() == [0, PERIOD, 3 * PERIOD]
+    assert missing == 1
+    for at, unit in ((1, 1.5), (2, 1.0)):
+        centre = there[:3, :3] @ [0.4 * unit, 0, 0] + there[:3, 3]
+        np.testing.assert_allclose(final.positions[at], 2.0 * centre, atol=1e-12)
 
 
 def test_of_two_poses_of_one_stamp_the_first_counts() -> None:
