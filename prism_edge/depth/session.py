@@ -111,13 +111,15 @@ class OnnxNetwork:
     def intrinsics(self, rgb: NDArray[np.uint8]) -> NDArray[np.float64] | None:
         """(4,) fx, fy, cx, cy in pixels of the image, as the network sees them; None where it says nothing.
 
-        Of an image (height, width, 3) uint8 RGB whose camera is not known.
+        Of an image (height, width, 3) uint8 RGB whose camera is not known. Raises ModelError where the
+        network fails at it.
         """
         output = self.card.intrinsics_output
         if not output:
             return None
         placement = place(self.card, rgb.shape[1], rgb.shape[0])
-        (matrix,) = self._session.run([output], {self._input: tensor(rgb, self.card, placement)})
+        image = tensor(rgb, self.card, placement)
+        (matrix,) = self._run_aside([output], image)
         if matrix.size != 9:
             shape = list(matrix.shape)
             raise ModelError(f"{self.name}: output {output!r} of shape {shape} is no camera matrix")
@@ -133,10 +135,7 @@ class OnnxNetwork:
         if not wanted:
             return
         image = tensor(rgb, self.card, place(self.card, rgb.shape[1], rgb.shape[0]))
-        try:
-            values = self._session.run(list(wanted.values()), {self._input: image})
-        except Exception as error:  # whatever a foreign graph makes onnxruntime raise
-            raise ModelError(f"{self.path.name}: an inference failed ({native_line(error)})") from None
+        values = self._run_aside(list(wanted.values()), image)
         for (role, output), value in zip(wanted.items(), values, strict=True):
             shape = list(value.shape)
             is_right = value.size == 9 and shape[-2:] == [3, 3]
@@ -147,6 +146,13 @@ class OnnxNetwork:
                 raise ModelError(
                     f"{self.path.name}: output {output!r} for {role} has shape {shape}, not {needed}"
                 )
+
+    def _run_aside(self, outputs: list[str], image: NDArray[np.float32]) -> list[NDArray[Any]]:
+        """Outputs that no keyframe asks for. Raises ModelError where onnxruntime fails."""
+        try:
+            return list(self._session.run(outputs, {self._input: image}))
+        except Exception as error:  # whatever a foreign graph makes onnxruntime raise
+            raise ModelError(f"{self.path.name}: an inference failed ({native_line(error)})") from None
 
     def raw(self, rgb: NDArray[np.uint8]) -> tuple[Prediction, Placement]:
         """The network's unchecked answer in its own unit, without sky, and where the image lay in it.

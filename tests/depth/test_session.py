@@ -166,6 +166,23 @@ def test_outputs_that_no_keyframe_asks_for_are_held_to_their_shapes(tmp_path: Pa
     assert str(error.value) == f"net.onnx: output {role!r} for {role} has shape {shape}, not {needed}"
 
 
+def test_a_network_that_fails_at_an_image_has_no_intrinsics_and_says_so(tmp_path: Path, monkeypatch):
+    graph, card = _two_outputs()
+    value = helper.make_tensor("matrix", TensorProto.FLOAT, [3, 3], np.eye(3).ravel())
+    graph.node.append(helper.make_node("Constant", [], ["intrinsics"], value=value))
+    graph.output.append(helper.make_tensor_value_info("intrinsics", TensorProto.FLOAT, [3, 3]))
+    save(tmp_path / "net.onnx", graph, replace(card, intrinsics_output="intrinsics"))
+    network = OnnxNetwork(tmp_path / "net.onnx")
+
+    class Failing:
+        def run(self, *_: object) -> None:
+            raise RuntimeError("a foreign graph\nand where")
+
+    monkeypatch.setattr(network, "_session", Failing())
+    with pytest.raises(ModelError, match=r"^net.onnx: an inference failed \(a foreign graph"):
+        network.intrinsics(np.zeros((360, 640, 3), np.uint8))
+
+
 def test_intrinsics_that_can_not_be_are_none(tmp_path: Path, tiny: OnnxNetwork):
     image = np.zeros((360, 640, 3), np.uint8)
     assert tiny.intrinsics(image) is None
