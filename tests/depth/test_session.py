@@ -15,7 +15,14 @@ from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 from tests.depth.ruler import ramp, write_ruler
-from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_sidecar, write_tiny_network
+from tests.synthetic.network import (
+    TinyNetwork,
+    save,
+    tiny_graph,
+    two_outputs,
+    write_sidecar,
+    write_tiny_network,
+)
 from tests.synthetic.sequence import synthetic_camera
 from tests.synthetic.tint import tinted
 
@@ -124,79 +131,6 @@ def test_millimetres_become_metres_by_the_card(tmp_path: Path, kind: str):
     assert np.median(millimetres.raw(image)[0].depth) > 1000  # its own unit
 
 
-@pytest.mark.parametrize("resize", ["stretch", "crop"])
-@pytest.mark.parametrize("shape", [[1, 3, 3], [3, 3], [1, 1, 3, 3]])
-def test_a_networks_own_intrinsics_come_in_pixels_of_the_image(tmp_path: Path, resize: str, shape):
-    # 640x360 becomes 427x240, of which 53 columns are cut off at the left, or 320x240
-    sx, sy, left = (427 / 640, 240 / 360, 53) if resize == "crop" else (320 / 640, 240 / 360, 0)
-    said = [400 * sx, 0, 310.5 * sx - 0.5 - left, 0, 380 * sy, 170.5 * sy - 0.5, 0, 0, 1]
-    graph, card = _two_outputs()
-    value = helper.make_tensor("matrix", TensorProto.FLOAT, shape, said)
-    graph.node.append(helper.make_node("Constant", [], ["intrinsics"], value=value))
-    graph.output.append(helper.make_tensor_value_info("intrinsics", TensorProto.FLOAT, shape))
-    save(tmp_path / "net.onnx", graph, replace(card, intrinsics_output="intrinsics", resize=resize))
-    found = OnnxNetwork(tmp_path / "net.onnx").intrinsics(np.zeros((360, 640, 3), np.uint8))
-    assert found == pytest.approx([400, 380, 310, 170], rel=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("role", "shape", "needed"),
-    [
-        ("intrinsics", [1, 3], "(1, 3, 3)"),
-        ("intrinsics", [1, 9], "(1, 3, 3)"),
-        ("intrinsics", [1, 1, 3, 3], ""),
-        ("rays", [1, 3, 48, 64], "(1, h, w, 6)"),
-        ("rays", [1, 6, 48, 64], "(1, h, w, 6)"),
-        ("rays", [2, 48, 64, 6], "(1, h, w, 6)"),
-        ("rays", [1, 48, 64, 6], ""),
-    ],
-)
-def test_outputs_that_no_keyframe_asks_for_are_held_to_their_shapes(tmp_path: Path, role, shape, needed):
-    graph, card = _two_outputs()
-    value = helper.make_tensor("value", TensorProto.FLOAT, shape, np.zeros(np.prod(shape)))
-    graph.node.append(helper.make_node("Constant", [], [role], value=value))
-    graph.output.append(helper.make_tensor_value_info(role, TensorProto.FLOAT, shape))
-    save(tmp_path / "net.onnx", graph, replace(card, **{f"{role}_output": role}))
-    network = OnnxNetwork(tmp_path / "net.onnx")
-    if not needed:
-        network.check_offline_outputs(slanted_wall()[0])
-        return
-    with pytest.raises(ModelError) as error:
-        network.check_offline_outputs(slanted_wall()[0])
-    assert str(error.value) == f"net.onnx: output {role!r} for {role} has shape {shape}, not {needed}"
-
-
-def test_a_network_that_fails_at_an_image_has_no_intrinsics_and_says_so(tmp_path: Path, monkeypatch):
-    graph, card = _two_outputs()
-    value = helper.make_tensor("matrix", TensorProto.FLOAT, [3, 3], np.eye(3).ravel())
-    graph.node.append(helper.make_node("Constant", [], ["intrinsics"], value=value))
-    graph.output.append(helper.make_tensor_value_info("intrinsics", TensorProto.FLOAT, [3, 3]))
-    save(tmp_path / "net.onnx", graph, replace(card, intrinsics_output="intrinsics"))
-    network = OnnxNetwork(tmp_path / "net.onnx")
-
-    class Failing:
-        def run(self, *_: object) -> None:
-            raise RuntimeError("a foreign graph\nand where")
-
-    monkeypatch.setattr(network, "_session", Failing())
-    with pytest.raises(ModelError, match=r"^net.onnx: an inference failed \(a foreign graph"):
-        network.intrinsics(np.zeros((360, 640, 3), np.uint8))
-
-
-def test_intrinsics_that_can_not_be_are_none(tmp_path: Path, tiny: OnnxNetwork):
-    image = np.zeros((360, 640, 3), np.uint8)
-    assert tiny.intrinsics(image) is None
-    mirrored = [[fx, 0.0, 310.0, 0.0, fy, 170.0, 0.0, 0.0, 1.0] for fx, fy in ((-400, 380), (400, -380))]
-    for number, said in enumerate(([0.0] * 9, [float("nan")] * 9, *mirrored)):
-        graph, card = _two_outputs()
-        value = helper.make_tensor("matrix", TensorProto.FLOAT, [3, 3], said)
-        graph.node.append(helper.make_node("Constant", [], ["intrinsics"], value=value))
-        graph.output.append(helper.make_tensor_value_info("intrinsics", TensorProto.FLOAT, [3, 3]))
-        path = tmp_path / f"{number}.onnx"
-        save(path, graph, replace(card, intrinsics_output="intrinsics"))
-        assert OnnxNetwork(path).intrinsics(image) is None
-
-
 def test_a_descriptor_is_one_vector_of_norm_one(tmp_path: Path):
     path = write_tiny_network(tmp_path / "more.onnx", TinyNetwork(descriptor=True))
     network = OnnxNetwork(path)
@@ -206,7 +140,7 @@ def test_a_descriptor_is_one_vector_of_norm_one(tmp_path: Path):
     raw = network.raw(image)[0].descriptor
     assert np.linalg.norm(raw) != pytest.approx(1.0, abs=0.1)
     assert answer.descriptor == pytest.approx(raw / np.linalg.norm(raw), abs=1e-6)
-    graph, card = _two_outputs()
+    graph, card = two_outputs()
     save(tmp_path / "map.onnx", graph, replace(card, descriptor_output="other"))
     _refused(tmp_path / "map.onnx", "no descriptor of one vector")
 
@@ -217,7 +151,7 @@ def test_a_network_of_several_views_is_refused(tmp_path: Path):
 
 
 def test_sky_has_no_depth(tmp_path: Path):
-    graph, card = _two_outputs()
+    graph, card = two_outputs()
     save(tmp_path / "sky.onnx", graph, replace(card, sky_output="other", sky_limit=2.0))
     answer = OnnxNetwork(tmp_path / "sky.onnx").infer(slanted_wall()[0], CAMERA)
     assert answer.valid
@@ -226,7 +160,7 @@ def test_sky_has_no_depth(tmp_path: Path):
 
 
 def test_sky_of_another_size_than_depth_is_refused(tmp_path: Path):
-    graph, card = _two_outputs()
+    graph, card = two_outputs()
     graph.node.append(helper.make_node("MaxPool", ["depth"], ["sky"], kernel_shape=[2, 2], strides=[2, 2]))
     graph.output.append(helper.make_tensor_value_info("sky", TensorProto.FLOAT, [1, 1, 30, 40]))
     save(tmp_path / "sky.onnx", graph, replace(card, sky_output="sky", sky_limit=2.0))
@@ -333,7 +267,7 @@ def test_a_file_that_is_not_what_its_card_says_is_refused(tmp_path: Path, change
 
 
 def test_an_unnamed_depth_output_must_be_the_only_one(tmp_path: Path):
-    graph, card = _two_outputs()
+    graph, card = two_outputs()
     save(tmp_path / "net.onnx", graph, replace(card, depth_output=""))
     _refused(tmp_path / "net.onnx", "must name depth_output, one of depth, other")
 
@@ -405,12 +339,3 @@ def _graph(nodes, kind, shape, out_shape):
     image = helper.make_tensor_value_info("image", kind, shape)
     depth = helper.make_tensor_value_info("depth", TensorProto.FLOAT, out_shape)
     return helper.make_graph(nodes, "g", [image], [depth])
-
-
-def _two_outputs():
-    """A network whose second output repeats its depth, and its card."""
-    what = TinyNetwork()
-    graph = tiny_graph(what)
-    graph.node.append(helper.make_node("Identity", ["depth"], ["other"]))
-    graph.output.append(helper.make_tensor_value_info("other", TensorProto.FLOAT, [1, 1, 60, 80]))
-    return graph, what.card()

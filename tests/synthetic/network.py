@@ -120,6 +120,15 @@ def save(path: Path, graph: onnx.GraphProto, card: ModelCard | None) -> None:
     onnx.save(model, str(path))
 
 
+def two_outputs() -> tuple[onnx.GraphProto, ModelCard]:
+    """A network whose second output repeats its depth, and its card."""
+    what = TinyNetwork()
+    graph = tiny_graph(what)
+    graph.node.append(helper.make_node("Identity", ["depth"], ["other"]))
+    graph.output.append(helper.make_tensor_value_info("other", TensorProto.FLOAT, [1, 1, 60, 80]))
+    return graph, what.card()
+
+
 def _spoiling(what: TinyNetwork, constants: dict[str, np.ndarray]) -> list[onnx.NodeProto]:
     """The last operators: depth as it should be, or spoilt."""
     shape = (1, 1, what.height // POOL, what.width // POOL)
