@@ -8,6 +8,7 @@ from functools import cached_property
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.poses import Array
@@ -19,6 +20,8 @@ EXAMPLES = "chessboard:9x6 (inner corners) or charuco:7x5,4X4_50,0.75 (squares, 
 _DICTIONARY, _MARKER = "4X4_50", 0.75
 _MOST = 50
 _QUIET = cv2.utils.logging.LOG_LEVEL_ERROR  # OpenCV warns of markers that nearly fill their squares
+_WINDOW = 0.4  # of a square, each way: what a corner is made sharper in
+_SHARP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 _LEAST_CORNERS = 8  # of a board that is seen in part; fewer hardly tell its pose
 
 
@@ -113,7 +116,15 @@ class Board:
         found, pixels = cv2.findChessboardCornersSB(grey, (self.columns, self.rows), flags=0)
         if not found:
             return None
+        # What finds the board puts some corners a pixel or two aside, most of them at its rim.
+        half = max(2, int(_WINDOW * self._least_step(pixels)))
+        pixels = cv2.cornerSubPix(grey, pixels, (half, half), (-1, -1), _SHARP)
         return View(np.arange(len(self.points), dtype=np.int64), pixels.reshape(-1, 2).astype(np.float64))
+
+    def _least_step(self, pixels: NDArray[np.float32]) -> float:
+        """Pixels between the nearest two neighbours among all corners (n, 1, 2)."""
+        grid = pixels.reshape(self.rows, self.columns, 2)
+        return float(min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)))
 
     def _find_charuco(self, grey: U8) -> View | None:
         for detector in self._detectors:

@@ -66,7 +66,7 @@ def test_any_name_is_a_board_or_a_config_error(text: str) -> None:
 @pytest.mark.parametrize("spec", ["chessboard:9x6", "charuco:9x7"])
 def test_corners_are_found_where_they_are(spec: str, camera) -> None:  # type: ignore[no-untyped-def]
     board = Board.parse(spec)
-    misses = []
+    misses, worst = [], []
     for pose, image in zip(*gallery(spec, camera), strict=True):
         view = board.find(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR))
         if view is None:
@@ -74,10 +74,14 @@ def test_corners_are_found_where_they_are(spec: str, camera) -> None:  # type: i
         exact = truth(board, camera, pose)[view.corners]
         # A chessboard may be read from either end.
         ways = [exact, exact[::-1]] if board.kind == "chessboard" else [exact]
-        misses.append(min(float(np.linalg.norm(view.pixels - way, axis=1).mean()) for way in ways))
+        found = min((np.linalg.norm(view.pixels - way, axis=1) for way in ways), key=np.mean)
+        misses.append(float(found.mean()))
+        worst.append(float(found.max()))
     assert len(misses) >= 14
     assert np.median(misses) < 0.15
     assert max(misses) < 0.5
+    if board.kind == "chessboard":  # one that lies a pixel aside bends the lens that is found
+        assert max(worst) < 0.3
 
 
 def test_a_charuco_board_may_be_seen_in_part() -> None:

@@ -39,6 +39,8 @@ def test_pictures_of_a_board_give_the_camera_back(spec: str, camera: Camera) -> 
     assert (found.cx, found.cy) == pytest.approx((camera.cx, camera.cy), abs=1.5)
     assert result.rms < 0.3
     assert largest_difference(camera, found) < 2.0
+    off = [getattr(found, name) - getattr(camera, name) for name in ("fx", "fy", "cx", "cy")]
+    assert np.abs(np.array(off) / result.sigmas).max() < 3.5
 
 
 @pytest.mark.parametrize("camera", [PINHOLE_CAMERA, FISHEYE_CAMERA], ids=["pinhole", "fisheye"])
