@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from contextlib import AbstractContextManager, nullcontext, suppress
 from pathlib import Path
@@ -173,7 +174,7 @@ def _digests(name: str) -> tuple[str, bool]:
     """What the files' digests say, and whether they are right."""
     path = named_path(name)
     try:
-        return _digests_of_path(path) if path.is_file() else _digests_of_name(name)
+        return _digests_of_path(path) if os.path.isfile(path) else _digests_of_name(name)
     except ModelError as error:
         return str(error), False
 

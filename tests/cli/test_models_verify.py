@@ -58,3 +58,12 @@ def test_an_empty_name_is_of_no_network(capsys):
     """A script's variable that is not set must not pass for a sound network."""
     assert main(["models", "verify", ""]) == 5
     assert rows(capsys.readouterr().out)[""] == ["not at hand", "model '': the name is empty"]
+
+
+def test_a_file_that_can_not_be_looked_for_is_a_row_beside_the_others(capsys):
+    """As one in a folder that is closed to us; root may enter any."""
+    name = "x" * 300 + ".onnx"
+    assert main(["models", "verify", name, "prism_nano"]) == 5
+    shown = capsys.readouterr().out
+    assert "can't be read (File name too long)" in shown.replace("\n", " ")
+    assert "on CPUExecutionProvider" in rows(shown)["prism_nano"][1]
