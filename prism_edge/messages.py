@@ -305,9 +305,7 @@ class MapSnapshot:
     points: I64 = array("int64", -1)
     carried: int = 0  # how many of ``keyframes``, the last of them, have been culled and still carry frames
     away: I64 = optional("int64", -1)  # those that lie nowhere in it: of parts that no loop has joined
-    # For those that were made in a part that a loop gave another unit: that, in the one of then.
-    regauged: I64 = optional("int64", -1)
-    regauged_by: F64 = optional("float64", -1)
+    grown: F64 = optional("float64", -1)  # by how much loops have lengthened each one's part since
     # Every loop that was accepted: the later keyframe's frame, the earlier one's, and what was measured then.
     loop_queries: I64 = optional("int64", -1)  # frame indices
     loop_candidates: I64 = optional("int64", -1)

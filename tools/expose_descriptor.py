@@ -28,6 +28,7 @@ from onnx import NodeProto, TensorProto, helper, numpy_helper
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from prism_edge.depth.agreement import depth_output
 from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.inner_tensor import GEM, GEM_FLOOR, GEM_POWER, GRID, MAX, POOLINGS, TOKEN, halves
@@ -186,10 +187,7 @@ def write(
     taken = {name for node in model.graph.node for name in node.output}
     if OUTPUT in taken:
         raise ModelError(f"{source.name}: has an output {OUTPUT!r} already")
-    outputs = [output.name for output in model.graph.output if output.name != layer]
-    if not card.depth_output and len(outputs) != 1:
-        raise ModelError(f"{source.name}: its card must name depth_output, one of {', '.join(outputs)}")
-    depth = card.depth_output or outputs[0]
+    depth = depth_output(card, [output.name for output in model.graph.output], layer, source.name)
     shape = poolable(model)[layer]
     opset = max(item.version for item in model.opset_import if item.domain in ("", "ai.onnx"))
     model.graph.node.extend(pooling_nodes(layer, shape, pooling, opset))

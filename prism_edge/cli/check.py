@@ -86,7 +86,8 @@ def _source(source: SourceConfig) -> list[str]:
         named = [named_path(source.camera)] if source.camera else camera_files(source.uri)
         camera = next((read_camera(path) for path in named if os.path.isfile(path)), None)
     mask = named_path(source.mask)
-    if source.mask and not os.path.exists(mask):
+    has_mask = bool(source.mask) and os.path.exists(mask)
+    if source.mask and not has_mask:
         hindered = hindrance(mask)
         what = f"can't be read ({hindered})" if hindered else "is not there"
         missing.append(f"mask {source.mask} {what}")
@@ -95,9 +96,9 @@ def _source(source: SourceConfig) -> list[str]:
         camera = None if opened is UNCALIBRATED else opened  # known once it is connected, or estimated
     except (ConfigError, SourceError) as error:
         missing.append(str(error))
-    if source.mask and os.path.exists(mask) and camera:
+    if has_mask and camera:
         mask_for(mask, camera.width, camera.height)
-    elif source.mask and os.path.exists(mask):
+    elif has_mask:
         read_mask(mask)
     return missing + [f"camera: {doubt}" for doubt in (doubts(camera) if camera else [])]
 

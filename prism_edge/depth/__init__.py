@@ -104,7 +104,7 @@ def locate(spec: str) -> Path:
         if path.suffix == ".onnx" or len(path.parts) > 1:
             hindered = hindrance(path)
             what = f"can't be read ({hindered})" if hindered else "there is no such file"
-            raise ModelError(f"model {spec!r:.200}: {what}")
+            raise ModelError(f"model {spec!r}: {what}")
         known = ", ".join(item.name for item in entries() if item.card)
         raise ModelError(f"model {spec!r} is neither a file nor a registered name ({known})")
     if entry.card is None:

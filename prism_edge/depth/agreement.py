@@ -26,12 +26,8 @@ def roles(session: Any, card: ModelCard, file: str) -> tuple[str, dict[str, str]
     if shape and (len(shape) != 4 or not all(free_or_equal)):  # one that isn't said may be any
         raise ModelError(f"{file}: input {name!r} has shape {shape}, but its card says {list(expected)}")
     outputs = {item.name: item for item in session.get_outputs()}
-    # An inner tensor is an output by our own doing: the file has but those beside it.
-    inner = card.descriptor_layer if card.has_inner_descriptor and len(outputs) > 1 else ""
-    own = [output for output in outputs if output != inner]
-    depth = card.depth_output or (own[0] if len(own) == 1 else "")
-    if not depth:
-        raise ModelError(f"{file}: its card must name depth_output, one of {', '.join(outputs)}")
+    inner = card.descriptor_layer if card.has_inner_descriptor else ""
+    depth = depth_output(card, list(outputs), inner, file)
     by_role = {
         "depth": depth,
         "confidence": card.confidence_output,
@@ -48,3 +44,14 @@ def roles(session: Any, card: ModelCard, file: str) -> tuple[str, dict[str, str]
             raise ModelError(f"{file}: output {output!r} is {outputs[output].type}, but float is needed")
     # Rays and intrinsics are asked for by whoever wants them, not with every keyframe.
     return name, {role: output for role, output in by_role.items() if role not in ("rays", "intrinsics")}
+
+
+def depth_output(card: ModelCard, outputs: list[str], inner: str, file: str) -> str:
+    """The output that is depth. ModelError where the card names none of several.
+
+    ``inner``, the tensor that descriptors are pooled of, is an output by our own doing if others are there.
+    """
+    own = [output for output in outputs if output != inner] or outputs
+    if not card.depth_output and len(own) != 1:
+        raise ModelError(f"{file}: its card must name depth_output, one of {', '.join(outputs)}")
+    return card.depth_output or own[0]

@@ -49,7 +49,8 @@ class Recording:
     @cached_property
     def apart(self) -> list[Tracked]:
         """The frames that were tracked in a part of the map whose place in it was not known then."""
-        return [f for f in self.frames if f.odometry in (OK, DEGRADED) and not f.published]
+        followed = (f for f in self.frames if f.odometry in (OK, DEGRADED) and not f.published)
+        return [f for f in followed if f.stamp_ns not in self.published]
 
     def live(self) -> Trajectory:
         """Every pose exactly as published, map_from_camera; poses that aren't finite are left out."""
@@ -64,14 +65,13 @@ class Recording:
         from the map's world frame by ``map_from_world`` (4, 4). Also returns how many frames with a pose had
         to be left out because the map no longer holds their reference keyframe, or holds no numbers for it.
         """
-        away = set(snapshot.away.tolist())
-        at = zip(snapshot.keyframes.tolist(), snapshot.poses, strict=True)
-        keyframes = {k: pose for k, pose in at if k not in away}
-        regauged = dict(zip(snapshot.regauged.tolist(), snapshot.regauged_by.tolist(), strict=True))
+        away, numbers = set(snapshot.away.tolist()), snapshot.keyframes.tolist()
+        keyframes = {k: pose for k, pose in zip(numbers, snapshot.poses, strict=True) if k not in away}
+        grown = dict(zip(numbers, snapshot.grown.tolist(), strict=False))  # none where nobody says it
         factor = float(np.exp(snapshot.log_scale))
         rows = []
         for f in (*self.tracked, *self.apart):
-            unit = 1.0 if f.published else regauged.get(f.reference, 1.0)  # the part's own then
+            unit = 1.0 if f.published else grown.get(f.reference, 1.0)  # it is told in the part's own of then
             if f.reference in keyframes:
                 pose = keyframes[f.reference] @ scaled(f.reference_from_camera, unit)
                 rows.append((f.stamp_ns, map_from_world @ scaled(pose, factor)))

@@ -16,7 +16,6 @@ def snapshot(mapper: Mapper, settled: bool, log_scale: float) -> MapSnapshot:
     apart = parts_of(world)
     # A culled keyframe is where that is which it hangs on.
     at = np.concatenate([numbers[: len(world.keyframes)], world.carried.numbers[:, 1]]).tolist()
-    grown = np.array([world.keyframes[k].grown for k in at])
     return MapSnapshot(
         epoch=mapper.epoch,
         sequence=mapper.sequence,
@@ -27,8 +26,7 @@ def snapshot(mapper: Mapper, settled: bool, log_scale: float) -> MapSnapshot:
         points=np.array(list(world.points), np.int64),
         carried=len(world.carried),
         away=numbers[[k in apart for k in at]],
-        regauged=numbers[grown != 1.0],
-        regauged_by=grown[grown != 1.0],
+        grown=np.array([world.keyframes[k].grown for k in at], np.float64),
         loop_queries=np.array([loop.query_index for loop in loops], np.int64),
         loop_candidates=np.array([loop.candidate_index for loop in loops], np.int64),
         loop_poses=np.array([loop.candidate_from_query for loop in loops]).reshape(-1, 4, 4),

@@ -117,8 +117,7 @@ def test_frames_of_a_part_that_a_loop_has_joined_since_are_in_the_finished_map()
     taken = replace(
         snapshot({3: np.eye(4), 7: there, 8: there, 9: there}, np.log(2.0)),
         away=np.array([8, 9]),
-        regauged=np.array([7]),
-        regauged_by=np.array([1.5]),
+        grown=np.array([1.0, 1.5, 1.0, 1.0]),
     )
     recording = Recording([pose(0), pose(3), pose(4)], [frame(0, reference=3), *then])
     final, missing = recording.final(taken, np.eye(4))

@@ -30,8 +30,8 @@ def test_what_was_culled_is_counted_and_what_nothing_has_joined_is_named() -> No
     assert sorted(shown.keyframes[len(held) :].tolist()) == [2, 51, 102]
     assert shown.carried == 3
     assert sorted(shown.away.tolist()) == [100, 101, 102, 103]
-    assert sorted(shown.regauged.tolist()) == [50, 51, 52, 53]
-    assert set(shown.regauged_by.tolist()) == {1.5}
+    grown = dict(zip(shown.keyframes.tolist(), shown.grown.tolist(), strict=True))
+    assert grown == {k: 1.5 if 50 <= k < 54 else 1.0 for k in grown}
     for k, pose in zip(shown.keyframes.tolist(), shown.poses, strict=True):
         assert np.abs(inverse(before[k]) @ pose - np.eye(4)).max() < 1e-9
     assert (shown.settled, shown.log_scale) == (True, 0.2)
