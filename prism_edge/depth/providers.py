@@ -12,7 +12,7 @@ import logging
 import os
 import re
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -117,14 +117,31 @@ def lacking(name: str, offered: Sequence[str]) -> str:
 
 
 def start(
-    vetted: Vetted, config: DepthConfig, inner: str = "", without: Collection[str] = ()
-) -> Started:
-    """Loads a vetted network on the first of ``depth.providers`` that starts, the CPU after all.
+    vetted: Vetted, config: DepthConfig, first_image: Callable[[Started], str], inner: str = ""
+) -> None:
+    """Loads a vetted network on the first of ``depth.providers`` that runs it, the CPU after all.
 
-    ``inner`` names an inner tensor that becomes one more output; providers in ``without`` aren't tried.
-    Those behind the one that starts get the nodes that it does not take. Raises ModelError where a provider
-    that ``depth.required`` names is not there or does not start, or where no provider takes the file.
+    ``inner`` names an inner tensor that becomes one more output. Those behind the provider that starts get
+    the nodes that it does not take. A GPU that is full fails at an image only: ``first_image`` takes the
+    session for its owner's and says why its first inference fails, letting go of it and so of the GPU's
+    memory; nothing where it doesn't. Raises ModelError where a provider that ``depth.required`` names is not
+    there or does not run it, or where no provider takes the file.
     """
+    failed: list[str] = []
+    while True:
+        started = _started(vetted, config, inner, failed)
+        why, provider = first_image(started), started.provider
+        if not why:
+            return
+        del started  # and with it what it holds of the GPU's memory
+        if provider == CPU:  # which nothing stands behind
+            raise ModelError(f"{vetted.path.name}: {why}")
+        _pass_over(provider, vetted.path, why, _required(config))
+        failed.append(provider)
+
+
+def _started(vetted: Vetted, config: DepthConfig, inner: str, without: Collection[str]) -> Started:
+    """Loaded on the first provider that starts; those in ``without`` aren't tried."""
     check_names(config)  # a wrong setting is no fault of the file
     onnxruntime.set_default_logger_severity(_ERRORS)
     names = tuple(dict.fromkeys(full_name(name) for name in (*config.providers, "cpu")))
@@ -179,16 +196,6 @@ def _first_that_starts(
             raise ModelError(f"{path}: no ONNX model that {version} can load (opset {vetted.opset}; {why})")
         _pass_over(name, path, why, required)
     raise ModelError(f"{path}: this onnxruntime has not even a CPU provider")
-
-
-def fails(provider: str, path: Path, config: DepthConfig, why: str) -> None:
-    """A network that ``provider`` started fails at its first image for ``why``: a warning, and do without it.
-
-    Raises ModelError where it is the CPU, which nothing stands behind, or one that ``depth.required`` names.
-    """
-    if provider == CPU:
-        raise ModelError(f"{path.name}: {why}")
-    _pass_over(provider, path, why, _required(config))
 
 
 def _pass_over(name: str, path: Path, why: str, required: set[str]) -> None:

@@ -27,9 +27,9 @@ from prism_edge.depth.prediction import (
     no_confidence,
     no_descriptor,
 )
-from prism_edge.depth.providers import Started, fails, native_line, start, with_own_engines
+from prism_edge.depth.providers import Started, native_line, start, with_own_engines
 from prism_edge.depth.registry import File
-from prism_edge.depth.vetting import Vetted, vet
+from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 
@@ -69,23 +69,19 @@ class OnnxNetwork:
         self.counters: dict[str, int] = {}
         self._doubted = False
         self._session: Any = None
-        self._begin(vetted, with_own_engines(config or DepthConfig(), self.fingerprint), inner)
+        engines = with_own_engines(config or DepthConfig(), self.fingerprint)
+        start(vetted, engines, self._first_image, inner)
         if len(self.nodes) > 1:
             self.counters["nodes_elsewhere"] = sum(self.nodes.values()) - self.nodes[self.provider]
 
-    def _begin(self, vetted: Vetted, config: DepthConfig, inner: str) -> None:
-        """Loads it on the first provider that runs it: on a GPU that is full, say, it fails at an image."""
-        failed: list[str] = []
-        while why := self._try(start(vetted, config, inner, failed)):
-            fails(self.provider, vetted.path, config, why)
-            failed.append(self.provider)
-            self._session = None  # and with it what it holds of the GPU's memory
-
-    def _try(self, started: Started) -> str:
+    def _first_image(self, started: Started) -> str:
         """Takes the session for its own and warms it up; why that fails, empty where it does not."""
         self._session, self.provider, self.nodes = started.session, started.provider, started.nodes
         self._input, self._outputs = roles(self._session, self.card, self.path.name)
-        return self._warm_up()
+        why = self._warm_up()
+        if why:
+            self._session = None
+        return why
 
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
         """Metric depth of an image (height, width, 3) uint8 RGB that ``camera`` took.

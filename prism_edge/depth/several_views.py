@@ -20,7 +20,7 @@ from prism_edge.depth.contract import INVERSE_RELATIVE
 from prism_edge.depth.fingerprint import fingerprint
 from prism_edge.depth.placement import Placement, place, tensor
 from prism_edge.depth.prediction import Prediction, checked, in_its_range, no_confidence, no_descriptor
-from prism_edge.depth.providers import native_line, start, with_own_engines
+from prism_edge.depth.providers import Started, native_line, start, with_own_engines
 from prism_edge.depth.registry import File
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError
@@ -53,23 +53,39 @@ class SeveralViewsNetwork:
         if self.card.depth_kind == INVERSE_RELATIVE or self.card.sky_output:
             raise ModelError(f"{path.name}: networks of several views are of depth, without sky")
         engines = with_own_engines(config, fingerprint(self.card, vetted))
-        started = start(vetted, engines)
-        self._session, self.provider = started.session, started.provider
-        inputs = {item.name: item.shape for item in self._session.get_inputs()}
-        image = self.card.input_name or "image"
-        size = (self.card.input_height, self.card.input_width)
-        wanted = {image: (3, *size), POSES: (4, 4), MATRICES: (3, 3)}
-        if inputs != {name: [self.views, *shape] for name, shape in wanted.items()}:
-            needs = ", ".join(f"{name} {[self.views, *shape]}" for name, shape in wanted.items())
-            takes = ", ".join(f"{name} {shape}" for name, shape in inputs.items())
-            raise ModelError(f"{path.name}: takes {takes}; a network of {self.views} views takes {needs}")
-        self._image = image
+        self._session: Any = None
+        self._image = self.card.input_name or "image"
         self._outputs = [self.card.depth_output or "depth", PREDICTED]
         if self.card.confidence_output:
             self._outputs.append(self.card.confidence_output)
-        lacking = set(self._outputs) - {item.name for item in self._session.get_outputs()}
+        start(vetted, engines, self._first_image)
+
+    def _first_image(self, started: Started) -> str:
+        """Takes the session for its own and asks it once; why that fails, empty where it does not.
+
+        Raises ModelError where inputs and outputs are not those of such a network.
+        """
+        session, self.provider = started.session, started.provider
+        inputs = {item.name: item.shape for item in session.get_inputs()}
+        size = (self.card.input_height, self.card.input_width)
+        wanted = {self._image: (3, *size), POSES: (4, 4), MATRICES: (3, 3)}
+        if inputs != {name: [self.views, *shape] for name, shape in wanted.items()}:
+            takes = ", ".join(f"{name} {shape}" for name, shape in inputs.items())
+            needs = ", ".join(f"{name} {[self.views, *shape]}" for name, shape in wanted.items())
+            needs = f"a network of {self.views} views takes {needs}"
+            raise ModelError(f"{self._path.name}: takes {takes}; {needs}")
+        lacking = set(self._outputs) - {item.name for item in session.get_outputs()}
         if lacking:
-            raise ModelError(f"{path.name}: has no output {', '.join(sorted(lacking))}")
+            raise ModelError(f"{self._path.name}: has no output {', '.join(sorted(lacking))}")
+        any_feed = {name: np.zeros((self.views, *shape), np.float32) for name, shape in wanted.items()}
+        for name in (POSES, MATRICES):
+            any_feed[name][:] = np.eye(any_feed[name].shape[1])
+        try:
+            session.run(self._outputs, any_feed)
+        except Exception as error:  # whatever a foreign graph makes onnxruntime raise
+            return f"the first inference failed ({native_line(error)})"
+        self._session = session
+        return ""
 
     def infer(
         self, pictures: Sequence[NDArray[np.uint8]], cameras: Sequence[Camera], world_from_camera: Array

@@ -19,6 +19,7 @@ from prism_edge.depth.several_views import LEAST_UNIT, SeveralViewsNetwork, unit
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import from_rt, so3_exp
+from tests.depth.test_providers import CPU, CUDA, FAINTED, Border
 from tests.synthetic.network import POOL, TinyNetwork, save, write_tiny_network
 from tests.synthetic.tint import log_depth_weights
 
@@ -130,6 +131,22 @@ def test_depth_is_in_the_unit_of_the_poses(tmp_path: Path) -> None:
 def test_the_unit_of_an_even_number_of_views_is_the_lower_one_in_the_middle(views: int, unit: float) -> None:
     """Cameras 1 m apart on a line; torch.median(torch.tensor([0., 1., 2., 3.])) is 1."""
     assert unit_of(np.arange(views, dtype=float)[::-1, None] * [-1.0, 0.0, 0.0]) == pytest.approx(unit)
+
+
+def test_the_next_provider_runs_it_where_a_gpu_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write(tmp_path / "net.onnx")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    Border(monkeypatch, cuda="faints")
+    network = open_offline(str(path), DepthConfig(providers=("cuda",)))
+    assert network.provider == CPU
+    assert caplog.messages == [f"cuda does not run net.onnx: {FAINTED}; trying the next"]
+    assert network.infer(pictures(), [CAMERA] * VIEWS, POSES)
+    with pytest.raises(ModelError, match=r"^cuda is required, but can't run net\.onnx: the first inf"):
+        open_offline(str(path), DepthConfig(providers=("cuda",), required=("cuda",)))
+    Border(monkeypatch, cuda="starts")
+    assert open_offline(str(path), DepthConfig(providers=("cuda",))).provider == CUDA
 
 
 def test_what_it_is_given(tmp_path: Path) -> None:
