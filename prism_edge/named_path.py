@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -20,3 +21,9 @@ def hindrance(path: Path) -> str:
     except OSError as error:
         return error.strerror or type(error).__name__
     return ""
+
+
+def refuse_pipe(path: Path) -> None:
+    """Raises OSError for a pipe: reading it may never come to an end."""
+    if path.is_fifo():
+        raise OSError(errno.EINVAL, "a pipe, not a file", str(path))

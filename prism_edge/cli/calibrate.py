@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from prism_edge.cli.settings import a_path
 from prism_edge.cli.whole_file import check_writable, put_whole
 from prism_edge.config import SourceConfig
 from prism_edge.errors import CalibrationError, ConfigError
@@ -14,6 +15,9 @@ from prism_edge.geometry.cameras import FISHEYE, PINHOLE
 if TYPE_CHECKING:
     from prism_edge.calibration.board import Board
     from prism_edge.cli.board_views import Gathered
+
+
+OUT = Path("camera.yaml")
 
 
 def add_parser(subparsers: Any, help_line: str) -> None:
@@ -39,10 +43,13 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "--model", choices=(PINHOLE, FISHEYE), default=PINHOLE, help="lens model (default: pinhole)"
     )
     parser.add_argument(
-        "--out", metavar="FILE", default="camera.yaml", help="camera file to write (default: camera.yaml)"
+        "--out", metavar="FILE", type=a_path, default=OUT, help=f"camera file to write (default: {OUT})"
     )
     parser.add_argument(
-        "--picture", metavar="FILE", help="picture of the coverage (default: beside the file, .coverage.png)"
+        "--picture",
+        metavar="FILE",
+        type=a_path,
+        help="picture of the coverage (default: beside the file, .coverage.png)",
     )
     parser.add_argument("--overwrite", action="store_true", help="replace files that are there")
 
@@ -56,9 +63,9 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.sources.open import open_source
 
     board = Board.parse(args.board)
-    out = Path(args.out)
+    out = args.out
     check_writable(out, args.overwrite)
-    picture = Path(args.picture) if args.picture else coverage_of(out)
+    picture = args.picture or coverage_of(out)
     # A picture without a camera file is that of a run that was refused: the next one takes its place.
     left_over = not args.picture and picture not in map(coverage_of, files_in(out.parent))
     check_writable(picture, args.overwrite or left_over)

@@ -115,6 +115,7 @@ def _sensor(source: SourceConfig) -> list[str]:
 
 
 def _model(config: Config) -> list[str]:
+    check_names(config.depth)
     model = config.depth.network
     if config.source.uri and config.source.camera == AUTO and not model:
         return [AUTO_NEEDS]  # wherever depth runs, the source asks it, too
@@ -125,8 +126,6 @@ def _model(config: Config) -> list[str]:
             needs = "recordings with depth images and simulated worlds"
             raise ConfigError(f"depth.model: {SENSOR} is for {needs}")
         return _sensor(config.source)
-    if model:
-        check_names(config.depth)
     missing = idle_options(config.depth) + absent(config.depth) if model else []
     if config.source.uri and not model:
         missing.append("depth.model: no network is named, and without one there are no poses")

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from prism_edge.cli.settings import (
     BUNDLED,
     FREE_PORT,
+    a_path,
     add_common,
     add_order,
     config_from,
@@ -52,7 +53,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         help=f"simulated world (default: the configuration's where it has one, else {SOURCE})",
     )
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=OUT, help=f"where results go (default: {OUT})"
+        "--out", metavar="DIR", type=a_path, default=OUT, help=f"where results go (default: {OUT})"
     )
     parser.add_argument(
         "--model",

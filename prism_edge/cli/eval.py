@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import signal
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from prism_edge.cli.settings import (
     FREE_PORT,
     RECORDING_HELP,
+    a_path,
     add_common,
     add_playing,
     config_from,
@@ -34,7 +34,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     )
     parser.add_argument("source", metavar="SEQUENCE", help=RECORDING_HELP)
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, required=True, help="where results go (created; overwritten)"
+        "--out", metavar="DIR", type=a_path, required=True, help="where results go (created; overwritten)"
     )
     add_playing(parser)
     parser.add_argument(
@@ -51,7 +51,10 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         help=f"switch a part off ({', '.join(ABLATIONS)}); may be repeated",
     )
     parser.add_argument(
-        "--truth", metavar="FILE.tum", type=Path, help="score against this trajectory, not the sequence's own"
+        "--truth",
+        metavar="FILE.tum",
+        type=a_path,
+        help="score against this trajectory, not the sequence's own",
     )
     add_common(parser, FREE_PORT)
 

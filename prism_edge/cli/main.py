@@ -77,10 +77,9 @@ def main(arguments: list[str] | None = None) -> int:
     print_anything()
     given = sys.argv[1:] if arguments is None else arguments
     chosen = next((word for word in given if not word.startswith("-")), None)
-    args = build_parser(chosen).parse_args(given)
-    module = importlib.import_module(COMMANDS[args.command][0])
     try:
-        code: int = module.run(args)
+        args = build_parser(chosen).parse_args(given)
+        code: int = importlib.import_module(COMMANDS[args.command][0]).run(args)
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from prism_edge.cli.settings import add_configuration, config_from
+from prism_edge.cli.settings import a_path, add_configuration, config_from
 from prism_edge.cli.whole_file import check_writable, put_whole
 from prism_edge.errors import ConfigError, MapError, say
 
@@ -47,23 +46,17 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     export.add_argument(
         "--tum",
         metavar="FILE",
-        type=_file,
+        type=a_path,
         help="write the keyframes' poses, by their stamps (TUM format); refused (exit code 10) for a map "
         "that doesn't say when they were taken, as earlier builds' don't",
     )
-    export.add_argument("--ply", metavar="FILE", type=_file, help="write the points (binary PLY)")
+    export.add_argument("--ply", metavar="FILE", type=a_path, help="write the points (binary PLY)")
     export.add_argument(
         "--of", choices=("camera", "base"), help="whose poses --tum has (default: camera); base: of the robot"
     )
     export.add_argument("--overwrite", action="store_true", help="replace files that are there")
     add_configuration(export)
     export.set_defaults(refuse=export.error)
-
-
-def _file(name: str) -> Path:
-    if not name:
-        raise argparse.ArgumentTypeError("expected a file, got an empty name")
-    return Path(name)
 
 
 def run(args: argparse.Namespace) -> int:

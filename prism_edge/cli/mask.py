@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from prism_edge.cli.settings import a_path
 from prism_edge.cli.whole_file import check_writable, put_whole
 from prism_edge.config import SourceConfig
 from prism_edge.errors import CalibrationError, ConfigError, SourceError
@@ -32,7 +33,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "or too much. Exit code 9 where the camera hardly moved.",
     )
     parser.add_argument("source", metavar="SOURCE", help="recording, or camera such as v4l2:/dev/video0")
-    parser.add_argument("--out", metavar="FILE", help="PNG to write (default: mask.png)")
+    parser.add_argument("--out", metavar="FILE", type=a_path, help="PNG to write (default: mask.png)")
     parser.add_argument("--overwrite", action="store_true", help="replace a file that is there")
 
 
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.sources.open import open_source
     from prism_edge.sources.own_parts import OwnParts
 
-    out = Path(MASK if args.out is None else args.out)
+    out = args.out or Path(MASK)
     check_writable(out, args.overwrite)
     if out.suffix.lower() != ".png":
         raise ConfigError(f"{out}: a mask is a PNG file, which keeps its black black")

@@ -6,7 +6,7 @@ import argparse
 import importlib
 from typing import Any
 
-from prism_edge.cli.settings import seconds_above_zero, whole_from_one_to
+from prism_edge.cli.settings import a_path, seconds_above_zero, whole_from_one_to
 
 DESCRIPTION = (
     "Depth networks. A network is named to `run` and `eval` by its file, by its name once its file is at "
@@ -48,7 +48,9 @@ def _add_pull(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--sha256", default="", metavar="HEX", help="of the file behind a URL")
     parser.add_argument("--name", default="", help="for a URL's file (default: the file's own)")
-    parser.add_argument("--into", metavar="FOLDER", help="where to keep it (default: see docs/MODELS.md)")
+    parser.add_argument(
+        "--into", metavar="FOLDER", type=a_path, help="where to keep it (default: see docs/MODELS.md)"
+    )
     parser.add_argument(
         "--stall", type=_stall_s, default=30.0, metavar="S", help="seconds without data before trying again"
     )

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _pull(console: Console, args: argparse.Namespace) -> int:
-    into = named_path(args.into) if args.into else download_folder()
+    into = named_path(str(args.into)) if args.into else download_folder()
     entry = find(args.model)
     here = entry.located() if entry and not entry.can_be_pulled else None
     if here is not None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prism_edge.cli.settings import (
     BUNDLED,
     RECORDING_HELP,
+    a_path,
     add_configuration,
     config_from,
     whole_from_one_to,
@@ -50,7 +50,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         help="depth network, as `run` takes it; one without metres, or of several views, too "
         f"(default: depth.model, {BUNDLED} for simulated worlds)",
     )
-    parser.add_argument("--out", metavar="FILE", type=Path, required=True, help="PLY file to write")
+    parser.add_argument("--out", metavar="FILE", type=a_path, required=True, help="PLY file to write")
     parser.add_argument(
         "--mask", metavar="FILE", help="image, black where the camera sees its own robot (as for `run`)"
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from prism_edge.config import NO_NETWORK, SENSOR, BusConfig, Config
@@ -20,6 +21,13 @@ SOURCE_HELP = (
 
 FREE_PORT = "a free port of loopback, for runs side by side"  # where an evaluation's daemon listens
 BUNDLED = "prism_nano"  # the network that comes with prism_edge (docs/PRISM_NANO.md)
+
+
+def a_path(name: str) -> Path:
+    """An option's file or folder. ArgumentTypeError for an empty name, which would be where one stands."""
+    if not name:
+        raise argparse.ArgumentTypeError("expected a file or folder, got an empty name")
+    return Path(name)
 
 
 def whole_above_zero(text: str) -> int:

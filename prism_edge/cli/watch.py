@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from prism_edge.cli.live_view import LiveView
-from prism_edge.cli.settings import add_common, config_from, whole_above_zero
+from prism_edge.cli.settings import a_path, add_common, config_from, whole_above_zero
 from prism_edge.cli.whole_file import check_writable
 
 if TYPE_CHECKING:
@@ -34,18 +34,12 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "latency until Ctrl-C. Waits for the daemon where it does not run yet.",
     )
     parser.add_argument(
-        "--tum", metavar="FILE", type=_file, help="record the camera's poses as they come (TUM format)"
+        "--tum", metavar="FILE", type=a_path, help="record the camera's poses as they come (TUM format)"
     )
     parser.add_argument("--overwrite", action="store_true", help="let --tum replace a file that is there")
     parser.add_argument("--plain", action="store_true", help="print one line a pose instead of a live table")
     parser.add_argument("--count", metavar="N", type=whole_above_zero, help="end after N poses")
     add_common(parser)
-
-
-def _file(name: str) -> Path:
-    if not name:
-        raise argparse.ArgumentTypeError("expected a file, got an empty name")
-    return Path(name)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,6 +12,7 @@ import yaml
 
 from prism_edge.errors import YAML_MISFITS, ConfigError
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
+from prism_edge.named_path import refuse_pipe
 
 _OWN_REQUIRED = ("width", "height", "fx", "fy", "cx", "cy")
 _OWN_KEYS = {*_OWN_REQUIRED, "model", "distortion", "readout_ms"}
@@ -77,6 +78,7 @@ for _tag in ("int", "float"):
 def read_camera(path: Path) -> Camera:
     """The camera that a YAML file describes; raises ConfigError naming the file and the key."""
     try:
+        refuse_pipe(path)
         text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"camera file {path} can't be read ({error.strerror})") from None

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.errors import ConfigError
+from prism_edge.named_path import refuse_pipe
 
 Shown = NDArray[np.bool_]  # (height, width): True where the world is seen
 
@@ -21,6 +22,7 @@ def read_mask(path: Path) -> Shown:
     Raises ConfigError, naming the file, where it is no image or leaves less than LEAST_SHOWN of it.
     """
     try:
+        refuse_pipe(path)
         data = np.frombuffer(path.read_bytes(), np.uint8)
     except OSError as error:
         raise ConfigError(f"mask {path} can't be read ({error.strerror})") from None

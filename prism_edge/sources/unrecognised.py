@@ -20,7 +20,13 @@ _TEXT = {".txt", ".csv", ".json", ".xml", ".toml", ".md", ".tum", *_YAML}
 
 
 def no_video(file: Path) -> str:
-    """Why a file can't be played, by its name, in words that follow that; empty: it may be a video."""
+    """Why a file can't be played, in words that follow its name; empty: it may be a video."""
+    try:
+        with file.open("rb") as opened:
+            if not opened.read(1):
+                return "is empty"
+    except OSError as error:
+        return f"can't be read ({error.strerror})"
     kind = file.suffix.lower()
     if kind in BAGS:
         return A_BAG

@@ -73,6 +73,8 @@ def test_what_runs_is_passed_without_a_word(
         ("depth: {model: a, providers: [gpu]}\n", 5, "no execution provider 'gpu'"),
         ("depth: {model: a, required: [cuda]}\n", 5, "depth.required: cuda is not among depth.providers"),
         ("depth: {model: a, provider_options: [device_id=1]}\n", 5, "not of the form PROVIDER.KEY=VALUE"),
+        ("depth: {providers: [abacus]}\n", 5, "there is no execution provider 'abacus'"),
+        ("depth: {provider_options: [abacus]}\n", 5, "not of the form PROVIDER.KEY=VALUE"),
         ("metrics: {port: 7447}\n", 3, "bus.endpoint has this port"),
     ],
 )

@@ -145,6 +145,42 @@ def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
     assert cli.main(["config"]) == 130
 
 
+def test_ctrl_c_while_the_command_is_loaded_is_130_too(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(_: str) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli.importlib, "import_module", interrupted)
+    assert cli.main(["watch"]) == 130
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("eval", "sim:room", "--out"),
+        ("eval", "sim:room", "--out", "run", "--truth"),
+        ("demo", "--out"),
+        ("reconstruct", "map", "recording", "--out"),
+        ("calibrate", "pictures", "--out"),
+        ("calibrate", "pictures", "--picture"),
+        ("mask", "pictures", "--out"),
+        ("models", "pull", "prism_nano", "--into"),
+        ("watch", "--tum"),
+        ("map", "export", "lab", "--ply"),
+    ],
+)
+def test_an_empty_name_is_not_the_folder_one_stands_in(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As of a script's variable that is not set."""
+    with pytest.raises(SystemExit) as ended:
+        main([*words, ""])
+    assert ended.value.code == 2
+    assert f"{words[-1]}: expected a file or folder, got an empty name" in capsys.readouterr().err
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 @pytest.mark.parametrize("option", ["--explain", "--robot=r2"])
 def test_output_on_a_full_disk_is_one_line(option: str) -> None:

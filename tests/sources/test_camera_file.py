@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -357,3 +358,9 @@ def test_any_tree_is_a_camera_or_a_config_error(changes: dict[str, object], of: 
 def test_any_text_is_a_camera_or_a_config_error(text: str) -> None:
     with pytest.raises(ConfigError):
         parse_camera(text)
+
+
+def test_a_pipe_is_refused_before_anybody_waits_for_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "camera.yaml")
+    with pytest.raises(ConfigError, match=r"camera\.yaml can't be read \(a pipe, not a file\)"):
+        read_camera(tmp_path / "camera.yaml")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -55,3 +56,9 @@ def test_a_mask_that_leaves_hardly_anything_is_refused(tmp_path: Path) -> None:
     pixels[:3] = 255
     with pytest.raises(ConfigError, match="leaves 8 % of the image; white is what is looked at"):
         read_mask(write(tmp_path / "mask.png", pixels))
+
+
+def test_a_pipe_is_refused_before_anybody_waits_for_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "mask.png")
+    with pytest.raises(ConfigError, match=r"mask .*mask\.png can't be read \(a pipe, not a file\)"):
+        read_mask(tmp_path / "mask.png")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -227,6 +229,21 @@ def test_a_text_file_is_no_video_whichever_camera_took_it(tmp_path: Path, name: 
         assert isinstance(error, SourceError)
         assert f"{name} is text, no video that can be read" in str(error)
         assert ("--config" in str(error)) == (name.lower().endswith(("yaml", "yml")))
+
+
+def test_what_is_empty_or_closed_to_us_is_said_before_a_camera_is_asked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "walk.mp4").write_bytes(b"")
+    error = refusal(tmp_path / "walk.mp4")
+    assert isinstance(error, SourceError)
+    assert str(error).endswith("walk.mp4 is empty")
+
+    def closed(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    monkeypatch.setattr(Path, "open", closed)  # the tests may be run by root, to whom nothing is closed
+    assert str(refusal(tmp_path / "walk.mp4")).endswith("walk.mp4 can't be read (Permission denied)")
 
 
 def test_camera_files_win_over_the_table_and_the_option_over_all(tmp_path: Path) -> None:
