@@ -17,7 +17,7 @@ from prism_edge.named_path import named_path
 from prism_edge.processes import PROCESSES
 from prism_edge.topics import COMMANDS, TOPICS
 
-_SECURE = ("tls", "quic")
+SECURE = ("tls", "quic")
 _HEAR = {"ingress": ["declare_subscriber", "query"], "egress": ["put", "reply", "declare_queryable"]}
 _SAY = {"ingress": ["put", "reply", "declare_queryable"], "egress": ["declare_subscriber", "query"]}
 _SEE_TOKENS = {
@@ -59,7 +59,7 @@ def check_settings(network: NetworkConfig, bus: str) -> None:
         check_endpoint(network.endpoint, "network.endpoint")
         if collide(bus, network.endpoint):
             raise ConfigError(f"network.endpoint: the bus has its port already ({bus}): take another")
-    secure = protocol_of(network.endpoint) in _SECURE
+    secure = protocol_of(network.endpoint) in SECURE
     if network.operators and not secure:
         raise ConfigError("network.operators: only a tls/ network.endpoint asks for certificates")
     for name in network.remote:
@@ -133,7 +133,7 @@ def access_control(network: NetworkConfig, listener: bool) -> dict[str, Any]:
     for process in network.remote:
         own = _of_process(process)
         rules += own
-        by_name = {"cert_common_names": [process]} if protocol_of(network.endpoint) in _SECURE else {}
+        by_name = {"cert_common_names": [process]} if protocol_of(network.endpoint) in SECURE else {}
         subjects.append({"id": f"remote {process}", **by_name})
         policies.append({"subjects": [f"remote {process}"], "rules": [rule["id"] for rule in own]})
     return _deny_but(rules, subjects, policies)

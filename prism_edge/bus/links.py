@@ -11,7 +11,7 @@ from typing import Any
 
 import zenoh
 
-from prism_edge.bus.access import access_control, tls
+from prism_edge.bus.access import SECURE, access_control, tls
 from prism_edge.bus.keys import address_of, check_endpoint, protocol_of
 from prism_edge.bus.leftovers import sweep
 from prism_edge.config import BusConfig, NetworkConfig
@@ -132,7 +132,10 @@ def _why_not(endpoint: str, error: Exception) -> str:
     if "in use" in said or "os error 98" in said or "Unable to acquire lock" in said:
         return f"{endpoint} is in use already; is another prism-edge running?"
     if "Unable to connect" in said:
-        return f"nobody answers at {endpoint}; is prism-edge running there?"
+        nobody = f"nobody answers at {endpoint}; is prism-edge running there"
+        if protocol_of(endpoint) in SECURE:
+            nobody += ", and are the certificates of one authority (prism-edge doctor --config FILE)"
+        return f"{nobody}?"
     # without the place in Zenoh's own source
     reason = re.sub(r" at /\S+\.rs:\d+\.?\]?", "", first_line(error))
     return f"can't open {endpoint}: {reason[:160]}"

@@ -6,9 +6,10 @@ import os
 from importlib.util import find_spec
 
 from prism_edge.bus.access import check_settings, unreadable
+from prism_edge.bus.certificates import mismatch
 from prism_edge.bus.keys import check_loopback, check_robot_name
 from prism_edge.cli.settings import with_network
-from prism_edge.config import SENSOR, Config, SourceConfig, SupervisorConfig
+from prism_edge.config import SENSOR, Config, NetworkConfig, SourceConfig, SupervisorConfig
 from prism_edge.depth import locate, networks_of
 from prism_edge.depth.providers import absent, check_names, idle_options
 from prism_edge.errors import ConfigError, ModelError, SourceError
@@ -36,7 +37,7 @@ def check_config(config: Config) -> list[str]:
     check_settings(config.network, config.bus.endpoint)
     check_port(config)
     check_mode(config)
-    missing = _endpoint(config) + unreadable(config.network)  # the service's key is there only while it runs
+    missing = _endpoint(config) + _certificates(config.network)
     missing += extras(config) + _restarts(config.supervisor)
     return missing + _source(config.source) + _model(with_network(config))
 
@@ -53,6 +54,13 @@ def extras(config: Config) -> list[str]:
         for extra, (module, needed) in wanted.items()
         if needed and find_spec(module) is None
     ]
+
+
+def _certificates(network: NetworkConfig) -> list[str]:
+    """The service's key is there only while it runs."""
+    missing = unreadable(network)
+    wrong = "" if missing else mismatch(network)
+    return [*missing, wrong] if wrong else missing
 
 
 def _restarts(config: SupervisorConfig) -> list[str]:

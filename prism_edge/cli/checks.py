@@ -153,12 +153,13 @@ def check_zenoh(config: Config) -> Iterator[Finding]:
 
 
 def check_certificates(config: Config) -> Iterator[Finding]:
-    """Whether the network's settings can be, and the files that they name be read."""
+    """Whether the network's settings can be, and the files that they name be read and belong together."""
     network = config.network
     if not (network.endpoint or network.ca or network.certificate):
         return
     try:
         from prism_edge.bus.access import check_settings, unreadable
+        from prism_edge.bus.certificates import mismatch
 
         check_settings(network, config.bus.endpoint)
     except PrismError as error:
@@ -169,7 +170,10 @@ def check_certificates(config: Config) -> Iterator[Finding]:
     missing = unreadable(network)
     for line in missing:
         yield Finding(FAIL, "network", line, "run as who is to read it; under systemd see docs/SECURITY.md")
-    if not missing:
+    wrong = "" if missing else mismatch(network)
+    if wrong:
+        yield Finding(FAIL, "network", wrong, "docs/SECURITY.md: certificates of one authority, at both ends")
+    elif not missing:
         yield Finding(OK, "network", network.endpoint or "a client's certificate")
 
 

@@ -67,6 +67,14 @@ def test_from_another_host_an_absent_listener_is_an_error(monkeypatch):
         open_session(BusConfig(endpoint=free_endpoint()), listen=False)
 
 
+def test_where_a_tls_link_fails_certificates_are_asked_about(monkeypatch):
+    """Zenoh says the same of nobody there and of a certificate that is not taken."""
+    monkeypatch.setattr(links, "on_this_host", lambda endpoint: False)
+    monkeypatch.setattr(links, "_REACH_MS", 100)
+    with pytest.raises(BusError, match=r"and are the certificates of one authority \(prism-edge doctor"):
+        open_session(BusConfig(endpoint=free_endpoint().replace("tcp/", "tls/")), listen=False)
+
+
 @pytest.mark.parametrize(
     ("endpoint", "here"),
     [

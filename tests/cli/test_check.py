@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import cv2
@@ -16,6 +17,7 @@ from prism_edge.errors import PrismError
 from prism_edge.sources.open import open_source
 from tests.sources.tiny_datasets import write_images
 
+MAKE = Path(__file__).resolve().parents[2] / "deploy" / "make_certificates.sh"
 CAMERA = "width: 640\nheight: 480\nfx: 525\nfy: 525\ncx: 319.5\ncy: 239.5\n"
 LONG = "x" * 300  # what can't be looked for, as in a folder that is closed to us
 USB = "source: {uri: 'v4l2:/dev/video7', camera: CAMERA}\ndepth: {model: prism_nano}\n"
@@ -31,6 +33,9 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def write(file: Path, text: str) -> None:
+    if "LAB" in text:
+        subprocess.run([str(MAKE), str(file.parent), "rover"], check=True, timeout=60, capture_output=True)
+    text = text.replace("LAB", str(file.parent))
     file.write_text(text.replace("CAMERA", str(file.with_name("camera.yaml"))))
 
 
@@ -41,8 +46,8 @@ def write(file: Path, text: str) -> None:
         "source: {uri: 'sim:room'}\n",
         "source: {uri: 'oak:'}\ndepth: {model: prism_nano}\n",
         "source: {uri: 'v4l2:/dev/video7', camera: auto}\ndepth: {model: prism_nano}\n",
-        "network: {endpoint: tls/0.0.0.0:7448, ca: CAMERA, certificate: CAMERA, key: CAMERA, "
-        "remote: [depth]}\n"
+        "network: {endpoint: tls/0.0.0.0:7448, ca: LAB/ca.pem, certificate: LAB/rover.pem, "
+        "key: LAB/rover.key, remote: [depth]}\n"
         "source: {uri: 'oak:'}\ndepth: {model: /elsewhere/net.onnx}\n",
     ],
 )

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import resource
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
 from prism_edge.cli import checks
 from prism_edge.cli.checks import FAIL, OK, WARN, Finding
 from prism_edge.cli.main import main
 from prism_edge.config import BusConfig, Config, DepthConfig, NetworkConfig, SourceConfig, StateConfig
+
+MAKE = Path(__file__).resolve().parents[2] / "deploy" / "make_certificates.sh"
 
 
 def levels(findings: Iterator[Finding]) -> list[str]:
@@ -47,13 +51,21 @@ def test_wheel_that_does_not_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert levels(checks.check_wheels({"no_such_module": "nothing"})) == [FAIL]
 
 
-def test_certificates_that_can_not_be_read_or_used(tmp_path: Path) -> None:
-    files = {name: str(tmp_path / f"{name}.pem") for name in ("ca", "certificate", "key")}
+def test_certificates_that_can_not_be_read_or_used(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = {"ca": "ca.pem", "certificate": "rover.pem", "key": "rover.key"}
+    files = {setting: str(tmp_path / name) for setting, name in names.items()}
     config = Config(network=NetworkConfig(endpoint="tls/0.0.0.0:7448", **files))
     assert levels(checks.check_certificates(config)) == [FAIL] * 3
-    for file in files.values():
-        Path(file).touch()
+    subprocess.run([str(MAKE), str(tmp_path), "rover", "anna"], check=True, timeout=60, capture_output=True)
     assert levels(checks.check_certificates(config)) == [OK]
+    (tmp_path / "anna.key").rename(files["key"])
+    [finding] = checks.check_certificates(config)
+    assert (finding.level, "is not the key of" in finding.found) == (FAIL, True)
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({"network": files}))
+    assert main(["config", "--check", str(tmp_path / "mine.yaml")]) == 0
+    assert f"warning: network.key: {files['key']} is not the key of" in capsys.readouterr().err
     Path(files["key"]).unlink()
     [finding] = checks.check_certificates(config)
     assert files["key"] in finding.found
