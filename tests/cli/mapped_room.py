@@ -28,7 +28,7 @@ from tests.synthetic.sequence import RATE_HZ, synthetic_camera, write_sequence
 FRAMES, APART, SEED = 85, 12, 3
 CAMERA = synthetic_camera(320, 240)
 LOG_SCALE = 0.2  # the map's unit is 1.22 m
-POINTS = 400
+POINTS = 120
 MOUNT = base_from_camera(FramesConfig())
 
 Call = Callable[..., int]
