@@ -42,7 +42,7 @@ EXIT_CODES = """exit codes:
   10   a stored map can't be read, written or used
   70   an error of prism_edge itself
   74   a file can't be read or written: a full disk, mostly
-  130  ended by Ctrl-C
+  130  ended by Ctrl-C before it could end in order
 """
 
 

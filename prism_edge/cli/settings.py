@@ -33,7 +33,7 @@ def a_path(name: str) -> Path:
 def whole_above_zero(text: str) -> int:
     """An option's number of things. Raises ArgumentTypeError, which ends with exit code 2."""
     if not (text.isascii() and text.isdigit() and 0 < int(text) < 2**31):
-        raise argparse.ArgumentTypeError(f"expected a whole number above 0, got {text!r}")
+        raise argparse.ArgumentTypeError(f"expected a whole number above 0, and below 2^31, got {text!r}")
     return int(text)
 
 

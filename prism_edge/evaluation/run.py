@@ -7,7 +7,7 @@ import dataclasses
 import json
 import sys
 import time
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -106,14 +106,15 @@ def evaluate(
     if heard.snapshot is not None:
         # The map's world frame is the first camera's, and `map` begins where base_link was then.
         final, missing = heard.recording.final(heard.snapshot, heard.snapshot.base_from_camera)
-    write_tum(out / "live.tum", live)
-    write_tum(out / "final.tum", final)
-    if heard.map is not None:
-        _put_map(out, heard.map.data.tobytes())
-    elif heard.snapshot is not None and len(heard.snapshot.points):
-        print(f"prism-edge: warning: the map did not come in {_MAP_S:.0f} s: no {MAP}", file=sys.stderr)
-    if true_path is not None and (out / "truth.tum").resolve() not in kept:
-        write_tum(out / "truth.tum", true_path)
+    with _results_in(out):
+        write_tum(out / "live.tum", live)
+        write_tum(out / "final.tum", final)
+        if heard.map is not None:
+            _put_map(out, heard.map.data.tobytes())
+        elif heard.snapshot is not None and len(heard.snapshot.points):
+            print(f"prism-edge: warning: the map did not come in {_MAP_S:.0f} s: no {MAP}", file=sys.stderr)
+        if true_path is not None and (out / "truth.tum").resolve() not in kept:
+            write_tum(out / "truth.tum", true_path)
     report = metrics(
         config=config,
         recording=heard.recording,
@@ -128,7 +129,8 @@ def evaluate(
         truth_name=str(truth) if truth else "the sequence's own",
         played=made_of.after(out / "daemon.log"),
     )
-    (out / "metrics.json").write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
+    with _results_in(out):
+        (out / "metrics.json").write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
     if report["violations"]:
         raise EvaluationError(f"the run is void: {'; '.join(report['violations'])}")
     if report["unscored"]:
@@ -177,15 +179,22 @@ def _prepared(
     config = dataclasses.replace(config, source=source)
     check_robot_name(config.robot)
     check_endpoint(config.bus.endpoint)
-    try:
+    with _results_in(out):
         out.mkdir(parents=True, exist_ok=True)
         for file in (out / name for name in (*FILES, *further)):
             if file.resolve() not in kept:
                 file.unlink(missing_ok=True)
         (out / "effective.yaml").write_text(dump(config))
+    return config
+
+
+@contextlib.contextmanager
+def _results_in(out: Path) -> Iterator[None]:
+    """An error of writing names the folder, which that of a full disk does not."""
+    try:
+        yield
     except OSError as error:
         raise OSError(error.errno, f"{error.strerror}: can't write results there", str(out)) from None
-    return config
 
 
 def _run(

@@ -53,7 +53,7 @@ def stored_map(config: StateConfig, name: str) -> Path:
         if hindered := hindrance(path):
             raise MapError(f"map {name} can't be read ({hindered})")
         there = ", ".join(map_names(config)) or "none"
-        raise MapError(f"there is no map {name}; there are: {there}")
+        raise MapError(f"there is no map {name} in {maps_folder(config)}; there are: {there}")
     return path
 
 

@@ -383,7 +383,7 @@ def test_values_that_can_not_be_are_one_line_and_10(
 
 
 @pytest.mark.parametrize(
-    ("name", "why"), [("office", "there are: lab"), ("-", "is no name"), ("", "is no name")]
+    ("name", "why"), [("office", "maps; there are: lab"), ("-", "is no name"), ("", "is no name")]
 )
 def test_a_name_that_is_none_is_10(
     name: str, why: str, state: tuple[Path, ListBus], capsys: pytest.CaptureFixture[str]

@@ -84,8 +84,9 @@ def test_a_map_that_can_not_be_written_whole_leaves_nothing_behind(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
-    with pytest.raises(OSError, match="No space left"):
+    with pytest.raises(OSError, match="No space left on device: can't write results there") as raised:
         score(monkeypatch, tiny_sequence, tmp_path)
+    assert raised.value.filename == str(tmp_path)
     assert [file.name for file in tmp_path.iterdir() if "prismmap" in file.name] == []
 
 
