@@ -257,7 +257,6 @@ class MapUpdate:
     epoch: int
     sequence: int
     based_on: int  # newest keyframe the solve knew
-    loop_closed: bool
     solve_ms: float
     keyframes: I64 = array("int64", -1)
     poses: F64 = array("float64", -1, 4, 4)

@@ -15,7 +15,8 @@ from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.loop_closing import Accepted, LoopCloser, MapChanges
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.map_mount import mount_info, mount_of
-from prism_edge.backend.stored_map import KnownScale, from_arrays, to_arrays
+from prism_edge.backend.map_scale import KnownScale
+from prism_edge.backend.stored_map import from_arrays, to_arrays
 from prism_edge.backend.unit import keep_unit
 from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
@@ -221,7 +222,6 @@ class Mapper:
             epoch=self.epoch,
             sequence=self.sequence,
             based_on=newest,
-            loop_closed=False,
             solve_ms=(time.perf_counter() - started) * 1e3,
             keyframes=np.array(moved, np.int64),
             poses=np.array([self.world.keyframes[k].world_from_camera for k in moved]).reshape(-1, 4, 4),
@@ -256,7 +256,6 @@ class Mapper:
             epoch=self.epoch,
             sequence=self.sequence,
             based_on=newest,
-            loop_closed=closed is not None,
             loop_query=-1 if closed is None else closed.query,
             loop_candidate=-1 if closed is None else closed.candidate,
             loop_units=np.array(() if closed is None or closed.units is None else closed.units),
@@ -285,7 +284,6 @@ class Mapper:
             epoch=message.epoch,
             sequence=self.sequence,
             based_on=message.id,
-            loop_closed=False,
             solve_ms=0.0,
             keyframes=ids,
             poses=np.zeros((0, 4, 4)),

@@ -37,7 +37,6 @@ which part of the map they are of, is told beside the arrays (map_stamps.py, map
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -58,8 +57,6 @@ from prism_edge.tracking.place_index import PlaceIndex
 MOST_KEYFRAMES, MOST_POINTS, MOST_KEYPOINTS = 200_000, 20_000_000, 50_000_000
 FARTHEST = 1e9  # map units; pixels
 HIGHEST_OCTAVE = 32
-LARGEST_LOG_SCALE = 20.0
-UNKNOWN_SCALE_SIGMA = 0.3
 LARGEST_IMAGE = 20_000  # pixels a side
 # Cells that keypoints are filed in, 8 bytes each: 1500 keyframes of 3840 x 2160, and more where all are full.
 MOST_CELLS, CELLS_A_KEYPOINT = 50_000_000, 20
@@ -92,43 +89,6 @@ _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
 }
 # Earlier builds lack them, and can read maps that do.
 _OPTIONAL = {"depth_sigmas", "made_by", "depth_units", "renamed"}
-
-
-@dataclass(frozen=True)
-class KnownScale:
-    """What is known of a map's unit: the logarithm of its metres, and its standard deviation.
-
-    The bias of the network that it was learned from is told apart: a scale filter goes on from the rest.
-    """
-
-    log_scale: float = 0.0
-    sigma: float = UNKNOWN_SCALE_SIGMA
-    bias_sigma: float = 0.0
-    network: str = ""  # that it was learned from, as its depths name it
-
-    @classmethod
-    def of(cls, info: Info) -> KnownScale:
-        """As a stored map says. Raises MapError where it says nothing that can be."""
-        log_scale, sigma = info.get("log_scale"), info.get("scale_sigma")
-        bias = info.get("bias_sigma", 0.0)  # maps of earlier builds don't say
-        if not isinstance(log_scale, (int, float)) or not abs(log_scale) < LARGEST_LOG_SCALE:
-            raise MapError("the map's log scale is none")
-        if not isinstance(sigma, (int, float)) or not 0.0 <= sigma < LARGEST_LOG_SCALE:
-            raise MapError("the map's log scale has no standard deviation")
-        if not isinstance(bias, (int, float)) or not 0.0 <= bias < LARGEST_LOG_SCALE:
-            raise MapError("the bias of the map's log scale is none")
-        return cls(float(log_scale), float(sigma), float(bias), str(info.get("scale_by", "")))
-
-    @property
-    def is_known(self) -> bool:
-        """Whether depth has said anything of the unit."""
-        return self != KnownScale()
-
-    @property
-    def info(self) -> Info:
-        """For a stored map."""
-        known = {"log_scale": self.log_scale, "scale_sigma": self.sigma, "bias_sigma": self.bias_sigma}
-        return {**known, "scale_by": self.network}
 
 
 def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tuple[Info, Arrays]:
@@ -265,9 +225,10 @@ def _keyframe(
 
 def _check_columns(arrays: Arrays) -> None:
     """Names, types and shapes, which must agree with one another."""
-    odd = _COLUMNS.keys() ^ (arrays.keys() | _OPTIONAL)
-    if odd:
-        raise MapError(f"the map has no {', '.join(sorted(odd))[:100]}")
+    if missing := _COLUMNS.keys() - arrays.keys() - _OPTIONAL:
+        raise MapError(f"the map has no {', '.join(sorted(missing))[:100]}")
+    if unknown := arrays.keys() - _COLUMNS.keys():
+        raise MapError(f"the map has {', '.join(sorted(unknown))[:100]}, which this version does not know")
     sizes: dict[str, int] = {}
     for name, array in arrays.items():
         dtype, shape = _COLUMNS[name]

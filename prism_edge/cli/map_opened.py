@@ -10,7 +10,8 @@ from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.map_export import MetricMap, metric_map
 from prism_edge.backend.map_file import SUFFIX, Info
 from prism_edge.backend.map_mount import difference, mount_of
-from prism_edge.backend.stored_map import KnownScale, from_arrays
+from prism_edge.backend.map_scale import KnownScale
+from prism_edge.backend.stored_map import from_arrays
 from prism_edge.config import Config
 from prism_edge.errors import MapError, say
 from prism_edge.geometry.mount import base_from_camera

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import json
 import multiprocessing
 import os
 import signal
 import statistics
 import time
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from multiprocessing.connection import Connection
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -86,7 +88,7 @@ def measure(config: DepthConfig, runs: int) -> Cost:
     try:
         if not here.poll(_PATIENCE_S):
             raise ModelError(f"{config.model}: has not ended in {_PATIENCE_S:g} s")
-        answer = here.recv()
+        answer = json.loads(here.recv_bytes())
     except EOFError:
         child.join()
         raise ModelError(f"{config.model}: the process died ({child.exitcode}); too little memory?") from None
@@ -95,15 +97,16 @@ def measure(config: DepthConfig, runs: int) -> Cost:
         child.join()
     if isinstance(answer, str):
         raise ModelError(answer)
-    cost: Cost = answer
-    return cost
+    return Cost(**answer)
 
 
 def _child(pipe: Connection, config: DepthConfig, runs: int) -> None:
+    answer: dict[str, Any] | str
     try:
-        pipe.send(_cost(config, runs))
+        answer = asdict(_cost(config, runs))
     except ModelError as error:
-        pipe.send(str(error))
+        answer = str(error)
+    pipe.send_bytes(json.dumps(answer).encode())
 
 
 def _cost(config: DepthConfig, runs: int) -> Cost:

@@ -24,7 +24,6 @@ CLOSING_S = 5.0  # for what comes after the processes have ended
 
 def supervise(
     config: Config,
-    on_ready: Callable[[Supervisor], None] | None = None,
     stay: bool = True,
     processes: Sequence[Process] | None = None,
     start: Start = start_worker,
@@ -35,10 +34,10 @@ def supervise(
     SIGHUP takes up what can change of the configuration that ``reread`` returns; where that raises, one line
     says why and nothing changes. A service manager (systemd) is told how the run is.
 
-    ``on_ready`` is called once, when every process is ready. Without ``stay`` the run also ends when the
-    recording has, and all that followed from it is done; a recording that loops never does. A worker that
-    refuses to start has said why in a line of its own: its exit code is returned. Raises BusError for the
-    listener and SupervisionError for a process that keeps dying; nothing is left running in any case.
+    Without ``stay`` the run also ends when the recording has, and all that followed from it is done; a
+    recording that loops never does. A worker that refuses to start has said why in a line of its own: its
+    exit code is returned. Raises BusError for the listener and SupervisionError for a process that keeps
+    dying; nothing is left running in any case.
     """
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # a parent's `ignore` is inherited: children would be lost
     signals = StopSignals(reload=reread is not None)
@@ -51,8 +50,6 @@ def supervise(
         if supervisor.ready_s is not None and not announced:
             announced = True
             notifier.ready()
-            if on_ready is not None:
-                on_ready(supervisor)
         if reread is not None and signals.reload_wanted.is_set():
             signals.reload_wanted.clear()
             _reload(supervisor, reread, notifier, announced)

@@ -54,14 +54,13 @@ def seed_from_depth(
     keypoints, map_depth = world.depths_in(keyframe)
     rows = world.points.rows(keyframe.points[keypoints])
     firm = (world.points.parallax_deg[rows] >= 1.0) & (map_depth > 0)
-    if firm.sum() >= MIN_ALIGNED:
-        told = firm & good[keypoints]
-        if told.sum() >= MIN_ALIGNED:
-            size = (keyframe.camera.width, keyframe.camera.height)
-            at = keypoints[told]
-            alignment = DepthAlignment.of(raw[at], map_depth[told], metres[at], size)
-            if not alignment.overall.informative:
-                return seed_at_middle(world, keyframe, most)
+    told = firm & good[keypoints]
+    if told.sum() >= MIN_ALIGNED:
+        size = (keyframe.camera.width, keyframe.camera.height)
+        at = keypoints[told]
+        alignment = DepthAlignment.of(raw[at], map_depth[told], metres[at], size)
+        if not alignment.overall.informative:
+            return seed_at_middle(world, keyframe, most)
     keyframe.metres = np.where(good, metres, 0.0)
     free = keyframe.free()
     chosen: Index = free[good[free]][:most]

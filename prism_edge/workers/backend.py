@@ -11,8 +11,8 @@ import numpy as np
 
 from prism_edge.backend.lens import radial
 from prism_edge.backend.loop_closing import Accepted
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
-from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus.commands import Reply
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config

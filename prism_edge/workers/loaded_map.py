@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
-from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus.session import Bus
 from prism_edge.messages import MapLoaded
 

@@ -17,9 +17,9 @@ from prism_edge.backend import map_file
 from prism_edge.backend.journal import Journal
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.map_mount import difference, mount_of
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.solved_record import solution_of, solved_arrays
-from prism_edge.backend.stored_map import KnownScale
 from prism_edge.bus import codec
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config

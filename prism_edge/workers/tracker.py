@@ -309,7 +309,6 @@ class TrackerWorker:
             self._scale.enter()
         if message.loop_query >= 0:
             self._drift.close(self._tracker.world, message, self._tracker.log_scale)
-        if message.loop_closed:
             self._status.say(LOOP_CLOSED, self._now_ns)
 
     def _adopt(self, whole: WholeMap | None) -> bool:

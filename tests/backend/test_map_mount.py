@@ -12,8 +12,8 @@ from hypothesis.extra.numpy import arrays
 
 from prism_edge.backend import map_file
 from prism_edge.backend.map_mount import FIELD, difference, mount_info, mount_of
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
-from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
 from prism_edge.geometry.poses import se3_exp

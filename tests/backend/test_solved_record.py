@@ -9,9 +9,9 @@ import pytest
 
 from prism_edge.backend import map_file
 from prism_edge.backend.frame import keep_frame
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.solved_record import solution_of, solved_arrays
-from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig
 from tests.backend.world import Teller, check, depth_at_keypoints
 from tests.tracking.cloud import pose_at

@@ -10,7 +10,8 @@ import numpy as np
 from prism_edge.backend import map_file
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.map_mount import mount_info
-from prism_edge.backend.stored_map import KnownScale, to_arrays
+from prism_edge.backend.map_scale import KnownScale
+from prism_edge.backend.stored_map import to_arrays
 from prism_edge.config import FramesConfig, TrackingConfig
 from prism_edge.depth.contract import INVERSE_RELATIVE
 from prism_edge.geometry.cameras import Camera

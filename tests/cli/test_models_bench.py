@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import signal
 from pathlib import Path
 from types import SimpleNamespace
@@ -86,12 +87,13 @@ def _die(pipe: object, config: object, runs: int) -> None:
 def test_ctrl_c_is_left_to_the_one_who_ends_the_child(monkeypatch):
     before = signal.getsignal(signal.SIGINT)
     monkeypatch.setattr(models_bench, "_child", _tell_of_ctrl_c)
-    assert models_bench.measure(DepthConfig("x"), 1) == signal.SIG_IGN
+    with pytest.raises(ModelError, match=f"^it is {int(signal.SIG_IGN)}$"):
+        models_bench.measure(DepthConfig("x"), 1)
     assert signal.getsignal(signal.SIGINT) == before
 
 
 def _tell_of_ctrl_c(pipe: Any, config: object, runs: int) -> None:
-    pipe.send(signal.getsignal(signal.SIGINT))
+    pipe.send_bytes(json.dumps(f"it is {int(signal.getsignal(signal.SIGINT))}").encode())
 
 
 def test_bench_takes_all_cores_and_all_providers_that_it_knows(capsys, monkeypatch):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import map_file
-from prism_edge.backend.stored_map import KnownScale
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.cli import reconstruct
 from prism_edge.cli.reconstruct_looks import Gathered
 from prism_edge.config import Config

@@ -68,5 +68,5 @@ def scale_of(keyframe: Keyframe, log_scale: float = 0.0, sigma: float = 0.05, **
 
 def map_update(based_on: int, sequence: int = 1, **changes: object) -> MapUpdate:
     """A correction with what is given, and nothing else."""
-    made = blank(MapUpdate, epoch=0, sequence=sequence, based_on=based_on, loop_closed=False, solve_ms=1.0)
+    made = blank(MapUpdate, epoch=0, sequence=sequence, based_on=based_on, solve_ms=1.0)
     return replace(made, **changes)

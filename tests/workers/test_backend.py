@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prism_edge.backend.stored_map import KnownScale
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.config import Config, StateConfig, TrackingConfig
 from prism_edge.geometry.alignment import align
 from prism_edge.geometry.cameras import Camera

@@ -45,7 +45,7 @@ def test_a_loop_is_announced_with_its_keyframe_s_update_and_stands_in_the_snapsh
     ring = round_the_ring(bus, LOCKSTEP)
     updates = bus.of("map_update")
     assert [u.based_on for u in updates if u.based_on < 43][:43] == list(range(43)), "one for each keyframe"
-    closed = [u for u in updates if u.loop_closed]
+    closed = [u for u in updates if u.loop_query >= 0]
     assert closed
     assert len(closed[0].fused_from) == len(closed[0].fused_into) > 20
     assert closed[0].keyframes.tolist() == list(range(closed[0].based_on + 1)), "everything moves"
@@ -56,7 +56,7 @@ def test_a_loop_is_announced_with_its_keyframe_s_update_and_stands_in_the_snapsh
     assert (whole.loop_inliers >= 30).all()
     plain = ListBus("tracked", patience=40)
     round_the_ring(plain, replace(LOCKSTEP, ablate=("loop",)))
-    assert not any(u.loop_closed for u in plain.of("map_update"))
+    assert not any(u.loop_query >= 0 for u in plain.of("map_update"))
     assert len(snapshot(plain).loop_queries) == 0
     with_loops, without = (
         position_error(dict(zip(s.keyframes.tolist(), s.poses, strict=True)), ring.true)
@@ -91,7 +91,7 @@ def test_a_place_is_recognised_by_a_descriptor_that_comes_late(lag, monkeypatch)
     bus, made = late_ring(lag)
     loops, updates = made._mapper.loops, bus.of("map_update")
     assert loops.accepted
-    closed = next(u for u in updates if u.loop_closed)
+    closed = next(u for u in updates if u.loop_query >= 0)
     assert closed.based_on == closed.loop_query + lag
     assert closed.loop_query - closed.loop_candidate > 30
     assert closed.keyframes.tolist() == list(range(closed.based_on + 1)), "everything moves"
@@ -118,8 +118,8 @@ def test_the_end_waits_for_the_global_adjustment_of_the_last_loop():
     bus = ListBus("keyframe", patience=40)
     round_the_ring(bus, CONFIG)
     closed, adjusted = bus.of("map_update")
-    assert closed.loop_closed
-    assert not adjusted.loop_closed
+    assert closed.loop_query >= 0
+    assert adjusted.loop_query < 0
     assert len(adjusted.keyframes) == 43
     assert bus.states.count("global adjustment") >= 2, "step by step"
     steps = [i for i, state in enumerate(bus.states) if state == "global adjustment"]

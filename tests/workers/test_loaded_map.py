@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from prism_edge.backend import map_file
-from prism_edge.backend.stored_map import KnownScale
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.config import Config, StateConfig, TrackingConfig
 from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE, Epoch, MapLoaded

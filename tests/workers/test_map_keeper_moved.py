@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import map_file
-from prism_edge.backend.stored_map import KnownScale
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.config import Config, StateConfig, TrackingConfig
 from prism_edge.errors import MapError
 from prism_edge.messages import IDS_A_LIFE
@@ -82,7 +82,7 @@ def test_it_is_written_once_however_long_nothing_comes(
 def test_a_loop_that_was_just_told_is_in_the_map_of_the_next_life(tmp_path: Path) -> None:
     ring = Ring(drift=DRIFT, stretch=1.004)
     bus, made = life(tmp_path)
-    while not any(update.loop_closed for update in bus.of("map_update")):
+    while not any(update.loop_query >= 0 for update in bus.of("map_update")):
         keyframe = ring.keyframe()
         looks = {"valid": False, "descriptor": ring.looks_like(keyframe.id)}
         bus.give("depth", messages.depth_of(keyframe, np.ones((120, 160), np.float32), QUARTER, **looks))

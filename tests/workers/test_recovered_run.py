@@ -12,7 +12,8 @@ import pytest
 from prism_edge.backend import map_file
 from prism_edge.backend.journal import Journal
 from prism_edge.backend.map_file import Info
-from prism_edge.backend.stored_map import KnownScale, from_arrays, to_arrays
+from prism_edge.backend.map_scale import KnownScale
+from prism_edge.backend.stored_map import from_arrays, to_arrays
 from prism_edge.bus import codec
 from prism_edge.config import Config, DepthConfig, StateConfig, TrackingConfig
 from prism_edge.config_file import dump

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import map_file
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
-from prism_edge.backend.stored_map import KnownScale
 from prism_edge.config import BackendConfig, TrackingConfig
 from prism_edge.workers import backend as worker
 from prism_edge.workers import state_directory

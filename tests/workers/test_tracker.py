@@ -350,7 +350,7 @@ def test_where_its_place_in_the_map_is_unknown_odom_goes_out_and_pose_does_not(b
         world.heard(topic, message)
         if topic == "tracked" and message.index == looped_at:
             newest = bus.of("keyframe")[-1]
-            closed = {"loop_closed": True, "loop_query": newest.id, "loop_candidate": 0}
+            closed = {"loop_query": newest.id, "loop_candidate": 0}
             pose = newest.world_from_camera[None]
             bus.give("map_update", update_of(newest, 2 * newest.id + 3, poses=pose, **closed))
 
