@@ -21,6 +21,7 @@ from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import decode
 from prism_edge.sources.live.arrival_clock import ArrivalClock
 from prism_edge.sources.live.backlog import Backlog
+from prism_edge.sources.live.damage import Damage
 from prism_edge.sources.live.driver import CameraLostError, Grab
 
 log = logging.getLogger("prism_edge.sources")
@@ -32,6 +33,7 @@ _PROTOCOLS = "rtsp,rtp,srtp,tcp,udp,tls,http,https,httpproxy,crypto"
 _ESCAPES = "in a password write # as %23, @ as %40, / as %2F and ? as %3F"
 _SHORT_NS = 1_000_000_000  # the clock's window where stamps run too slow: it lags by less than that
 _MJPEG = "mpjpeg"  # FFmpeg's name of multipart JPEG
+_DAMAGED, _SPOILT = "is damaged", "builds on a damaged one"
 
 
 @dataclass(frozen=True)
@@ -112,6 +114,7 @@ class StreamConnection:
         self._packets: Iterator[Any] = container.demux(self._stream)
         self._clock = ArrivalClock()
         self._backlog, self._left_out, self._misled = Backlog(), 0, False
+        self._damage = Damage()
         self._decoded: deque[Grab] = deque()
 
     def grab(self) -> Grab | None:
@@ -140,14 +143,16 @@ class StreamConnection:
             try:
                 frames = packet.decode()
             except errors.InvalidDataError:
-                return self._grab(arrival_ns, "is damaged")
+                self._damage.hit(arrival_ns)
+                return self._grab(arrival_ns, _DAMAGED)
         except (errors.FFmpegError, ValueError) as error:
             reason = reason_of(error, False, self._options.timeout)
             if self._is_mjpeg and isinstance(error, errors.InvalidDataError):
                 reason += "; only multipart JPEG is read, its parts of the type image/jpeg"
             raise CameraLostError(reason) from None
         for frame in frames:
-            self._decoded.append(self._grab(self._captured_ns(frame, arrival_ns), frame))
+            picture = self._unsound(frame, arrival_ns) or frame
+            self._decoded.append(self._grab(self._captured_ns(frame, arrival_ns), picture))
         return self._decoded.popleft() if self._decoded else None
 
     def _distrust(self, stamp_ns: int, arrival_ns: int) -> None:
@@ -168,6 +173,13 @@ class StreamConnection:
             return min(self._clock.host_ns(_ns(frame.pts, frame.time_base)), arrival_ns)
         except ValueError:  # no packet had a stamp
             return arrival_ns
+
+    def _unsound(self, frame: Any, arrival_ns: int) -> str:
+        """Why a picture is not to be looked at, empty where it is whole."""
+        if frame.is_corrupt:
+            self._damage.hit(arrival_ns)
+            return _DAMAGED
+        return _SPOILT if self._damage.spoils(bool(frame.key_frame), arrival_ns) else ""
 
     def _undecoded(self, data: bytes, arrival_ns: int) -> Grab:
         return Grab(arrival_ns - self._delay_ns, lambda: decode(data))
@@ -214,8 +226,6 @@ def _ns(stamp: int, time_base: Any) -> int:
 def _pixels(frame: Any) -> U8 | str:
     if isinstance(frame, str):
         return frame
-    if frame.is_corrupt:
-        return "is damaged"
     grey = frame.format.name == "gray"
     return frame.to_ndarray(format="gray" if grey else "bgr24")
 

@@ -42,7 +42,7 @@ class Simulation:
             assert k % KEY_EVERY == 0 or self.decoded[-1] == k - 1, "it builds on a picture that was left out"
             self.decoded.append(k)
             self.now_ns += round(self.cost_ms * MS)
-            return [SimpleNamespace(pts=k * PERIOD_MS, time_base=Fraction(1, 1000))]
+            return [SimpleNamespace(is_corrupt=False, key_frame=k % KEY_EVERY == 0, **stamp)]
 
         stamp = {"pts": k * PERIOD_MS, "time_base": Fraction(1, 1000)}
         return SimpleNamespace(size=100, is_keyframe=k % KEY_EVERY == 0, decode=decode, **stamp)
