@@ -156,7 +156,7 @@ class StreamConnection:
         return self._decoded.popleft() if self._decoded else None
 
     def _distrust(self, stamp_ns: int, arrival_ns: int) -> None:
-        """The sender's stamps run slower than time: they are followed over short times only."""
+        """The sender's stamps run slower than time: they say no more than whether decoding falls behind."""
         self._misled = True
         self._clock = ArrivalClock(_SHORT_NS)
         self._clock.observe(stamp_ns, arrival_ns)
@@ -167,7 +167,7 @@ class StreamConnection:
             self._container.close()
 
     def _captured_ns(self, frame: Any, arrival_ns: int) -> int:
-        if frame.pts is None or frame.time_base is None:
+        if self._misled or frame.pts is None or frame.time_base is None:
             return arrival_ns
         try:
             return min(self._clock.host_ns(_ns(frame.pts, frame.time_base)), arrival_ns)
