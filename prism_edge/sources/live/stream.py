@@ -33,7 +33,6 @@ _PROTOCOLS = "rtsp,rtp,srtp,tcp,udp,tls,http,https,httpproxy,crypto"
 _ESCAPES = "in a password write # as %23, @ as %40, / as %2F and ? as %3F"
 _SHORT_NS = 1_000_000_000  # the clock's window where stamps run too slow: it lags by less than that
 _MJPEG = "mpjpeg"  # FFmpeg's name of multipart JPEG
-_DAMAGED, _SPOILT = "is damaged", "builds on a damaged one"
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ class StreamConnection:
         self._packets: Iterator[Any] = container.demux(self._stream)
         self._clock = ArrivalClock()
         self._backlog, self._left_out, self._misled = Backlog(), 0, False
-        self._damage = Damage()
+        self._damage, self._begun = Damage(), False
         self._decoded: deque[Grab] = deque()
 
     def grab(self) -> Grab | None:
@@ -140,16 +139,19 @@ class StreamConnection:
                 if leaves_out:
                     self._left_out += 1
                     return None
+            self._begun |= packet.is_keyframe
             try:
                 frames = packet.decode()
             except errors.InvalidDataError:
                 self._damage.hit(arrival_ns)
-                return self._grab(arrival_ns, _DAMAGED)
+                return self._grab(arrival_ns, self._damaged)
         except (errors.FFmpegError, ValueError) as error:
             reason = reason_of(error, False, self._options.timeout)
             if self._is_mjpeg and isinstance(error, errors.InvalidDataError):
                 reason += "; only multipart JPEG is read, its parts of the type image/jpeg"
             raise CameraLostError(reason) from None
+        if not frames and not self._begun:
+            return self._grab(arrival_ns, self._damaged)  # the decoder passes over it without a word
         for frame in frames:
             picture = self._unsound(frame, arrival_ns) or frame
             self._decoded.append(self._grab(self._captured_ns(frame, arrival_ns), picture))
@@ -178,8 +180,15 @@ class StreamConnection:
         """Why a picture is not to be looked at, empty where it is whole."""
         if frame.is_corrupt:
             self._damage.hit(arrival_ns)
-            return _DAMAGED
-        return _SPOILT if self._damage.spoils(bool(frame.key_frame), arrival_ns) else ""
+            return self._damaged
+        spoilt = self._damage.spoils(bool(frame.key_frame), arrival_ns)
+        return "builds on a damaged one" if spoilt else ""
+
+    @property
+    def _damaged(self) -> str:
+        if self._begun:
+            return "is damaged"
+        return "waits for a key frame: set the camera to send one each second"
 
     def _undecoded(self, data: bytes, arrival_ns: int) -> Grab:
         return Grab(arrival_ns - self._delay_ns, lambda: decode(data))

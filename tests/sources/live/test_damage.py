@@ -76,3 +76,13 @@ def test_a_stream_of_key_frames_alone_loses_only_the_damaged_ones() -> None:
     damage = Damage()
     damage.hit(1 * S)
     assert not damage.spoils(True, 1 * S)
+
+
+@pytest.mark.parametrize("knows", [False, True])  # what the server's description tells
+def test_pictures_before_the_first_key_frame_say_what_they_wait_for(knows: bool) -> None:
+    sent = packets()
+    parameters = sent[0][: sent[0].index(b"\0\0\1\x65")]  # all before the key frame's first slice
+    found = decoded([parameters * knows + sent[3], *sent[4:]])
+    first = next(k for k, picture in enumerate(found) if not isinstance(picture, str))
+    assert first == KEY_EVERY - 3
+    assert all("waits for a key frame" in str(picture) for picture in found[:first])

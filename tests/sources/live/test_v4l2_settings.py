@@ -44,3 +44,17 @@ def test_controls_that_the_firmware_does_not_tell_of_are_as_good_as_absent() -> 
     connect(FakeCamera(stalling={abi.CID_EXPOSURE_AUTO_PRIORITY}))
     with pytest.raises(SourceError, match="no setting for gain"):
         connect(FakeCamera(stalling={abi.CID_GAIN}), "gain=7")
+
+
+@pytest.mark.parametrize(
+    ("pixels", "size"), [("YUYV", (65, 48)), ("UYVY", (65, 48)), ("NV12", (64, 47)), ("YU12", (65, 48))]
+)
+def test_odd_sizes_of_formats_that_share_colours_are_refused(pixels: str, size: tuple[int, int]) -> None:
+    fake = FakeCamera(modes={pixels: {size: 30.0}})
+    address = f"v4l2:{fake.path}?width={size[0]}&height={size[1]}"
+    with pytest.raises(SourceError, match=f"{size[0]}x{size[1]} as {pixels} only, which needs an even size"):
+        V4l2Driver(address, None, fake).connect()  # type: ignore[arg-type]
+    fake.modes["GREY"] = {size: 30.0}  # one that can
+    driver = V4l2Driver(address, None, fake)  # type: ignore[arg-type]
+    driver.connect()
+    assert "GREY" in driver.name
