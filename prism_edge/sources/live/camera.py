@@ -101,7 +101,7 @@ class LiveCamera(Source):
             return Absent(self._absence())
         index, grab = newest
         stamp_ns = self._wall_clock.at(grab.captured_ns)
-        pixels = grab.decode()
+        pixels = _decoded(grab)
         if isinstance(pixels, str):
             self._watch.damaged()
             return Unreadable(index, stamp_ns, f"image {index} of {self.name} {pixels}")
@@ -138,7 +138,7 @@ class LiveCamera(Source):
         told = False
         while True:
             try:
-                return self._connected()
+                return self._connected(deadline)
             except CameraLostError as error:
                 left = deadline - time.monotonic()
                 if left <= 0 or self.stopped.wait(min(left, self._timing.first_pause_s)):
@@ -147,14 +147,14 @@ class LiveCamera(Source):
                     log.warning("%s: %s; waiting up to %.0f s for it", self.name, error, left)
                 told = True
 
-    def _connected(self) -> Connection:
+    def _connected(self, deadline: float) -> Connection:
         """A connection that has given an image. Raises CameraLostError where there is none."""
         connection = self._driver.connect()
         try:
             if self._asks_camera:
                 self.camera = self._own_intrinsics(connection)
             self.period_ns, self.name = self._driver.period_ns, self._driver.name
-            self._check_first_image(connection)
+            self._check_first_image(connection, deadline)
         except BaseException:
             connection.close()
             raise
@@ -169,22 +169,27 @@ class LiveCamera(Source):
             )
         return intrinsics
 
-    def _check_first_image(self, connection: Connection) -> None:
+    def _check_first_image(self, connection: Connection, deadline: float) -> None:
+        """Waits as long as the driver says, and where images come that can't be used, until ``deadline``."""
         reason = "no image came"
-        deadline = time.monotonic() + max(self._driver.dead_s, 3e-9 * self.period_ns)
+        patience_s = max(self._driver.dead_s, 3e-9 * self.period_ns)
+        end = time.monotonic() + patience_s
         tried = False  # at least once, however long we were kept from it
-        while not tried or time.monotonic() < deadline:
+        while not tried or (time.monotonic() < end and not self.stopped.is_set()):
             tried = True
             try:
                 grab = connection.grab()
             except CameraLostError as error:
                 reason = str(error)
                 break
-            pixels = reason if grab is None else grab.decode()
+            if grab is None:
+                continue
+            pixels = _decoded(grab)
             if not isinstance(pixels, str):
                 check_camera_size(self.camera, self.camera_origin, pixels, self.name)
                 return
-            reason = pixels if grab is not None else reason
+            reason = pixels
+            end = max(end, min(time.monotonic() + patience_s, deadline))  # the next key frame may be far off
         raise CameraLostError(f"it gives no image ({reason})")
 
     def _compare(self, pixels: U8) -> str:
@@ -262,3 +267,10 @@ class LiveCamera(Source):
             self._newest = None
         if first:
             log.warning("%s: lost (%s); connecting again until it is back", self.name, why)
+
+
+def _decoded(grab: Grab) -> U8 | str:
+    try:
+        return grab.decode()
+    except Exception as error:  # a library may raise anything; it costs the image, not the process
+        return f"can't be decoded ({' '.join(str(error).split()) or type(error).__name__})"

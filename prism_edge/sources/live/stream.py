@@ -21,6 +21,7 @@ from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import decode
 from prism_edge.sources.live.arrival_clock import ArrivalClock
 from prism_edge.sources.live.backlog import Backlog
+from prism_edge.sources.live.damage import Damage
 from prism_edge.sources.live.driver import CameraLostError, Grab
 
 log = logging.getLogger("prism_edge.sources")
@@ -112,6 +113,7 @@ class StreamConnection:
         self._packets: Iterator[Any] = container.demux(self._stream)
         self._clock = ArrivalClock()
         self._backlog, self._left_out, self._misled = Backlog(), 0, False
+        self._damage, self._begun = Damage(), False
         self._decoded: deque[Grab] = deque()
 
     def grab(self) -> Grab | None:
@@ -137,21 +139,26 @@ class StreamConnection:
                 if leaves_out:
                     self._left_out += 1
                     return None
+            self._begun |= packet.is_keyframe
             try:
                 frames = packet.decode()
             except errors.InvalidDataError:
-                return self._grab(arrival_ns, "is damaged")
+                self._damage.hit(arrival_ns)
+                return self._grab(arrival_ns, self._damaged)
         except (errors.FFmpegError, ValueError) as error:
             reason = reason_of(error, False, self._options.timeout)
             if self._is_mjpeg and isinstance(error, errors.InvalidDataError):
                 reason += "; only multipart JPEG is read, its parts of the type image/jpeg"
             raise CameraLostError(reason) from None
+        if not frames and not self._begun:
+            return self._grab(arrival_ns, self._damaged)  # the decoder passes over it without a word
         for frame in frames:
-            self._decoded.append(self._grab(self._captured_ns(frame, arrival_ns), frame))
+            picture = self._unsound(frame, arrival_ns) or frame
+            self._decoded.append(self._grab(self._captured_ns(frame, arrival_ns), picture))
         return self._decoded.popleft() if self._decoded else None
 
     def _distrust(self, stamp_ns: int, arrival_ns: int) -> None:
-        """The sender's stamps run slower than time: they are followed over short times only."""
+        """The sender's stamps run slower than time: they say no more than whether decoding falls behind."""
         self._misled = True
         self._clock = ArrivalClock(_SHORT_NS)
         self._clock.observe(stamp_ns, arrival_ns)
@@ -162,12 +169,26 @@ class StreamConnection:
             self._container.close()
 
     def _captured_ns(self, frame: Any, arrival_ns: int) -> int:
-        if frame.pts is None or frame.time_base is None:
+        if self._misled or frame.pts is None or frame.time_base is None:
             return arrival_ns
         try:
             return min(self._clock.host_ns(_ns(frame.pts, frame.time_base)), arrival_ns)
         except ValueError:  # no packet had a stamp
             return arrival_ns
+
+    def _unsound(self, frame: Any, arrival_ns: int) -> str:
+        """Why a picture is not to be looked at, empty where it is whole."""
+        if frame.is_corrupt:
+            self._damage.hit(arrival_ns)
+            return self._damaged
+        spoilt = self._damage.spoils(bool(frame.key_frame), arrival_ns)
+        return "builds on a damaged one" if spoilt else ""
+
+    @property
+    def _damaged(self) -> str:
+        if self._begun:
+            return "is damaged"
+        return "waits for a key frame: set the camera to send one each second"
 
     def _undecoded(self, data: bytes, arrival_ns: int) -> Grab:
         return Grab(arrival_ns - self._delay_ns, lambda: decode(data))
@@ -214,8 +235,6 @@ def _ns(stamp: int, time_base: Any) -> int:
 def _pixels(frame: Any) -> U8 | str:
     if isinstance(frame, str):
         return frame
-    if frame.is_corrupt:
-        return "is damaged"
     grey = frame.format.name == "gray"
     return frame.to_ndarray(format="gray" if grey else "bgr24")
 

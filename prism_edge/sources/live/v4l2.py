@@ -65,7 +65,8 @@ class V4l2Driver:
         try:
             if self._card and device.card != self._card:
                 raise CameraLostError(f"another camera, {device.card}, is at {self.path} now")
-            set_controls(device, self.options)
+            device.claim()
+            set_controls(device, self.options)  # before the mode: automatic exposure may hold the rate down
             mode = choose_mode(device, self.options)
             connection = V4l2Connection(device, self._kernel, mode, self.options)
         except BaseException:

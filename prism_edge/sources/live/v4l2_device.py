@@ -96,6 +96,12 @@ class Device:
         asked.fmt.pix = abi.PixFormat(width, height, abi.fourcc(pixels), abi.FIELD_NONE)
         self.call(abi.VIDIOC_S_FMT, asked, "setting the size")
 
+    def claim(self) -> None:
+        """Sets the size that it has: refused where another program has the camera, whose settings stay."""
+        now = abi.Format(type=abi.BUF_TYPE_VIDEO_CAPTURE)
+        self.call(abi.VIDIOC_G_FMT, now, "reading the size")
+        self.call(abi.VIDIOC_S_FMT, now, "setting the size")
+
     def set_rate(self, rate_hz: float) -> None:
         """Asks for a rate; a driver without that setting is let be."""
         asked = abi.StreamParm(type=abi.BUF_TYPE_VIDEO_CAPTURE)
@@ -124,14 +130,14 @@ class Device:
         return Mode(pix.width, pix.height, abi.fourcc_name(pix.pixelformat), pix.bytesperline, rate_hz)
 
     def control_range(self, control: int) -> tuple[int, int] | None:
-        """Least and greatest value of a control; None where the camera has it not."""
+        """Least and greatest value of a control; None where the camera has it not, or doesn't tell."""
         query = abi.QueryCtrl(id=control)
         try:
             self._kernel.ioctl(self.fd, abi.VIDIOC_QUERYCTRL, query)
         except OSError as error:
-            if error.errno in _UNKNOWN:
-                return None
-            raise CameraLostError(f"asking for a control fails ({error.strerror})") from None
+            if error.errno == errno.ENODEV:
+                raise CameraLostError(f"{self._path} is gone") from None
+            return None  # the firmware of many stalls (EIO) at controls that it lists
         return None if query.flags & abi.CTRL_FLAG_DISABLED else (query.minimum, query.maximum)
 
     def set_control(self, control: int, value: int) -> bool:

@@ -23,6 +23,14 @@ _LAYOUTS: dict[str, tuple[int, float, Callable[[U8], U8]]] = {
     "RGB3": (3, 1.0, lambda a: cv2.cvtColor(a, cv2.COLOR_RGB2BGR)),
     "GREY": (1, 1.0, np.ascontiguousarray),
 }
+# Pixels that share a colour, across and down.
+_SHARED = {"YUYV": (2, 1), "UYVY": (2, 1), "NV12": (2, 2), "YU12": (2, 2)}
+
+
+def can_hold(name: str, width: int, height: int) -> bool:
+    """Whether a format has images of that size: where neighbours share a colour only even ones."""
+    across, down = _SHARED.get(name, (1, 1))
+    return width % across == 0 and height % down == 0
 
 
 def to_image(data: bytes, name: str, width: int, height: int, stride: int) -> U8 | str:

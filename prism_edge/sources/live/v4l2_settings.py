@@ -8,7 +8,7 @@ from prism_edge.config import limits, one_of
 from prism_edge.errors import SourceError
 from prism_edge.sources.live import v4l2_abi as abi
 from prism_edge.sources.live.v4l2_device import Device, Mode
-from prism_edge.sources.live.v4l2_pixels import FORMATS
+from prism_edge.sources.live.v4l2_pixels import FORMATS, can_hold
 
 _USUAL_HZ = 30.0
 _RATE_TOLERANCE = 0.02
@@ -40,9 +40,14 @@ def choose_mode(device: Device, options: Options) -> Mode:
         raise SourceError(f"{device.card} offers the formats {', '.join(offered) or '-'}, {asked}")
     now = device.mode()
     width, height = options.width or now.width, options.height or now.height
+    readable = [name for name in wanted if can_hold(name, width, height)]
+    if not readable:
+        raise SourceError(
+            f"{device.card} has {width}x{height} as {', '.join(wanted)} only, which needs an even size"
+        )
     found: list[Mode] = []
     fitting: list[Mode] = []  # of those: size and format as asked
-    for pixels in wanted:
+    for pixels in readable:
         device.set_format(width, height, pixels)
         device.set_rate(options.rate or _USUAL_HZ)
         mode = device.mode()

@@ -38,6 +38,7 @@ class FakeCamera:
         }
     )
     stubborn: set[int] = field(default_factory=set)  # controls that are accepted and stay as they are
+    stalling: set[int] = field(default_factory=set)  # controls whose range the firmware doesn't tell
     resets_on_stream: dict[int, int] = field(default_factory=dict)
     capabilities: int = abi.CAP_VIDEO_CAPTURE | abi.CAP_STREAMING
     plugged: bool = True
@@ -165,6 +166,8 @@ class FakeCamera:
         found.timeperframe = abi.Fract(1000, round(1000 * self._rate))
 
     def _queryctrl(self, query: abi.QueryCtrl) -> None:
+        if query.id in self.stalling:
+            self._fail(errno.EIO)
         if query.id not in self.controls:
             self._fail(errno.EINVAL)
         query.minimum, query.maximum, _ = self.controls[query.id]
