@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-_HEALED_NS = 10_000_000_000  # intra refresh, which has no key frames, renews the whole picture sooner
+_PATIENCE_NS = 10_000_000_000  # cameras send a key frame every few seconds, or none (intra refresh)
 
 
 class Damage:
     """From a damaged picture on all are unsound until a key frame, which builds on none before it.
 
-    The decoder marks only the picture that was hit. A stream without key frames (intra refresh) mends itself
-    piece by piece: ten seconds after its last damage it is believed again.
+    The decoder marks only the picture that was hit. Where no key frame comes for ten seconds the stream has
+    none, and mends itself piece by piece: from there on only the damaged pictures themselves count.
     """
 
     def __init__(self) -> None:
-        self._hit_ns: int | None = None
+        self._first_hit_ns: int | None = None  # since the last key frame
 
     def hit(self, arrival_ns: int) -> None:
         """A picture came damaged, or could not be decoded at all."""
-        self._hit_ns = arrival_ns
+        if self._first_hit_ns is None:
+            self._first_hit_ns = arrival_ns
 
     def spoils(self, is_key: bool, arrival_ns: int) -> bool:
         """Whether a picture that came whole builds on a damaged one."""
-        if is_key or (self._hit_ns is not None and arrival_ns - self._hit_ns > _HEALED_NS):
-            self._hit_ns = None
-        return self._hit_ns is not None
+        if is_key:
+            self._first_hit_ns = None
+        return self._first_hit_ns is not None and arrival_ns - self._first_hit_ns <= _PATIENCE_NS

@@ -68,6 +68,7 @@ class StreamDriver:
         options = {"protocol_whitelist": _PROTOCOLS, "fflags": "nobuffer"}
         if self.is_mjpeg:
             options["http_proxy"] = ""  # a camera is on our own network
+            options["tls_verify"] = "0"  # ... and signs its own certificate, if any
         else:
             options |= {"rtsp_transport": self.options.transport, "allowed_media_types": "video"}
         began = time.monotonic()

@@ -39,8 +39,8 @@ class Device:
                 f"no permission to open {path}: add the user to the group video "
                 "(sudo usermod -aG video $USER)"
             ) from None
-        except OSError as error:
-            raise CameraLostError(f"{path} is not there ({error.strerror})") from None
+        except OSError as error:  # some drivers let one program alone open it
+            raise self._lost(error, f"{path} is not there") from None
         try:
             self.card = self._identify()
         except BaseException:
@@ -52,10 +52,13 @@ class Device:
         try:
             self._kernel.ioctl(self.fd, code, argument)
         except OSError as error:
-            if error.errno == errno.EBUSY:
-                raise CameraLostError(f"{self._path} is in use by another program") from None
-            raise CameraLostError(f"{what} fails ({error.strerror})") from None
+            raise self._lost(error, f"{what} fails") from None
         return argument
+
+    def _lost(self, error: OSError, words: str) -> CameraLostError:
+        if error.errno == errno.EBUSY:
+            return CameraLostError(f"{self._path} is in use by another program")
+        return CameraLostError(f"{words} ({error.strerror})")
 
     def _identify(self) -> str:
         capability = abi.Capability()
@@ -166,7 +169,7 @@ class Device:
                     f"{self._path}: the USB bus has no room for its images: use format=MJPG, a smaller size, "
                     "or another USB controller"
                 ) from None
-            raise CameraLostError(f"starting the stream fails ({error.strerror})") from None
+            raise self._lost(error, "starting the stream fails") from None
 
     def close(self) -> None:
         """Gives the descriptor back."""

@@ -8,7 +8,9 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from typing import Any
 
+import av
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -347,3 +349,18 @@ def test_without_pyav_a_line_says_what_to_install(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "av", None)
     with pytest.raises(SourceError, match=r"prism-edge\[streams\]"):
         StreamDriver("rtsp://127.0.0.1/x").connect()
+
+
+def test_a_camera_may_sign_its_own_certificate_whatever_ffmpeg_comes_to_ask(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    asked: dict[str, str] = {}
+
+    def opened(_: str, **given: Any) -> None:
+        asked.update(given["options"])
+        raise CameraLostError("seen enough")
+
+    monkeypatch.setattr(av, "open", opened)
+    with pytest.raises(CameraLostError, match="seen enough"):
+        StreamDriver("https://camera/video").connect()
+    assert asked["tls_verify"] == "0"

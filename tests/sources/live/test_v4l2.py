@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import time
 
 import cv2
@@ -241,6 +242,15 @@ def test_mjpg_is_decoded() -> None:
     assert np.abs(decoded.astype(int) - scene).mean() < 3
 
 
+def test_a_driver_that_only_one_program_may_open_is_in_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    def held(_: FakeCamera, path: str) -> int:
+        raise OSError(errno.EBUSY, os.strerror(errno.EBUSY), path)
+
+    monkeypatch.setattr(FakeCamera, "open", held)
+    with pytest.raises(CameraLostError, match="video-index0 is in use by another program"):
+        driver(FakeCamera()).connect()
+
+
 @pytest.mark.parametrize(
     ("fault", "error", "words"),
     [
@@ -252,6 +262,7 @@ def test_mjpg_is_decoded() -> None:
         ({"capabilities": abi.CAP_STREAMING | abi.CAP_VIDEO_CAPTURE_MPLANE}, SourceError, "multi-planar"),
         ({"stream_error": errno.ENOSPC}, SourceError, "USB bus"),
         ({"stream_error": errno.EIO}, CameraLostError, "starting the stream fails"),
+        ({"stream_error": errno.EBUSY}, CameraLostError, "in use by another program"),
         ({"modes": {"H264": {(64, 48): 30.0}}}, SourceError, "H264"),
     ],
 )
