@@ -32,26 +32,23 @@ from prism_edge.evaluation.trajectory import read_tum  # noqa: E402
 from prism_edge.scale.gate import DepthView, Gate, GateParameters  # noqa: E402
 from prism_edge.sources.base import Image  # noqa: E402
 from prism_edge.sources.open import open_source  # noqa: E402
-from prism_edge.sources.truth import read_truth  # noqa: E402
 from prism_edge.tracking.features import OrbExtractor  # noqa: E402
+from tools.true_poses import own_truth, pose_of_image  # noqa: E402
 
 Array = NDArray[np.float64]
 
 EXCEEDED_BY = 0.1  # of static features: tau
 WEIGHT_OF_MEDIAN = 0.9
 ROUNDS = 4  # what counts as hidden goes by tau, which is what is being fitted
-PAIRED_NS = 20_000_000
 FIRST_GUESS = GateParameters(GateConfig().alpha, 0.2, 0.05)
 Keyframes = list[tuple[DepthView, Array]]
 
 
 def keyframes(folder: Path, network: DepthNetwork, every: int, poses: Path | None) -> Keyframes:
     """Depth views and their features' raw pixels, in metres of the given poses. Raises SourceError."""
-    given = read_tum(poses) if poses else None
-    truth = (given.stamps, given.poses) if given else read_truth(str(folder))
-    if truth is None:
+    truth = read_tum(poses) if poses else own_truth(str(folder))
+    if not len(truth):
         raise SourceError(f"{folder} holds no true poses; give them with --poses FILE.tum")
-    stamps, known = truth
     extractor = OrbExtractor(Config().tracking)
     made: Keyframes = []
     with open_source(SourceConfig(uri=str(folder))) as source:
@@ -60,8 +57,8 @@ def keyframes(folder: Path, network: DepthNetwork, every: int, poses: Path | Non
                 source.skip()
                 continue
             image = source.read()
-            nearest = int(np.abs(stamps - slot.stamp_ns).argmin())
-            if not isinstance(image, Image) or abs(int(stamps[nearest]) - slot.stamp_ns) > PAIRED_NS:
+            pose = pose_of_image(truth, slot.stamp_ns)
+            if not isinstance(image, Image) or pose is None:
                 continue
             grey_only = image.pixels.ndim == 2
             rgb = cv2.cvtColor(image.pixels, cv2.COLOR_GRAY2RGB if grey_only else cv2.COLOR_BGR2RGB)
@@ -72,7 +69,7 @@ def keyframes(folder: Path, network: DepthNetwork, every: int, poses: Path | Non
             features = extractor.extract(np.asarray(grey, np.uint8), source.camera)
             view = DepthView(
                 slot.index,
-                known[nearest],
+                pose,
                 source.camera,
                 answer.depth,
                 answer.image_to_depth,

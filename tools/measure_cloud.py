@@ -37,10 +37,10 @@ from prism_edge.sources import open_source
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.sensor_depth import COLOUR_IN_DEPTH, SensorDepth, image_to_depth
 from prism_edge.sources.truth import read_truth
+from tools.true_poses import pose_of_image
 
 F64 = NDArray[np.float64]
 
-APART_NS = 10_000_000  # at most, of a pose and an image
 ICP = ((0.2, 15), (0.05, 15))  # m that counterparts are apart at most, and rounds
 SAMPLED, NEIGHBOURS = 20_000, 30
 NO_CONFIDENCE = np.zeros((0, 0), np.float32)
@@ -130,7 +130,7 @@ def first_guess(
     keyframes: list[tuple[int, F64]], truth: Trajectory, with_scale: bool
 ) -> tuple[F64, float]:
     """truth_from_map (4, 4) and its scale by where the keyframes are. Raises EvaluationError."""
-    both = [(pose, pose_at(truth, stamp)) for stamp, pose in keyframes]
+    both = [(pose, pose_of_image(truth, stamp)) for stamp, pose in keyframes]
     pairs = [(pose[:3, 3], at[:3, 3]) for pose, at in both if at is not None]
     if len(pairs) < 3:
         raise EvaluationError(f"{len(pairs)} keyframes have a true pose: is the map of this recording?")
@@ -139,19 +139,13 @@ def first_guess(
     return from_rt(found.rotation, found.translation), found.scale
 
 
-def pose_at(truth: Trajectory, stamp_ns: int) -> F64 | None:
-    """The pose (4, 4) at a time; None where there is none within APART_NS."""
-    nearest = int(np.argmin(np.abs(truth.stamps - stamp_ns)))
-    return truth.poses[nearest] if abs(int(truth.stamps[nearest]) - stamp_ns) <= APART_NS else None
-
-
 def reference(folder: Path, truth: Trajectory, voxel: float, farthest: float, camera: str = "") -> Cloud:
     """What the depth camera saw, from the true poses."""
     sensor, voxels = SensorDepth(folder), Voxels(voxel)
     with open_source(SourceConfig(uri=str(folder), camera=camera)) as source:
         while (slot := source.peek()) is not None:
             source.skip()
-            pose = pose_at(truth, slot.stamp_ns)
+            pose = pose_of_image(truth, slot.stamp_ns)
             depth = None if pose is None else sensor.in_colour(slot.index, source.camera)
             if pose is None or depth is None:
                 continue

@@ -6,11 +6,10 @@ import numpy as np
 
 from prism_edge.errors import PrismError
 from prism_edge.evaluation.loops import pose_at
-from prism_edge.evaluation.trajectory import Trajectory, nearest_rows
+from prism_edge.evaluation.trajectory import TOGETHER_NS, Trajectory, nearest_rows
 from prism_edge.geometry.poses import Array
 from prism_edge.sources.truth import read_truth
 
-TOGETHER_NS = 10_000_000  # an image and the nearest true pose: a reference may have every tenth image's alone
 SAME_NS = 100_000  # one stamp, written with fewer digits
 
 
@@ -31,7 +30,8 @@ def why_unscored(folder: str) -> str:
 def pose_of_image(truth: Trajectory, stamp_ns: int) -> Array | None:
     """world_from_camera (4, 4) at an image's stamp; None where no true pose is near.
 
-    Motion capture has stamps of its own, at which no image was taken: interpolated between its poses.
+    A reference may have every tenth image's alone, between which nothing is made up. Motion capture has
+    stamps of its own, at which no image was taken: interpolated between its poses.
     """
     if not len(truth):
         return None

@@ -13,7 +13,7 @@ from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
 from prism_edge.geometry.poses import from_rt, so3_exp
 from prism_edge.sources.truth import read_truth
 from tests.synthetic.sequence import write_sequence
-from tools import make_kidnapping, make_variant, measure_places
+from tools import fit_gate, make_kidnapping, make_variant, measure_cloud, measure_places
 from tools.true_poses import own_truth, pose_of_image
 
 SPEED = 0.5  # m/s along x, and rad/s about z
@@ -81,6 +81,23 @@ def test_places_are_measured_with_the_pose_of_each_image(filmed: Path) -> None:
     assert indices.tolist() == [0, 2, 4, 6, 8]
     assert silent == 0
     assert poses == pytest.approx(expected(9)[::2], abs=1e-5)
+
+
+def test_the_gate_is_fitted_with_the_pose_of_each_image(filmed: Path) -> None:
+    answer = SimpleNamespace(
+        valid=True, depth=np.ones((48, 64), np.float32), image_to_depth=np.array([1.0, 0.0, 1.0, 0.0]),
+        confidence=np.zeros((0, 0), np.float32),
+    )  # fmt: skip
+    network: Any = SimpleNamespace(infer=lambda rgb, camera: answer)
+    made = fit_gate.keyframes(filmed, network, 2, None)
+    assert [view.world_from_camera for view, _ in made] == pytest.approx(expected(9)[::2], abs=1e-5)
+
+
+def test_a_cloud_is_brought_over_by_the_pose_of_each_keyframe() -> None:
+    keyframes = [(round(k * NS / 30), pose(k / 30)) for k in range(1, 50, 4)]
+    guess, scale = measure_cloud.first_guess(keyframes, captured(100.0, begin_s=0.0023), True)
+    assert scale == pytest.approx(1.0, abs=1e-5)
+    assert guess == pytest.approx(np.eye(4), abs=1e-5)
 
 
 def test_frames_whose_descriptor_says_nothing_are_left_out_and_counted(filmed: Path, monkeypatch, capsys):
