@@ -17,7 +17,6 @@ import math
 import sys
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:  # run from a checkout
     sys.path.insert(0, str(ROOT))
 
+from prism_edge.bus.pack import as_sent, grey, rgb  # noqa: E402
 from prism_edge.config import Config, DepthConfig, GateConfig, SourceConfig  # noqa: E402
 from prism_edge.depth import DepthNetwork, open_network  # noqa: E402
 from prism_edge.errors import PrismError, SourceError  # noqa: E402
@@ -60,13 +60,11 @@ def keyframes(folder: Path, network: DepthNetwork, every: int, poses: Path | Non
             pose = pose_of_image(truth, slot.stamp_ns)
             if not isinstance(image, Image) or pose is None:
                 continue
-            grey_only = image.pixels.ndim == 2
-            rgb = cv2.cvtColor(image.pixels, cv2.COLOR_GRAY2RGB if grey_only else cv2.COLOR_BGR2RGB)
-            answer = network.infer(np.asarray(rgb, np.uint8), source.camera)
+            sent = as_sent(image.pixels, source.camera)
+            answer = network.infer(rgb(sent), source.camera)
             if not answer.valid:
                 continue
-            grey = image.pixels if grey_only else cv2.cvtColor(image.pixels, cv2.COLOR_BGR2GRAY)
-            features = extractor.extract(np.asarray(grey, np.uint8), source.camera)
+            features = extractor.extract(grey(sent), source.camera)
             view = DepthView(
                 slot.index,
                 pose,

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from prism_edge.bus.pack import PackedImage, pack, rgb
+from prism_edge.bus.pack import as_sent, rgb
 from prism_edge.config import DepthConfig, SourceConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction
@@ -28,7 +28,7 @@ from prism_edge.errors import PrismError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import Image
 from prism_edge.sources.open import open_source
-from prism_edge.sources.sensor_depth import SensorDepth
+from prism_edge.sources.sensor_depth import SensorDepth, image_to_depth
 
 F64 = NDArray[np.float64]
 
@@ -87,7 +87,7 @@ def measure(folder: Path, network: DepthNetwork, every: int) -> tuple[list[Frame
             image, truth = source.read(), sensor.in_colour(slot.index, source.camera)
             score = None
             if isinstance(image, Image) and truth is not None:
-                predicted = network.infer(_as_on_the_bus(image, source.camera), source.camera)
+                predicted = network.infer(rgb(as_sent(image.pixels, source.camera)), source.camera)
                 score = score_frame(image.stamp_ns, predicted, truth, source.camera)
             if score is None:
                 failed += 1
@@ -103,8 +103,8 @@ def score_frame(
     a, b, c, d = predicted.image_to_depth
     rows, columns = np.mgrid[0 : predicted.depth.shape[0], 0 : predicted.depth.shape[1]]
     x, y = (columns - b) / a, (rows - d) / c
-    x = (x + 0.5) * truth.shape[1] / camera.width - 0.5
-    y = (y + 0.5) * truth.shape[0] / camera.height - 0.5
+    a, b, c, d = image_to_depth(truth, camera)
+    x, y = a * x + b, c * y + d
     # Nearest: blending across an edge, or with the 0 of an invalid pixel, gives a depth that nothing has.
     seen = cv2.remap(
         truth, x.astype(np.float32), y.astype(np.float32), cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, 0
@@ -155,12 +155,6 @@ def autocorrelation(stamps: F64, values: F64, lag_s: float) -> float:
         return float("nan")
     centred = values - values.mean()
     return float(np.mean(centred[first[near]] * centred[second[near]]) / np.var(values))
-
-
-def _as_on_the_bus(image: Image, camera: Camera) -> NDArray[np.uint8]:
-    """The RGB image as the depth worker gets it, with the chroma that messages carry."""
-    packed, colour = pack(image.pixels)
-    return rgb(PackedImage(colour, camera.to_array(), packed))
 
 
 if __name__ == "__main__":

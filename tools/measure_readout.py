@@ -21,7 +21,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from prism_edge.bus.pack import PackedImage, grey, pack, rgb
+from prism_edge.bus.pack import as_sent, grey, rgb
 from prism_edge.calibration.readout import ReadoutFit
 from prism_edge.cli.settings import BUNDLED
 from prism_edge.config import DepthConfig, SourceConfig, TrackingConfig
@@ -112,8 +112,7 @@ def left_over(source_config: SourceConfig, network: DepthNetwork, said_ms: float
             image = source.read()
             if not isinstance(image, Image):
                 continue
-            packed, colour = pack(image.pixels)
-            frame = PackedImage(colour, source.camera.to_array(), packed)
+            frame = as_sent(image.pixels, source.camera)
             tracker.process(image.index, image.stamp_ns, grey(frame), camera)
             _hear(tracker, fit)
             keyframe = tracker.maybe_keyframe()

@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,16 +23,17 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:  # run from a checkout
     sys.path.insert(0, str(ROOT))
 
+from prism_edge.bus.pack import as_sent, grey, rgb  # noqa: E402
 from prism_edge.config import Config, DepthConfig, ScaleConfig, SourceConfig  # noqa: E402
 from prism_edge.depth import open_network  # noqa: E402
 from prism_edge.errors import PrismError, SourceError  # noqa: E402
-from prism_edge.geometry.cameras import Camera  # noqa: E402
 from prism_edge.messages import F32  # noqa: E402
 from prism_edge.scale.filter import ScaleFilter  # noqa: E402
 from prism_edge.scale.least_squares import Observation, weighted_least_squares  # noqa: E402
 from prism_edge.scale.samples import depth_at, sample  # noqa: E402
+from prism_edge.sources.base import Image, Source  # noqa: E402
 from prism_edge.sources.open import open_source  # noqa: E402
-from prism_edge.sources.sensor_depth import SensorDepth  # noqa: E402
+from prism_edge.sources.sensor_depth import SensorDepth, image_to_depth  # noqa: E402
 from prism_edge.tracking.features import OrbExtractor  # noqa: E402
 from tools.measure_depth import autocorrelation  # noqa: E402
 
@@ -63,16 +63,17 @@ def profile(folder: Path, model: str, camera_file: str, every: int, config: Scal
     extractor = OrbExtractor(Config().tracking)
     times, observations, whole = [], [], []
     with open_source(SourceConfig(uri=str(folder), camera=camera_file)) as source:
-        for rgb, index, stamp_ns in _frames(source, every):
+        for image in _frames(source, every):
             camera = source.camera
-            truth = sensor.in_colour(index, camera)
+            truth = sensor.in_colour(image.index, camera)
             if truth is None:
                 continue
-            prediction = network.infer(rgb, camera)
-            grey = cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY)
-            pixels = extractor.extract(grey, camera).pixels
-            to_sensor = _colour_to_sensor(camera, truth.shape[1], truth.shape[0])
-            depths, ok = depth_at(truth, camera.distort_pixels(pixels) * to_sensor[:2] + to_sensor[2:])
+            sent = as_sent(image.pixels, camera)
+            prediction = network.infer(rgb(sent), camera)
+            pixels = extractor.extract(grey(sent), camera).pixels
+            to_sensor = image_to_depth(truth, camera)
+            raw = camera.distort_pixels(pixels)
+            depths, ok = depth_at(truth, raw * to_sensor[[0, 2]] + to_sensor[[1, 3]])
             samples = sample(
                 camera,
                 pixels,
@@ -92,35 +93,25 @@ def profile(folder: Path, model: str, camera_file: str, every: int, config: Scal
             )
             if observation is None:
                 continue
-            times.append(stamp_ns * 1e-9)
+            times.append(image.stamp_ns * 1e-9)
             observations.append(observation)
             whole.append(_whole_image(truth, to_sensor, prediction.depth, prediction.image_to_depth))
     return Series(np.array(times), observations, np.array(whole))
 
 
-def _frames(source, every: int) -> Iterator[tuple[NDArray[np.uint8], int, int]]:  # type: ignore[no-untyped-def]
+def _frames(source: Source, every: int) -> Iterator[Image]:
     while (slot := source.peek()) is not None:
         if slot.index % every:
             source.skip()
-            continue
-        image = source.read()
-        pixels = getattr(image, "pixels", None)
-        if pixels is not None:
-            code = cv2.COLOR_GRAY2RGB if pixels.ndim == 2 else cv2.COLOR_BGR2RGB
-            yield cv2.cvtColor(pixels, code), slot.index, slot.stamp_ns
+        elif isinstance(image := source.read(), Image):
+            yield image
 
 
-def _colour_to_sensor(camera: Camera, width: int, height: int) -> Array:
-    """Factors, then offsets, from the camera's pixels (x, y) to those of depth of another size."""
-    factors = np.array([width / camera.width, height / camera.height])
-    return np.concatenate([factors, 0.5 * (factors - 1.0)])
-
-
-def _whole_image(truth: F32, to_sensor: Array, depth: F32, image_to_depth: Array) -> float:
+def _whole_image(truth: F32, to_sensor: Array, depth: F32, to_depth: Array) -> float:
     y, x = np.mgrid[0 : truth.shape[0] : 4, 0 : truth.shape[1] : 4]
     values = truth[y, x].ravel()
-    pixels = (np.column_stack([x.ravel(), y.ravel()]) - to_sensor[2:]) / to_sensor[:2]
-    predicted, _ = depth_at(depth, pixels * image_to_depth[[0, 2]] + image_to_depth[[1, 3]], np.inf)
+    pixels = (np.column_stack([x.ravel(), y.ravel()]) - to_sensor[[1, 3]]) / to_sensor[[0, 2]]
+    predicted, _ = depth_at(depth, pixels * to_depth[[0, 2]] + to_depth[[1, 3]], np.inf)
     both = (values > 0.0) & (predicted > 0.0)
     return float(np.median(np.log(predicted[both] / values[both]))) if both.any() else float("nan")
 

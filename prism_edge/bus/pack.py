@@ -14,6 +14,7 @@ from typing import Protocol
 import cv2
 import numpy as np
 
+from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import F64, U8
 
 
@@ -50,6 +51,12 @@ def pack(pixels: U8) -> tuple[U8, bool]:
     if height % 2 or width % 2:
         pixels = cv2.copyMakeBorder(pixels, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE)
     return cv2.cvtColor(pixels, cv2.COLOR_BGR2YUV_I420), True
+
+
+def as_sent(pixels: U8, camera: Camera) -> PackedImage:
+    """What the daemon's processes would be given of a camera's grey or BGR image."""
+    image, colour = pack(pixels)
+    return PackedImage(colour, camera.to_array(), image)
 
 
 def grey(frame: FrameLike) -> U8:
