@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,11 +10,8 @@ from prism_edge.geometry.poses import Array
 _FIRST = 64  # rows to begin with
 
 
-class Carried(Mapping[int, tuple[int, Array, int]]):
-    """The ``most`` culled last, each hung on a keyframe that is there; oldest first.
-
-    Gives (keyframe it hangs on, keyframe_from_culled (4, 4), frame) for the number of a culled one.
-    """
+class Carried:
+    """The ``most`` culled last, each hung on a keyframe that is there; oldest first."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -26,19 +21,6 @@ class Carried(Mapping[int, tuple[int, Array, int]]):
 
     def __len__(self) -> int:
         return self._end - self._begin
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self.ids.tolist())
-
-    def __contains__(self, culled: object) -> bool:
-        return bool((self.ids == culled).any())
-
-    def __getitem__(self, culled: int) -> tuple[int, Array, int]:
-        rows = np.flatnonzero(self.ids == culled)
-        if not len(rows):
-            raise KeyError(culled)
-        _, anchor, frame = self.numbers[rows[0]].tolist()
-        return anchor, self.links[rows[0]], frame
 
     @property
     def numbers(self) -> NDArray[np.int64]:

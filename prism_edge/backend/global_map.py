@@ -291,13 +291,8 @@ class GlobalMap:
         """Those covisible with one, most shared points first."""
         return [k for k, shared in self.covisible(keyframe) if shared >= LEAST_SHARED]
 
-    def poses(self) -> dict[int, Array]:
-        """world_from_camera of every keyframe, the remembered culled ones carried by their anchors."""
-        ids, poses = self.table()
-        return dict(zip(ids.tolist(), poses, strict=True))
-
     def table(self) -> tuple[NDArray[np.int64], Array]:
-        """Numbers (n,) and world_from_camera (n, 4, 4) of the same."""
+        """Number (n,) and world_from_camera (n, 4, 4) of all keyframes, culled ones where they hang."""
         ids = _ids(self.keyframes)
         poses = np.array([k.world_from_camera for k in self.keyframes.values()]).reshape(-1, 4, 4)
         if not len(self.carried):

@@ -26,10 +26,6 @@ class Baselines:
     def __init__(self) -> None:
         self._parts: set[int] = set()
 
-    def begin(self, part: int) -> None:
-        """A part begins; its number may have been another's that came to nothing."""
-        self._parts.discard(part)
-
     def without(self, unobserved: float, part: int) -> float:
         """What a frame that was placed in a part lacks (:func:`unobserved_translation`), others heard."""
         if unobserved == 0.0:

@@ -44,7 +44,6 @@ class Parts:
 
     def add(self, keyframe: int) -> None:
         """A new keyframe belongs to the part the camera is tracked in."""
-        self._culled.pop(keyframe, None)  # numbers of what never came to be are given again
         if self.current != HOME:
             self._of[keyframe] = self.current
 

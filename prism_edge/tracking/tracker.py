@@ -173,7 +173,6 @@ class Tracker:
             # What was never seen from a second place: else what can't be tracked adds such parts for ever.
             take_out(self.world, self.parts, self.places, self.parts.newest(self.world))
         self.parts.begin(self._next_keyframe)
-        self._baselines.begin(self.parts.current)  # it rests on one view's depth, as the first map did
         self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose)
         self.first.begin(self._waiting.id, stamp_ns)
         log.info("nothing is known here: a new part of the map begins at frame %d", index)

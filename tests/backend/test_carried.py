@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -32,26 +31,17 @@ def test_it_does_what_a_dict_does(most: int, steps: list[tuple[int, int, bool]])
         carried.add(1000 + number, one, link(number + 1), 7 * number)
         while len(model) > most:
             del model[next(iter(model))]
-    assert list(carried) == list(model)
     assert len(carried) == len(model)
-    for k, (anchor, own, frame) in model.items():
-        assert k in carried
-        found = carried[k]
-        assert (found[0], found[2]) == (anchor, frame)
-        np.testing.assert_allclose(found[1], own, atol=1e-9)
     expected = np.array([m[1] for m in model.values()]).reshape(-1, 4, 4)
     np.testing.assert_allclose(carried.links, expected, atol=1e-9)
     assert carried.numbers.tolist() == [[k, m[0], m[2]] for k, m in model.items()]
-    assert 5 not in carried
-    with pytest.raises(KeyError):
-        carried[5]
 
 
 def test_it_takes_no_more_memory_however_many_were_culled() -> None:
     carried, shift = Carried(1000), from_rt(np.eye(3), np.ones(3))
     for number in range(20_000):
         carried.add(number, 0, shift, number)
-    assert list(carried) == list(range(19_000, 20_000))
+    assert carried.ids.tolist() == list(range(19_000, 20_000))
     assert len(carried._numbers) == len(carried._links) <= 2048
 
 
@@ -62,5 +52,5 @@ def test_what_hangs_on_a_keyframe_is_stretched_with_it_also_once_the_oldest_have
         link[:3, 3] = culled + 1.0, 0.0, -2.0
         carried.add(culled, 100 + culled % 2, link, 10 * culled)
     carried.stretch(100, 3.0)
-    places = {culled: carried[culled][1][:3, 3].tolist() for culled in carried}
+    places = dict(zip(carried.ids.tolist(), carried.links[:, :3, 3].tolist(), strict=True))
     assert places == {2: [9.0, 0.0, -6.0], 3: [4.0, 0.0, -2.0], 4: [15.0, 0.0, -6.0]}

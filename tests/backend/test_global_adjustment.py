@@ -16,7 +16,7 @@ from prism_edge.backend.global_map import GlobalMap
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log, transform
 from tests.backend.ring import position_error
-from tests.backend.world import Teller, check, depth_at_keypoints
+from tests.backend.world import Teller, check, depth_at_keypoints, poses_of
 from tests.tracking.cloud import pose_at
 
 CONFIG = BackendConfig()
@@ -226,10 +226,10 @@ def test_a_keyframe_that_sees_little_keeps_what_it_sees(monkeypatch):
 def test_it_finds_the_truth_again_with_some_of_the_views(monkeypatch):
     monkeypatch.setattr(module, "MOST_VIEWS", 4)
     teller, world = shaken(12)
-    before = position_error(world.poses(), teller.poses)
+    before = position_error(poses_of(world), teller.poses)
     adjusted = run(world)
     apply(world, adjusted, CONFIG)
-    assert position_error(world.poses(), teller.poses) < 0.3 * before
+    assert position_error(poses_of(world), teller.poses) < 0.3 * before
     check(world)
 
 

@@ -11,7 +11,7 @@ from prism_edge.backend.global_map import GlobalMap, GlobalPoint
 from prism_edge.backend.pose_graph import Similarity, apply
 from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.messages import HOME
-from tests.backend.world import Teller, check, quiet
+from tests.backend.world import Teller, check, poses_of, quiet
 from tests.tracking.cloud import pose_at
 
 POSES = [pose_at(0.2 * i) for i in range(5)]
@@ -155,15 +155,15 @@ def test_a_culled_keyframe_is_carried_by_one_that_stayed(told):
     world.absorb(quiet(messages[-1], culled_keyframes=[2]))
     check(world)
     assert 2 not in world.keyframes
-    assert world.poses()[2] == pytest.approx(POSES[2], abs=1e-6)
-    anchor = world.carried[2][0]
+    assert poses_of(world)[2] == pytest.approx(POSES[2], abs=1e-6)
+    ((_, anchor, _),) = world.carried.numbers.tolist()
     motion = pose_at(1.0, 2.0, 3.0, 0.1, 0.2, 0.3)
     world.keyframes[anchor].world_from_camera = motion @ world.keyframes[anchor].world_from_camera
-    assert world.poses()[2] == pytest.approx(motion @ POSES[2], abs=1e-6)
+    assert poses_of(world)[2] == pytest.approx(motion @ POSES[2], abs=1e-6)
     # Its anchor may go as well.
     world._forget_keyframe(anchor)
-    assert world.poses()[2] == pytest.approx(motion @ POSES[2], abs=1e-6)
-    assert set(world.poses()) >= {0, 1, 2, 3, 4}
+    assert poses_of(world)[2] == pytest.approx(motion @ POSES[2], abs=1e-6)
+    assert set(poses_of(world)) >= {0, 1, 2, 3, 4}
 
 
 def test_what_the_new_keyframe_sees_outlives_a_culled_one(told):
@@ -186,11 +186,11 @@ def test_only_the_last_culled_are_remembered(bound):
     for culled in (5, 2, 4, 1, 3):
         world._forget_keyframe(culled)
     remembered = [2, 4, 1, 3][4 - bound :]
-    assert list(world.carried) == remembered
-    assert set(world.poses()) == {0, 6, 7, *remembered}
+    assert world.carried.ids.tolist() == remembered
+    assert set(poses_of(world)) == {0, 6, 7, *remembered}
+    assert set(world.carried.numbers[:, 1].tolist()) <= world.keyframes.keys()
     for k in remembered:
-        assert world.poses()[k] == pytest.approx(teller.poses[k], abs=1e-5)
-        assert world.carried[k][0] in world.keyframes
+        assert poses_of(world)[k] == pytest.approx(teller.poses[k], abs=1e-5)
     check(world)
 
 
@@ -374,7 +374,7 @@ def test_a_culled_keyframe_that_was_never_told_is_no_matter(told):
     world, _, messages = told
     world.absorb(quiet(messages[-1], culled_keyframes=[77, 2]))
     assert set(world.keyframes) == {0, 1, 3, 4, 5}
-    assert 77 not in world.poses()
+    assert 77 not in poses_of(world)
     check(world)
 
 

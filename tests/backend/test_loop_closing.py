@@ -17,7 +17,7 @@ from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log
 from tests.backend.closing import CONFIG, DRIFT, finish, hear, two_parts, walk
 from tests.backend.returning import off_along_rays, pose_by_points, seen_again
 from tests.backend.ring import Ring, position_error
-from tests.backend.world import check, quiet
+from tests.backend.world import check, poses_of, quiet
 from tests.tracking.cloud import pose_at
 
 
@@ -27,7 +27,7 @@ def closed() -> tuple[Ring, Mapper, float]:
     ring = Ring(drift=DRIFT, stretch=1.004)
     mapper = walk(ring, 46)
     plain = walk(Ring(drift=DRIFT, stretch=1.004), 46, places=False)
-    return ring, mapper, position_error(plain.world.poses(), ring.true)
+    return ring, mapper, position_error(poses_of(plain.world), ring.true)
 
 
 def test_a_drifted_walk_is_restored(closed):
@@ -35,7 +35,7 @@ def test_a_drifted_walk_is_restored(closed):
     assert before > 0.14
     assert mapper.loops.accepted
     finish(mapper)
-    assert position_error(mapper.world.poses(), ring.true) < 0.1 * before
+    assert position_error(poses_of(mapper.world), ring.true) < 0.1 * before
     check(mapper.world)
 
 
@@ -44,9 +44,9 @@ def test_a_late_return_has_the_whole_way_round_to_drift():
     ring, moved = Ring(stretch=1.012), []
     mapper = Mapper(CONFIG, use_depth=False)
     while not mapper.loops.accepted and len(ring.true) < 44:
-        before = mapper.world.poses()
+        before = poses_of(mapper.world)
         walk(ring, 1, mapper=mapper, odometer=1000.0)
-        moved = [np.linalg.norm(mapper.world.poses()[k][:3, 3] - before[k][:3, 3]) for k in before]
+        moved = [np.linalg.norm(poses_of(mapper.world)[k][:3, 3] - before[k][:3, 3]) for k in before]
     (first,) = mapper.loops.accepted
     assert first.query - first.candidate > 30
     assert max(moved) > 1.0
@@ -118,7 +118,7 @@ def test_a_place_that_only_looks_the_same_is_refused(odometer):
     ranked = mapper.loops.index.rank(ring.looks_like(30), range(20))
     assert ranked[0][0] == 10  # it is what the network would say
     assert not mapper.loops.accepted
-    assert position_error(mapper.world.poses(), ring.true) < 0.01
+    assert position_error(poses_of(mapper.world), ring.true) < 0.01
 
 
 def test_without_descriptors_there_are_no_loops():
@@ -151,7 +151,7 @@ def test_descriptors_that_are_all_equal_do_no_harm():
     for loop in mapper.loops.accepted:
         true = inverse(ring.true[loop.candidate]) @ ring.true[loop.query]
         assert np.abs(se3_log(inverse(true) @ loop.candidate_from_query)).max() < 0.1
-    assert all(np.isfinite(pose).all() for pose in mapper.world.poses().values())
+    assert all(np.isfinite(pose).all() for pose in poses_of(mapper.world).values())
 
 
 def test_a_keyframe_without_features_closes_nothing():
@@ -170,7 +170,7 @@ def test_two_keyframes_at_one_pose_are_no_trouble():
     hear(mapper, ring, message, ring.looks_like(message.id))
     mapper = walk(ring, 2, mapper=mapper)
     finish(mapper)
-    assert all(np.isfinite(pose).all() for pose in mapper.world.poses().values())
+    assert all(np.isfinite(pose).all() for pose in poses_of(mapper.world).values())
     check(mapper.world)
 
 
@@ -179,7 +179,7 @@ def test_a_loop_that_fits_already_moves_nothing_but_joins_points():
     mapper = walk(ring, 43)
     assert mapper.loops.accepted
     assert mapper.loops.changes.fused
-    for k, pose in mapper.world.poses().items():
+    for k, pose in poses_of(mapper.world).items():
         assert np.abs(se3_log(inverse(ring.true[k]) @ pose)).max() < 0.01
 
 
@@ -212,7 +212,7 @@ def test_two_walks_are_the_same_to_the_last_bit():
     for _ in range(2):
         mapper = walk(Ring(drift=DRIFT), 43)
         finish(mapper)
-        found.append(np.array(list(mapper.world.poses().values())).tobytes())
+        found.append(np.array(list(poses_of(mapper.world).values())).tobytes())
     assert found[0] == found[1]
 
 
@@ -241,24 +241,24 @@ def test_a_loop_ends_the_adjustment_that_was_under_way():
     mapper.loops.adjust(1.0)
     assert mapper.loops.under_way
     while not mapper.loops.accepted:
-        drifted = position_error(mapper.world.poses(), ring.true)
+        drifted = position_error(poses_of(mapper.world), ring.true)
         walk(ring, 1, mapper=mapper)
     assert not mapper.loops.under_way
     while mapper.loops.unfinished:
         mapper.loops.adjust(1.0)
-        assert position_error(mapper.world.poses(), ring.true) < 0.1 * drifted
+        assert position_error(poses_of(mapper.world), ring.true) < 0.1 * drifted
 
 
 def test_an_adjustment_that_fits_worse_than_what_there_was_is_not_taken(monkeypatch):
     mapper = walk(Ring(), 6, places=False)
     mapper.loops._wanted = True
-    before = mapper.world.poses()
+    before = poses_of(mapper.world)
     away = {k: pose_at(1.0 * k) @ pose for k, pose in before.items()}
     worse = Adjusted(away, {}, error_before=10.0, error_after=11.0, steps=3, cpu_s=0.0)
     monkeypatch.setattr(GlobalAdjustment, "result", lambda _: worse)
     while mapper.loops.unfinished:
         assert mapper.loops.adjust(1.0) is None
-    for k, pose in mapper.world.poses().items():
+    for k, pose in poses_of(mapper.world).items():
         assert np.array_equal(pose, before[k])
 
 
@@ -279,13 +279,13 @@ def test_a_loop_moves_what_has_drifted_and_no_map_that_explains_its_points(drift
     off_along_rays(world, pairs, 0.4)
     there = pose_by_points(world, query, pairs)
     query.world_from_camera = query.world_from_camera @ se3_exp(np.array([0, 0, 0, 0, drift, 0]))
-    before = {k: pose.copy() for k, pose in world.poses().items()}
+    before = {k: pose.copy() for k, pose in poses_of(world).items()}
     assert rotation_angle(before[query.id][:3, :3].T @ there[:3, :3]) > np.radians(1.0)
     loops = LoopCloser(world, CONFIG, False)
     loops._part = set(before)
     assert loops._close(Loop(query.id, 0, there, 1.0, 0.01, len(pairs), 3, pairs))
     assert world.keyframes[query.id].observed
-    stayed = all(np.array_equal(world.poses()[k], before[k]) for k in before)
+    stayed = all(np.array_equal(poses_of(world)[k], before[k]) for k in before)
     assert stayed == (drift == 0.0)
 
 

@@ -14,7 +14,7 @@ from prism_edge.geometry.poses import inverse, se3_exp, se3_log, transform
 from prism_edge.messages import HOME
 from tests.backend.closing import DRIFT, finish, two_parts, walk
 from tests.backend.ring import Ring, position_error
-from tests.backend.world import chain, check
+from tests.backend.world import chain, check, poses_of
 from tests.tracking.cloud import pose_at
 
 BROKEN = range(22, 27)  # keyframes without which the ring is in two pieces
@@ -27,17 +27,17 @@ def test_a_copy_of_a_place_is_refused_where_keyframes_between_were_never_heard_o
     mapper = walk(ring, 38, odometer=odometer, unheard=BROKEN)
     assert len(tied_parts(mapper.world, [])) == 2
     assert not mapper.loops.accepted
-    assert position_error(mapper.world.poses(), ring.true) < 0.02
+    assert position_error(poses_of(mapper.world), ring.true) < 0.02
 
 
 def test_a_right_loop_between_two_pieces_of_home_is_believed():
     ring, plain = (Ring(drift=DRIFT, stretch=1.004) for _ in range(2))
-    before = position_error(walk(plain, 46, places=False).world.poses(), plain.true)
+    before = position_error(poses_of(walk(plain, 46, places=False).world), plain.true)
     mapper = walk(ring, 46, unheard=BROKEN)
     assert mapper.loops.accepted
     assert all(loop.units is None for loop in mapper.loops.accepted)
     finish(mapper)
-    assert position_error(mapper.world.poses(), ring.true) < 0.2 * before
+    assert position_error(poses_of(mapper.world), ring.true) < 0.2 * before
 
 
 def carried_off(ring: Ring) -> None:
@@ -54,7 +54,7 @@ def test_a_part_mapped_apart_is_merged_when_its_place_is_recognised():
     carried_off(ring)
     for poses in (ring.true, ring.told):
         poses += 4 * [poses[-1]]  # it comes to itself four steps on
-    before = {k: pose.copy() for k, pose in mapper.world.poses().items()}
+    before = {k: pose.copy() for k, pose in poses_of(mapper.world).items()}
     mapper = walk(ring, 26, mapper=mapper)
     first = mapper.loops.accepted[0]
     assert first.candidate < 10 <= first.query
@@ -65,7 +65,7 @@ def test_a_part_mapped_apart_is_merged_when_its_place_is_recognised():
     assert mapper.whole(35, mapper.loops.take_changes(), closed=first).loop_units.tolist() == [unit, sigma]
     assert not len(mapper.whole(35, mapper.loops.take_changes()).loop_units)
     finish(mapper)
-    poses = mapper.world.poses()
+    poses = poses_of(mapper.world)
     assert position_error(poses, ring.true) < 0.05
     for k, pose in before.items():
         assert np.abs(se3_log(inverse(pose) @ poses[k])).max() < 0.05
@@ -126,14 +126,14 @@ def test_a_part_that_was_joined_to_another_has_that_ones_unit_too_once_both_are_
         for k in range(start, start + 8):
             world.keyframes[k].part = part
     loops._join_neighbours = lambda loop: 0  # there are no pictures
-    before = world.poses()
+    before = poses_of(world)
     assert loops._close(Loop(203, 102, pose_at(100.7), 2.0, 0.001, 50, 3, []))
     assert {part: round(by, 2) for part, by in world._grown.items()} == {6: 2.0}
     assert loops._close(Loop(204, 2, pose_at(0.7), 1.5, 0.001, 50, 3, []))
     assert {part: round(by, 2) for part, by in world._grown.items()} == {6: 3.0, 3: 1.5}
     for start, by in zip(starts.values(), (1.0, 1.5, 3.0), strict=True):
         for k in range(start, start + 7):
-            steps = [inverse(poses[k]) @ poses[k + 1] for poses in (before, world.poses())]
+            steps = [inverse(poses[k]) @ poses[k + 1] for poses in (before, poses_of(world))]
             assert steps[1][0, 3] == pytest.approx(by * steps[0][0, 3], rel=0.02)
             assert world.keyframes[k].grown == pytest.approx(by, rel=0.02)
 
@@ -146,9 +146,9 @@ def test_a_part_of_its_own_is_adjusted_without_being_merged():
     for k in (0, 10):
         apart = tied_parts(mapper.world, [])
         assert any(k == min(part) for part in apart)
-    mapper.loops._wanted, before = True, mapper.world.poses()
+    mapper.loops._wanted, before = True, poses_of(mapper.world)
     finish(mapper)
-    poses = mapper.world.poses()
+    poses = poses_of(mapper.world)
     assert poses[0] == pytest.approx(ring.told[0], abs=0.01)
     assert poses[10] == pytest.approx(before[10], abs=0.01)
     assert all(np.isfinite(pose).all() for pose in poses.values())

@@ -13,7 +13,7 @@ from prism_edge.bus import codec
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_exp, transform
 from prism_edge.messages import HOME, Gate, MapUpdate
-from tests.backend.world import Teller, check, depth_at_keypoints, quiet, step
+from tests.backend.world import Teller, check, depth_at_keypoints, poses_of, quiet, step
 from tests.tracking.cloud import pose_at
 
 CONFIG = BackendConfig(observations=300)
@@ -183,7 +183,7 @@ def test_a_single_keyframe_has_nothing_to_solve():
     mapper = Mapper(CONFIG)
     message = Teller().keyframe(np.eye(4))
     assert step(mapper, message, plane(), WIDE) is None
-    assert list(mapper.world.poses()) == [0]
+    assert list(poses_of(mapper.world)) == [0]
 
 
 def test_an_update_carries_each_points_mean_weight():
@@ -239,7 +239,7 @@ def test_what_the_tracker_does_not_have_goes_though_nobody_has_said_so() -> None
     assert sorted(mapper.world.keyframes) == [0, 2, 3, 5]
     assert 1 not in mapper.loops.index
     assert 2 in mapper.loops.index
-    assert sorted(mapper.world.poses()) == [0, 1, 2, 3, 4, 5], "frames that they carried have a place"
+    assert sorted(poses_of(mapper.world)) == [0, 1, 2, 3, 4, 5], "frames that they carried have a place"
     check(mapper.world)
 
 

@@ -14,7 +14,7 @@ from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import Tracker
 from tests.backend.test_mapper import CONFIG
-from tests.backend.world import check, step
+from tests.backend.world import check, poses_of, step
 from tests.tracking.cloud import check as check_local
 from tests.tracking.footage import IDENTITY, footage
 
@@ -157,7 +157,7 @@ def test_a_bounded_map_stays_bounded_and_both_agree_on_it(bounded):
     assert set(world.keyframes) == set(heard.keyframes) == set(ids) - set(culled)
     assert len(world.keyframes) == BOUND
     assert {0, *ids[-12:]} <= set(world.keyframes)
-    assert set(heard.carried) == set(culled)
+    assert set(heard.carried.ids.tolist()) == set(culled)
     check(heard)
     check_local(world)
     # What the backend knows, the tracker has too, but for what is on its way.
@@ -176,8 +176,9 @@ def test_a_bounded_map_tracks_on(bounded):
 
 def test_frames_of_culled_keyframes_have_a_place_in_the_finished_map(bounded):
     """As final.tum is made: by the pose that the backend remembers of the frame's reference."""
-    poses, truth = bounded.mapper.world.poses(), footage().poses
-    on_culled = [i for i, (k, _) in bounded.carriers.items() if k in bounded.mapper.world.carried]
+    poses, truth = poses_of(bounded.mapper.world), footage().poses
+    culled = set(bounded.mapper.world.carried.ids.tolist())
+    on_culled = [i for i, (k, _) in bounded.carriers.items() if k in culled]
     assert len(on_culled) > 20
     for i, (reference, reference_from_camera) in bounded.carriers.items():
         placed = poses[reference] @ reference_from_camera

@@ -9,7 +9,7 @@ from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.messages import Keyframe
-from tests.backend.world import Teller
+from tests.backend.world import Teller, poses_of
 from tests.tracking.cloud import pose_at
 
 TOO_LARGE = 1.1
@@ -41,7 +41,7 @@ def walked(frame_sigma: float) -> float:
         point.position = TOO_LARGE * point.position
     for _ in range(3):
         assert mapper.optimise(5, 0.0) is not None
-    first, last = (mapper.world.poses()[k] for k in (0, 5))
+    first, last = (poses_of(mapper.world)[k] for k in (0, 5))
     way = np.linalg.norm(last[:3, 3] - first[:3, 3])
     return float(way / np.linalg.norm(teller.poses[5][:3, 3] - teller.poses[0][:3, 3]))
 

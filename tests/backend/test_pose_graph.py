@@ -12,7 +12,7 @@ from prism_edge.backend.loops import Loop
 from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, _carry, _similarity, apply, spread
 from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
 from prism_edge.messages import HOME
-from tests.backend.world import SHARED, chain
+from tests.backend.world import SHARED, chain, poses_of
 from tests.tracking.cloud import pose_at
 
 
@@ -87,7 +87,7 @@ def test_what_was_culled_keeps_its_place_beside_the_keyframe_that_it_hangs_on():
     world.carried.add(78, 3, link, 6)
     moved = {k: Similarity(pose_at(0.3 * k), 1.5 if k == 2 else 1.0) for k in range(4)}
     apply(world, moved)
-    poses = world.poses()
+    poses = poses_of(world)
     for culled, anchor, times in ((77, 2, 1.5), (78, 3, 1.0)):
         relative = inverse(moved[anchor].world_from_camera) @ poses[culled]
         assert relative[:3, 3] == pytest.approx(times * link[:3, 3], abs=1e-12)

@@ -17,6 +17,12 @@ SHARED = 100  # points, between neighbours of a chain
 NO_IDS = np.zeros(0, np.int64)
 
 
+def poses_of(world: GlobalMap) -> dict[int, np.ndarray]:
+    """world_from_camera of every keyframe, the remembered culled ones carried by their anchors."""
+    ids, poses = world.table()
+    return dict(zip(ids.tolist(), poses, strict=True))
+
+
 class Teller:
     """Sends a keyframe for each pose; a point's id is its place in the cloud."""
 

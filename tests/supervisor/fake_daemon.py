@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from prism_edge.config_file import load
 from prism_edge.errors import PrismError
 from prism_edge.processes import Process
+from prism_edge.supervisor import supervise
 from prism_edge.supervisor.child import Child
 from prism_edge.supervisor.start import Start
-from prism_edge.supervisor.supervise import supervise
 from prism_edge.supervisor.supervisor import Supervisor
 from prism_edge.workers.launch import log_to_stderr
 
@@ -31,8 +31,20 @@ def cast(behaviours: Sequence[str]) -> tuple[list[Process], Start]:
     return [Process(name, "fake_worker", "pretends", required=True) for name in plan], start
 
 
-def ready(supervisor: Supervisor) -> None:
-    print("ready", *(f"{name}={pid}" for name, pid in supervisor.processes.items()), flush=True)
+class Telling(Supervisor):
+    """Prints each worker's process id once all are ready."""
+
+    def run(self, until: Callable[[], bool]) -> None:
+        told = False
+
+        def until_told() -> bool:
+            nonlocal told
+            if self.ready_s is not None and not told:
+                told = True
+                print("ready", *(f"{name}={pid}" for name, pid in self.processes.items()), flush=True)
+            return until()
+
+        super().run(until_told)
 
 
 if __name__ == "__main__":
@@ -40,10 +52,10 @@ if __name__ == "__main__":
     processes, start = cast(sys.argv[2:])
     try:
         file = sys.argv[1]
-        code = supervise(
-            load(file), ready, processes=processes, start=start, reread=lambda: load(file)
+        supervise.Supervisor = Telling  # type: ignore[misc]
+        sys.exit(
+            supervise.supervise(load(file), processes=processes, start=start, reread=lambda: load(file))
         )
-        sys.exit(code)
     except PrismError as error:
         print(f"prism-edge: error: {error}", file=sys.stderr, flush=True)
         sys.exit(error.exit_code)

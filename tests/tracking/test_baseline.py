@@ -114,8 +114,6 @@ def test_each_part_of_a_map_has_a_baseline_of_its_own():
     assert baselines.without(0.7, 0) == 0.0, "for good"
     assert baselines.without(0.6, 9) == 0.6
     assert baselines.without(0.0, 9) == baselines.without(0.6, 9) == 0.0
-    baselines.begin(9)
-    assert (baselines.without(0.6, 9), baselines.without(0.6, 0)) == (0.6, 0.0)
 
 
 def test_points_of_another_part_that_are_only_tried_give_none():

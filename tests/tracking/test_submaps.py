@@ -94,9 +94,6 @@ def test_a_loop_of_a_keyframe_that_has_just_left_the_map_joins_its_part():
     assert (parts.of(60), parts.of(70), parts.at_home) == (HOME, 70, False)
     assert parts.take_joined() == [(60, HOME, 0.1, 0.01)]
     assert not parts.merge(61, 3), "it is at home by now"
-    parts.current = HOME
-    parts.add(71)  # the number is given again
-    assert not parts.merge(71, 3)
 
 
 def test_a_part_of_one_keyframe_is_a_small_one_unless_the_camera_is_there():

@@ -12,7 +12,7 @@ from prism_edge.bus import codec
 from prism_edge.config import BackendConfig
 from prism_edge.messages import Frame, Keyframe, MapUpdate
 from prism_edge.tracking.map_correction import flaw
-from tests.backend.world import Teller, quiet
+from tests.backend.world import Teller, poses_of, quiet
 from tests.tracking.cloud import pose_at
 from tests.workers.whole_system import WholeSystem, finite, numbers_of
 
@@ -110,7 +110,7 @@ def test_a_degenerate_window_gives_finite_numbers_and_the_next_one_works(scene: 
         assert sound(mapper.optimise(keyframe.id, 0.0))
         assert mapper.loops.look(keyframe.id) is None
     if scene in WELL_POSED:
-        for k, pose in mapper.world.poses().items():
+        for k, pose in poses_of(mapper.world).items():
             assert np.linalg.norm(pose[:3, 3] - poses[k][:3, 3]) < 0.05
     # A well-posed epoch after it is solved as if nothing had been.
     after = Teller(epoch=1, noise_px=0.3, first=100)
@@ -119,7 +119,7 @@ def test_a_degenerate_window_gives_finite_numbers_and_the_next_one_works(scene: 
     update = mapper.optimise(103, 0.0)
     assert update is not None
     assert sound(update)
-    assert np.linalg.norm(mapper.world.poses()[103][:3, 3] - after.poses[3][:3, 3]) < 0.03
+    assert np.linalg.norm(poses_of(mapper.world)[103][:3, 3] - after.poses[3][:3, 3]) < 0.03
 
 
 def test_a_keyframe_without_features_is_taken_in_and_passed_over() -> None:
@@ -140,4 +140,4 @@ def test_a_keyframe_without_features_is_taken_in_and_passed_over() -> None:
     update = mapper.optimise(4, 0.0)
     assert update is not None
     assert sound(update)
-    assert np.linalg.norm(mapper.world.poses()[4][:3, 3] - (0.6, 0.0, 0.0)) < 0.03
+    assert np.linalg.norm(poses_of(mapper.world)[4][:3, 3] - (0.6, 0.0, 0.0)) < 0.03

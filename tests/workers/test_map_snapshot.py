@@ -9,7 +9,7 @@ from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import HOME
 from prism_edge.workers.map_snapshot import snapshot
-from tests.backend.world import chain
+from tests.backend.world import chain, poses_of
 from tests.tracking.cloud import pose_at
 
 
@@ -21,7 +21,7 @@ def test_what_was_culled_is_counted_and_what_nothing_has_joined_is_named() -> No
         for k in range(start, start + 4):
             world.keyframes[k].part = HOME if part == 50 else part  # that was joined, in another unit
             world.keyframes[k].grown = 1.5 if part == 50 else 1.0
-    before = world.poses()
+    before = poses_of(world)
     for k in (2, 51, 102):
         world._forget_keyframe(k)
     shown = snapshot(mapper, True, 0.2)

@@ -16,6 +16,7 @@ from prism_edge.config import BackendConfig, TrackingConfig
 from prism_edge.workers import backend as worker
 from prism_edge.workers import state_directory
 from prism_edge.workers.state_directory import map_names, map_path
+from tests.backend.world import poses_of
 from tests.workers.backend_bench import CONFIG, depth_of, gate_of, keyframes, live, snapshot
 from tests.workers.list_bus import ListBus
 
@@ -44,7 +45,7 @@ class TestSaving:
         info, arrays = map_file.unpack(map_file.read(map_path(CONFIG.state, "lab")))
         mapper = Mapper(BackendConfig())
         assert mapper.restore(info, arrays) == KnownScale(0.25, 0.1, 0.07)
-        np.testing.assert_allclose(list(mapper.world.poses().values()), snapshot(bus).poses, atol=1e-12)
+        np.testing.assert_allclose(list(poses_of(mapper.world).values()), snapshot(bus).poses, atol=1e-12)
         assert info["robot"] == CONFIG.robot
         assert info["model"] == CONFIG.depth.model
 
