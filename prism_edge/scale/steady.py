@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 
 class SteadyScale:
     """Holds a value until the estimate is more than ``sigmas`` of its own uncertainty away, then follows.
@@ -18,12 +16,11 @@ class SteadyScale:
         self._sigmas = sigmas
         self.log_scale = log_scale  # 0: a map that starts from network depth has that unit by definition
 
-    def follow(self, estimate: float, sigma: float, excess: float = 1.0) -> float:
-        """Take in an estimate with its total sigma; returns the sigma of what is held about the truth.
+    def follow(self, estimate: float, sigma: float, excess: float = 1.0) -> None:
+        """Take in an estimate with its total sigma.
 
         With ``excess`` its network's images spread so many times as far as the network is thought to: metres
         of one that is out of its depth are worth less, and the shape of the path is worth as much as ever.
         """
         slack = self._sigmas * sigma * excess**2
         self.log_scale = min(max(self.log_scale, estimate - slack), estimate + slack)
-        return math.hypot(sigma, estimate - self.log_scale)

@@ -22,8 +22,8 @@ class MetricOdometry:
         self._stamp_ns: int | None = None
         self._pace_s = 0.0  # the last step's time
 
-    def advance(self, before: Array | None, after: Array, log_scale: float, stamp_ns: int) -> Array:
-        """odom_from_camera of a frame at ``after`` (world_from_camera, map units).
+    def advance(self, before: Array | None, after: Array, log_scale: float, stamp_ns: int) -> None:
+        """The camera has gone on to a frame at ``after`` (world_from_camera, map units).
 
         ``before`` is where the *present* map has the last tracked frame: a correction moves both alike. Exact
         copies of a frame are none: the step after them takes their time too.
@@ -38,7 +38,6 @@ class MetricOdometry:
                     self.twist, self.interval_s = se3_log(step) / elapsed, elapsed
                 self._pace_s = elapsed
         self._stamp_ns = stamp_ns
-        return self.odom_from_camera
 
     def repeat(self, stamp_ns: int) -> None:
         """An exact copy of the last frame: after some of them the velocity is not known any more.

@@ -51,9 +51,8 @@ class Pair:
             if result.world_from_camera is not None:
                 self.poses[i] = result.world_from_camera
                 self.carriers[i] = (result.reference, result.reference_from_camera)
-                self.odoms[i] = self.odometry.advance(
-                    before, result.world_from_camera, 0.0, film.stamp_ns(i)
-                ).copy()
+                self.odometry.advance(before, result.world_from_camera, 0.0, film.stamp_ns(i))
+                self.odoms[i] = self.odometry.odom_from_camera.copy()
             keyframe = self.tracker.maybe_keyframe()
             self.tracker.map_keyframe()
             if keyframe is not None:

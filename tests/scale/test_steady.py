@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -31,7 +29,7 @@ def test_a_contradiction_is_followed_to_the_edge_of_the_slack():
 
 def test_metres_of_a_network_out_of_its_depth_are_held_the_more():
     steady = SteadyScale(0.7)
-    assert steady.follow(0.5, 0.1, 2.0) == pytest.approx(math.hypot(0.1, 0.28))
+    steady.follow(0.5, 0.1, 2.0)
     assert steady.log_scale == pytest.approx(0.22)
     steady.follow(0.5, 0.1, 1.0)
     assert steady.log_scale == pytest.approx(0.43), "it has found its feet again"
@@ -39,18 +37,16 @@ def test_metres_of_a_network_out_of_its_depth_are_held_the_more():
 
 def test_without_slack_the_estimate_itself_is_published():
     steady = SteadyScale(0.0)
-    assert steady.follow(0.3, 0.1) == pytest.approx(0.1)
+    steady.follow(0.3, 0.1)
     assert steady.log_scale == 0.3
 
 
 @given(ESTIMATES, st.floats(0.0, 2.0))
-def test_what_is_held_is_never_farther_than_the_slack_and_its_sigma_says_so(estimates, sigmas):
+def test_what_is_held_is_never_farther_than_the_slack(estimates, sigmas):
     steady = SteadyScale(sigmas)
     for estimate, sigma in estimates:
-        held = steady.follow(estimate, sigma)
-        offset = estimate - steady.log_scale
-        assert abs(offset) <= sigmas * sigma + 1e-9
-        assert held == pytest.approx(math.hypot(sigma, offset))
+        steady.follow(estimate, sigma)
+        assert abs(estimate - steady.log_scale) <= sigmas * sigma + 1e-9
 
 
 def test_a_steady_truth_is_reached_as_the_uncertainty_shrinks():
