@@ -20,6 +20,7 @@ from prism_edge.backend.sizes import size_factors, sizes
 from prism_edge.backend.window import CONVERGED, outliers, widest_parallax
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
+from prism_edge.tracking.point_table import TRIANGULATED_DEG
 
 MOST_STEPS = 12
 OBSERVATIONS = 250  # of a keyframe at most
@@ -242,7 +243,7 @@ def apply(world: GlobalMap, adjusted: Adjusted, config: BackendConfig) -> list[t
 
 def _firm(world: GlobalMap, points: list[int], config: BackendConfig) -> list[int]:
     """Those whose rays cross and are near where they should be: others may slip behind a camera."""
-    firm = {p: world.points[p] for p in points if world.points[p].parallax_deg >= lens.LEAST_PARALLAX_DEG}
+    firm = {p: world.points[p] for p in points if world.points[p].parallax_deg >= TRIANGULATED_DEG}
     # A bent map is a few pixels off at its rim, and these are what tells the lens.
     wrong = {p for _, p in _beyond(world, {p: point.keyframes for p, point in firm.items()}, FAR_OFF, config)}
     return [p for p in firm if p not in wrong]

@@ -31,7 +31,6 @@ UNIT_SIGMA = 0.01  # relative; lengths don't bend with the lens
 # A corner errs alike in keyframes that stand side by side: on recordings whose lens is exact, estimates
 # scatter by two to three times the sigma that independent errors would have.
 ALIKE = 3.0
-LEAST_PARALLAX_DEG = 1.0  # of the points that it is looked for in
 LARGEST = 0.15  # of |k1|, all told: more is a wrong map
 WELL_KNOWN = 0.004  # sigma: half a pixel at the corner of a common image
 FIRST, GROWTH, LAST = 10, 1.2, 200  # keyframes at which it is looked for, each so many times the one before

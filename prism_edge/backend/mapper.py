@@ -24,12 +24,11 @@ from prism_edge.errors import MapError
 from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import LARGEST_ID, Gate, Keyframe, MapUpdate, same_network
-from prism_edge.tracking.depth_alignment import agreement
+from prism_edge.tracking.depth_alignment import MIN_ALIGNED, agreement
 from prism_edge.tracking.place_index import PlaceIndex
+from prism_edge.tracking.point_table import TRIANGULATED_DEG
 from prism_edge.tracking.seeding import sample_depth
 
-MIN_ALIGNED = 20
-MIN_ALIGNED_PARALLAX_DEG = 1.0
 LEAST_DEPTH_SIGMA = 0.02  # relative, of one pixel: an edge, a rounded place
 
 
@@ -307,7 +306,7 @@ def _attach_depth(
     """``known`` (n,) along z and ``parallax_deg`` (n,) are of keypoints' points, map units; 0 for none."""
     good, network = sample_depth(depth, image_to_depth, keyframe.camera.distort_pixels(keyframe.pixels))
     own = np.where(good, network, 0.0)
-    firm = good & (parallax_deg >= MIN_ALIGNED_PARALLAX_DEG) & (known > 0)
+    firm = good & (parallax_deg >= TRIANGULATED_DEG) & (known > 0)
     factor = float(np.exp(-log_scale))
     if math.isfinite(frame_sigma) and frame_sigma >= 0.0:
         keyframe.depth_sigma = max(frame_sigma, LEAST_DEPTH_SIGMA)

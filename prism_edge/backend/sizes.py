@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.poses import Array
-from prism_edge.tracking.depth_alignment import agreement, robust_sigma
+from prism_edge.tracking.depth_alignment import MIN_ALIGNED, agreement, robust_sigma
+from prism_edge.tracking.point_table import TRIANGULATED_DEG
 
-LEAST_POINTS, LEAST_PARALLAX_DEG = 20, 1.0  # as where depth gets its scale (mapper.py)
 # A network that is unsure within an image is as unsure from place to place; and neighbours err alike, so that
 # six keyframes say no more than one.
 SHARE, LEAST_SPREAD = 2.5, 0.03
@@ -45,7 +45,7 @@ def sizes(
     world: GlobalMap,
     keyframes: Iterable[int],
     points: Mapping[int, Iterable[int]],
-    least_parallax_deg: float = LEAST_PARALLAX_DEG,
+    least_parallax_deg: float = TRIANGULATED_DEG,
 ) -> list[Size]:
     """Of those keyframes, in the order they were made, whose depth tells near from far.
 
@@ -91,7 +91,7 @@ def astray(
     off: dict[int, dict[int, float]] = {k: {} for k in odd}  # of each keyframe's ties; beyond 1 by a factor
     for p in points if odd else ():
         point = world.points[p]
-        if point.parallax_deg >= LEAST_PARALLAX_DEG and not point.keyframes <= untied:
+        if point.parallax_deg >= TRIANGULATED_DEG and not point.keyframes <= untied:
             for k in point.keyframes & odd.keys():
                 said = _log_units_at(world, k, p)
                 if math.isfinite(said):
@@ -137,13 +137,13 @@ def _size(
         for p in points
         if world.points[p].parallax_deg >= least_parallax_deg and keyframe.depths[keyframe.observed[p]] > 0.0
     }
-    if len(firm) < LEAST_POINTS:
+    if len(firm) < MIN_ALIGNED:
         return None
     offsets = np.array([world.points[p].position for p in firm]) - keyframe.world_from_camera[:3, 3]
     along_axis: Array = offsets @ keyframe.world_from_camera[:3, 2]
     metres = keyframe.depths[list(firm.values())] / keyframe.depth_units
     front = along_axis > 1e-6
-    if front.sum() < LEAST_POINTS:
+    if front.sum() < MIN_ALIGNED:
         return None
     agreed = agreement(along_axis[front], metres[front])
     if not agreed.informative:

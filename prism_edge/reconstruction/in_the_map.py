@@ -15,8 +15,8 @@ from prism_edge.depth.pairing import fit_depth, fit_inverse_depth, metres
 from prism_edge.geometry.poses import Array
 from prism_edge.reconstruction.viewpoints import Viewpoint
 from prism_edge.scale.gate import nearest
-from prism_edge.tracking.depth_alignment import DepthAlignment
-from prism_edge.tracking.seeding import MIN_ALIGNED, sample_depth
+from prism_edge.tracking.depth_alignment import MIN_ALIGNED, DepthAlignment
+from prism_edge.tracking.seeding import sample_depth
 
 F32 = NDArray[np.float32]
 

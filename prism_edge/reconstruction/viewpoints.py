@@ -12,8 +12,8 @@ from prism_edge.backend.map_export import MetricMap
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, transform
 from prism_edge.tracking.features import Features
+from prism_edge.tracking.point_table import TRIANGULATED_DEG
 
-FIRM_PARALLAX_DEG = 1.0  # of points that the network had no say in: triangulated ones
 _NEAREST = 1e-3  # m before a camera
 
 
@@ -50,7 +50,7 @@ def _viewpoint(
     for point in keyframe.observed:
         shared.update(world.points[point].keyframes & home)
     del shared[keyframe.id]
-    firm = {p: k for p, k in keyframe.observed.items() if world.points[p].parallax_deg >= FIRM_PARALLAX_DEG}
+    firm = {p: k for p, k in keyframe.observed.items() if world.points[p].parallax_deg >= TRIANGULATED_DEG}
     places = np.array([world.points[p].position for p in firm]).reshape(-1, 3)
     z = metres * transform(inverse(keyframe.world_from_camera), places)[:, 2]
     raw = keyframe.camera.distort_pixels(keyframe.pixels[list(firm.values())].reshape(-1, 2))

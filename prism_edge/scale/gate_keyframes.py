@@ -13,8 +13,8 @@ from prism_edge.messages import Depth, Keyframe
 from prism_edge.scale.gate import DepthView, Floats, Gate, Gated, GateParameters, image_pixels
 from prism_edge.scale.samples import samples_of
 
-MIN_ALIGNED = 15  # triangulated points that make a depth map's own scale better than the filter's
-_MIN_PARALLAX_DEG = 1.0  # of those; whatever the filter's own samples are held to
+LEAST_RATIOS = 15  # of triangulated points, whose median beats the filter: aligning place by place takes more
+_MIN_PARALLAX_DEG = 1.0  # triangulated, as in tracking/point_table.py; the filter's own samples may need more
 
 
 def gate_parameters(config: GateConfig, tau: float, temperature: float) -> GateParameters | None:
@@ -98,5 +98,5 @@ def usable(depth: Depth) -> bool:
 def _own_log_scale(keyframe: Keyframe, depth: Depth, camera: Camera, log_scale: float) -> float:
     samples = samples_of(keyframe, depth, camera, _MIN_PARALLAX_DEG)
     ratios = samples.log_ratios[np.isfinite(samples.log_ratios)]
-    own = float(np.median(ratios)) if len(ratios) >= MIN_ALIGNED else log_scale
+    own = float(np.median(ratios)) if len(ratios) >= LEAST_RATIOS else log_scale
     return float(np.clip(own, -20.0, 20.0))

@@ -11,10 +11,9 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.local_map import LocalMap
-from prism_edge.tracking.point_table import Index, PointTable
+from prism_edge.tracking.point_table import TRIANGULATED_DEG, Index, PointTable
 
-PARALLAX_DEG = 1.0  # as the first two views must have (initialisation.py)
-ENOUGH = 20  # matched points with that
+ENOUGH = 20  # matched points that are triangulated
 UNOBSERVED = 0.35  # of the scene's depth: what is moved by twice as much shows, whatever the depths are
 BEST = 0.25  # of the matched points: what the map's shape rests on
 LEAST_PARALLAX_DEG = 0.5  # below it depths are the network's, and no worse for less
@@ -37,9 +36,9 @@ def unobserved_translation(world: LocalMap, world_from_camera: Array, rows: Inde
     """Standard deviation of the position of a frame that matches the points in ``rows``, map units.
 
     Beside what its own points say: 0 where it sees ENOUGH points that two keyframes placed with
-    PARALLAX_DEG, else UNOBSERVED times the scene's median depth. Orientation is as certain as it is.
+    TRIANGULATED_DEG, else UNOBSERVED times the scene's median depth. Orientation is as certain as it is.
     """
-    if np.count_nonzero(world.points.parallax_deg[rows] >= PARALLAX_DEG) >= ENOUGH:
+    if np.count_nonzero(world.points.parallax_deg[rows] >= TRIANGULATED_DEG) >= ENOUGH:
         return 0.0
     offset = world.points.position[rows] - world_from_camera[:3, 3]
     depth = float(np.median(offset @ world_from_camera[:3, 2])) if len(rows) else 1.0

@@ -13,6 +13,7 @@ import numpy as np
 
 from prism_edge.geometry.poses import Array
 
+MIN_ALIGNED = 20  # triangulated points that make an image's own ratio better than the filter's
 ALWAYS_CREDIBLE_SPREAD = 0.15  # a scene of one depth says nothing against a network
 LEAST_EXPLAINED = 0.8  # of the spread of log depth may be left in the ratio
 REACH = 0.045  # of the image's size: how far a point's ratio holds

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, from_rt, inverse
 from prism_edge.tracking.depth_alignment import robust_sigma
+from prism_edge.tracking.point_table import TRIANGULATED_DEG
 from prism_edge.tracking.triangulation import rays, triangulate
 from prism_edge.tracking.two_view_pose import refine_two_view_pose, sampson_distances
 
 MIN_MATCHES = 60
 MIN_POINTS = 50  # triangulated at MIN_PARALLAX
-MIN_PARALLAX = np.radians(1.0)
+MIN_PARALLAX = np.radians(TRIANGULATED_DEG)
 EPIPOLAR_PX = 1.0
 REPROJECTION_PX = 2.0
 MIN_INLIER_SHARE = 0.3

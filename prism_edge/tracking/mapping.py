@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from prism_edge.geometry.poses import Array, inverse
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
-from prism_edge.tracking.point_table import Ids, Index
+from prism_edge.tracking.point_table import TRIANGULATED_DEG, Ids, Index
 from prism_edge.tracking.pose_from_map import reference_origins
 from prism_edge.tracking.pose_refinement import CHI2_2D_95
 from prism_edge.tracking.projection import expected_octaves, project
 from prism_edge.tracking.triangulation import match_epipolar, rays, triangulate
 
-MIN_PARALLAX = np.radians(1.0)
+MIN_PARALLAX = np.radians(TRIANGULATED_DEG)
 MIN_BASELINE = 0.015  # of the median depth
 FUSE_DISTANCE, FUSE_RATIO, FUSE_RADIUS = 50, 0.9, 3.0
 MATCHING_SIGMA_PX = 1.4  # of a disparity: two keypoints of one pixel each

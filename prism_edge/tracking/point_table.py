@@ -11,6 +11,7 @@ from prism_edge.messages import beyond
 Index = NDArray[np.intp]
 Ids = NDArray[np.int64]
 
+TRIANGULATED_DEG = 1.0  # of parallax, from which on a network has no say in where a point is
 LEAST_SLOTS = 1 << 14
 SLOTS_A_ROW = 4  # so few of the ids that are far apart share a slot, and so need a search
 

@@ -6,14 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array, transform
-from prism_edge.tracking.depth_alignment import DepthAlignment
+from prism_edge.tracking.depth_alignment import MIN_ALIGNED, DepthAlignment
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.point_table import Ids, Index
+from prism_edge.tracking.point_table import TRIANGULATED_DEG, Ids, Index
 from prism_edge.tracking.triangulation import rays
 
 MAX_EDGE_RATIO = 1.25  # of depths round a pixel: beyond it the pixel straddles an edge
 ANYWHERE = 0.5  # sigma of a log depth that nobody knows
-MIN_ALIGNED = 20  # triangulated points that make a keyframe's own ratio better than the filter's
 
 
 def sample_depth(
@@ -53,8 +52,7 @@ def seed_from_depth(
     good, metres = sample_depth(depth, image_to_depth, raw)
     keypoints, map_depth = world.depths_in(keyframe)
     rows = world.points.rows(keyframe.points[keypoints])
-    firm = (world.points.parallax_deg[rows] >= 1.0) & (map_depth > 0)
-    told = firm & good[keypoints]
+    told = (world.points.parallax_deg[rows] >= TRIANGULATED_DEG) & (map_depth > 0) & good[keypoints]
     if told.sum() >= MIN_ALIGNED:
         size = (keyframe.camera.width, keyframe.camera.height)
         at = keypoints[told]
