@@ -114,7 +114,7 @@ def _agree(one: Array, other: Array, depth: float) -> bool:
     return near and rotation_angle(off[:3, :3]) < NEIGHBOUR_ANGLE
 
 
-def plausible(world: GlobalMap, loop: Loop, shortest: Way | None = None) -> bool:
+def plausible(world: GlobalMap, loop: Loop, shortest: Way | None) -> bool:
     """Whether drift along the way from candidate to query can be as large as the loop says.
 
     The way is the camera's own, or the ``shortest`` by keyframes that hold on to each other where that is
@@ -165,7 +165,7 @@ class Found:
 class Surroundings:
     """The points of a keyframe and of those that see the same, as its end of a loop knows them."""
 
-    def __init__(self, world: GlobalMap, keyframe: int, without: int = -1) -> None:
+    def __init__(self, world: GlobalMap, keyframe: int, without: int) -> None:
         near = [k for k in world.neighbours(keyframe) if k != without]
         self.keyframes = [keyframe, *near[:SURROUNDINGS]]
         seen: dict[int, tuple[int, int]] = {}

@@ -105,8 +105,8 @@ class Mapper:
         depth: NDArray[np.float32],
         image_to_depth: Array,
         log_scale: float,
-        frame_sigma: float = math.nan,
-        network: str = "",
+        frame_sigma: float,
+        network: str,
     ) -> None:
         """Attach depth (metres) of a ``network`` to a keyframe's keypoints, in map units.
 
@@ -128,8 +128,8 @@ class Mapper:
         depth: NDArray[np.float32],
         image_to_depth: Array,
         log_scale: float,
-        frame_sigma: float = math.nan,
-        network: str = "",
+        frame_sigma: float,
+        network: str,
     ) -> None:
         """As :meth:`add_depth`, of a keyframe solved since: held against the map as it is now."""
         keyframe = self.world.keyframes.get(number)

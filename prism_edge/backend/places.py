@@ -33,7 +33,7 @@ def candidates(
     return _one_of_each_place(world, [k for k, _ in ranked], most)
 
 
-def half_known(world: GlobalMap, query: int, most: int, without: Container[int] = ()) -> list[int]:
+def half_known(world: GlobalMap, query: int, most: int, without: Container[int]) -> list[int]:
     """As :func:`candidates`, but those that share a few points with ``query``, nearest view first.
 
     The tracker has begun to find such a place again by itself; from beside where it was seen then, more of it

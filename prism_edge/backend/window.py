@@ -137,7 +137,7 @@ def assemble(
     config: BackendConfig,
     units_per_metre: float,
     use_depth: bool,
-    use_rays: bool = True,
+    use_rays: bool,
 ) -> Problem:
     """Factors and starting values of a window.
 

@@ -20,7 +20,7 @@ def judge_loops(
     snapshot: MapSnapshot | None,
     frames: Iterable[Tracked],
     truth: Trajectory | None,
-    scale_ratio: float | None = None,
+    scale_ratio: float | None,
 ) -> dict[str, Any]:
     """Counts, precision, and each loop with its error (``right`` None where there is no true pose).
 

@@ -88,7 +88,7 @@ def take_over(
 
 
 def apply_correction(
-    world: LocalMap, update: MapUpdate, pose: PoseFromMap, parts: Parts | None = None
+    world: LocalMap, update: MapUpdate, pose: PoseFromMap, parts: Parts
 ) -> dict[int, Array]:
     """Move keyframes and points to where the backend put them.
 
@@ -97,7 +97,7 @@ def apply_correction(
     fitted to what it observes of corrected points and of those that others took along, and takes its own
     along. So is, where everything that the backend has is named, an older one that is not: it has never heard
     of that (but of those before the first that it has, nothing says where they belong). ``parts`` are those
-    of before (all one if None): a part may be moved by metres, and takes nothing of another along. One that a
+    of before: a part may be moved by metres, and takes nothing of another along. One that a
     loop joins to another is of another size then, and so is what goes along with it.
     Returns each keyframe's motion (4, 4), new world from old: a similarity.
     """
@@ -117,7 +117,6 @@ def apply_correction(
     keyframes = [world.keyframes[k] for k in sorted(world.keyframes)]
     owner = _owners(table.reference, [keyframe.id for keyframe in keyframes])
     follows = table.alive & ~corrected
-    parts = parts or Parts()
     part = [parts.of(keyframe.id) for keyframe in keyframes]
     growth = _growth(update, parts)
     motions = np.tile(np.eye(4), (len(keyframes), 1, 1))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -34,7 +36,7 @@ def walked() -> tuple[Mapper, Teller, list]:
 def late(mapper: Mapper, teller: Teller, keyframe, frame_sigma: float) -> np.ndarray:
     """What each of its keypoints has for a depth then, over the true one; nan for none."""
     depth = NETWORK * true_depth(teller, keyframe)
-    mapper.add_late_depth(keyframe.id, depth, WIDE, 0.0, frame_sigma)
+    mapper.add_late_depth(keyframe.id, depth, WIDE, 0.0, frame_sigma, "")
     found = mapper.world.keyframes[keyframe.id].depths
     assert found is not None
     return np.where(found > 0, found / keyframe.depths, np.nan)
@@ -56,9 +58,9 @@ def test_it_is_no_matter_where_the_keyframe_sees_nothing_or_is_gone(walked):
     mapper, teller, told = walked
     for p in list(mapper.world.keyframes[3].observed):
         mapper.world.drop_observation(3, p)
-    mapper.add_late_depth(3, true_depth(teller, told[3]), WIDE, np.log(2.0))
+    mapper.add_late_depth(3, true_depth(teller, told[3]), WIDE, np.log(2.0), math.nan, "")
     depths = mapper.world.keyframes[3].depths
     assert depths is not None
     assert np.nanmedian(depths / told[3].depths) == pytest.approx(0.5, rel=0.02)
-    mapper.add_late_depth(99, true_depth(teller, told[3]), WIDE, 0.0)
+    mapper.add_late_depth(99, true_depth(teller, told[3]), WIDE, 0.0, math.nan, "")
     assert 99 not in mapper.world.keyframes

@@ -53,7 +53,7 @@ def test_a_return_is_placed_where_the_old_end_has_it(drifted):
     message_points = world.keyframes[41].observed
     shows = {keypoint: ring.point_of[p] for p, keypoint in message_points.items()}
     assert np.mean([shows[i] == p for (i, _), p in zip(loop.pairs, right, strict=True)]) > 0.98
-    assert plausible(world, loop)
+    assert plausible(world, loop, None)
 
 
 def test_one_seed_gives_one_answer(drifted):
@@ -86,7 +86,7 @@ def test_a_perfect_copy_elsewhere_asks_for_too_much_drift():
     loop = verify(world, 24, 4, 30)
     assert loop is not None
     assert loop.neighbours >= 2  # nothing in the pictures gives it away
-    assert not plausible(world, loop)
+    assert not plausible(world, loop, None)
 
 
 PERIOD, AGAIN = 0.6, 10_000  # metres; what the points' numbers begin at when they are seen again
@@ -197,7 +197,7 @@ def test_how_much_drift_is_believed_does_not_depend_on_the_map_s_unit(unit):
     for asked, believed in ((1.3, True), (1.4, False)):
         there = world.keyframes[5].world_from_camera.copy()
         there[1, 3] += asked * unit
-        assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, [])) == believed
+        assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, []), None) == believed
 
 
 @pytest.mark.parametrize(
@@ -212,7 +212,7 @@ def test_a_short_way_has_not_been_for_nothing(way, most):
     for asked, believed in ((0.97 * most, True), (1.03 * most, False)):
         there = world.keyframes[5].world_from_camera.copy()
         there[1, 3] += asked * depth
-        assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, [])) == believed
+        assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, []), None) == believed
 
 
 @pytest.mark.parametrize(("each_deg", "asked_deg"), [(0.0, 10.7), (30.0, 18.2)])
@@ -226,7 +226,7 @@ def test_who_has_turned_much_may_have_turned_wrongly(each_deg, asked_deg):
     for asked, believed in ((asked_deg - 0.1, True), (asked_deg + 0.1, False)):
         turn = pose_at(0.0, 0.0, 0.0, 0.0, np.radians(asked))
         there = world.keyframes[5].world_from_camera @ turn
-        assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, [])) == believed
+        assert plausible(world, Loop(5, 0, there, 1.0, 0.01, 50, 3, []), None) == believed
 
 
 def test_the_shorter_way_is_what_counts():
@@ -236,7 +236,7 @@ def test_the_shorter_way_is_what_counts():
     there = world.keyframes[5].world_from_camera.copy()
     there[1, 3] += 8.0
     loop = Loop(5, 0, there, 1.0, 0.01, 50, 3, [])
-    assert plausible(world, loop)
+    assert plausible(world, loop, None)
     assert not plausible(world, loop, Way(1.5, 0.0))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -45,7 +46,7 @@ def test_a_keyframe_s_depth_comes_in_map_units_by_its_own_scale(firm):
     mapper.absorb(message)
     depth = plane(3.0)
     depth[:, :20] = 6.0  # a few points disagree
-    mapper.add_depth(message, depth, WIDE, log_scale=np.log(1.2))
+    mapper.add_depth(message, depth, WIDE, np.log(1.2), math.nan, "")
     depths = mapper.world.keyframes[0].depths
     x = message.pixels[:, 0]
     units_per_metre = 2.0 / 3.0 if firm else 1.0 / 1.2
@@ -61,7 +62,7 @@ def test_invalid_pixels_have_no_depth():
     mapper.absorb(message)
     depth = plane()
     depth[:, :80] = np.nan
-    mapper.add_depth(message, depth, WIDE, 0.0)
+    mapper.add_depth(message, depth, WIDE, 0.0, math.nan, "")
     depths = mapper.world.keyframes[0].depths
     x = message.pixels[:, 0]
     assert not depths[x < 300].any()
@@ -73,7 +74,7 @@ def test_a_network_that_does_not_tell_near_from_far_is_left_out():
     mapper = Mapper(CONFIG)
     message = Teller().keyframe(np.eye(4))
     mapper.absorb(message)
-    mapper.add_depth(message, plane(3.0), WIDE, 0.0)
+    mapper.add_depth(message, plane(3.0), WIDE, 0.0, math.nan, "")
     assert mapper.world.keyframes[0].depths is None
 
 
@@ -81,7 +82,7 @@ def test_depth_of_a_keyframe_that_is_gone_is_no_matter():
     mapper = Mapper(CONFIG)
     teller = Teller()
     mapper.absorb(teller.keyframe(np.eye(4)))
-    mapper.add_depth(teller.keyframe(pose_at(0.2)), plane(), WIDE, 0.0)
+    mapper.add_depth(teller.keyframe(pose_at(0.2)), plane(), WIDE, 0.0, math.nan, "")
     assert list(mapper.world.keyframes) == [0]
 
 

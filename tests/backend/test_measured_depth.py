@@ -33,7 +33,7 @@ def walked(frame_sigma: float) -> float:
     for i in range(6):
         keyframe = teller.keyframe(pose_at(0.2 * i, 0.0, 0.0, 0.0, -0.03 * i))
         mapper.absorb(keyframe)
-        mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, frame_sigma)
+        mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, frame_sigma, "")
     for k in mapper.world.keyframes.values():
         k.world_from_camera = k.world_from_camera.copy()
         k.world_from_camera[:3, 3] *= TOO_LARGE
@@ -59,7 +59,7 @@ def test_a_sigma_that_is_none_is_passed_over(nonsense: float) -> None:
     mapper, teller = Mapper(BackendConfig()), Teller()
     keyframe = teller.keyframe(np.eye(4))
     mapper.absorb(keyframe)
-    mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, nonsense)
+    mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, nonsense, "")
     assert mapper.world.keyframes[0].depth_sigma == 0.0
 
 
@@ -68,6 +68,6 @@ def test_perfect_depth_has_some_noise_all_the_same() -> None:
     for i in range(3):
         keyframe = teller.keyframe(pose_at(0.2 * i))
         mapper.absorb(keyframe)
-        mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, 0.0)
+        mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, 0.0, "")
     assert mapper.world.keyframes[0].depth_sigma > 0.0
     assert mapper.optimise(2, 0.0) is not None

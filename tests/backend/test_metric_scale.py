@@ -92,7 +92,7 @@ def test_two_fixed_poses_would_have_proved_nothing():
     world, _ = world_of()
     window = window_of(world)
     two = Window(window.free[1:], [*window.held, window.free[0]], window.points)
-    problem = assemble(world, two, CONFIG, 1.0, use_depth=False)
+    problem = assemble(world, two, CONFIG, 1.0, use_depth=False, use_rays=True)
     hessian = problem.graph.linearize(problem.values).hessian()[0]
     root = np.sqrt(np.diag(hessian))
     assert np.linalg.eigvalsh(hessian / np.outer(root, root))[0] > 1e-7

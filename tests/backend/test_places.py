@@ -99,31 +99,31 @@ def recognised(walked, at: dict[int, int]) -> GlobalMap:
 def test_of_places_half_known_the_nearest_view_comes_first_not_that_with_most_points(walked):
     world = recognised(walked, {0: SOME_SHARED, 20: 8})
     shared = dict(world.covisible(41))
-    chosen = half_known(world, 41, 100)
+    chosen = half_known(world, 41, 100, ())
     assert chosen[0] == 1, "where it is again, a round later"
     assert any(15 <= k <= 25 and shared[k] > shared[chosen[0]] for k in chosen[1:])
     assert all(SOME_SHARED <= shared[k] < FEW_SHARED for k in chosen)
-    assert half_known(world, 41, 1) == chosen[:1]
+    assert half_known(world, 41, 1, ()) == chosen[:1]
     assert chosen[0] not in half_known(world, 41, 100, without=chosen[:1])
 
 
 def test_a_place_of_which_next_to_nothing_was_found_again_is_not_half_known(walked):
     world, _ = walked
-    assert half_known(world, 41, 100) == []
-    assert half_known(recognised(walked, {0: SOME_SHARED - 1}), 41, 100) == []
-    assert half_known(world, 12345, 5) == []
+    assert half_known(world, 41, 100, ()) == []
+    assert half_known(recognised(walked, {0: SOME_SHARED - 1}), 41, 100, ()) == []
+    assert half_known(world, 12345, 5, ()) == []
 
 
 def test_neither_the_latest_nor_what_shares_many_points_is_half_known(walked):
     for query in range(44):
-        assert half_known(walked[0], query, 100) == []  # each shares points with those just before it
+        assert half_known(walked[0], query, 100, ()) == []  # each shares points with those just before it
     world = recognised(walked, {0: FEW_SHARED})
     assert dict(world.covisible(41))[0] == FEW_SHARED
-    assert 0 not in half_known(world, 41, 100)
+    assert 0 not in half_known(world, 41, 100, ())
     world = recognised(walked, {0: SOME_SHARED})
     for keyframe in world.keyframes.values():
         keyframe.stamp_ns = world.keyframes[41].stamp_ns - int(1e9 * RECENT_S) + 1
-    assert half_known(world, 41, 100) == []
+    assert half_known(world, 41, 100, ()) == []
 
 
 def test_the_settings_say_of_how_few_keyframes_none_closes_a_loop():

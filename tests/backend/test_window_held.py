@@ -20,7 +20,7 @@ from tests.tracking.cloud import pose_at
 
 def variables(world: GlobalMap, window: Window) -> set[int]:
     """The keyframes of a window whose poses are variables of its graph."""
-    values = module.assemble(world, window, CONFIG, 1.0, use_depth=True).values
+    values = module.assemble(world, window, CONFIG, 1.0, use_depth=True, use_rays=True).values
     return {k for k in (*window.free, *window.held) if values.exists(X(k))}
 
 
@@ -43,7 +43,7 @@ def test_a_known_pose_holds_as_one_under_a_prior_does(shallow: bool) -> None:
         point.parallax_deg = 1.0 if shallow and p % 2 else 10.0
     window = choose_window(world, 8, replace(CONFIG, window=5, fixed=4))
     assert len(window.held) > 1
-    problem = module.assemble(world, window, CONFIG, 1.0, use_depth=True)
+    problem = module.assemble(world, window, CONFIG, 1.0, use_depth=True, use_rays=True)
     assert bool(problem.rays) == shallow
     graph, values, make = gtsam.NonlinearFactorGraph(), gtsam.Values(problem.values), problem.factors
     rays = {(ray.keyframe, ray.point) for ray in problem.rays}

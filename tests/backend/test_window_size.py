@@ -100,7 +100,7 @@ def test_a_point_stays_where_others_have_it_unless_the_new_ground_keeps_it(left_
     p = next(p for p in window.points if {0, 11} <= world.points[p].keyframes)
     monkeypatch.setattr(module, "placed_elsewhere", lambda *_: {p})
     monkeypatch.setattr(module, "astray", lambda *_: {(left_out, p)})
-    graph = module.assemble(world, window, CONFIG, 1.0, use_depth=True).graph
+    graph = module.assemble(world, window, CONFIG, 1.0, use_depth=True, use_rays=True).graph
     kinds = [type(graph.at(i)).__name__ for i in range(graph.size())]
     assert ("PriorFactorPoint3" in kinds) == is_held
 
@@ -170,11 +170,11 @@ def test_what_says_how_far_each_point_is_has_no_vote_on_sizes(monkeypatch):
     for sigma in (0.0, 0.01):
         for keyframe in world.keyframes.values():
             keyframe.depth_sigma = sigma
-        module.assemble(world, window, CONFIG, 1.0, use_depth=True)
+        module.assemble(world, window, CONFIG, 1.0, use_depth=True, use_rays=True)
     assert heard == [window.free, []]
     # Nor has a network whose every depth is a factor, which it is while one pose is held.
     young = Window(window.held[1:] + window.free, [0], window.points)
-    module.assemble(world, young, CONFIG, 1.0, use_depth=True)
+    module.assemble(world, young, CONFIG, 1.0, use_depth=True, use_rays=True)
     assert heard[2:] == [[]]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -95,7 +96,7 @@ def step(
 ) -> MapUpdate | None:
     """What the worker does with a keyframe and its depth, while the map's unit is a metre."""
     mapper.absorb(message)
-    mapper.add_depth(message, depth, image_to_depth, 0.0)
+    mapper.add_depth(message, depth, image_to_depth, 0.0, math.nan, "")
     return mapper.optimise(message.id, 0.0)
 
 

@@ -39,9 +39,8 @@ def test_right_and_wrong_are_told_apart():
     off = se3_exp(np.array([0.0, 0.0, 0.0, 0.0, np.radians(6.0), 0.0]))
     far = relative(60, 50).copy()
     far[:3, 3] += (0.5, 0.0, 0.0)
-    judged = judge_loops(
-        snapshot((60, 50, relative(60, 50)), (70, 60, relative(70, 60) @ off), (60, 50, far)), FRAMES, TRUTH
-    )
+    three = snapshot((60, 50, relative(60, 50)), (70, 60, relative(70, 60) @ off), (60, 50, far))
+    judged = judge_loops(three, FRAMES, TRUTH, None)
     assert [row["right"] for row in judged["list"]] == [True, False, False]
     assert judged["accepted"] == judged["judged"] == 3
     assert judged["precision"] == pytest.approx(1 / 3)
@@ -57,14 +56,15 @@ def test_a_right_loop_is_as_near_as_its_length_allows(candidate):
     for shift, right in ((allowed - 0.01, 1.0), (allowed + 0.01, 0.0)):
         pose = true.copy()
         pose[:3, 3] += (0.0, shift, 0.0)
-        assert judge_loops(snapshot((60, candidate, pose)), FRAMES, TRUTH)["precision"] == right
+        assert judge_loops(snapshot((60, candidate, pose)), FRAMES, TRUTH, None)["precision"] == right
 
 
 def test_lengths_are_turned_to_metres():
     pose = relative(60, 20).copy()
     pose[:3, 3] /= 2.0
-    assert judge_loops(snapshot((60, 20, pose), log_scale=np.log(2.0)), FRAMES, TRUTH)["precision"] == 1.0
-    assert judge_loops(snapshot((60, 20, pose)), FRAMES, TRUTH)["precision"] == 0.0
+    halved = snapshot((60, 20, pose), log_scale=np.log(2.0))
+    assert judge_loops(halved, FRAMES, TRUTH, None)["precision"] == 1.0
+    assert judge_loops(snapshot((60, 20, pose)), FRAMES, TRUTH, None)["precision"] == 0.0
 
 
 def test_right_places_in_wrong_metres_are_told_from_wrong_places():
@@ -78,22 +78,22 @@ def test_right_places_in_wrong_metres_are_told_from_wrong_places():
 
 
 def test_without_a_scale_ratio_places_are_not_judged():
-    judged = judge_loops(snapshot((60, 20, relative(60, 20))), FRAMES, TRUTH)
+    judged = judge_loops(snapshot((60, 20, relative(60, 20))), FRAMES, TRUTH, None)
     assert judged["precision"] == 1.0
     assert judged["place_precision"] is None
 
 
 def test_loops_without_a_true_pose_are_listed_but_not_judged():
-    judged = judge_loops(snapshot((150, 20, np.eye(4)), (20, 5000, np.eye(4))), FRAMES, TRUTH)
+    judged = judge_loops(snapshot((150, 20, np.eye(4)), (20, 5000, np.eye(4))), FRAMES, TRUTH, None)
     assert judged["accepted"] == 2
     assert judged["judged"] == 0
     assert judged["precision"] is None
-    assert judge_loops(snapshot((60, 20, np.eye(4))), FRAMES, None)["list"][0]["right"] is None
+    assert judge_loops(snapshot((60, 20, np.eye(4))), FRAMES, None, None)["list"][0]["right"] is None
 
 
 def test_nothing_heard_is_no_loop():
-    assert judge_loops(None, FRAMES, TRUTH)["accepted"] == 0
-    assert judge_loops(snapshot(), FRAMES, TRUTH)["precision"] is None
+    assert judge_loops(None, FRAMES, TRUTH, None)["accepted"] == 0
+    assert judge_loops(snapshot(), FRAMES, TRUTH, None)["precision"] is None
 
 
 def test_true_poses_are_interpolated_but_not_across_gaps():

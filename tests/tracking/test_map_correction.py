@@ -39,7 +39,7 @@ def apply(world, based_on, keyframes, points, motion=MOTION, parallax_deg=0.0):
         based_on, keyframes=np.array(keyframes, np.int64), poses=poses,
         points=points, positions=positions, parallax_deg=parallax,
     )  # fmt: skip
-    return apply_correction(world, update, BY_POINTS)
+    return apply_correction(world, update, BY_POINTS, Parts())
 
 
 def test_a_rigid_motion_of_everything_moves_everything():
@@ -215,7 +215,7 @@ def test_what_is_gone_here_is_ignored():
         2, keyframes=np.array([0, 77]), poses=poses, points=named, positions=np.zeros((len(named), 3)),
         parallax_deg=np.zeros(len(named), np.float32),
     )  # fmt: skip
-    apply_correction(world, update, BY_POINTS)
+    apply_correction(world, update, BY_POINTS, Parts())
     assert 77 not in world.keyframes
     assert np.array_equal(world.points.position[:20], dead)
     assert not world.points.position[20:].any()

@@ -15,6 +15,7 @@ from prism_edge.tracking import mapping, unheard
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.map_correction import apply_correction
+from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.tracker import Tracker
 from prism_edge.tracking.unheard import adjust_unheard
 from prism_edge.workers.tracker import _tracking
@@ -250,7 +251,7 @@ def test_a_correction_is_heard() -> None:
     world, _ = bent()
     world.heard = 1
     for based_on, heard in ((6, 6), (5, 6)):
-        apply_correction(world, map_update(based_on), BY_POINTS)
+        apply_correction(world, map_update(based_on), BY_POINTS, Parts())
         assert world.heard == heard
 
 

@@ -75,7 +75,7 @@ def test_who_goes_along(everything: bool, named: list[int], moving: list[int]) -
         5, keyframes=np.array(named), poses=poses, points=known, positions=positions, parallax_deg=parallax,
         everything=everything,
     )  # fmt: skip
-    motions = apply_correction(world, update, BY_POINTS)
+    motions = apply_correction(world, update, BY_POINTS, Parts())
     assert motions[5] == pytest.approx(MOTION, abs=1e-9)
     for k, pose in enumerate(POSES):
         there = MOTION @ pose if k in moving else pose
@@ -94,7 +94,7 @@ def test_one_that_was_misplaced_comes_right_by_what_its_neighbours_made() -> Non
         5, keyframes=np.array(named), poses=np.array([POSES[k] for k in named]), points=none,
         positions=np.zeros((0, 3)), parallax_deg=np.zeros(0, np.float32), everything=True,
     )  # fmt: skip
-    apply_correction(world, update, BY_POINTS)
+    apply_correction(world, update, BY_POINTS, Parts())
     assert world.keyframes[2].world_from_camera == pytest.approx(POSES[2], abs=1e-3)
 
 

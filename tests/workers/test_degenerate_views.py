@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -105,7 +106,7 @@ def test_a_degenerate_window_gives_finite_numbers_and_the_next_one_works(scene: 
     for pose in poses:
         keyframe = teller.keyframe(pose)
         mapper.absorb(keyframe)
-        mapper.add_depth(keyframe, depth, np.array([0.1, 0.0, 0.1, 0.0]), 0.0)
+        mapper.add_depth(keyframe, depth, np.array([0.1, 0.0, 0.1, 0.0]), 0.0, math.nan, "")
         mapper.loops.add_place(keyframe.id, one_for_all)
         assert sound(mapper.optimise(keyframe.id, 0.0))
         assert mapper.loops.look(keyframe.id) is None
@@ -131,7 +132,8 @@ def test_a_keyframe_without_features_is_taken_in_and_passed_over() -> None:
     assert mapper.optimise(2, 0.0) is not None
     empty = quiet(told[-1])
     mapper.absorb(empty)
-    mapper.add_depth(empty, np.full((48, 64), 3.0, np.float32), np.array([0.1, 0.0, 0.1, 0.0]), 0.0)
+    depth = np.full((48, 64), 3.0, np.float32)
+    mapper.add_depth(empty, depth, np.array([0.1, 0.0, 0.1, 0.0]), 0.0, math.nan, "")
     mapper.loops.add_place(empty.id, np.ones(16, np.float32))
     assert sound(mapper.optimise(empty.id, 0.0))
     assert mapper.loops.look(empty.id) is None
