@@ -37,8 +37,15 @@ def safe_loaders(file: Path) -> set[str]:
     return {c.name for c in classes if "yaml.SafeLoader" in map(ast.unparse, c.bases)}
 
 
+def has_pipes(file: Path) -> bool:
+    """Whether a file uses multiprocessing, whose connections pickle what ``send`` is given."""
+    imports = (node for node in nodes(file) if isinstance(node, ast.Import | ast.ImportFrom))
+    return any("multiprocessing" in ast.unparse(node) for node in imports)
+
+
 def flaws(file: Path) -> Iterator[str]:
     safe = safe_loaders(file)
+    pipes = has_pipes(file)
     for node in nodes(file):
         if isinstance(node, (ast.Import, ast.ImportFrom)):
             names = [getattr(node, "module", None) or "", *(alias.name for alias in node.names)]
@@ -49,6 +56,8 @@ def flaws(file: Path) -> Iterator[str]:
         by_safe = isinstance(node, ast.Call) and any(ast.unparse(a) in safe for a in node.args[1:])
         if owner == "yaml" and name in TRUSTING_YAML and not by_safe:
             yield f"calls yaml.{name}()"
+        if pipes and isinstance(node, ast.Attribute) and node.attr in ("send", "recv"):
+            yield f"pickles by {node.attr}"
         if owner in ("os", "subprocess") and name in ("system", "popen", "getoutput", "getstatusoutput"):
             yield f"calls {owner}.{name}()"
         if isinstance(node, ast.keyword):
@@ -77,6 +86,7 @@ def test_nothing_from_outside_is_run(file: Path) -> None:
         "import yaml\nclass L(yaml.Loader): pass\nyaml.load(x, L)",
         "import numpy as np; np.load('x')",
         "import numpy as np; np.load('x', allow_pickle=True)",
+        "import multiprocessing as m; m.Pipe()[0].recv()",
         "import subprocess; subprocess.run('x', shell=True)",
     ],
 )

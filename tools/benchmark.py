@@ -6,8 +6,8 @@
 
 FOLDER is any TUM RGB-D, BONN, 7-Scenes or KITTI odometry sequence. Each is played N times (default 1; medians
 count), in real time or lockstep; run n has seed n - 1. Files go to DIR/<folder>-<mode>-<n> (default:
-build/benchmark), and a run that is finished there with the same settings and versions, after the files of
-camera, networks and the recording's tables were written, is not repeated: stop it when you like, and go on
+build/benchmark), and a run that is finished there with the same settings, versions, truth and files of camera
+and networks, after the recording's tables were written, is not repeated: stop it when you like, and go on
 later. The tables say which were. A folder that fails has the reason in its line, and the others go on. Tables
 go to stdout, all else to stderr. Exit code 1: a folder has failed.
 """
