@@ -11,7 +11,8 @@ DRIVE = "sim:street?seed=3&rate=10&width=480&height=240&frames=125"  # 84 m
 
 
 def test_metres_are_right_where_depth_is(tmp_path: Path) -> None:
-    done = prism_edge("eval", DRIVE, "--model", "sensor", "--lockstep", "--out", tmp_path)
+    words = ("eval", DRIVE, "--model", "sensor", "--lockstep", "--out", tmp_path)
+    done = prism_edge(*words, timeout_s=150.0)  # half a minute where nothing else runs
     assert done.returncode == 0, done.stderr
     report = json.loads((tmp_path / "metrics.json").read_text())
     assert not report["monocular"]
