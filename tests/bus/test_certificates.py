@@ -18,6 +18,16 @@ def openssl(folder: Path, *words: str) -> None:
     subprocess.run(["openssl", *words], cwd=folder, check=True, timeout=60, capture_output=True)
 
 
+def ended(folder: Path) -> None:
+    """A certificate whose time was January 2020, of the request that lies there."""
+    (folder / "index").touch()
+    config = "[ca] default_ca=lab [lab] database=index policy=any rand_serial=yes [any] commonName=supplied"
+    (folder / "ca.conf").write_text(config.replace(" ", "\n"))
+    by = ("-config", "ca.conf", "-cert", "ca.pem", "-keyfile", "ca.key", "-md", "sha256")
+    held = ("-startdate", "20200101000000Z", "-enddate", "20200201000000Z")
+    openssl(folder, "ca", "-batch", *by, *held, "-outdir", ".", "-in", "csr", "-notext", "-out", "ended.pem")
+
+
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("lab")
@@ -28,6 +38,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     openssl(ours, "req", "-new", "-key", "anna.key", "-subj", "/CN=reader", "-out", "csr")
     signed = ("x509", "-req", "-in", "csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-extfile", "ext")
     openssl(ours, *signed, "-CAcreateserial", "-out", "reader.pem")
+    ended(ours)
     openssl(ours, "pkey", "-in", "anna.key", "-aes256", "-passout", "pass:secret", "-out", "locked.key")
     (folder / "text.pem").write_text("no certificate\n")
     return folder
@@ -63,6 +74,7 @@ def test_a_certificate_is_taken_for_what_it_is_for(lab: Path, name: str, endpoin
     [
         ("theirs/ca.pem", "ours/anna.pem", "ours/anna.key", "theirs/ca.pem does not vouch for"),
         ("ours/ca.pem", "theirs/anna.pem", "theirs/anna.key", "ours/ca.pem does not vouch for"),
+        ("ours/ca.pem", "ours/ended.pem", "ours/anna.key", "ended.pem (certificate has expired)"),
         ("ours/ca.pem", "ours/anna.pem", "theirs/anna.key", "theirs/anna.key is not the key of"),
         ("text.pem", "ours/anna.pem", "ours/anna.key", "text.pem holds no PEM certificate"),
         ("ours/ca.pem", "text.pem", "ours/anna.key", "no PEM pair without password"),

@@ -103,7 +103,7 @@ class LiveCamera(Source):
         stamp_ns = self._wall_clock.at(grab.captured_ns)
         pixels = _decoded(grab)
         if isinstance(pixels, str):
-            self._watch.damaged()
+            self._watch.useless(pixels)
             return Unreadable(index, stamp_ns, f"image {index} of {self.name} {pixels}")
         self._watch.look(pixels, grab.captured_ns)
         self._misfit = self._compare(pixels)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+WAITING = "waits for a key frame: set the camera to send one each second"
 _PATIENCE_NS = 10_000_000_000  # cameras send a key frame every few seconds, or none (intra refresh)
 
 

@@ -7,20 +7,21 @@ from collections import deque
 import numpy as np
 
 from prism_edge.messages import U8
+from prism_edge.sources.live.damage import WAITING
 
 _STEP = 8  # every eighth pixel of every eighth row says enough, and takes 20 us
 _FLAT = 2.0  # standard deviation (grey levels): a lens cap's noise is 1 to 2, any scene has more than 5
 _DARK = 32.0  # mean (grey levels), above the 16 that is black in video
 _FLAT_NS = 1_000_000_000
 _FROZEN_NS = 5_000_000_000  # an encoder repeats a still scene exactly, but not beyond its next key frame
-_LAST, _DAMAGED_SHARE = 50, 0.1
+_LAST, _USELESS_SHARE = 50, 0.1
 
 
 class PictureWatch:
     """Looks at each picture; :attr:`problem` is a line on what is wrong with them, or empty."""
 
     def __init__(self) -> None:
-        self._damaged: deque[bool] = deque(maxlen=_LAST)
+        self._useless: deque[str] = deque(maxlen=_LAST)  # why; empty: whole
         self._flat_since_ns: int | None = None
         self._same_since_ns: int | None = None
         self._last: U8 | None = None
@@ -28,7 +29,7 @@ class PictureWatch:
 
     def look(self, pixels: U8, captured_ns: int) -> None:
         """A whole picture: grey (h, w) or BGR (h, w, 3), captured at this time of one clock."""
-        self._damaged.append(False)
+        self._useless.append("")
         sample = np.ascontiguousarray(pixels[::_STEP, ::_STEP])
         same = self._last is not None and np.array_equal(sample, self._last)
         self._last = sample
@@ -47,15 +48,17 @@ class PictureWatch:
         else:
             self._pictures = ""
 
-    def damaged(self) -> None:
-        """A picture came that can't be decoded, or only in part."""
-        self._damaged.append(True)
+    def useless(self, why: str) -> None:
+        """A picture came that can't be decoded, or only in part, or that builds on one that didn't come."""
+        self._useless.append(why)
 
     @property
     def problem(self) -> str:
         """One line, empty where the pictures are as they should be."""
-        bad = sum(self._damaged)
-        if bad >= 3 and bad > _DAMAGED_SHARE * len(self._damaged):
-            share = f"{bad} of the last {len(self._damaged)}"
+        bad = [why for why in self._useless if why]
+        if len(bad) >= 3 and len(bad) > _USELESS_SHARE * len(self._useless):
+            share = f"{len(bad)} of the last {len(self._useless)}"
+            if set(bad) == {WAITING}:
+                return f"the camera sends images that can't be used yet, {share}; each {WAITING}"
             return f"the camera sends damaged images, {share}: check cable or network"
         return self._pictures

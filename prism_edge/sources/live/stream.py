@@ -21,7 +21,7 @@ from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import decode
 from prism_edge.sources.live.arrival_clock import ArrivalClock
 from prism_edge.sources.live.backlog import Backlog
-from prism_edge.sources.live.damage import Damage
+from prism_edge.sources.live.damage import WAITING, Damage
 from prism_edge.sources.live.driver import CameraLostError, Grab
 
 log = logging.getLogger("prism_edge.sources")
@@ -189,7 +189,7 @@ class StreamConnection:
     def _damaged(self) -> str:
         if self._begun:
             return "is damaged"
-        return "waits for a key frame: set the camera to send one each second"
+        return WAITING
 
     def _undecoded(self, data: bytes, arrival_ns: int) -> Grab:
         return Grab(arrival_ns - self._delay_ns, lambda: decode(data))

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
+from prism_edge.sources.live.damage import WAITING
 from prism_edge.sources.live.picture_watch import PictureWatch
 
 MS = 1_000_000
@@ -77,8 +78,18 @@ def test_damaged_images() -> None:
     for k in range(50):
         watch.look(np.roll(scene(), k, axis=1), 10**12 + k * 33 * MS)
         if k % 25 == 0:
-            watch.damaged()
+            watch.useless("is damaged")
     assert watch.problem == ""
     for _ in range(5):
-        watch.damaged()
+        watch.useless("is damaged")
     assert "damaged images" in watch.problem
+
+
+def test_a_stream_joined_between_two_key_frames_is_not_called_damaged() -> None:
+    watch = PictureWatch()
+    for _ in range(5):
+        watch.useless(WAITING)
+    assert "damaged" not in watch.problem
+    assert watch.problem.endswith(f"5 of the last 5; each {WAITING}")
+    watch.useless("is damaged")
+    assert "damaged images, 6 of the last 6" in watch.problem
