@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from prism_edge.depth.contract import RELATIVE
 from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor, normalised
-from prism_edge.depth.providers import native_line
+from prism_edge.depth.providers import CPU, native_line
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -149,7 +149,8 @@ class PairedNetwork:
             log.warning("%s fails, %s stands alone: %s", *parts, native_line(error))
             self.counters["unpaired"] += metric.valid
             descriptor = no_descriptor() if own else metric.descriptor
-            return replace(metric, confidence=no_confidence(), descriptor=descriptor)
+            fault = error if self._relative.provider != CPU else None
+            return replace(metric, confidence=no_confidence(), descriptor=descriptor, fault=fault)
         took = metric.inference_ms + raw.inference_ms
         descriptor = normalised(raw.descriptor) if own else metric.descriptor
         paired = self._pair(raw, metric) if metric.valid else None

@@ -23,6 +23,7 @@ class Prediction:
     Image pixel (x, y) is at (a x + b, c y + d) of the map, ``image_to_depth`` = (a, b, c, d); under a
     cropping network parts of the image lie outside of it. The network sees the image as the camera
     gave it, lens distortion included, so (x, y) are raw pixels; depth is z along the optical axis.
+    ``fault`` is what an accelerator failed by where another network's answer stands all the same.
     """
 
     depth: F32  # (h, w) metres
@@ -32,6 +33,7 @@ class Prediction:
     inference_ms: float
     valid: bool = True
     reason: str = ""
+    fault: Exception | None = None
 
 
 def no_confidence() -> F32:

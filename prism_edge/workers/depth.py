@@ -203,7 +203,7 @@ def answer(
         failed = f"inference failed: {native_line(error)}"
         return _without(image, network.identity, network.bias_sigma, failed)
     if failing is not None:
-        failing.note(None, time.monotonic())
+        failing.note(prediction.fault, time.monotonic())
     return Depth(
         keyframe=image.keyframe,
         stamp_ns=image.stamp_ns,

@@ -288,6 +288,21 @@ def test_pairing_that_fails_shows_on_health(tmp_path: Path):
     assert bus.pulse.values["model"] == "nested:r,m"
 
 
+@pytest.mark.parametrize("lost", ["CUDAExecutionProvider", "CPUExecutionProvider"])
+def test_a_pair_whose_relative_network_lost_its_gpu_is_started_anew_too(tmp_path: Path, monkeypatch, lost):
+    relative = write_tiny_network(tmp_path / "r.onnx", TinyNetwork(name="r", depth_kind="relative"))
+    metric = write_tiny_network(tmp_path / "m.onnx", TinyNetwork(name="m"))
+    network = open_network(f"nested:{relative},{metric}", DepthConfig())
+    monkeypatch.setattr(network._relative, "provider", lost)
+    monkeypatch.setattr(network._relative, "raw", lambda picture: 1 / 0)
+    noted, failing = [], Mock(note=lambda error, now_s: noted.append(type(error)))
+    assert answer(network, picture(0), failing).valid, "the metric one's depth, meanwhile"
+    assert noted == [ZeroDivisionError if lost.startswith("CUDA") else type(None)]
+    turned = replace(picture(0), turns=1)
+    assert answer(network, turned, failing).valid
+    assert noted[1:] == noted[:1], "upright or not"
+
+
 @pytest.mark.realdata
 def test_a_real_network_answers(fastdepth: Path):
     depth = answer(open_network(str(fastdepth), DepthConfig()), picture(0))
