@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import TYPE_CHECKING
 
 from prism_edge.supervisor.health import ERROR, OK, WARN, Row
@@ -9,6 +10,10 @@ from prism_edge.supervisor.liveness import ALIVE, judge
 
 if TYPE_CHECKING:
     from prism_edge.messages import Heartbeat
+
+log = logging.getLogger("prism_edge.supervisor")
+
+FIRST_S = 10.0  # as long as it may take to be heard for the first time before the log says that it isn't
 
 
 class RemoteWatch:
@@ -18,10 +23,25 @@ class RemoteWatch:
         self._name = name
         self._heartbeat: Heartbeat | None = None
         self._heard_s = 0.0
+        self._since_s: float | None = None  # watched
+        self._told: bool | None = None  # that it lives, or not; None: nothing yet
 
     def heard(self, heartbeat: Heartbeat, now_s: float) -> None:
         """A heartbeat has come."""
         self._heartbeat, self._heard_s = heartbeat, now_s
+
+    def tell(self, now_s: float) -> None:
+        """Log that it has come, or gone: called all the time, once for each."""
+        self._since_s = now_s if self._since_s is None else self._since_s
+        beat = self._heartbeat
+        lives = beat is not None and judge(beat, now_s - self._heard_s).liveness == ALIVE
+        if lives is self._told or (beat is None and now_s - self._since_s < FIRST_S):
+            return
+        self._told = lives
+        if lives:
+            log.info("%s is heard from its host", self._name)
+        else:
+            log.warning("%s, on another host: %s", self._name, self.row(now_s).message)
 
     def row(self, now_s: float) -> Row:
         """Its line on `health`."""

@@ -256,6 +256,8 @@ class Supervisor:
                 # By its watch, which hears only the process that was started: another may say so too.
                 if heartbeat.process == "source" and watch.state == "ended":
                     self._source_ended_s = self._source_ended_s or now
+        for remote in self._remote.values():
+            remote.tell(now)
         self._desk.serve()
         if now - self._looked_s > PAUSED_S:
             self._lenient_until_s = now + QUIET_S

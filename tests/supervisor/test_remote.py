@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
+import pytest
+
+from prism_edge.bus.session import Bus
+from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import Config, DepthConfig, NetworkConfig
 from prism_edge.supervisor.health import ERROR, OK, WARN
 from prism_edge.supervisor.liveness import SILENT_S
-from prism_edge.supervisor.remote import RemoteWatch
+from prism_edge.supervisor.remote import FIRST_S, RemoteWatch
 from prism_edge.supervisor.supervisor import Supervisor
+from tests.supervisor.fake_daemon import cast
 from tests.supervisor.test_liveness import beat
+from tests.supervisor.whole_runs import in_time
 
 
 def test_what_is_said_of_it() -> None:
@@ -26,8 +33,46 @@ def test_what_is_said_of_it() -> None:
     assert watch.row(60.0).level == OK
 
 
+def test_the_log_says_when_it_comes_and_goes_once_each(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    watch = RemoteWatch("depth")
+
+    def lines(*moments: float) -> list[str]:
+        caplog.clear()
+        for moment in moments:
+            watch.tell(moment)
+        return caplog.messages
+
+    assert lines(5.0, 5.0 + 0.9 * FIRST_S) == []
+    assert lines(5.0 + FIRST_S, 6.0 + FIRST_S) == ["depth, on another host: not heard from its host"]
+    watch.heard(beat("idle"), 20.0)
+    assert lines(20.1, 20.2) == ["depth is heard from its host"]
+    (gone,) = lines(20.1 + SILENT_S, 30.0 + SILENT_S)
+    assert gone.startswith("depth, on another host: silent")
+    watch.heard(beat("idle"), 60.0)
+    assert lines(60.1, 60.2) == ["depth is heard from its host"]
+
+
+def test_one_that_is_there_at_once_is_told_of_too(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    watch = RemoteWatch("depth")
+    watch.heard(beat("idle"), 1.0)
+    watch.tell(1.1)
+    assert caplog.messages == ["depth is heard from its host"]
+
+
 def test_it_is_not_started_here() -> None:
     network = NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=("depth",))
     supervisor = Supervisor(Config(depth=DepthConfig(model="net.onnx"), network=network))
     assert {"source", "tracker", "scale", "backend"} == set(supervisor._watches)
     assert set(supervisor._remote) == {"depth"}
+
+
+def test_a_running_daemon_says_so(
+    config: Config, left_behind: None, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    away = replace(config, network=NetworkConfig(endpoint=free_endpoint(), remote=("depth",)))
+    with Supervisor(away, *cast(["source:steady", "depth:steady"])) as run, Bus.open(config, "depth") as bus:
+        bus.pulse.ready()
+        run.run(in_time(lambda: "depth is heard from its host" in caplog.messages))
