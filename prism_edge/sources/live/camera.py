@@ -15,6 +15,7 @@ from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import UNCALIBRATED, check_camera_size
 from prism_edge.sources.live.driver import CameraLostError, Connection, Driver, Grab
 from prism_edge.sources.live.picture_watch import PictureWatch
+from prism_edge.sources.live.unheard import native_stderr_unheard
 from prism_edge.sources.live.wall_clock import WallClock
 
 log = logging.getLogger("prism_edge.sources")
@@ -271,6 +272,7 @@ class LiveCamera(Source):
 
 def _decoded(grab: Grab) -> U8 | str:
     try:
-        return grab.decode()
+        with native_stderr_unheard():
+            return grab.decode()
     except Exception as error:  # a library may raise anything; it costs the image, not the process
         return f"can't be decoded ({' '.join(str(error).split()) or type(error).__name__})"

@@ -1,0 +1,34 @@
+"""Keeps what native code prints to stderr out of the log."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+from collections.abc import Iterator
+
+_STDERR = 2
+
+
+@contextlib.contextmanager
+def native_stderr_unheard() -> Iterator[None]:
+    """What is printed to stderr meanwhile goes nowhere; other threads' log lines wait until it is over.
+
+    OpenCV's libjpeg has a line for each picture of cameras that end theirs with bytes too many, as many do:
+    thirty a second of pictures that are whole. It knows no way to be told not to.
+    """
+    with contextlib.ExitStack() as after:
+        for handler in logging.getLogger().handlers:
+            handler.acquire()
+            after.callback(handler.release)
+        try:
+            kept = os.dup(_STDERR)
+        except OSError:  # a process may have no stderr
+            kept = -1
+        if kept >= 0:
+            after.callback(os.close, kept)
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, _STDERR)
+            os.close(nowhere)
+            after.callback(os.dup2, kept, _STDERR)
+        yield

@@ -1,0 +1,79 @@
+"""Pictures that libjpeg complains about, and lines of the log that come meanwhile."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+import threading
+
+import cv2
+import numpy as np
+import pytest
+
+from prism_edge.sources.live.camera import _decoded
+from prism_edge.sources.live.driver import Grab
+from prism_edge.sources.live.unheard import native_stderr_unheard
+from prism_edge.sources.live.v4l2_pixels import to_image
+from tests.waiting import until
+
+
+def of_a_cheap_camera() -> bytes:
+    """A whole JPEG with bytes too many before its end marker."""
+    noise = np.random.default_rng(0).integers(0, 255, (480, 640, 3), dtype=np.uint8)
+    smooth = cv2.GaussianBlur(noise, (0, 0), 5)
+    data = cv2.imencode(".jpg", smooth, [cv2.IMWRITE_JPEG_RST_INTERVAL, 4])[1].tobytes()
+    return data[:-2] + bytes(30) + data[-2:]
+
+
+def test_what_libjpeg_says_of_a_whole_picture_is_not_heard(capfd: pytest.CaptureFixture[str]) -> None:
+    data = of_a_cheap_camera()
+    plain = to_image(data, "MJPG", 640, 480, 0)
+    assert "Corrupt JPEG data" in capfd.readouterr().err, "else nothing is shown here"
+    picture = _decoded(Grab(0, lambda: to_image(data, "MJPG", 640, 480, 0)))
+    np.testing.assert_array_equal(picture, plain)
+    os.write(2, b"heard again\n")
+    assert capfd.readouterr().err == "heard again\n"
+
+
+def test_a_line_of_another_thread_waits_and_is_not_lost(capfd: pytest.CaptureFixture[str]) -> None:
+    handler, begun = logging.StreamHandler(sys.stderr), threading.Event()
+
+    class Telling(logging.Filter):
+        def filter(self, record: logging.LogRecord) -> bool:
+            begun.set()
+            return True
+
+    log = logging.getLogger("prism_edge.test_unheard")
+    log.addFilter(Telling())
+    root = logging.getLogger()
+    root.addHandler(handler)
+    speaking = threading.Thread(target=log.warning, args=("meanwhile",))
+    try:
+        with native_stderr_unheard():
+            speaking.start()
+            assert begun.wait(10.0)
+            os.write(2, b"not heard\n")
+            assert speaking.is_alive()
+        until(lambda: not speaking.is_alive())
+    finally:
+        root.removeHandler(handler)
+    assert capfd.readouterr().err == "meanwhile\n"
+
+
+def test_no_descriptor_is_left_open_and_none_is_needed() -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(5):
+        with pytest.raises(ValueError), native_stderr_unheard():  # noqa: PT011
+            raise ValueError
+    assert len(os.listdir("/proc/self/fd")) == before
+    kept = os.dup(2)
+    os.close(2)
+    try:
+        with native_stderr_unheard():
+            pass
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(2)
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
