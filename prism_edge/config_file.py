@@ -261,8 +261,8 @@ def _checked(leaf: Leaf, value: Any, place: str, node: yaml.Node | None = None) 
             raise ConfigError(f"{place}: expected {leaf.expects}, got {list(values)}{norm}")
         return tuple(values)
     result = _typed(leaf.type, value)
-    blank = leaf.name and isinstance(result, str) and not result.strip()
-    if result is None or blank or (leaf.choices and result not in leaf.choices):
+    nameless = leaf.name and isinstance(result, str) and not (result.strip() and result.isprintable())
+    if result is None or nameless or (leaf.choices and result not in leaf.choices):
         raise refuse(value)
     if leaf.name and result.startswith("/"):
         raise ConfigError(f"{place}: tf2 takes no name with a slash in front; write {result.lstrip('/')!r}")

@@ -27,7 +27,7 @@ def value_of(kind: Any, leaf: Leaf) -> st.SearchStrategy[Any]:
             return st.permutations([0.6, -0.8, *[0.0] * ((size or 2) - 2)]).map(tuple)
         return st.lists(item, min_size=size or 0, max_size=4 if size is None else size).map(tuple)
     if leaf.name:  # no two alike
-        return TEXT.map(lambda text: leaf.key + text)
+        return TEXT.filter(str.isprintable).map(lambda text: leaf.key + text)
     if kind is str:
         return st.sampled_from(leaf.choices) if leaf.choices else TEXT
     if kind is int:
@@ -240,6 +240,7 @@ def test_unreadable_file_is_one_line(tmp_path: Path) -> None:
         ("frames.base_from_camera_xyzw", "[1, 0, 0, .nan]", "a list of 4 numbers"),
         ("frames.odom", "", "expected a name, got ''"),
         ("frames.camera", " ", "expected a name"),
+        ("frames.map", "a\nb", r"expected a name, got 'a\nb'"),
         ("frames.map", "/map", "tf2 takes no name with a slash in front; write 'map'"),
         ("depth.providers", "CPU", "expected a list of words, got the text 'CPU'; write [CPU]"),
         ("depth.providers", "cuda, cpu", "write [cuda, cpu]"),
