@@ -26,12 +26,13 @@ log = logging.getLogger("prism_edge.tracker")
 
 LINKED_S = 3.0  # a tracker that was started again is wanted soon: without a backend it begins a new map,
 # but where one is started again beside it: that reads its journal first, and has the map.
-# One that has no map says so at once, and one that dies ends the question: silence is a backend at work.
+# One that has no map says so at once, as does the end of one that dies: silence is a backend at work.
 BUSY_S = PATIENCE_S + 5.0
 LOADED_S = 30.0
 RECOVERED_S = 30.0  # the backend starts beside us, and reads its journal first
 TAKING_OVER_S = 30.0
-TRIES, AGAIN_S = 3, 0.3  # that a loaded map is asked for again: who was to answer may have just ended
+# A map is asked for again: who was to answer may have just ended.
+TRIES, AGAIN_S = 3, 0.3
 
 
 class MapAdoption:
@@ -52,19 +53,29 @@ class MapAdoption:
         """The backend's map after a restart of the tracker; None where there is none to go on in."""
         comes_back = self._bus.run_directory is not None and "backend" not in self._config.network.remote
         linked_s = RECOVERED_S if comes_back else LINKED_S
-        self._bus.pulse.working("asking for the map", linked_s + BUSY_S + TAKING_OVER_S)
-        self._bus.await_ready(["backend"], linked_s)  # else nobody would be asked
-        whole: WholeMap | None = self._bus.ask("whole_map", BUSY_S)
+        self._bus.pulse.working("asking for the map", 2 * (linked_s + BUSY_S) + TAKING_OVER_S)
+        whole = self._of_the_backend(linked_s, BUSY_S)
         if whole is None:
             log.info("no map to go on in: beginning a new one")
         return whole
 
     def of_a_run_cut_off(self) -> WholeMap | None:
         """The map that the backend has recovered of an earlier run; None where there is none to go on in."""
-        self._bus.pulse.working("asking for the map that was left", 2 * RECOVERED_S + TAKING_OVER_S)
-        self._bus.await_ready(["backend"], RECOVERED_S)
-        whole: WholeMap | None = self._bus.ask("whole_map", RECOVERED_S)
-        return whole
+        self._bus.pulse.working("asking for the map that was left", 4 * RECOVERED_S + TAKING_OVER_S)
+        return self._of_the_backend(RECOVERED_S, RECOVERED_S)
+
+    def _of_the_backend(self, linked_s: float, answer_s: float) -> WholeMap | None:
+        """The backend's map, asked for again where it died over that: started again, it has the map too."""
+        silent_s = float("inf")
+        while True:
+            missing = self._bus.await_ready(["backend"], linked_s)  # else nobody would be asked
+            silent_s = min(silent_s, time.monotonic() + answer_s)
+            whole: WholeMap | None = self._bus.ask("whole_map", answer_s)
+            if whole is not None or missing or time.monotonic() >= silent_s:
+                return whole
+            # One that has no map is still there; that one has gone shows a moment later.
+            if self._bus.stopped.wait(AGAIN_S) or not self._bus.await_ready(["backend"], 0.0):
+                return None
 
     def take_loaded(
         self, tracker: Tracker, adopt: Callable[[WholeMap], bool], reset: Callable[[str], object]

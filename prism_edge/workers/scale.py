@@ -15,6 +15,7 @@ from prism_edge.messages import Acknowledged, Depth, Keyframe, MapLoaded, Scale,
 from prism_edge.processes import peers_of
 from prism_edge.scale.estimator import ScaleEstimator
 from prism_edge.scale.rendezvous import Rendezvous
+from prism_edge.workers.cut_off import goes_on
 
 log = logging.getLogger("prism_edge.scale")
 
@@ -49,7 +50,7 @@ class ScaleWorker:
 
     def run(self) -> None:
         """Works until the bus is stopped; once the stream has ended it stays, for what still comes."""
-        if self._bus.first_id:
+        if self._bus.first_id or goes_on(self._bus):
             self._go_on()
         self._bus.pulse.ready()
         if self._ticks is not None:
@@ -65,7 +66,9 @@ class ScaleWorker:
                 self._bus.pulse.ended()
 
     def _go_on(self) -> None:
-        """Where a life before this one has learned the map's unit, the backend has heard of it."""
+        """What a life before this one, or a run that was cut off, has learned of the map's unit the backend
+        knows. It tells so by itself too, but may be started again before it has.
+        """
         self._bus.pulse.working("asking for the map's unit", _READY_S + 3 * _ASK_S)
         self._bus.await_ready(["backend"], _READY_S)
         known = self._bus.ask("map_loaded", _ASK_S)

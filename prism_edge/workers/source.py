@@ -37,6 +37,7 @@ _GAP_NS = 5_000_000_000  # a pause in the stamps that is worth a line
 # Lockstep: whoever takes longer over a frame died with it, and all wait for us.
 _PATIENCE_S = 60.0
 _LAST_S = 10.0  # for the tracker to say what it tracked last: on a busy machine it takes seconds
+_AGAIN_S = 0.2  # between looks for who is not ready when the recording ends
 _STILL_S = 2.0  # without a frame for this long, there is no rate
 # Started again, it is known that there is a camera: it gets most of the time that a start may take.
 _ABSENT_S = 45.0
@@ -51,8 +52,8 @@ class SourceWorker:
         """``source`` is open."""
         self._config, self._bus, self._source = config, bus, source
         # Subscribed before we are ready: the others answer the first frame at once.
-        peers = peers_of(config, "source")
-        self._gatekeeper = Gatekeeper(bus, peers, patience_s) if config.is_lockstep else None
+        self._peers = peers_of(config, "source")
+        self._gatekeeper = Gatekeeper(bus, self._peers, patience_s) if config.is_lockstep else None
         self._pause = Pause(bus, self._show)
         self._checks = FrameChecks(source.camera)
         self._camera = source.camera.to_array()
@@ -303,9 +304,15 @@ class SourceWorker:
             unreadable=counts.unusable,
             last_index=self._last_index,
         )
+        late = self._bus.await_ready(self._peers, 0.0)
         self._bus.publish("end", end)
         self._bus.pulse.ended()
         log.info("the recording has ended: %s", ", ".join(f"{n} {name}" for name, n in vars(counts).items()))
+        while late and not self._bus.stopped.is_set():
+            self._pause.wait(_AGAIN_S)
+            late = self._bus.await_ready(late, 0.0)
+            if not late:  # who was not linked by then has not heard of it, and the run would go on for ever
+                self._bus.publish("end", end)
 
 
 def awaited_peers(config: Config, begun: bool) -> set[str]:

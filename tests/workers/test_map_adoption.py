@@ -100,8 +100,31 @@ def test_a_backend_that_is_started_again_too_is_waited_for(
     bus.ask = lambda topic, timeout_s: None  # type: ignore[method-assign,assignment]
     config = replace(CONFIG, network=NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=remote))
     assert map_adoption.MapAdoption(config, bus).of_the_last_life() is None  # type: ignore[arg-type]
-    assert waits == [(["backend"], waited_s)]
-    assert bus.budgets_s["asking for the map"] > waited_s
+    assert waits == [(["backend"], waited_s), (["backend"], 0.0)], "it says so itself, and is still there"
+    assert bus.budgets_s["asking for the map"] > 2 * waited_s
+
+
+@pytest.mark.parametrize("cut_off", [False, True])
+def test_a_backend_that_dies_over_the_question_is_asked_again(
+    whole: WholeMap, cut_off: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As where making the map took the last of the memory: its next life has it, from its journal."""
+    monkeypatch.setattr(map_adoption, "AGAIN_S", 0.0)
+    life = Asked(None, life=1)
+    life.answers.append(whole)
+    there = [set(), {"backend"}, set()]  # when it is asked, after that, and once it is started again
+    life.bus.await_ready = lambda names, timeout_s: there.pop(0)  # type: ignore[method-assign]
+    adoption = map_adoption.MapAdoption(CONFIG, life.bus)  # type: ignore[arg-type]
+    assert (adoption.of_a_run_cut_off if cut_off else adoption.of_the_last_life)() is whole
+    assert not there
+
+
+def test_a_backend_that_is_not_there_is_asked_once() -> None:
+    life = Asked(None, life=1)
+    life.bus.await_ready = lambda names, timeout_s: {"backend"}  # type: ignore[method-assign]
+    adoption = map_adoption.MapAdoption(CONFIG, life.bus)  # type: ignore[arg-type]
+    assert adoption.of_the_last_life() is None
+    assert life.asked == ["whole_map"]
 
 
 def test_status_tells_of_a_map_that_was_gone_on_in_without_an_image(whole: WholeMap) -> None:

@@ -11,6 +11,7 @@ import pytest
 
 from prism_edge.config import Config, GateConfig, ScaleConfig, SupervisorConfig
 from prism_edge.messages import IDS_A_LIFE, Acknowledged, EndOfStream, Gate, MapLoaded, Scale
+from prism_edge.workers.cut_off import TOLD
 from prism_edge.workers.scale import ScaleWorker, main
 from tests.scale.scene import depth_of, keyframe_of_wall
 from tests.synthetic.messages import tick
@@ -71,6 +72,23 @@ def test_a_scale_that_was_started_again_goes_on_from_what_the_backend_has_heard(
     for said in bus.of("log_scale"):
         assert abs(said.log_scale - np.log(1.5)) < 0.03
         assert said.filter_sigma < 0.05
+
+
+@pytest.mark.parametrize("told", [True, False])
+def test_the_first_of_a_run_that_goes_on_asks_for_what_the_last_run_knew(bus, start, tmp_path, told):
+    """The backend's first life tells of it, but may have died before it had."""
+    asked = []
+    bus.ask = lambda topic, timeout_s: asked.append(topic) or MapLoaded(0, np.log(1.5), 0.03, 0.1, "wall")
+    bus.run_directory = tmp_path
+    if told:
+        (tmp_path / TOLD).touch()
+    keyframe = keyframe_of_wall(50, 20.0, 1.55)
+    bus.give("depth", depth_of(keyframe))
+    bus.give("keyframe", keyframe)
+    start()
+    bus.wait_for("log_scale", 1)
+    assert asked == ["map_loaded"] * told
+    assert (abs(bus.of("log_scale")[0].log_scale - np.log(1.5)) < 0.03) == told
 
 
 def test_it_waits_for_a_backend_that_starts_beside_it_and_reads_a_long_journal(bus, start):

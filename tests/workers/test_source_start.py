@@ -49,6 +49,15 @@ def test_the_wait_for_the_others_has_an_end(tmp_path: Path, caplog: pytest.LogCa
     assert "tracker" not in caplog.text
 
 
+def test_who_is_ready_only_after_the_end_is_told_of_it(tmp_path: Path) -> None:
+    """A short recording that waits for nobody is over before the others are linked: nor would the run end."""
+    with playing(settings(tiny.write_tum(tmp_path), rate_hz=50.0, peers_s=0.0)) as bus:
+        bus.say("ready", "tracker")
+        _, end = bus.until_end()
+        bus.say("ready", "backend")
+        assert bus.next() == ("end", end)
+
+
 def test_whom_the_first_frames_wait_for() -> None:
     """Poses don't wait for who is not needed for them: a network that is loading, a computer that is off."""
     config = Config(depth=DepthConfig(model="net.onnx"))
