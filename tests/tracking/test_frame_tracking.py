@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prism_edge.geometry.poses import inverse, se3_log
+from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
@@ -153,3 +153,121 @@ def test_what_older_keyframes_saw_is_looked_for_however_many_stand_between():
     few.refresh_local_map(world, world.newest().points)
     assert len(few._local_ids) == 200
     assert not np.isin(old, few._local_ids).any(), "what is seen now comes first"
+
+
+def turned(angle: float) -> np.ndarray:
+    return TRUE @ pose_at(0, 0, 0, 0, angle)
+
+
+def with_decoys(cloud: Cloud, features: Features, pose: np.ndarray, count: int) -> Features:
+    """What a frame shows, and some corners that look like points seen from another pose."""
+    decoys, _ = cloud.view(pose, bits=15)
+    some = cloud.rng.permutation(len(decoys))[:count]
+    return Features.build(
+        np.concatenate([features.pixels, decoys.pixels[some]]),
+        np.concatenate([features.octaves, decoys.octaves[some]]),
+        np.concatenate([features.descriptors, decoys.descriptors[some]]),
+        CAMERA.width,
+        CAMERA.height,
+    )
+
+
+@pytest.mark.parametrize(("angle", "decoys"), [(np.pi, 0), (0.35, 60)])
+def test_a_frame_that_the_motion_leads_astray_is_looked_for_where_the_last_one_was(scene, angle, decoys):
+    """Looking away it finds nothing; a little aside, what looks alike."""
+    cloud, world, _, features, _, tracker = scene
+    features, previous = with_decoys(cloud, features, turned(angle), decoys), frame_of(world, 1)
+    misled = tracker.track(world, CAMERA, features, turned(angle), previous, ENOUGH)
+    assert (misled is None) == (decoys == 0)
+    frame = tracker.track_after(world, CAMERA, features, turned(angle), previous, ENOUGH)
+    assert error_of(frame.world_from_camera) < 0.01
+
+
+def test_a_window_in_which_just_enough_match_is_not_wide_enough(scene):
+    cloud, world, _, features, _, tracker = scene
+    features = with_decoys(cloud, features, turned(0.12), 45)
+    frame = tracker.track(world, CAMERA, features, turned(0.12), frame_of(world, 1), ENOUGH)
+    assert error_of(frame.world_from_camera) < 0.01
+    assert frame.matched > 200
+
+
+def test_a_point_that_was_taken_for_another_counts_as_not_found(scene):
+    cloud, world, _, features, _, tracker = scene
+    found = world.points.found.copy()
+    moved = cloud.rng.permutation(len(features))[: len(features) // 4]
+    features.pixels[moved] += 4.0
+    indexed = Features.build(
+        features.pixels, features.octaves, features.descriptors, CAMERA.width, CAMERA.height
+    )
+    frame = tracker.track(world, CAMERA, indexed, TRUE, frame_of(world, 1), ENOUGH)
+    gone = world.points.ids[world.points.found > found]
+    assert np.array_equal(gone, np.sort(frame.points[frame.points >= 0]))
+
+
+def test_what_can_t_be_seen_from_here_is_not_looked_for(scene):
+    """A point that would look many levels larger, or smaller, and one that was seen from behind."""
+    _, world, _, features, _, tracker = scene
+    table, previous = world.points, frame_of(world, 1)
+    kinds = table.ids % 4
+    table.distance[kinds == 1] *= 100.0
+    table.distance[kinds == 2] /= 100.0
+    table.direction[kinds == 3] *= -1.0
+    previous.points[np.isin(previous.points, table.ids[kinds > 0])] = -1  # else it is followed by that
+    visible = table.visible.copy()
+    frame = tracker.track(world, CAMERA, features, TRUE, previous, ENOUGH)
+    assert error_of(frame.world_from_camera) < 0.01
+    assert np.array_equal(table.visible[kinds > 0], visible[kinds > 0])
+    assert not kinds[table.rows(frame.points[frame.points >= 0])].any()
+
+
+def test_a_seed_is_looked_for_in_a_wider_window_as_its_depth_is_doubtful(scene):
+    """Both kinds are a fifth too far along their first rays; only of a seed is that no wonder."""
+    _, world, _, features, _, tracker = scene
+    table, previous = world.points, frame_of(world, 1)
+    kinds, true = table.ids % 3, table.position.copy()
+    table.log_depth_sigma[kinds == 1] = 0.2
+    origins = np.where((table.reference == 1)[:, None], [0.2, 0.0, 0.0], 0.0)
+    table.position[kinds > 0] += 0.2 * (true - origins)[kinds > 0]
+    previous.points[np.isin(previous.points, table.ids[kinds > 0])] = -1  # else it is followed by that
+    frame = tracker.track(world, CAMERA, features, TRUE, previous, ENOUGH)
+    assert error_of(frame.world_from_camera) < 0.01
+    was, now = (CAMERA.project(transform(inverse(TRUE), places)) for places in (true, table.position))
+    off = np.abs(now - was).max(axis=1) - 3.0 * FACTORS[table.octave]
+    beside = table.ids[(off > 1.5) & (off < 4.5)]
+    seen = np.isin(beside, frame.points)
+    assert len(beside) > 100
+    assert seen[beside % 3 == 1].mean() > 0.6
+    assert not seen[beside % 3 == 2].any()
+
+
+def test_a_keypoint_keeps_the_point_that_it_was_followed_by(scene):
+    """A double of it in the local map looks the same, and is where it is."""
+    _, world, _, features, _, tracker = scene
+    table, previous = world.points, frame_of(world, 1)
+    names = ("position", "descriptor", "direction", "distance", "octave", "log_depth_sigma", "reference")
+    doubles = table.add(len(table), **{name: getattr(table, name).copy() for name in names})
+    tracker._local_ids = table.ids.copy()
+    followed = previous.points[previous.points >= 0]
+    frame = tracker.track(world, CAMERA, features, TRUE, previous, ENOUGH)
+    kept = np.isin(frame.points, followed)
+    assert kept.sum() > 0.7 * len(followed)
+    twin = np.isin(frame.points, doubles[table.rows(followed)])
+    assert not twin.any()
+
+
+def test_keypoints_moved_for_a_rolling_shutter_place_the_frame_anew_without_those_that_fit_no_more(scene):
+    _, world, _, features, _, tracker = scene
+    frame = tracker.track(world, CAMERA, features, TRUE, frame_of(world, 1), ENOUGH)
+    matched = np.flatnonzero(frame.points >= 0)
+    wrong = matched[::10]
+    pixels = features.pixels + 2.0
+    pixels[wrong] += 30.0
+    moved = Features.build(pixels, features.octaves, features.descriptors, CAMERA.width, CAMERA.height)
+    again = tracker.seen_again(world, frame, moved)
+    assert again.features is moved
+    assert (again.points[wrong] == -1).all()
+    assert again.matched == (again.points >= 0).sum() >= 0.85 * len(matched)
+    assert (frame.points[wrong] >= 0).all(), "the frame that it was made from is as it was"
+    # Two pixels to the right and down: the camera has turned to the left and up by as much.
+    turn = se3_log(inverse(frame.world_from_camera) @ again.world_from_camera)[3:]
+    assert turn[:2] == pytest.approx([2.0 / 440.0, -2.0 / 500.0], abs=2e-3)

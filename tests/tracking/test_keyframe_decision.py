@@ -50,6 +50,7 @@ def judge(frame, reference, seconds=0.5, reference_matches=200, depth=3.0, confi
         (frame_at(pose_at(0.1)), 2.0, "time"),
         (frame_at(pose_at(0.1), covered=False), 0.5, "new ground"),
         (frame_at(pose_at(0, 0, 0, 0, 0.1), matched=100), 0.5, "few matches"),
+        (frame_at(pose_at(0.1), matched=119), 0.06, "few matches"),  # so few can't wait
         (frame_at(pose_at(0, 0, 0, 0, 0.1)), 2.0, "time"),
     ],
 )
@@ -62,12 +63,18 @@ def test_reasons(reference, frame, seconds, reason):
     [
         (frame_at(pose_at(0.1)), 0.5),  # nothing new
         (frame_at(pose_at(0.3), matched=150), 0.1),  # too soon
+        (frame_at(pose_at(0.3), matched=119), 0.04),  # and so it is for any
         (frame_at(pose_at(0.01), matched=50, covered=False), 60.0),  # has not moved
         (frame_at(pose_at(0, 0, 0, 0, 0.02), matched=50), 60.0),  # hardly turned
     ],
 )
 def test_no_reason(reference, frame, seconds):
     assert not judge(frame, reference, seconds)
+
+
+def test_where_there_was_never_more_to_match_it_still_is_little(reference):
+    assert judge(frame_at(pose_at(0.1), matched=119), reference, reference_matches=119) == "few matches"
+    assert not judge(frame_at(pose_at(0.1), matched=120), reference, reference_matches=120)
 
 
 def test_a_baseline_counts_relative_to_the_depth(reference):
@@ -109,6 +116,17 @@ def test_uncovered_share_counts_textured_cells_without_points():
     assert uncovered_share(frame_at(np.eye(4))) == 0.0
 
 
+def test_corners_that_a_lens_has_put_outside_count_with_those_at_the_border():
+    """Undistorted, they may lie anywhere about the image: in the cells of its border."""
+    left = [[-70.0, 10.0], [-3.0, -50.0], [5.0, -1.0]]
+    outside = np.array([*left, [720.0, 300.0], [1e4, 300.0], [660.0, 280.0]])
+    words, octaves = np.zeros((6, 4), np.uint64), np.zeros(6, np.intp)
+    features = Features.build(outside, octaves, words, 640, 480)
+    for points, share in (([7, -1, -1, -1, -1, -1], 0.5), ([-1, -1, 7, -1, 7, -1], 0.0)):
+        frame = replace(frame_at(np.eye(4)), features=features, points=np.array(points))
+        assert uncovered_share(frame) == share
+
+
 def test_an_image_without_corners_is_not_new_ground():
     frame = frame_at(np.eye(4))
     none = Features.build(np.zeros((0, 2)), np.zeros(0, np.intp), np.zeros((0, 4), np.uint64), 640, 480)
@@ -146,6 +164,14 @@ def test_a_known_place_is_the_nearest_keyframe_s(returned, place):
     assert shown_before(world, frame, 1.0) is None  # 6 cm are far where all is near
 
 
+def test_of_two_that_are_near_enough_it_is_the_nearer(returned):
+    cloud, _ = returned
+    for places in ([0.0, 0.1], [0.1, 0.0]):
+        world, _ = cloud.mapped([pose_at(x) for x in [*places, *(3.0 + np.arange(RECENT))]])
+        frame = placed(cloud, world, pose_at(0.08))
+        assert shown_before(world, frame, 4.0) is world.keyframes[places.index(0.1)]
+
+
 @pytest.mark.parametrize(
     ("motion", "share"),
     [
@@ -172,6 +198,8 @@ def test_the_newest_are_no_known_place(returned):
     assert frame.matched >= 120
     assert shown_before(world, frame, 4.0) is None
     assert shown_before(LocalMap(), frame, 4.0) is None
+    young, _ = cloud.mapped([frame.world_from_camera] * RECENT)
+    assert shown_before(young, frame, 4.0) is None
 
 
 @pytest.mark.parametrize("sign", [1, -1])

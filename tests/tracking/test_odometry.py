@@ -115,6 +115,15 @@ def test_a_velocity_holds_for_a_few_copies_and_is_then_unknown():
     assert (odometry.twist[0], odometry.interval_s) == pytest.approx((1.0, 0.1))
 
 
+def test_of_a_fast_camera_it_holds_for_a_tenth_of_a_second():
+    odometry = MetricOdometry()
+    odometry.advance(None, np.eye(4), 0.0, 0)
+    odometry.advance(np.eye(4), pose_at(0.1), 0.0, SECOND // 100)
+    for hundredths, known in ((3, True), (11, True), (12, False)):
+        odometry.repeat(hundredths * SECOND // 100)
+        assert odometry.twist.any() == known
+
+
 def test_after_a_loss_the_way_counts_and_the_velocity_is_unknown():
     odometry = MetricOdometry()
     odometry.advance(None, np.eye(4), 0.0, 0)
