@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
-from prism_edge.tracking.features import OrbExtractor
+from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import NO_POINT
-from prism_edge.tracking.second_look import WEAK_MATCHES, look_again
+from prism_edge.tracking.matching import match_corners
+from prism_edge.tracking.second_look import MIN_POINTS, WEAK_MATCHES, look_again, two_views
 from tests.tracking.film_run import BLACK, CONFIG, Run
 from tests.tracking.footage import footage
 
@@ -68,6 +69,18 @@ def test_what_looks_alike_puts_a_wrong_motion_right(run):
     positions = world.points.position[world.points.rows(found.points[seen])]
     pixels = footage().camera.project(transform(inverse(found.world_from_camera), positions))
     assert np.median(np.linalg.norm(pixels - found.features.pixels[seen], axis=1)) < 3.0, "the points it saw"
+
+
+def test_what_looks_alike_and_is_elsewhere_is_no_point_of_the_frame(run):
+    wrong, rng = weak_frame(run, TURN_FOR_A_WAY), np.random.default_rng(2)
+    moved = rng.permutation(len(wrong.features))[: len(wrong.features) // 10]
+    pixels = wrong.features.pixels.copy()
+    pixels[moved] += 30.0 * rng.choice([-1.0, 1.0], (len(moved), 2))
+    width, height = footage().camera.width, footage().camera.height
+    octaves, words = wrong.features.octaves, wrong.features.descriptors
+    found = look(run, replace(wrong, features=Features.build(pixels, octaves, words, width, height)))
+    assert found.matched > 100
+    assert (found.points[moved] != NO_POINT).mean() < 0.05
 
 
 def spread(frame: TrackedFrame) -> np.ndarray:
@@ -155,3 +168,17 @@ def test_points_that_have_stood_their_time_are_believed_whatever_looks_alike(run
     wrong.points[5:8] = NO_POINT
     assert look(run, wrong) is not wrong, "five don't place a camera"
     world.points.born_ns[world.points.rows(old)] = born
+
+
+def test_a_point_that_came_to_lie_behind_the_keyframe_says_nothing_of_how_far_it_is(run):
+    """A correction may put it there; the way's length is the other points'."""
+    world, newest, wrong = run.tracker.world, run.tracker.world.newest(), weak_frame(run, TURN_FOR_A_WAY)
+    before, now = match_corners(newest.features, wrong.features)
+    views, ids = two_views(world, newest, wrong, before, now, 0, MIN_POINTS)
+    behind = world.points.rows(ids[ids != NO_POINT][:1])
+    place = world.points.position[behind].copy()
+    world.points.position[behind] = newest.world_from_camera[:3, 3] - newest.world_from_camera[:3, 2]
+    again, _ = two_views(world, newest, wrong, before, now, 0, MIN_POINTS)
+    world.points.position[behind] = place
+    assert again.first_from_second == pytest.approx(views.first_from_second, abs=0.02)
+    assert again.depth_spread == pytest.approx(views.depth_spread, abs=0.05)
