@@ -66,6 +66,21 @@ def test_a_message_carries_the_keyframe_and_survives_the_codec():
     assert len(message.new_points) == int(world.points.alive.sum())
 
 
+def test_a_keyframe_s_own_points_are_no_late_ones_and_its_anchor_is_the_one_before():
+    world, _ = Cloud(300, seed=0).mapped([pose_at(0.3 * i) for i in range(4)])
+    tracker, (*_, earlier, newest) = teller(world), world.keyframes.values()
+    unseen = earlier.points[earlier.observed()]
+    unseen = unseen[~np.isin(unseen, newest.points)][:2]
+    newest.points[newest.observed()[:2]] = -1
+    for point, row, keypoint in zip(unseen, world.points.rows(unseen), newest.free()[:2], strict=True):
+        world.add_observation(int(point), int(row), newest, int(keypoint))
+        world.add_observation(int(point), int(row), world.keyframes[0], int(keypoint))
+    message = sent(tracker, newest)
+    assert set(message.late_keyframes.tolist()) == {0}
+    assert np.isin(unseen, message.points).all()
+    assert (message.anchor, message.world_from_anchor[0, 3]) == (2, pytest.approx(0.6))
+
+
 def test_a_message_says_which_part_of_the_map_it_is_of():
     world, _ = Cloud(50, seed=0).mapped([np.eye(4), pose_at(0.2)], parallax_deg=4.0)
     tracker, newest = teller(world), world.newest()

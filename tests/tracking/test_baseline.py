@@ -10,7 +10,14 @@ import pytest
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, so3_exp
 from prism_edge.messages import OK
-from prism_edge.tracking.baseline import LEAST_PARALLAX_DEG, Baselines, best_parallax
+from prism_edge.tracking.baseline import (
+    LEAST_PARALLAX_DEG,
+    UNOBSERVED,
+    Baselines,
+    best_parallax,
+    unobserved_translation,
+)
+from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.point_table import PointTable
 from prism_edge.tracking.tracker import FrameResult, Tracker
 from tests.synthetic.render import Renderer
@@ -141,3 +148,7 @@ def test_points_of_another_part_that_are_only_tried_give_none():
             break
     assert not result.in_map
     assert result.unobserved > 0.0
+
+
+def test_of_a_frame_that_matches_nothing_the_doubt_is_a_number():
+    assert unobserved_translation(LocalMap(), np.eye(4), np.zeros(0, np.intp)) == UNOBSERVED

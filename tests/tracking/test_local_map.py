@@ -211,3 +211,20 @@ def test_points_know_from_where_they_were_seen_last_once_their_map_was_turned_an
 
 def test_an_empty_map_has_nothing_to_look_at():
     LocalMap().look_anew()
+
+
+def test_keyframes_that_share_less_than_fifteen_points_are_no_neighbours():
+    world, _ = Cloud(200).mapped([np.eye(4), pose_at(0.05), pose_at(0.1)])
+    first, few, enough = world.keyframes.values()
+    for keyframe, left in ((few, 14), (enough, 15)):
+        shared = np.flatnonzero(np.isin(keyframe.points, first.points) & (keyframe.points >= 0))
+        keyframe.points[shared[left:]] = -1
+    assert world.covisible(first, 5) == [enough]
+
+
+def test_what_lies_behind_a_keyframe_has_no_part_in_how_deep_it_sees():
+    world, _ = Cloud(200).mapped([np.eye(4)])
+    keyframe, table = world.keyframes[0], world.points
+    rows = table.rows(keyframe.points[keyframe.observed()])
+    table.position[rows[::2], 2] *= -1.0
+    assert world.median_depth(keyframe) == pytest.approx(np.median(table.position[rows[1::2], 2]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prism_edge.geometry.poses import transform
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.map_correction import (
@@ -170,3 +171,21 @@ def test_a_loop_lets_no_keyframe_see_a_point_twice():
     join(world, loop_update(added_keyframes=[0], added_points=[point], added_keypoints=[free]))
     assert keyframe.points[free] == -1
     check(world)
+
+
+def test_after_a_loop_points_are_as_seen_from_where_the_keyframes_are_now():
+    """What is looked for, and at which size, goes by that."""
+    world, _ = Cloud(400, seed=0).mapped(POSES)
+    table, ids = world.points, world.points.ids.copy()
+    turn = pose_at(0.0, 0.0, 0.0, 0.0, 1.5)
+    update = map_update(
+        5, keyframes=np.arange(6), poses=np.array([turn @ pose for pose in POSES]), points=ids,
+        positions=transform(turn, table.position), parallax_deg=np.zeros(len(ids), np.float32),
+        loop_query=5, loop_candidate=0,
+    )  # fmt: skip
+    take_over(world, Parts(), update, None, BY_POINTS)
+    newest = world.keyframes[5]
+    rows = table.rows(newest.points[newest.observed()])
+    offset = newest.world_from_camera[:3, 3] - table.position[rows]
+    assert table.distance[rows] == pytest.approx(np.linalg.norm(offset, axis=1))
+    assert table.direction[rows] == pytest.approx(offset / np.linalg.norm(offset, axis=1)[:, None])

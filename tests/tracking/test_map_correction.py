@@ -233,6 +233,50 @@ def test_parallax_only_grows_and_makes_points_firmer():
     apply(world, 2, [0, 1, 2], ids, np.eye(4), parallax_deg=2.0)
     assert world.points.parallax_deg == pytest.approx(4.0)
     assert world.points.log_depth_sigma == pytest.approx(1.4 / (500.0 * np.radians(4.0)))
+    world.points.log_depth_sigma[:] = 1e-3  # as a wider view here has made it since
+    apply(world, 2, [0, 1, 2], ids, np.eye(4), parallax_deg=4.0)
+    assert world.points.log_depth_sigma == pytest.approx(1e-3)
+
+
+def test_what_the_backend_once_knew_it_knows_for_good():
+    world, _ = Cloud(200, seed=4).mapped(POSES)
+    for based_on in (4, 3):
+        apply(world, based_on, [0, 1, 2], world.points.ids.copy())
+        assert world.heard == 4
+
+
+def test_a_newer_keyframe_of_another_part_stays_where_nothing_is_known_of_it():
+    world, _ = Cloud(600, seed=1).mapped(POSES)
+    own, table = world.points.reference == 5, world.points
+    for k, keyframe in world.keyframes.items():
+        keyframe.points[np.isin(keyframe.points, table.ids[own if k < 5 else ~own])] = -1
+    places = table.position[own].copy()
+    known = table.ids[~own].copy()
+    update = map_update(
+        4, keyframes=np.arange(5), poses=np.array([MOTION @ pose for pose in POSES[:5]]), points=known,
+        positions=transform(MOTION, table.position[~own]), parallax_deg=np.zeros(len(known), np.float32),
+    )  # fmt: skip
+    apply_correction(world, update, BY_POINTS, Parts.given({5: 5}))
+    assert own.any()
+    assert world.keyframes[4].world_from_camera == pytest.approx(MOTION @ POSES[4], abs=1e-9)
+    assert world.keyframes[5].world_from_camera == pytest.approx(POSES[5], abs=1e-9)
+    assert table.position[own] == pytest.approx(places, abs=1e-9)
+
+
+def test_a_view_that_few_of_its_points_fit_stays_where_it_was():
+    world, _ = Cloud(300, seed=5).mapped(POSES[:1])
+    keyframe, start = world.keyframes[0], pose_at(0.02)
+    mixed = np.roll(keyframe.points, 7)
+    assert fit(world, CAMERA, keyframe.features, mixed, start, BY_POINTS) == pytest.approx(start, abs=1e-12)
+
+
+def test_observations_that_the_backend_found_wrong_are_given_up():
+    world, _ = Cloud(200, seed=4).mapped(POSES)
+    wrong = world.keyframes[2].points[world.keyframes[2].observed()[:5]].copy()
+    dropped = {"dropped_keyframes": np.full(5, 2), "dropped_points": wrong}
+    take_over(world, Parts(), map_update(5, **dropped), None, BY_POINTS)
+    assert not np.isin(wrong, world.keyframes[2].points).any()
+    check(world)
 
 
 def test_a_view_of_few_usable_points_stays_where_it_was():

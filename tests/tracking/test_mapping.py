@@ -131,6 +131,19 @@ def test_what_a_view_does_not_improve_keeps_its_place_beside_what_it_does():
     assert table.log_depth_sigma[firm] == pytest.approx(0.001)
 
 
+def test_a_point_whose_first_view_was_found_wrong_is_not_placed_by_it():
+    cloud = Cloud(500, seed=1)
+    world, shown = seeded(cloud, every=2, wrong=1.15)
+    keyframe, _ = add(world, cloud, shown, 1, pose_at(0.4))
+    wrong = keyframe.points[keyframe.observed()[:20]]
+    world.keyframes[0].points[np.isin(world.keyframes[0].points, wrong)] = -1
+    rows = world.points.rows(wrong)
+    before = world.points.position[rows].copy()
+    assert mapping.mature(world, keyframe, FACTORS) > 50
+    assert np.array_equal(world.points.position[rows], before)
+    assert not world.points.parallax_deg[rows].any()
+
+
 def test_a_point_adjusted_over_many_views_keeps_its_place():
     cloud = Cloud(300, seed=1)
     world, shown = seeded(cloud, every=2)
@@ -194,6 +207,38 @@ def test_sharing_lets_a_keyframe_observe_what_another_has():
     assert len(world.changes.late) == added
 
 
+def test_a_keyframe_that_sees_a_point_does_not_see_it_once_more():
+    """Beside its keypoint there is another that looks even more like it."""
+    cloud = Cloud(300, seed=2)
+    world, _ = cloud.mapped([np.eye(4), pose_at(0.1)])
+    first, target = world.keyframes.values()
+    keypoint = np.flatnonzero(np.isin(target.points, first.points[first.observed()]))[0]
+    old = target.features
+    words = old.descriptors.copy()
+    words[keypoint] ^= np.uint64(2**30 - 1)
+    target.features = Features.build(
+        np.concatenate([old.pixels, old.pixels[[keypoint]] + 1.0]),
+        np.concatenate([old.octaves, old.octaves[[keypoint]]]),
+        np.concatenate([words, old.descriptors[[keypoint]]]),
+        CAMERA.width,
+        CAMERA.height,
+    )
+    target.points = np.append(target.points, -1)
+    share(world, first, target)
+    assert (target.points == target.points[keypoint]).sum() == 1
+    check(world)
+
+
+def test_of_many_neighbours_the_newest_are_remembered():
+    world, _ = Cloud(200, seed=0).mapped([pose_at(0.01 * i) for i in range(16)])
+    for keyframe in world.keyframes.values():
+        keyframe.neighbours = list(range(30, 30 + mapping.NEIGHBOURS))
+    mapping.introduce(world, world.newest())
+    assert len(world.newest().neighbours) == mapping.NEIGHBOURS
+    beside = world.keyframes[world.newest().neighbours[0]]
+    assert beside.neighbours == [15, *range(30, 29 + mapping.NEIGHBOURS)]
+
+
 def test_doubles_are_fused_when_shared():
     """Both keyframes made points of their own from the same corners."""
     cloud = Cloud(300, seed=4)
@@ -243,6 +288,17 @@ def test_fusing_keeps_the_better_observed_and_all_that_saw_either():
     # Nobody is fused with himself or with the dead.
     mapping.fuse(world, np.array([a, a]), np.array([a, b]))
     assert world.changes.fused == [(b, a)]
+    check(world)
+
+
+@pytest.mark.parametrize("pairs", [[(0, 1), (1, 2)], [(1, 2), (0, 1)]])
+def test_of_a_chain_the_first_two_become_one(pairs):
+    """What has become another takes nothing in, and what took one in becomes no other."""
+    world, _ = Cloud(200, seed=0).mapped([np.eye(4), pose_at(0.1)])
+    keep, drop = world.points.ids[np.array(pairs).T * 40]
+    mapping.merge(world, keep, drop)
+    assert world.points.known(np.array([keep[0], drop[0]])).tolist() == [True, False]
+    assert world.points.known(world.points.ids[[0, 40, 80]]).sum() == 2
     check(world)
 
 

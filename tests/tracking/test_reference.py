@@ -52,3 +52,9 @@ def test_a_new_keyframe_is_where_the_camera_is() -> None:
     at.renew(9)
     assert at.keyframe(world, parts) is world.keyframes[2]
     assert (at.since_ns, at.matches) == (9, 0)
+
+
+def test_the_newest_is_that_of_the_part_that_the_camera_is_in() -> None:
+    world, _ = walked()
+    parts = Parts.given({2: 2})
+    assert Reference().keyframe(world, parts) is world.keyframes[1]

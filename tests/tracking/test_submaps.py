@@ -116,3 +116,14 @@ def test_the_newest_and_the_number_are_those_of_a_plain_search():
             mine = [k for k in world.keyframes if parts.of(k) == current]
             assert parts.size(world) == len(mine)
             assert parts.newest(world).id == (max(mine) if mine else 8)
+
+
+def test_a_loop_may_come_of_a_culled_part_however_much_of_home_has_gone_since():
+    parts = Parts()
+    parts.begin(10)
+    parts.add(11)
+    parts.forget([11])
+    parts.current = HOME
+    parts.forget(list(range(100, 1000)))
+    assert parts.merge(11, 2)
+    assert parts.of(10) == HOME

@@ -34,6 +34,13 @@ def test_found_in_the_same_map_the_way_is_known_and_the_speed_is_not():
     assert sight.see(0, HOME, 9 * SECOND, 31 * SECOND) == Step()
 
 
+def test_however_the_frames_after_it_are_called_the_speed_is_not_known():
+    sight = begun()
+    for word in (LOST, DEGRADED):
+        sight.miss(word)
+    assert sight.see(0, HOME, 9 * SECOND, 30 * SECOND) == Step(lost=True)
+
+
 def test_a_part_of_its_own_or_a_new_map_is_seen_from_its_first_keyframe_on():
     for epoch, part in ((0, 7), (1, HOME)):
         sight = begun()
