@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from prism_edge.tracking.depth_watch import MUTE, REFUSED, SILENT_NS, DepthWatch
+from prism_edge.tracking.depth_watch import MOST_REFUSED, MUTE, REFUSED, SILENT_NS, DepthWatch
 
 NAN = float("nan")
 
@@ -65,6 +65,16 @@ def test_one_outlier_is_none_several_are_trouble_for_as_long_again() -> None:
     for number in range(REFUSED):
         assert watch.trouble(0) == "depth contradicts the scale"
         watch.scale(REFUSED + 1 + number, 2.3, True)
+    assert watch.trouble(0) == ""
+
+
+def test_however_long_it_was_contradicted_ten_that_agree_are_enough() -> None:
+    watch = DepthWatch()
+    for number in range(100):
+        watch.scale(number, 2.3, False)
+    for number in range(MOST_REFUSED):
+        assert watch.trouble(0) == "depth contradicts the scale"
+        watch.scale(100 + number, 2.3, True)
     assert watch.trouble(0) == ""
 
 

@@ -136,6 +136,27 @@ def test_a_wrong_motion_that_few_matches_agree_with_is_contradicted_beside_one()
     assert rotation_angle(found.first_from_second[:3, :3].T @ SECOND[:3, :3]) < np.radians(0.5)
 
 
+def test_neither_do_matches_that_agree_with_no_motion_hide_it():
+    """Two thirds match something else; what is left fits a motion that is 0.3 degrees off less well."""
+    first, second, points = views(SECOND)
+    wrong = np.arange(200)
+    second[wrong] = np.random.default_rng(2).uniform((0, 0), (640, 480), (200, 2))
+    off = SECOND @ se3_exp(np.array([0.0, 0.0, 0.0, 0.005, 0.0, 0.0]))
+    found = reconstruct(CAMERA, first, second, points[:, 2], off, seed=0)
+    assert found is not None
+    assert found.contradicts
+
+
+def test_a_way_that_was_tracked_the_wrong_way_round_is_turned_round():
+    """Epipolar lines are the same: only that the points are before both cameras tells."""
+    first, second, points = views(SECOND)
+    back = SECOND.copy()
+    back[:3, 3] *= -1.0
+    found = reconstruct(CAMERA, first, second, points[:, 2], back, seed=0)
+    assert found is not None
+    assert np.linalg.norm(found.first_from_second[:3, 3] - SECOND[:3, 3]) < 0.03
+
+
 def test_some_depths_are_enough_for_the_unit():
     first, second, points = views(SECOND)
     depths = np.where(np.arange(len(points)) % 10 == 0, 2.5 * points[:, 2], np.nan)

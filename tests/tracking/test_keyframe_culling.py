@@ -58,6 +58,13 @@ def test_of_equals_the_oldest_goes_first():
     check(world)
 
 
+def test_the_first_stays_though_it_sees_nothing_any_more():
+    world, cloud = LocalMap(), Cloud(50)
+    for number in range(20):
+        world.add_keyframe(cloud.keyframe(number, np.eye(4))[0])
+    assert list(culling(world, 15, MANY)) == [1, 2, 3, 4, 5]
+
+
 @pytest.mark.parametrize("most", [10, 12, 13, 14, 25])
 def test_the_bound_is_kept_whatever_it_is(most):
     world = walk(30)

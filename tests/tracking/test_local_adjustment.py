@@ -12,6 +12,7 @@ from gtsam.symbol_shorthand import L, X
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
 from prism_edge.tracking import local_adjustment
 from prism_edge.tracking.local_adjustment import Problem, adjust
+from prism_edge.tracking.pose_refinement import HUBER
 from tests.tracking.cloud import pose_at
 
 VIEWS, FREE_VIEWS, POINTS, FREE_POINTS = 6, 4, 60, 40
@@ -147,6 +148,24 @@ def test_the_derivatives_are_those_of_the_cost(what: str) -> None:
         step = 1e-6 * np.eye(3)[i]
         slope = (cost(np.zeros(6), step) - cost(np.zeros(6), -step)) / 2e-6
         assert slope == pytest.approx(by_point[i], rel=1e-4, abs=1e-2)
+
+
+def test_a_doubtful_depth_makes_a_pixel_doubtful_along_what_it_moves_it() -> None:
+    """The cost in explicit matrices: noise of one sigma, and what the error of the depth adds to it."""
+    problem, poses, points = scene(2, noise=3.0)
+    doubt = np.random.default_rng(5).normal(0.0, 0.02, points.shape)
+    poses, points = displaced(poses, points, by=0.2)
+    cost = 0.0
+    for view, point, ray in zip(problem.view, problem.point, problem.rays, strict=True):
+        places = points[point] + np.outer([0.0, 1e-6, -1e-6], doubt[point])
+        here, ahead, behind = transform(inverse(poses[view]), places)
+        smear = FOCAL * (ahead[:2] / ahead[2] - behind[:2] / behind[2]) / 2e-6
+        error = FOCAL * (here[:2] / here[2] - ray)
+        chi = np.sqrt(error @ np.linalg.inv(np.eye(2) + np.outer(smear, smear)) @ error)
+        cost += chi**2 if chi < HUBER else HUBER * (2.0 * chi - HUBER)
+    found = local_adjustment._linearise(replace(problem, depth_error=doubt), poses, points).cost
+    assert found == pytest.approx(cost, rel=1e-6)
+    assert found < 0.9 * local_adjustment._linearise(problem, poses, points).cost
 
 
 def one_held(says: float, sigma: float) -> tuple[Problem, np.ndarray, np.ndarray]:

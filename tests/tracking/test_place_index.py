@@ -45,6 +45,17 @@ def test_only_those_asked_for_are_ranked():
     assert [k for k, _ in index.rank(np.ones(5, np.float32), [3, 1, 99])] == [1, 3]
 
 
+def test_what_is_described_anew_counts_once():
+    rows = np.random.default_rng(2).normal(size=(30, 8))
+    once, twice = filled(rows), filled(rows)
+    for k in range(0, 30, 3):
+        twice.add(k, rows[-1 - k].astype(np.float32))
+        twice.add(k, rows[k].astype(np.float32))
+    query = rows[4].astype(np.float32)
+    for (a, s), (b, t) in zip(once.rank(query, range(30)), twice.rank(query, range(30)), strict=True):
+        assert (a, s) == (b, pytest.approx(t, abs=1e-5))
+
+
 def test_what_is_removed_is_gone_from_the_mean_too():
     rng = np.random.default_rng(2)
     rows = rng.normal(size=(30, 8))

@@ -61,3 +61,16 @@ def test_points_that_were_just_made_count_less_than_those_that_have_stood():
         off.append(np.linalg.norm((found.world_from_camera - pose_at(0.3))[:3, 3]))
         assert found.inliers[~young].all()
     assert off[1] < 0.5 * off[0]
+
+
+def test_a_pixel_of_a_higher_level_says_as_much_less_as_it_is_larger():
+    world, _ = Cloud(300, seed=4).mapped([pose_at()], sigma=0.0)
+    view = world.keyframes[0]
+    keypoints = view.observed()
+    rows = world.points.rows(view.points[keypoints])
+    spread = []
+    for level in (0, 3):
+        view.features.octaves[:] = level
+        found = PoseFromMap(FACTORS).estimate(world, CAMERA, view.features, pose_at(), rows, keypoints)
+        spread.append(found.covariance)
+    assert spread[1] == pytest.approx(FACTORS[3] ** 2 * spread[0], rel=1e-6, abs=1e-12)

@@ -10,7 +10,7 @@ from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
-from prism_edge.tracking.relocalisation import TRIES, Relocaliser, _near
+from prism_edge.tracking.relocalisation import RANKED, TRIES, Relocaliser, _near
 from tests.backend.ring import Ring, looking_out
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
 
@@ -154,6 +154,39 @@ def test_a_frame_without_features_and_a_map_without_points(place):
     for keyframe in world.keyframes.values():
         keyframe.points[:] = -1
     assert lost.see(cloud.view(at(0.3))[0]) is None
+
+
+def test_the_network_s_word_names_places_that_lie_apart(place):
+    """Keyframes side by side show the same: where the first of them is not found the next is not either."""
+    _, world = place
+    for k, keyframe in world.keyframes.items():
+        keyframe.neighbours = [(k - 1) % LAP, (k + 1) % LAP]
+    lost = Lost(world)
+    lost.relocaliser.heard(world, looks(HEADINGS[9]))
+    named = [k for _ in range(4) for k in lost.relocaliser._next(world)]
+    assert named[0] == 9
+    assert len(set(named)) == RANKED
+    assert all((a - b) % LAP not in (1, LAP - 1) for a in named for b in named)
+
+
+def test_a_hand_before_the_lens_leaves_it_where_it_was(place):
+    """By its last frame, whatever the keyframes look like by now."""
+    cloud, world = place
+    last = TrackedFrame.of_keyframe(world.keyframes[9], 100)
+    for keyframe in world.keyframes.values():
+        old, others = keyframe.features, descriptors(cloud.rng, len(keyframe.features))
+        keyframe.features = Features.build(old.pixels, old.octaves, others, 640, 480)
+    true = last.world_from_camera @ pose_at(0.01, 0.0, 0.0, 0.01)
+    for known, found in ((None, False), (last, True)):
+        relocaliser, frames = Relocaliser(), FrameTracker(FACTORS, 5000)
+        seen = [cloud.view(true, noise_px=0.3, bits=10)[0] for _ in range(2)]
+        made = [
+            relocaliser.attempt(world, frames, CAMERA, features, known, 25, 33_000_000 * i)
+            for i, features in enumerate(seen)
+        ]
+        assert made[0] is None
+        assert (made[1] is not None) == found
+    assert np.abs(se3_log(inverse(true) @ made[1].world_from_camera)).max() < 0.02
 
 
 def test_keyframes_that_have_gone_are_passed_over(place):

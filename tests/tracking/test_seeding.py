@@ -70,17 +70,32 @@ def test_raw_pixels_undo_undistortion(camera):
     assert camera.distort_pixels(camera.undistort_pixels(raw)) == pytest.approx(raw, abs=1e-4)
 
 
-def test_triangulated_points_set_the_unit():
-    """The network is 30 % off in this frame and the filter can't know; the map's own points do."""
+@pytest.mark.parametrize("behind", [0, 3])
+def test_triangulated_points_set_the_unit(behind):
+    """The network is 30 % off in this frame and the filter can't know; the map's own points do.
+
+    Some of which may have come to lie behind the camera.
+    """
     camera = CAMERAS[0]
     world, keyframe = keyframe_of(camera, np.eye(4))
     firm = np.arange(40)
     rays = camera.normalise(keyframe.features.pixels[firm])
     positions = np.column_stack([rays, np.ones(40)]) * wall(rays)[:, None]
+    positions[:behind] *= -1.0
     world.add_points(keyframe, firm, positions, np.full(40, 0.01), 5.0)
     ids = seed_from_depth(world, keyframe, 1.3 * picture_of_wall(camera), np.array(WIDE), 1.0, 0.2, 1000)
     off = world.points.position[world.points.rows(ids)] @ (0.2, 0.1, 1.0) - 3.0
     assert np.abs(off).max() < 0.03
+
+
+def test_a_keyframe_keeps_the_metres_that_are_of_use_and_no_others():
+    camera, depth = CAMERAS[1], picture_of_wall(CAMERAS[1])
+    depth[:, 80:] *= 2.0  # an edge, whose pixels have a depth and are of none of both sides
+    world, keyframe = keyframe_of(camera, np.eye(4))
+    seed_from_depth(world, keyframe, depth, np.array(WIDE), 1.0, 0.2, 1000)
+    good, metres = sample_depth(depth, np.array(WIDE), camera.distort_pixels(keyframe.features.pixels))
+    assert 0 < (~good & (metres > 0.0)).sum() < 20
+    assert keyframe.metres.tolist() == np.where(good, metres, 0.0).tolist()
 
 
 def test_few_or_seeded_points_do_not():

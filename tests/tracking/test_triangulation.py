@@ -175,6 +175,33 @@ def test_a_match_lies_between_both_ends_whichever_way_the_camera_moved(way, dept
         assert len(match(np.eye(4), b, features_a, features_b, one, one, depths)[0]) == matches
 
 
+@pytest.mark.parametrize(
+    ("levels", "sigmas", "matches"),
+    [
+        ((3, 3), 0.95 * 1.96, True),
+        ((3, 3), 1.05 * 1.96, False),
+        ((4, 3), 0.0, True),
+        ((2, 3), 0.0, True),
+        ((5, 3), 0.0, False),
+        ((1, 3), 0.0, False),
+    ],
+)
+def test_a_match_is_on_a_like_level_and_as_far_from_its_line_as_that_allows(levels, sigmas, matches):
+    """A pixel of the third level is as large as 1.7 of the image's."""
+    b, points = pose_at(0.4), Cloud(200, seed=2).positions
+    words = Cloud(200, seed=2).descriptors
+    features_a, features_b = (
+        Features.build(pixels, np.full(200, level, np.intp), words, CAMERA.width, CAMERA.height)
+        for pixels, level in (
+            (seen(np.eye(4), points), levels[0]),
+            (seen(b, points) + np.array([0.0, sigmas * FACTORS[3]]), levels[1]),
+        )
+    )
+    for i in range(0, 200, 10):
+        one = np.array([i])
+        assert len(match(np.eye(4), b, features_a, features_b, one, one)[0]) == matches
+
+
 @pytest.mark.parametrize(("sigmas", "matches"), [(0.95 * 1.96, True), (1.05 * 1.96, False)])
 def test_a_match_is_as_far_from_a_slanted_epipolar_line_as_pixels_say(sigmas, matches):
     """Moved at right angles to the line, which focal lengths that differ turn in the image."""

@@ -220,6 +220,29 @@ def test_the_network_says_how_large_what_is_new_is(units_per_metre: float) -> No
     assert too_large(False, units_per_metre) > 3.0 * told
 
 
+def test_two_images_do_not_tell_how_far_off_a_network_is() -> None:
+    world, _ = bent(drift=0.0)
+    for keyframe in world.keyframes.values():
+        keypoints, depths = world.depths_in(keyframe)
+        keyframe.metres = np.zeros(len(keyframe.points))
+        keyframe.metres[keypoints] = depths * np.exp(-0.7)
+    held = list(world.keyframes.values())[:3]
+    assert unheard._off(world, held, 1.0) == pytest.approx(0.7)
+    assert unheard._off(world, held[:2], 1.0) == 0.0
+
+
+def test_points_count_as_far_as_they_are_trusted_and_what_moves_is_not_doubtful_besides(monkeypatch) -> None:
+    world, _ = bent()
+    world.points.weight[:], world.points.log_depth_sigma[:] = 0.3, 0.5
+    given = []
+    monkeypatch.setattr(unheard, "adjust", lambda problem, *_: given.append(problem))
+    assert not adjust_unheard(world, 3, 1.0, BY_POINTS)
+    (problem,) = given
+    assert set(problem.weight.tolist()) == {0.3}
+    assert not problem.depth_error[: problem.free_points].any()
+    assert np.abs(problem.depth_error[problem.free_points :]).max(axis=1).min() > 0.5
+
+
 def test_a_network_that_was_off_has_less_of_a_say() -> None:
     assert too_large(True, was_off=2.0) > 2.0 * too_large(True)
 
