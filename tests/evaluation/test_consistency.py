@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prism_edge.config import FramesConfig
-from prism_edge.evaluation.consistency import relative_nees, scale_errors
+from prism_edge.evaluation.consistency import adjoint, relative_nees, scale_errors
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.trajectory import NS, Trajectory
 from prism_edge.geometry.mount import base_from_camera
@@ -28,8 +28,10 @@ def world_from_camera(time_s: float) -> np.ndarray:
     return from_rt(turn, np.array([0.8 * time_s, 0.2 * np.sin(time_s), 0.3 * time_s]))
 
 
-def drawn(rng: np.random.Generator, own: float = 1.0, scale: float = 0.0) -> tuple[Recording, Trajectory]:
-    """A run whose errors are ``own`` times OWN, and a scale error."""
+def drawn(
+    rng: np.random.Generator, own: float = 1.0, scale: float = 0.0, stated: tuple[np.ndarray, ...] = (OWN,)
+) -> tuple[Recording, Trajectory]:
+    """A run whose errors are ``own`` times those ``stated`` of its frames in turn, and a scale error."""
     begin = world_from_camera(0.0)
     metres = float(np.exp(rng.normal(0.0, scale)))
     recording, rows = Recording(), []
@@ -37,10 +39,11 @@ def drawn(rng: np.random.Generator, own: float = 1.0, scale: float = 0.0) -> tup
         stamp, true = i * NS // RATE, world_from_camera(i / RATE)
         rows.append((stamp, true))
         map_from_base = MOUNT @ scaled(inverse(begin) @ true, metres) @ inverse(MOUNT)
-        noise = rng.multivariate_normal(np.zeros(6), own * OWN)
+        of_frame = stated[i % len(stated)]
+        noise = rng.multivariate_normal(np.zeros(6), own * of_frame)
         estimate = map_from_base @ se3_exp(noise)
         turn = np.kron(np.eye(2), estimate[:3, :3])
-        covariance = turn @ OWN @ turn.T
+        covariance = turn @ of_frame @ turn.T
         start = (estimate @ MOUNT)[:3, 3] - MOUNT[:3, 3]
         covariance[:3, :3] += scale**2 * np.outer(start, start)
         recording.poses.append(Published(stamp, stamp, estimate @ MOUNT, covariance))
@@ -64,20 +67,34 @@ def test_errors_four_times_as_large_in_variance_have_four():
     assert averages(own=4.0) == pytest.approx([4.0, 4.0, 4.0], rel=0.15)
 
 
-@pytest.mark.parametrize(("field", "expected"), [("drift_m", 1.0), ("walk_m", 0.5)])
-def test_of_drift_only_what_odom_s_walk_adds_in_the_second_counts(field, expected):
+def test_a_turn_that_is_off_where_a_second_begins_sets_its_end_aside_and_not_the_reverse():
+    sure, unsure = np.diag([1e-8] * 6), np.diag([1e-8] * 3 + [1e-4] * 3)
+    assert averages(stated=(unsure, sure)) == pytest.approx([1.0, 1.0, 1.0], abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("field", "moved", "turned", "falls"),
+    [
+        ("drift_m", 1.0, 1.0, False),
+        ("walk_m", 0.5, 1.0, False),
+        ("drift_rad", 1.0, 1.0, False),
+        ("walk_rad", 1.0, 0.5, False),
+        ("walk_m", 0.5, 1.0, True),  # of a tracker that began anew
+    ],
+)
+def test_of_drift_only_what_odom_s_walk_adds_in_the_second_counts(field, moved, turned, falls):
     """Nothing drifts here; in a second the walk is said to grow by as much as two frames' own errors."""
     rng, runs = np.random.default_rng(0), []
     for _ in range(20):
         recording, truth = drawn(rng)
         for i, (pose, frame) in enumerate(zip(recording.poses, recording.frames, strict=True)):
-            stated = np.sqrt(2.0 * OWN[2, 2] * i / RATE)
-            added = np.diag([stated**2 * (field == "drift_m")] * 3 + [0.0] * 3)
+            stated = np.sqrt(2.0 * OWN[2, 2] * (FRAMES - i if falls else i) / RATE)
+            added = stated**2 * np.diag([field == "drift_m"] * 3 + [field == "drift_rad"] * 3)
             recording.poses[i] = Published(pose.stamp_ns, 0, pose.map_from_camera, pose.covariance + added)
             recording.frames[i] = Tracked(**{**vars(frame), field: stated})
         runs.append(relative_nees(recording, truth, MOUNT))
-    assert np.mean([nees.rotation for nees in runs]) == pytest.approx(1.0, abs=0.15)
-    assert np.mean([nees.translation for nees in runs]) == pytest.approx(expected, rel=0.2)
+    assert np.mean([nees.rotation for nees in runs]) == pytest.approx(turned, rel=0.2)
+    assert np.mean([nees.translation for nees in runs]) == pytest.approx(moved, rel=0.2)
 
 
 def test_drift_that_a_loop_takes_out_may_set_two_poses_apart():
@@ -136,11 +153,18 @@ def test_a_pose_with_several_true_ones_near_it_is_judged_once():
     assert relative_nees(recording, Trajectory.of(dense), MOUNT) == relative_nees(recording, part, MOUNT)
 
 
+def test_the_adjoint_tells_a_twist_in_other_axes():
+    pose, twist = world_from_camera(3.0), np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.15])
+    there = pose @ se3_exp(twist) @ inverse(pose)
+    assert se3_exp(adjoint(pose) @ twist) == pytest.approx(there, abs=1e-12)
+
+
 def test_scale_errors_in_sigmas():
     error, to_bias = scale_errors(float(np.exp(-0.25)), 0.125, 0.1)
     assert error == pytest.approx(2.0)
     assert to_bias == pytest.approx(1.25)
     assert scale_errors(None, 0.1, 0.05)[0] is None
     assert scale_errors(1.1, None, None) == (None, None)
+    assert scale_errors(1.1, 0.0, 0.1) == (None, None)
     assert scale_errors(1.1, 0.1, None)[1] is None
     assert scale_errors(1.1, 0.1, 0.0)[1] is None
