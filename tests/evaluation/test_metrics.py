@@ -74,6 +74,12 @@ def test_every_key_of_the_contract_is_there() -> None:
     json.dumps(found, allow_nan=False)
 
 
+def test_keyframes_that_only_carry_frames_are_none_of_the_map() -> None:
+    ids = np.arange(5)
+    held = MapSnapshot(0, 4, True, 0.05, ids, np.tile(np.eye(4), (5, 1, 1)), np.arange(7), carried=3)
+    assert report(snapshot=held)["keyframes"] == 2
+
+
 def test_figures_of_a_run_without_surprises() -> None:
     found = report()
     assert found["coverage"] == 1.0

@@ -137,7 +137,9 @@ def test_a_constant_velocity_error_gives_its_rpe() -> None:
     assert rot == pytest.approx(5.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("interval_s", "known"), [(1 / 3, True), (1.0, True), (1.4, False), (2.5, False)])
+@pytest.mark.parametrize(
+    ("interval_s", "known"), [(1 / 3, True), (1.0, True), (1.4, False), (1.6, False), (2.5, False)]
+)
 def test_truth_that_is_too_sparse_for_a_second_has_no_rpe(interval_s: float, known: bool) -> None:
     """The pose nearest to a second later must be one that is about a second later, not the pose itself."""
     estimate = walk(2, n=600)
@@ -170,6 +172,16 @@ def test_t_rel_is_kittis_on_long_paths() -> None:
     percent, lengths = t_rel(segments(estimate, truth))
     assert lengths[:2] == [100.0, 200.0]
     assert percent == pytest.approx(kitti_loop(estimate, truth, [100.0 * k for k in range(1, 9)], 10))
+
+
+def test_a_segment_ends_at_the_first_pose_that_is_farther_than_its_length() -> None:
+    """As in the benchmark's own tool: a pose that is just as far is not."""
+    poses = np.tile(np.eye(4), (31, 1, 1))
+    poses[:, 0, 3] = 10.0 * np.arange(31)
+    truth = Trajectory(np.arange(31) * NS, poses)
+    still = Trajectory(truth.stamps, np.tile(np.eye(4), (31, 1, 1)))
+    found = {length: errors[:, 0, 3].tolist() for length, errors in segments(still, truth)}
+    assert found == {100.0: [-110.0] * 2, 200.0: [-210.0]}
 
 
 def devkit_degrees(estimate: Trajectory, truth: Trajectory, lengths: list[float], step: int) -> float:

@@ -41,6 +41,26 @@ def test_rigid_fit_agrees_with_scipy_on_noisy_points(seed: int) -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(SEEDS)
+def test_of_a_mirror_image_the_scale_is_the_best_for_the_rotation(seed: int) -> None:
+    """No reflection is made, so one axis of three counts against the other two."""
+    source = np.random.default_rng(seed).normal(size=(20, 3))
+    target = source * (1.0, 1.0, -1.0)
+    fit = align(source, target, with_scale=True)
+    turned = (source - source.mean(axis=0)) @ fit.rotation.T
+    best = ((target - target.mean(axis=0)) * turned).sum() / (turned**2).sum()
+    assert fit.scale == pytest.approx(best)
+    assert np.linalg.det(fit.rotation) == pytest.approx(1.0)
+
+
+def test_what_differs_by_rounding_alone_coincides() -> None:
+    spot = 1e6 + np.random.default_rng(0).uniform(-1e-9, 1e-9, (9, 3))
+    assert len(np.unique(spot)) > 1
+    with pytest.raises(DegenerateAlignment):
+        align(spot, np.random.default_rng(1).normal(size=(9, 3)), with_scale=True)
+
+
+@settings(max_examples=30, deadline=None)
+@given(SEEDS)
 def test_no_nearby_similarity_is_better(seed: int) -> None:
     rng = np.random.default_rng(seed)
     source, target = rng.normal(size=(8, 3)), rng.normal(size=(8, 3))

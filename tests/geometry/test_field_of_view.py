@@ -124,3 +124,9 @@ def test_none_gives_none() -> None:
     for camera in (WIDE, SLIGHTLY):
         assert in_image(camera, none).shape == (0,)
         assert has_ideal_pixel(camera, none, none).shape == (0,)
+
+
+def test_the_first_pixel_beside_an_ideal_image_is_not_in_it() -> None:
+    camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
+    beside = np.array([[639.9, 10.0], [640.0, 10.0], [10.0, 479.9], [10.0, 480.0], [0.0, 0.0], [-0.1, 5.0]])
+    assert in_image(camera, beside).tolist() == [True, False, True, False, True, False]

@@ -142,3 +142,12 @@ def test_rotations_are_told_from_what_is_none():
     for wrong in (1.006 * turned[1], np.diag([1.0, 1.0, -1.0]), np.full((3, 3), np.nan), np.zeros((3, 3))):
         assert not poses.are_rotations(wrong, 0.01)
         assert not poses.are_rotations(np.array([turned[0], wrong]), 0.01)
+
+
+@pytest.mark.parametrize("angle", [1e-11, 1e-6, 9e-5])
+def test_small_turns_come_back_to_their_last_digits(angle: float) -> None:
+    """As steps of a solver are, and a camera's that stands: next to a metre they count as well."""
+    twist = np.array([1.0, -2.0, 0.5, *(angle * np.array([0.6, 0.0, -0.8]))])
+    found = poses.se3_log(poses.se3_exp(twist))
+    assert found[3:] == pytest.approx(twist[3:], rel=1e-5)
+    assert found[:3] == pytest.approx(twist[:3], abs=1e-14)
