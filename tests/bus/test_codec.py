@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import pytest
@@ -125,6 +125,7 @@ def test_the_headers_that_follow_differ_from_a_good_one_in_one_thing_each():
         (GOOD + b"\0", "too many"),
         (GOOD + b"\0" * 8, "too many"),
         (b"JSON" + GOOD[4:], "not a message"),
+        (GOOD[:12] + b"\1\0\0\0" + GOOD[16:], "not a message"),
         (GOOD[:4] + b"\2\0" + GOOD[6:], "version 2"),
         (GOOD[:6] + b"\1\0" + GOOD[8:], "float fields"),
         (GOOD[:8] + b"\xff\xff\xff\xff" + GOOD[12:], "header of 4294967295"),
@@ -152,6 +153,27 @@ def test_defects_are_told_in_one_line(data, says):
     with pytest.raises(BusError, match=says) as caught:
         unpack(data, m.Tracked)
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_between_the_parts_must_be_nothing():
+    data = pack(m.Gate(1, 3, np.zeros(0, np.float32), np.ones(1, np.float32)))
+    assert data[-4:] == b"\0" * 4
+    with pytest.raises(BusError, match="padding"):
+        unpack(data[:-1] + b"\1", m.Gate)
+
+
+@dataclass(frozen=True)
+class Flags:
+    """No message has such an array yet."""
+
+    flags: np.ndarray = field(metadata={"dtype": "?", "shape": (-1,)})
+
+
+def test_a_flag_is_true_or_false_and_nothing_else():
+    data = pack(Flags(np.array([True, False] * 4)))
+    assert unpack(data, Flags).flags.tolist() == [True, False] * 4
+    with pytest.raises(BusError, match="flags holds more than true and false"):
+        unpack(data[:-1] + b"\2", Flags)
 
 
 def test_a_huge_size_is_refused_before_memory_is_touched():

@@ -105,6 +105,17 @@ def test_when_a_message_arrived_is_known_whenever_it_is_taken(open_inbox):
     assert then <= inbox.arrived_ns <= now
 
 
+def test_what_was_drained_does_not_say_when_the_next_arrived(open_inbox):
+    subscriber, inbox = open_inbox(10)
+    subscriber.put("a", "b")
+    until(has_arrived(inbox, 2))
+    inbox.drain()
+    then = time.monotonic_ns()
+    subscriber.put("c")
+    assert inbox.take(5.0) == "c"
+    assert inbox.arrived_ns >= then
+
+
 def test_drain_takes_all(open_inbox):
     subscriber, inbox = open_inbox(10)
     subscriber.put("a", "b")
@@ -170,3 +181,6 @@ def test_a_message_comes_before_being_roused(open_inbox):
     until(has_arrived(inbox, 1))
     inbox.rouse()
     assert inbox.take(5.0) == "a"
+    start = time.monotonic()
+    assert inbox.take(0.05) is None  # it was roused before it last returned
+    assert time.monotonic() - start >= 0.05
