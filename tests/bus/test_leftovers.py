@@ -9,6 +9,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from prism_edge.bus.leftovers import sweep
 from prism_edge.bus.links import open_session
 from prism_edge.config import BusConfig
@@ -61,3 +63,16 @@ def test_only_what_nobody_holds_and_nobody_else_named_goes(tmp_path: Path) -> No
         sweep(str(tmp_path / "bus"))
     assert set(tmp_path.iterdir()) == {held, alive, linked, *others}
     sweep(str(tmp_path / "nowhere" / "bus"))  # harmless
+
+
+def test_another_users_processes_live(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of them the system says no more than that they are none of ours."""
+
+    def forbidden(pid: int, number: int) -> None:
+        raise PermissionError
+
+    theirs = tmp_path / "bus.1.0.lock"
+    theirs.touch()
+    monkeypatch.setattr(os, "kill", forbidden)
+    sweep(str(tmp_path / "bus"))
+    assert theirs.exists()

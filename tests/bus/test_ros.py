@@ -71,6 +71,13 @@ def test_another_distribution_of_ros_reads_the_same():
     assert np.array_equal(message.twist.covariance, COVARIANCE.ravel() + 100)
 
 
+def test_an_image_s_rows_are_as_long_as_it_says():
+    message = FOREIGN.deserialize_cdr(ros.serialise(ros.IMAGE, EXAMPLES[ros.IMAGE]), ros.IMAGE)
+    assert (message.height, message.width, message.step, message.encoding) == (2, 3, 12, "32FC1")
+    rows = message.data.reshape(message.height, message.step)
+    assert rows.view("<f4").tolist() == [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]
+
+
 @pytest.mark.parametrize(
     ("rotation_vector", "xyzw"),
     [

@@ -33,6 +33,16 @@ def test_an_endpoint_is_free_until_it_is_listened_on_and_after(tmp_path: Path, p
     assert can_listen(endpoint)
 
 
+def test_a_port_is_free_while_the_last_link_to_it_times_out() -> None:
+    """As after a run that was ended: for a minute the system keeps the ends of links that it closed first."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port)) as client:
+            server.accept()[0].close()
+            assert client.recv(1) == b""
+    assert can_listen(f"tcp/127.0.0.1:{port}")
+
+
 def test_a_free_endpoint_is_one_of_loopback_that_can_be_listened_on() -> None:
     endpoint = free_endpoint()
     assert endpoint.startswith("tcp/127.0.0.1:")
