@@ -51,6 +51,17 @@ def test_each_answer_is_taken_at_its_frame_and_not_before_however_early_it_came(
     assert not taken[10] + taken[11] + taken[13] + taken[15]
 
 
+def test_what_a_later_keyframe_asks_may_be_due_before_what_an_earlier_one_does(due, inboxes):
+    for keyframe in (7, 8):
+        inboxes["depth"].waiting.append(Answer(keyframe))
+        inboxes["log_scale"].waiting.append(Answer(keyframe))
+        inboxes["map_update"].waiting.append(map_update(keyframe, keyframe))
+        due.keyframe(keyframe + 3, keyframe)
+    taken = {index: about(due.take(index)) for index in range(10, 16)}
+    assert taken[13] == [("depth", 8), ("log_scale", 8)]
+    assert (taken[14], taken[15]) == ([("map_update", 7)], [("map_update", 8)])
+
+
 def test_a_probe_is_answered_by_the_network_alone(due, inboxes):
     inboxes["depth"].waiting.append(Answer(-5))
     due.probe(3, -5)

@@ -14,7 +14,12 @@ from prism_edge.messages import OK
 from prism_edge.topics import TOPICS
 from prism_edge.tracking.drift import Walk
 from prism_edge.tracking.tracker import FrameResult
-from prism_edge.workers.pose_publisher import ACCELERATION, PosePublisher, with_scale_error
+from prism_edge.workers.pose_publisher import (
+    ACCELERATION,
+    UNKNOWN_SPEED,
+    PosePublisher,
+    with_scale_error,
+)
 from tests.tracking.cloud import pose_at
 
 STAMP = 12_345_678_901
@@ -46,6 +51,7 @@ def publish(
     sigma=0.0,
     interval_s=0.1,
     moment_s=0.0,
+    in_map=True,
 ):
     """The messages of one frame, by topic; through CDR, as they arrive."""
     sent = {}
@@ -53,7 +59,7 @@ def publish(
         publish=lambda topic, message: sent.update({topic: message}),
         publish_if_heard=lambda topic, make: sent.update({topic: make()}),
     )
-    result = FrameResult(OK, pose, covariance, 0, np.eye(4), 100)
+    result = FrameResult(OK, pose, covariance, 0, np.eye(4), 100, in_map)
     odom, twist = pose if odom is None else odom, np.zeros(6) if twist is None else twist
     publisher = PosePublisher(bus, frames or FramesConfig(), moment_s=moment_s)
     publisher.publish(STAMP, result, odom, twist, interval_s, log_scale, sigma, sigma * odom[:3, 3])
@@ -97,6 +103,28 @@ def test_names_and_stamps():
     assert links == [("m", "o"), ("o", "b"), ("b", "c")]
     for message in (sent["pose"], sent["odom"], *sent["tf"].transforms):
         assert ros.stamp_ns(message) == STAMP
+
+
+def test_where_its_place_in_the_map_is_not_known_the_tree_ends_at_odom():
+    sent = publish(pose_at(0.1), in_map=False)
+    assert set(sent) == {"odom", "tf"}
+    links = [(t.header.frame_id, t.child_frame_id) for t in sent["tf"].transforms]
+    assert links == [("odom", "base_link"), ("base_link", FramesConfig().camera)]
+
+
+def test_covariances_are_the_same_on_either_side_of_the_diagonal_to_the_last_digit():
+    """Who takes their root asks for that."""
+    for seed in range(5):
+        turn = se3_exp(np.random.default_rng(seed).normal(size=6))
+        sent = publish(turn, MOUNTED, odom=turn @ turn, log_scale=0.3, sigma=0.1)
+        for topic in ("pose", "odom"):
+            assert np.array_equal(matrix(sent[topic]), matrix(sent[topic]).T)
+
+
+def test_over_next_to_no_time_a_velocity_is_as_unknown_as_one_can_be_and_no_more():
+    sent = publish(pose_at(0.1), interval_s=1e-9)
+    variances = np.asarray(sent["odom"].twist.covariance).reshape(6, 6).diagonal()
+    assert variances.max() == pytest.approx(UNKNOWN_SPEED**2)
 
 
 def test_the_map_is_in_units_and_the_pose_in_metres():
