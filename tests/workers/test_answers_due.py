@@ -69,11 +69,13 @@ def test_a_probe_is_answered_by_the_network_alone(due, inboxes):
     assert not list(due.take(99))
 
 
-def test_nobody_waits_for_a_process_that_does_not_run(bus, inboxes):
+def test_nobody_waits_for_a_process_that_does_not_run(bus, inboxes, monkeypatch, caplog):
+    monkeypatch.setattr(answers_due, "PATIENCE_S", 0.02)
     due = AnswersDue(bus, inboxes, {"backend"}, LAGS)
     inboxes["map_update"].waiting.append(map_update(0, 1))
     due.keyframe(0, 0)
     assert about(due.take(4)) == [("map_update", 0)]
+    assert not caplog.text
 
 
 def test_what_is_forgotten_is_not_waited_for(due, monkeypatch, caplog):

@@ -181,3 +181,9 @@ def test_a_process_is_told_by_a_file_of_its_run(tmp_path: Path) -> None:
     assert not goes_on(SimpleNamespace(run_directory=tmp_path))  # type: ignore[arg-type]
     (tmp_path / TOLD).touch()
     assert goes_on(SimpleNamespace(run_directory=tmp_path))  # type: ignore[arg-type]
+
+
+def test_time_goes_by_the_wall_s_clock_where_nothing_tells_one_start_of_the_computer_from_another() -> None:
+    assert Moment("", 7.0, 1900.0).since(Moment("", 5.0, 1000.0)) == 900.0
+    assert Moment("a", 7.0, 1900.0).since(Moment("b", 5.0, 1000.0)) == 900.0
+    assert Moment("a", 7.0, 900.0).since(Moment("a", 5.0, 1000.0)) == 2.0

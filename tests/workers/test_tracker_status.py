@@ -6,7 +6,16 @@ from types import SimpleNamespace
 
 import pytest
 
-from prism_edge.messages import DEGRADED, OK
+from prism_edge.messages import (
+    BUILDING,
+    DEGRADED,
+    INITIALISING,
+    LOCALISED,
+    LOOP_CLOSED,
+    LOST,
+    OK,
+    RELOCALISING,
+)
 from prism_edge.workers import tracker_status
 from prism_edge.workers.tracker_status import TrackerStatus
 
@@ -57,3 +66,31 @@ def test_a_map_that_stays_as_it_is_is_not_degraded_for_depth_that_never_came():
     assert bus.pulse.values["odometry"] == DEGRADED
     status.show(0, OK, True, True, 7 * 10**9, {})
     assert bus.pulse.values["odometry"] == OK
+
+
+@pytest.mark.parametrize("word", [INITIALISING, DEGRADED, LOST])
+def test_a_camera_that_is_not_well_is_so_whatever_its_metres_are(word):
+    bus = SimpleNamespace(publish=lambda topic, message: None, pulse=SimpleNamespace(values={}))
+    status = TrackerStatus(bus)
+    status.show(0, OK, True, False, 0, {})
+    status.metres.depth(7, False, "dark")
+    status.show(0, word, True, False, 10**9, {})
+    assert bus.pulse.values["odometry"] == word
+    assert bus.pulse.values["depth"] == "no usable depth: dark"
+
+
+def test_the_map_s_word_is_that_of_where_the_camera_is_and_for_a_while_what_has_happened():
+    bus = SimpleNamespace(publish=lambda topic, message: None, pulse=SimpleNamespace(values={}))
+    status = TrackerStatus(bus)
+
+    def said(seconds: float, odometry: str = OK, at_home: bool = True, localise_only: bool = False) -> str:
+        status.show(0, odometry, at_home, localise_only, round(seconds * 1e9), {})
+        return bus.pulse.values["map"]
+
+    assert said(0.0) == BUILDING
+    assert said(1.0, localise_only=True) == LOCALISED
+    assert said(2.0, LOST) == said(3.0, at_home=False) == RELOCALISING
+    status.say(LOOP_CLOSED, 4 * 10**9)
+    assert said(4.0) == said(5.9) == said(5.0, localise_only=True) == LOOP_CLOSED
+    assert said(5.5, at_home=False) == RELOCALISING
+    assert said(6.0) == BUILDING
