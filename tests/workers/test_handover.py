@@ -40,6 +40,16 @@ def test_a_worker_that_does_not_come_to_it_gives_nothing_and_nothing_stale_later
     assert handover.ask() is None
 
 
+def test_what_is_being_made_is_wanted_no_more() -> None:
+    handover, wanted = Handover(), []
+    thread = threading.Thread(target=handover.ask)
+    thread.start()
+    until(lambda: handover.wanted)
+    handover.serve(lambda: wanted.append(handover.wanted))
+    thread.join()
+    assert wanted == [False]
+
+
 def test_what_nobody_waits_for_any_more_is_not_even_made() -> None:
     """It may take a worker seconds: a snapshot of a large map."""
     handover = Handover(patience_s=0.01)
