@@ -113,6 +113,13 @@ def test_what_took_long_to_load_may_take_long_to_answer(
     assert bus.budgets_s["keyframe 7"] == pytest.approx(budget_s)
 
 
+def test_what_a_lost_camera_shows_in_between_hides_no_keyframe_that_was_passed_over(tiny: str):
+    bus, config = live(tiny)
+    bus.give("keyframe_image", *(picture(number) for number in (3, -5, 6, -9, 7)))
+    main(config, bus)
+    assert bus.pulse.values["dropped"] == "2"
+
+
 def test_the_newest_keyframe_wins_and_those_passed_over_are_counted(tiny: str):
     bus, config = live(tiny)
     numbers = [0, 1, 5, 10_000_000_000, 10_000_000_001]

@@ -48,3 +48,11 @@ def test_a_readout_that_is_none_is_no_camera_s(bus, caplog, said):
     assert FrameCamera(bus.pulse, "").of(replace(frame(0), readout_ms=said)) is None
     assert bus.pulse.values["malformed"] == "1"
     assert "readout_ms" in caplog.text
+
+
+def test_an_image_smaller_than_its_camera_says_is_no_frame(bus, caplog):
+    whole = frame(0)
+    for cut in (whole.image[:100], whole.image[:, :-2]):
+        assert FrameCamera(bus.pulse, "").of(replace(whole, image=cut)) is None
+    assert bus.pulse.values["malformed"] == "2"
+    assert "its image is smaller than its camera says" in caplog.text

@@ -211,6 +211,17 @@ def test_a_keyframe_that_comes_after_its_depth_is_served_too(bus, start):
     assert bus.of("log_scale")[0].keyframe == 3
 
 
+def test_what_a_lost_camera_shows_takes_no_keyframe_s_place(bus, start):
+    keyframe = keyframe_of_wall(3, 1.0)
+    depth = depth_of(keyframe)
+    bus.give("depth", depth, *(replace(depth, keyframe=-2 - i) for i in range(100)))
+    start()
+    bus.give("keyframe", keyframe)
+    bus.wait_for("scale", 1)
+    assert bus.of("log_scale")[0].keyframe == 3
+    assert bus.pulse.values["unpaired"] == "0"
+
+
 def test_the_gate_hears_of_keyframes_whose_depth_never_comes(bus, start):
     moved = pose_at(40.0, 1.0, -2.0, 0.3, 0.5)
     first, blind, last = (keyframe_of_wall(k, 0.4 * k) for k in range(3))

@@ -38,6 +38,16 @@ def test_a_name_that_is_none_is_refused(name: str, tmp_path: Path) -> None:
         state_directory.map_path(StateConfig(directory=str(tmp_path)), name)
 
 
+def test_only_maps_are_listed_and_none_that_is_still_being_written(tmp_path: Path) -> None:
+    config = StateConfig(directory=str(tmp_path))
+    folder = state_directory.maps_folder(config)
+    folder.mkdir()
+    kitchen = state_directory.map_path(config, "kitchen")
+    for path in (kitchen, folder / f".{kitchen.name}", folder / "notes.txt"):
+        path.touch()
+    assert state_directory.map_names(config) == ["kitchen"]
+
+
 def test_a_folder_that_is_closed_to_us_has_no_maps(tmp_path: Path) -> None:
     """Here as its name is too long, since root may enter any."""
     with pytest.raises(MapError, match=r"map lab can't be read \(File name too long\)"):
