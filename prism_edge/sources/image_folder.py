@@ -1,4 +1,4 @@
-"""A plain folder of images, in natural order of their names; its camera has a file or a known name."""
+"""A plain folder of images, in order of names or stamps in them; its camera has a file or a known name."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _DEPTH = re.compile(r"(?<![a-z])depth(?![a-z])")
 def find(folder: Path, rate_hz: float) -> Listing | None:
     """The images in a folder; None where there are none.
 
-    Stamped by their names where those are nanoseconds, else at ``rate_hz`` (0: 30 Hz).
+    Stamped by their names where those are nanoseconds or seconds since 1970, else at ``rate_hz`` (0: 30 Hz).
     """
     files = files_in(folder)
     found = tuple(path for path in files if path.suffix.lower() in SUFFIXES)
@@ -30,6 +30,8 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     if not images:
         return None
     named = from_names([path.stem for path in images])
+    if named:  # 0.9 s is later than 0.88 s, though 9 comes before 88
+        named, images = zip(*sorted(zip(named, images, strict=True)), strict=True)
     stamps = named or tuple(at_rate(i, rate_hz or DEFAULT_RATE_HZ) for i in range(len(images)))
     return Listing("folder of images", images, stamps, lambda: by_full_name(folder), bool(named))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from itertools import pairwise
@@ -10,7 +11,9 @@ import numpy as np
 
 _NS = Decimal(10**9)
 _LIMIT = Decimal(2**63 - 1)
-_LEAST_NS = 1_000_000  # between images that are named by nanoseconds
+_LEAST_NS = 1_000_000  # between images that are named by their stamps
+_NANOSECONDS = re.compile(r"[0-9]{17,19}")
+_SECONDS = re.compile(r"[0-9]{10}\.[0-9]{1,9}")
 _ROS_NS = 2**31 * 10**9  # builtin_interfaces/Time has 32 bits for seconds: until January 2038
 
 
@@ -42,18 +45,24 @@ def write_seconds(stamp_ns: int) -> str:
 
 
 def from_names(names: Sequence[str]) -> tuple[int, ...] | None:
-    """The stamps (ns) that images are named by, as EuRoC's are; None where their names are no such.
+    """The stamps (ns) that images are named by, as EuRoC's and TUM's are; None where their names are no such.
 
-    Whole numbers of 17 to 19 digits, all alike, ascending, usually by a millisecond and more: today's
-    microseconds have 16, and counters with zeros in front go up by less.
+    Whole nanoseconds of 17 to 19 digits, all alike, or seconds since 1970 with a point in them
+    (1305031102.175304, trailing zeros left out or not). No two are the same, and usually they are a
+    millisecond apart and more: today's microseconds have 16 digits, and counters with zeros in front go up
+    by less.
     """
-    if len(names) < 2 or len({len(name) for name in names}) > 1 or not 17 <= len(names[0]) <= 19:
+    if len(names) < 2:
         return None
-    if not all(name.isascii() and name.isdecimal() for name in names):
+    if all(map(_SECONDS.fullmatch, names)):
+        stamps = tuple(map(parse_seconds, names))
+    elif all(map(_NANOSECONDS.fullmatch, names)) and len({len(name) for name in names}) == 1:
+        stamps = tuple(map(int, names))
+    else:
         return None
-    stamps = tuple(map(int, names))
-    ascending = all(b > a for a, b in pairwise(stamps)) and fits_ros(stamps[-1])
-    return stamps if ascending and usual_period_ns(stamps, 0) >= _LEAST_NS else None
+    in_order = sorted(stamps)
+    once = all(b > a for a, b in pairwise(in_order)) and fits_ros(in_order[-1])
+    return stamps if once and usual_period_ns(in_order, 0) >= _LEAST_NS else None
 
 
 def at_rate(index: int, rate_hz: float) -> int:

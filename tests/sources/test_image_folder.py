@@ -57,6 +57,22 @@ def test_names_that_are_nanoseconds_are_stamps(tmp_path: Path, caplog: pytest.Lo
     assert not caplog.records
 
 
+def test_names_that_are_seconds_are_stamps(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """TUM's and BONN's folder rgb without its list, whether or not zeros at the end are written."""
+    names = ["1305031102.775304", "1305031102.88", "1305031102.9", "1305031103.000001"]
+    for i, name in enumerate(names):
+        tiny.write_image(tmp_path / f"{name}.png", tiny.picture(i))
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    items = all_of(opened(tmp_path))
+    assert [item.stamp_ns for item in items] == [
+        *(1305031102_775304000, 1305031102_880000000, 1305031102_900000000, 1305031103_000001000)
+    ]
+    for i, item in enumerate(items):
+        assert isinstance(item, Image)
+        assert (item.pixels == tiny.picture(i)).all()
+    assert not caplog.records
+
+
 @pytest.mark.parametrize(
     "names",
     [
@@ -68,6 +84,10 @@ def test_names_that_are_nanoseconds_are_stamps(tmp_path: Path, caplog: pytest.Lo
         ["140363657976355558", "1403636579813555584", "1403636579863555584"],
         ["9403636579763555584", "9403636579813555584"],  # beyond what ROS can hold
         ["140363657976355", "140363659976355"],
+        ["1403636579.1", "1403636579.10"],  # one moment twice
+        ["1403636579.763555", "1403636579.813555", "cover"],
+        ["0000000001.5", "0000000001.50001"],  # too near each other
+        ["1.5", "2.5"],  # versions, scales, or seconds of who knows what
     ],
 )
 def test_names_that_may_be_something_else_are_no_stamps(tmp_path: Path, names: list[str]) -> None:
