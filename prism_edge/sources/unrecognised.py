@@ -43,11 +43,21 @@ def guess(folder: Path) -> str:
             return f"has KITTI's {images[0]} but no calib.txt: {kitti.TABLES}"
         if any(path.suffix.lower() in BAGS for path in folder.iterdir()):
             return A_BAG
+        if data := _euroc(folder):
+            return f"has EuRoC's images: name {data}, or with truth see docs/SOURCES.md, Another dataset"
         below = sorted((path for path in folder.iterdir() if _is_sequence(path)), key=natural_order)
         names = ", ".join([path.name for path in below[:_NAMED]] + ["..."] * (len(below) > _NAMED))
         if below:
             which = "it" if len(below) == 1 else "one of them"
             return f"is no sequence but holds {len(below)}; name {which}: {names}"
+    return ""
+
+
+def _euroc(folder: Path) -> str:
+    """Where from here EuRoC's first camera has its images; empty where this is none of its folders."""
+    for camera in ("mav0/cam0", "cam0", "."):
+        if (folder / camera / "sensor.yaml").is_file() and (folder / camera / "data").is_dir():
+            return f"{camera}/data".removeprefix("./")
     return ""
 
 

@@ -36,6 +36,18 @@ def test_a_bag_of_ros_2_is_a_folder(tmp_path: Path) -> None:
     assert "write its images to files first (docs/SOURCES.md" in refusal(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("named", "images"), [(".", "mav0/cam0/data"), ("mav0", "cam0/data"), ("mav0/cam0", "data")]
+)
+def test_euroc_names_the_folder_of_its_images(tmp_path: Path, named: str, images: str) -> None:
+    for name in ("cam0", "cam1"):
+        tiny.write_image(tmp_path / "mav0" / name / "data" / "1403636579763555584.png", tiny.picture(0))
+        (tmp_path / "mav0" / name / "sensor.yaml").write_text("sensor_type: camera\n")
+    message = refusal(tmp_path / named)
+    assert f"has EuRoC's images: name {images}, or" in message
+    assert (tmp_path / named / images).is_dir()
+
+
 def bare_kitti(folder: Path) -> Path:
     """As the images' own download unpacks."""
     tiny.write_image(folder / "image_2" / "000000.png", tiny.picture(0))
