@@ -19,11 +19,11 @@ FIRST_S = 10.0  # as long as it may take to be heard for the first time before t
 class RemoteWatch:
     """What is known of it. Poses flow without it, so it holds up neither readiness nor the watchdog."""
 
-    def __init__(self, name: str) -> None:
-        self._name = name
+    def __init__(self, name: str, since_s: float) -> None:
+        """``since_s`` is when it began to be listened for, on the clock of all other times here."""
+        self._name, self._since_s = name, since_s
         self._heartbeat: Heartbeat | None = None
         self._heard_s = 0.0
-        self._since_s: float | None = None  # watched
         self._told: bool | None = None  # that it lives, or not; None: nothing yet
 
     def heard(self, heartbeat: Heartbeat, now_s: float) -> None:
@@ -32,7 +32,6 @@ class RemoteWatch:
 
     def tell(self, now_s: float) -> None:
         """Log that it has come, or gone: called all the time, once for each."""
-        self._since_s = now_s if self._since_s is None else self._since_s
         beat = self._heartbeat
         lives = beat is not None and judge(beat, now_s - self._heard_s).liveness == ALIVE
         if lives is self._told or (beat is None and now_s - self._since_s < FIRST_S):

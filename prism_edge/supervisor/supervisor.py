@@ -55,10 +55,10 @@ class Supervisor:
         chosen = processes_for(config) if processes is None else processes
         away = config.network.remote
         self._watches = {p.name: Watch(p, config.supervisor) for p in chosen if p.name not in away}
-        self._remote = {p.name: RemoteWatch(p.name) for p in chosen if p.name in away}
+        self.started_s = time.monotonic()
+        self._remote = {p.name: RemoteWatch(p.name, self.started_s) for p in chosen if p.name in away}
         self._children: dict[str, Child] = {}
         self._cleanup = contextlib.ExitStack()
-        self.started_s = time.monotonic()
         self.ready_s: float | None = None  # seconds from construction until every process was ready
         self._published_s = -HEALTH_S
         self._essence: list[tuple[str, int, str, str]] = []

@@ -20,7 +20,7 @@ from tests.supervisor.whole_runs import in_time
 
 
 def test_what_is_said_of_it() -> None:
-    watch = RemoteWatch("depth")
+    watch = RemoteWatch("depth", 5.0)
     assert (watch.row(0.0).level, watch.row(0.0).message) == (ERROR, "not heard from its host")
     watch.heard(beat("idle"), 10.0)
     assert (watch.row(10.5).level, watch.row(10.5).message) == (OK, "idle")
@@ -35,7 +35,7 @@ def test_what_is_said_of_it() -> None:
 
 def test_the_log_says_when_it_comes_and_goes_once_each(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    watch = RemoteWatch("depth")
+    watch = RemoteWatch("depth", 5.0)
 
     def lines(*moments: float) -> list[str]:
         caplog.clear()
@@ -55,7 +55,7 @@ def test_the_log_says_when_it_comes_and_goes_once_each(caplog: pytest.LogCapture
 
 def test_one_that_is_there_at_once_is_told_of_too(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
-    watch = RemoteWatch("depth")
+    watch = RemoteWatch("depth", 5.0)
     watch.heard(beat("idle"), 1.0)
     watch.tell(1.1)
     assert caplog.messages == ["depth is heard from its host"]

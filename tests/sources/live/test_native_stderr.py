@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import os
-import sys
 import threading
 
 import cv2
@@ -13,7 +12,7 @@ import pytest
 
 from prism_edge.sources.live.camera import _decoded
 from prism_edge.sources.live.driver import Grab
-from prism_edge.sources.live.unheard import native_stderr_unheard
+from prism_edge.sources.live.native_stderr import native_stderr_unheard
 from prism_edge.sources.live.v4l2_pixels import to_image
 from tests.waiting import until
 
@@ -37,24 +36,18 @@ def test_what_libjpeg_says_of_a_whole_picture_is_not_heard(capfd: pytest.Capture
 
 
 def test_a_line_of_another_thread_waits_and_is_not_lost(capfd: pytest.CaptureFixture[str]) -> None:
-    handler, begun = logging.StreamHandler(sys.stderr), threading.Event()
-
-    class Telling(logging.Filter):
-        def filter(self, record: logging.LogRecord) -> bool:
-            begun.set()
-            return True
-
-    log = logging.getLogger("prism_edge.test_unheard")
-    log.addFilter(Telling())
-    root = logging.getLogger()
+    root, free = logging.getLogger(), []
+    handler = logging.StreamHandler(os.fdopen(2, "w", closefd=False))  # sys.stderr is pytest's own
+    asking = threading.Thread(target=lambda: free.append(handler.lock.acquire(blocking=False)))
+    speaking = threading.Thread(target=root.warning, args=("meanwhile",))
     root.addHandler(handler)
-    speaking = threading.Thread(target=log.warning, args=("meanwhile",))
     try:
         with native_stderr_unheard():
+            asking.start()
+            asking.join()
+            assert free == [False]
             speaking.start()
-            assert begun.wait(10.0)
             os.write(2, b"not heard\n")
-            assert speaking.is_alive()
         until(lambda: not speaking.is_alive())
     finally:
         root.removeHandler(handler)
