@@ -12,7 +12,7 @@ import numpy as np
 
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.trajectory import Trajectory, paired, rows_apart
-from prism_edge.geometry.poses import Array, inverse, se3_log, skew
+from prism_edge.geometry.poses import Array, adjoint, inverse, se3_log
 
 _FLOOR = 1e-12  # m^2, rad^2: below what is published, so that an exact direction doesn't divide by 0
 
@@ -95,14 +95,6 @@ def scale_errors(
     known = scale_ratio is not None and scale_ratio > 0.0
     error = abs(math.log(scale_ratio)) / sigma if known and scale_ratio is not None else None
     return error, sigma / bias_sigma if bias_sigma is not None and bias_sigma > 0.0 else None
-
-
-def adjoint(pose: Array) -> Array:
-    """(6, 6): a twist (translation first) on the right of inverse(pose), told on its left."""
-    out = np.zeros((6, 6))
-    out[:3, :3] = out[3:, 3:] = pose[:3, :3]
-    out[:3, 3:] = skew(pose[:3, 3]) @ pose[:3, :3]
-    return out
 
 
 def _grown(walk: Array, drift: Array, i: np.intp, j: np.intp) -> float:

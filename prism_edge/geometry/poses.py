@@ -111,6 +111,14 @@ def inverse(pose: Array) -> Array:
     return out
 
 
+def adjoint(pose: Array) -> Array:
+    """(6, 6): turns a twist (6,) in the axes of ``b`` to the same motion in those of ``a`` (``a_from_b``)."""
+    out = np.zeros((6, 6))
+    out[:3, :3] = out[3:, 3:] = pose[:3, :3]
+    out[:3, 3:] = skew(pose[:3, 3]) @ pose[:3, :3]  # what turns about b's origin swings a's
+    return out
+
+
 def transform(pose: Array, points: Array) -> Array:
     """Points (n, 3) carried by ``a_from_b`` from frame b to frame a."""
     return points @ pose[:3, :3].T + pose[:3, 3]

@@ -10,13 +10,11 @@ from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import FramesConfig
 from prism_edge.geometry.mount import base_from_camera
-from prism_edge.geometry.poses import Array, inverse, scaled, skew
+from prism_edge.geometry.poses import Array, adjoint, inverse, scaled
 from prism_edge.tracking.drift import NO_DRIFT, Walk
+from prism_edge.tracking.odometry import ACCELERATION
 from prism_edge.tracking.tracker import FrameResult
 
-# Sigma of how a velocity changes within the interval that it was measured over, m/s^2 and rad/s^2: a hand's
-# goes by 0.1 m/s and 0.1 rad/s however long that is, from 0.1 s on.
-ACCELERATION = 1.0
 UNKNOWN_SPEED = 100.0  # m/s and rad/s: sigma of a velocity that nothing was measured of
 
 
@@ -33,6 +31,7 @@ class PosePublisher:
         self._bus, self._frames, self._refinement, self._moment_s = bus, frames, refinement, moment_s
         self._mount = base_from_camera(frames)
         self._camera_from_base = inverse(self._mount)
+        self._carry = adjoint(self._mount)
 
     def publish(
         self,
@@ -47,6 +46,7 @@ class PosePublisher:
         drift: Walk = NO_DRIFT,
         walk: Walk = NO_DRIFT,
         mount_of_map: Array | None = None,
+        unseen: Array | None = None,
     ) -> None:
         """Send the three messages of one frame; ``result`` must have a pose (map units).
 
@@ -54,7 +54,8 @@ class PosePublisher:
         ``scale_sigma`` is that of the log scale; ``odom_error`` (3) is by what it puts the camera off in
         `odom`, metres along the axes of its start. ``drift`` is what the map may have drifted there since
         its beginning, ``walk`` what `odom` has. ``mount_of_map`` (4, 4) is base_from_camera of who began the
-        map, where that may be another than ours.
+        map, where that may be another than ours. ``unseen`` (6, 6; m, rad; the camera's axes) is of how
+        far it has gone since the image that the pose is of.
         Where its place in the map is not known there is no `pose`, and `tf` ends at `odom`.
         """
         assert result.world_from_camera is not None
@@ -64,8 +65,10 @@ class PosePublisher:
         world_from_camera = scaled(result.world_from_camera, metres)
         map_from_base = self._based(world_from_camera, begun_with)
         odom_from_base = self._based(odom_from_camera, self._mount)
-        own, velocity = self._covariance(result, metres), self._twist(twist)
+        own, velocity = self._covariance(result, metres), self._carry @ twist
         aside = own + self._moment_s**2 * np.outer(velocity, velocity)
+        if unseen is not None:
+            aside += self._carry @ unseen @ self._carry.T
         # Scale multiplies the camera's path since the start; where it sits on the robot is known in metres.
         start = self._mount[:3, :3]
         walked = begun_with[:3, :3] @ world_from_camera[:3, 3]
@@ -105,13 +108,11 @@ class PosePublisher:
 
     def _covariance(self, result: FrameResult, metres: float) -> Array:
         """Covariance of the base along its own axes, of what a frame says of the camera in map units."""
-        rotation = self._mount[:3, :3]
-        carry = np.zeros((6, 6))
-        carry[:3, :3], carry[3:, 3:] = metres * rotation, rotation
-        carry[:3, 3:] = skew(self._mount[:3, 3]) @ rotation  # a turn of the camera swings the base about it
         of_camera = self._refinement * result.covariance
         of_camera[:3, :3] += result.unobserved**2 * np.eye(3)  # no residual's doing: the factor is not for it
-        return carry @ of_camera @ carry.T
+        of_camera[:3] *= metres
+        of_camera[:, :3] *= metres
+        return self._carry @ of_camera @ self._carry.T
 
     @staticmethod
     def _velocity_covariance(of_pose: Array, velocity: Array, interval_s: float, scale_sigma: float) -> Array:
@@ -126,12 +127,6 @@ class PosePublisher:
         most = UNKNOWN_SPEED**2 / max(float(np.diag(of_pose).max()), 1e-12)
         changed = min(0.5 * ACCELERATION * interval_s, UNKNOWN_SPEED) ** 2 * np.eye(6)
         return with_scale_error(of_pose * min(2.0 / interval_s**2, most) + changed, velocity, scale_sigma)
-
-    def _twist(self, twist: Array) -> Array:
-        """Twist of the base in its own axes, of the camera's in its own."""
-        rotation = self._mount[:3, :3]
-        angular = rotation @ twist[3:]
-        return np.concatenate([rotation @ twist[:3] - skew(angular) @ self._mount[:3, 3], angular])
 
 
 def turned(covariance: Array, axes_from_base: Array) -> Array:

@@ -239,6 +239,7 @@ class TrackerWorker:
             self._drift.here,
             self._drift.total,
             self._maps.mount(tracker.epoch),
+            self._odometry.unseen,
         )
 
     def _probe(self, frame: Frame) -> bool:

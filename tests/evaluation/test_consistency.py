@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from prism_edge.config import FramesConfig
-from prism_edge.evaluation.consistency import adjoint, relative_nees, scale_errors
+from prism_edge.evaluation.consistency import relative_nees, scale_errors
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.trajectory import NS, Trajectory
 from prism_edge.geometry.mount import base_from_camera
@@ -151,12 +151,6 @@ def test_a_pose_with_several_true_ones_near_it_is_judged_once():
     rows = zip(part.stamps, part.poses, strict=True)
     dense = [(int(stamp) + ms * 1_000_000, pose) for stamp, pose in rows for ms in (-4, 0, 4)]
     assert relative_nees(recording, Trajectory.of(dense), MOUNT) == relative_nees(recording, part, MOUNT)
-
-
-def test_the_adjoint_tells_a_twist_in_other_axes():
-    pose, twist = world_from_camera(3.0), np.array([0.1, -0.2, 0.3, 0.2, 0.1, -0.15])
-    there = pose @ se3_exp(twist) @ inverse(pose)
-    assert se3_exp(adjoint(pose) @ twist) == pytest.approx(there, abs=1e-12)
 
 
 def test_scale_errors_in_sigmas():

@@ -105,6 +105,14 @@ def test_inverse_of_one_and_of_a_stack(first: np.ndarray, second: np.ndarray) ->
 
 
 @settings(max_examples=50, deadline=None)
+@given(TWISTS, AXES, AXES)
+def test_the_adjoint_tells_a_twist_in_other_axes(fixed: np.ndarray, way: np.ndarray, turn: np.ndarray):
+    pose, twist = poses.se3_exp(fixed), np.concatenate([way, turn])
+    there = pose @ poses.se3_exp(twist) @ poses.inverse(pose)
+    np.testing.assert_allclose(poses.se3_exp(poses.adjoint(pose) @ twist), there, atol=1e-8)
+
+
+@settings(max_examples=50, deadline=None)
 @given(TWISTS, st.floats(0.01, 100.0))
 def test_transform_and_scaled(twist: np.ndarray, factor: float) -> None:
     pose = poses.se3_exp(twist)

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.geometry.poses import inverse, scaled, se3_exp, se3_log
-from prism_edge.tracking.odometry import MetricOdometry
+from prism_edge.tracking.odometry import ACCELERATION, MetricOdometry, unseen_motion
 from tests.tracking.cloud import pose_at
 
 twists = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
@@ -154,3 +154,40 @@ def test_it_stays_a_rigid_pose_over_thousands_of_steps():
         odometry.advance(np.eye(4), step, 0.0, 0)
     rotation = odometry.odom_from_camera[:3, :3]
     assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-14
+
+
+def test_where_a_camera_went_that_nobody_saw_is_within_what_is_said():
+    """A steady camera is a sigma away along its way; one whose velocity changes, as far as that takes it."""
+    twist, interval_s, elapsed_s = np.array([0.6, 0.0, 0.8, 0.0, 0.5, 0.0]), 0.1, 0.06
+    stated = unseen_motion(twist, interval_s, elapsed_s)
+    rng, gone = np.random.default_rng(0), []
+    for acceleration in rng.normal(0.0, ACCELERATION, (4000, 6)):
+        # Known at the middle of the interval, it has changed since, and goes on changing.
+        at_last = twist + acceleration * interval_s / 2.0
+        gone.append(at_last * elapsed_s + acceleration * elapsed_s**2 / 2.0)
+    found = np.einsum("ni,nj->ij", np.array(gone), np.array(gone)) / len(gone)
+    assert np.abs(found - stated).max() < 0.05 * stated.max()
+    assert np.linalg.eigvalsh(stated)[0] > 0.0
+
+
+def test_of_a_camera_that_stood_or_only_turned_nothing_says_that_it_went():
+    assert not unseen_motion(np.zeros(6), 0.1, 1.0).any()
+    turning = unseen_motion(np.array([0.0, 0.0, 0.0, 0.0, 0.5, 0.0]), 0.1, 0.2)
+    assert not turning[:3].any()
+    assert turning[4, 4] > (0.5 * 0.2) ** 2
+
+
+def test_what_nobody_saw_grows_for_a_second_and_ends_with_the_next_image():
+    odometry = MetricOdometry()
+    odometry.repeat(0)  # nothing was there to copy: harmless
+    assert not odometry.unseen.any()
+    odometry.advance(None, np.eye(4), 0.0, 0)
+    odometry.advance(np.eye(4), pose_at(0.05), 0.0, SECOND // 10)
+    sigmas = []
+    for tenths in (2, 6, 11, 12, 30):
+        odometry.repeat(tenths * SECOND // 10)
+        sigmas.append(np.sqrt(odometry.unseen[0, 0]))
+    assert sigmas[0] == pytest.approx(np.hypot(0.05, 0.1 * 0.1))
+    assert sigmas[0] < sigmas[1] < sigmas[2] == sigmas[3] == sigmas[4]
+    odometry.advance(pose_at(0.05), pose_at(0.06), 0.0, 31 * SECOND // 10)
+    assert not odometry.unseen.any()

@@ -52,6 +52,7 @@ def publish(
     interval_s=0.1,
     moment_s=0.0,
     in_map=True,
+    unseen=None,
 ):
     """The messages of one frame, by topic; through CDR, as they arrive."""
     sent = {}
@@ -62,7 +63,8 @@ def publish(
     result = FrameResult(OK, pose, covariance, 0, np.eye(4), 100, in_map)
     odom, twist = pose if odom is None else odom, np.zeros(6) if twist is None else twist
     publisher = PosePublisher(bus, frames or FramesConfig(), moment_s=moment_s)
-    publisher.publish(STAMP, result, odom, twist, interval_s, log_scale, sigma, sigma * odom[:3, 3])
+    error = sigma * odom[:3, 3]
+    publisher.publish(STAMP, result, odom, twist, interval_s, log_scale, sigma, error, unseen=unseen)
     return {
         topic: ros.deserialise(TOPICS[topic].type, ros.serialise(TOPICS[topic].type, message))
         for topic, message in sent.items()
@@ -280,6 +282,24 @@ def test_a_pose_may_be_that_of_a_moment_aside(log_scale):
         rate = np.concatenate([after[:3, 3] - before[:3, 3], turned]) / 2e-4
         added = matrix(aside[topic]) - matrix(plain[topic])
         assert added == pytest.approx(moment_s**2 * np.outer(rate, rate), rel=1e-4, abs=1e-10)
+    velocities = [np.asarray(sent["odom"].twist.covariance) for sent in (plain, aside)]
+    assert velocities[0] == pytest.approx(velocities[1])
+
+
+@pytest.mark.parametrize("log_scale", [0.0, 0.7])
+def test_a_way_that_nobody_saw_is_that_of_the_base(log_scale):
+    """What the camera's way, in metres, does to base and orientation, by trials; a velocity is as sure."""
+    pose, unseen, found = pose_at(1.0, -0.4, 2.0, 0.3, -0.2, 0.5), 1e4 * COVARIANCE, []
+    plain, aside = (publish(pose, MOUNTED, log_scale=log_scale, unseen=u) for u in (None, unseen))
+    here = mount(MOUNTED) @ pose @ inverse(mount(MOUNTED))
+    for gone in np.random.default_rng(0).multivariate_normal(np.zeros(6), 1e-4 * unseen, 4000):
+        there = mount(MOUNTED) @ pose @ se3_exp(gone) @ inverse(mount(MOUNTED))
+        turned = so3_log(there[:3, :3] @ here[:3, :3].T)
+        found.append(100.0 * np.concatenate([there[:3, 3] - here[:3, 3], turned]))
+    for topic in ("pose", "odom"):
+        added = matrix(aside[topic]) - matrix(plain[topic])
+        size = np.sqrt(np.outer(np.diag(added), np.diag(added)))
+        assert np.abs((np.cov(np.array(found).T) - added) / size).max() < 0.08
     velocities = [np.asarray(sent["odom"].twist.covariance) for sent in (plain, aside)]
     assert velocities[0] == pytest.approx(velocities[1])
 

@@ -11,6 +11,10 @@ from tests.synthetic.drawing import SLACK
 from tests.workers.tracker_bench import depth_of, frame, positions, run, true_position, update_of
 
 
+def matrix(message):
+    return np.asarray(message.pose.covariance).reshape(6, 6)
+
+
 def test_an_exact_copy_repeats_the_pose(bus, world):
     frames = [frame(i) for i in range(10)]
     frames.append(frame(10, of=9, duplicate=True))
@@ -44,6 +48,28 @@ def test_a_camera_that_hangs_is_not_said_to_move_on(bus, world):
     assert (linear[49].x, linear[49].y, linear[49].z) == (0.0, 0.0, 0.0)
     assert sigma[49] == sigma[50] == 100.0
     assert sigma[20] < 10.0 > sigma[51]
+
+
+def test_a_copy_may_have_been_taken_where_the_camera_went_on_to(bus, world):
+    """Its sigma is the way that nobody saw, a second of it at most, and not after them."""
+    copies = [frame(i, of=19, duplicate=True) for i in range(20, 58)]
+    run(bus, [*(frame(i) for i in range(20)), *copies, frame(58, of=20)])
+    for topic in ("pose", "odom"):
+        sigma = {ros.stamp_ns(m): np.sqrt(np.trace(matrix(m)[:3, :3])) for m in bus.of(topic)}
+        at = {i: sigma[frame(i).stamp_ns] for i in (19, 20, 49, 57, 58)}
+        speed = np.linalg.norm(true_position(19) - true_position(18)) * 30.0
+        # Along its way, and on each axis by a change as large as itself, within this second.
+        assert at[49] == pytest.approx(np.hypot(at[19], 2.0 * speed * 30 / 30.0), rel=0.3)
+        assert at[57] == pytest.approx(at[49], rel=0.05)
+        assert at[19] < at[20] < 0.2 * at[49] > at[58]
+
+
+def test_a_camera_that_stood_before_copies_came_stays_as_sure(bus, world):
+    world.depth = lambda image: depth_of(image, min(image.index, 19))
+    standing = [frame(i, of=min(i, 19)) for i in range(40)]
+    run(bus, [*standing, *(frame(i, of=19, duplicate=True) for i in range(40, 70))])
+    sigma = {ros.stamp_ns(m): np.sqrt(np.trace(matrix(m)[:3, :3])) for m in bus.of("pose")}
+    assert sigma[frame(69).stamp_ns] < 1.5 * sigma[frame(39).stamp_ns]
 
 
 def test_a_copy_whose_original_was_dropped_is_looked_at(bus, world):
