@@ -67,6 +67,11 @@ def no_truth(layout: str | None) -> list[str]:
     return [f"no true poses lie with the recording, so nothing is scored; they would be in {_TRUTHS[layout]}"]
 
 
-def no_pose(poses: int, frames: int) -> list[str]:
-    """What to say of a run that published nothing."""
-    return [] if poses else [f"no pose came out of {frames} frames"]
+def no_pose(poses: int, frames: int, processed: int, begun: bool) -> list[str]:
+    """What to say of a run that published nothing; ``begun``: an image of those processed began a map."""
+    if poses:
+        return []
+    what = f"no pose came out of {frames} frames"
+    if processed and not begun:
+        what += ": in none were corners enough to begin a map with (too dark, too bright, blurred or blank)"
+    return [what]

@@ -31,7 +31,7 @@ from prism_edge.evaluation.resources import VOID_ABOVE, Usage
 from prism_edge.evaluation.scores import UNKNOWN, score
 from prism_edge.evaluation.trajectory import Trajectory, path_length
 from prism_edge.geometry.mount import base_from_camera
-from prism_edge.messages import MapSnapshot
+from prism_edge.messages import INITIALISING, MapSnapshot
 
 _PACKAGES = ("numpy", "opencv-python-headless", "onnxruntime", "gtsam", "eclipse-zenoh", "rosbags")
 
@@ -61,7 +61,8 @@ def metrics(
     }
     nees = NO_NEES if truth is None else relative_nees(recording, truth, base_from_camera(config.frames))
     flow = recording.flow(first_stamp_ns)
-    silent = no_pose(len(live), flow["frames"])
+    begun = any(frame.keyframe >= 0 or frame.odometry != INITIALISING for frame in recording.frames)
+    silent = no_pose(len(live), flow["frames"], len(recording.frames), begun)
     until_ns = recording.frames[-1].stamp_ns if config.source.frames and recording.frames else None
     apart = [] if truth is None else apart_in_time(live, truth, scores["live"]["pairs"], until_ns)
     nothing = silent or (apart if not scores["live"]["pairs"] else [])

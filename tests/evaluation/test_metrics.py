@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.resources import Usage
 from prism_edge.evaluation.table import show
 from prism_edge.evaluation.trajectory import NS, Trajectory
-from prism_edge.messages import OK, EndOfStream, MapSnapshot, Tracked
+from prism_edge.messages import INITIALISING, OK, EndOfStream, MapSnapshot, Tracked
 
 # What others script against (the `eval` contract).
 KEYS = {
@@ -181,6 +182,12 @@ def test_a_run_with_nothing_to_score_says_so() -> None:
     silent = report(config=network, live=empty, final=empty)
     assert silent["warnings"] == ["no pose came out of 60 frames"]
     assert silent["unscored"] == "no pose came out of 60 frames"
+    dark = [Tracked(i, i, i, INITIALISING, False, -1, -1, np.eye(4)) for i in range(N)]
+    ended = EndOfStream(N, N, 0, 0, N - 1)
+    for frames, said in ((dark, True), ([*dark[:-1], replace(dark[-1], keyframe=0)], False)):
+        recording = Recording(frames=frames, end=ended)
+        unseen = report(config=network, live=empty, final=empty, recording=recording)
+        assert ("corners" in unseen["unscored"]) == said, "a keyframe has some"
     refused = Recording(end=EndOfStream(N, N - 20, 0, 20, N - 1))
     unplayed = report(config=network, live=empty, final=empty, recording=refused)["unscored"]
     assert unplayed.startswith("no pose came out of 60 frames; 20 of 60 frames were not played")
