@@ -101,7 +101,7 @@ def test_through_a_lens_it_is_huber_of_the_error_of_the_pixel_as_taken(k1, dx, d
     local = transform(inverse(POSE), POINT[None])[0]
     ray = local[:2] / local[2]
     true = camera.ideal().to_pixels((ray * (1.0 + k1 * (ray @ ray)))[None])
-    keyframe = replace(keyframe_of(camera.undistort_pixels(true + (dx, dy))[0], 2), camera=camera)
+    keyframe = replace(keyframe_of(camera.undistort_pixels(true + np.array([dx, dy]))[0], 2), camera=camera)
     factory = FactorFactory(CONFIG, 1.0)
     values = values_of(POSE, POINT)
     values.insert(C(0), gtsam.Cal3Bundler(camera.fx, k1, 0.0, 0.0, 0.0))
