@@ -87,3 +87,11 @@ def test_where_only_small_steps_lead_down_a_heavy_error_is_damped_until_they_are
     values.insert(X(0), np.array([3.0]))
     solved = gtsam.LevenbergMarquardtOptimizer(graph, values, solver(points_first([], [0]), 1)).optimize()
     assert solved.atVector(X(0)) == pytest.approx([0.0], abs=1e-4)
+
+
+@pytest.mark.parametrize(("poses", "one_by_one"), [(12, True), (ONE_BY_ONE, True), (ONE_BY_ONE + 1, False)])
+def test_few_poses_are_eliminated_one_by_one_and_all_in_the_order_that_is_given(poses, one_by_one):
+    """As gtsam understands it; a solution says nothing of what it cost."""
+    parameters = solver(points_first(POINTS, range(poses)), poses)
+    assert (parameters.isSequential(), parameters.isMultifrontal()) == (one_by_one, not one_by_one)
+    assert parameters.getOrderingType() == "CUSTOM"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
-from gtsam.symbol_shorthand import L, X
+from gtsam.symbol_shorthand import C, L, X
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -90,6 +92,23 @@ def test_metric_depth_is_huber_of_the_range_error(ratio, weight, units_per_metre
         huber(residual / s, CONFIG.huber_depth_m * units_per_metre / s) for s in (1.06 * sigma, sigma / 1.06)
     )
     assert least - 1e-9 <= error <= most + 1e-9
+
+
+@pytest.mark.parametrize(("k1", "dx", "dy"), [(0.0, 3.0, -2.0), (-0.08, 0.0, 0.0), (0.05, -1.0, 9.0)])
+def test_through_a_lens_it_is_huber_of_the_error_of_the_pixel_as_taken(k1, dx, dy):
+    """r -> r (1 + k1 r^2), from a camera that has another lens so far, and pixels that are not square."""
+    camera = replace(CAMERA, fy=1.1 * CAMERA.fx, distortion=(-0.03, 0.0, 0.0, 0.0))
+    local = transform(inverse(POSE), POINT[None])[0]
+    ray = local[:2] / local[2]
+    true = camera.ideal().to_pixels((ray * (1.0 + k1 * (ray @ ray)))[None])
+    keyframe = replace(keyframe_of(camera.undistort_pixels(true + np.array([dx, dy]))[0], 2), camera=camera)
+    factory = FactorFactory(CONFIG, 1.0)
+    values = values_of(POSE, POINT)
+    values.insert(C(0), gtsam.Cal3Bundler(camera.fx, k1, 0.0, 0.0, 0.0))
+    expected = huber(np.hypot(dx, dy / 1.1) / (CONFIG.pixel_sigma * 1.2**2), CONFIG.huber_pixels)
+    for _ in range(2):  # made once, and remembered
+        factor = factory.reprojection_through(C(0), X(0), L(0), keyframe, 0)
+        assert factor.error(values) == pytest.approx(expected, rel=1e-4, abs=1e-6)
 
 
 def test_a_weight_of_nothing_leaves_a_finite_factor():

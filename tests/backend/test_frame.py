@@ -181,6 +181,26 @@ def test_a_single_keyframe_has_nothing_to_be_compared_with() -> None:
     assert not keep_frame(GlobalMap())
 
 
+def test_two_keyframes_are_enough_to_tell_a_motion_of_the_frame() -> None:
+    world = mapped(POSES[:2])
+    before = poses_of(world)
+    world.move(MOTION, set(world.keyframes))
+    assert keep_frame(world)
+    for k, pose in before.items():
+        assert world.keyframes[k].world_from_camera == pytest.approx(pose, abs=LEAST)
+
+
+def test_cameras_that_turned_on_the_spot_take_the_frame_nowhere() -> None:
+    """What is seen has no side: a turn back about where the cameras are leaves their middle where it is."""
+    world = mapped()
+    middle = np.mean([pose[:3, 3] for pose in poses_of(world).values()], axis=0)
+    for keyframe in world.keyframes.values():
+        keyframe.world_from_camera = keyframe.world_from_camera @ pose_at(0, 0, 0, 0.005, 0.004, -0.003)
+    assert keep_frame(world)
+    now = np.mean([pose[:3, 3] for pose in poses_of(world).values()], axis=0)
+    assert now == pytest.approx(middle, abs=1e-9)
+
+
 def test_a_part_of_its_own_moves_nobody_else() -> None:
     """Where it is beside the others is not known; its corrections, and its majority, are its own."""
     home, apart = Teller(), Teller(seed=1, first=20)

@@ -57,6 +57,20 @@ def test_it_finds_the_truth_again():
     check(world)
 
 
+def test_it_says_how_wide_apart_the_rays_of_each_point_are_now():
+    _, world = shaken()
+    adjusted = run(world)
+    wrong = {p for _, p in apply(world, adjusted, CONFIG)}
+    centres = {k: keyframe.world_from_camera[:3, 3] for k, keyframe in world.keyframes.items()}
+    sound = [p for p in adjusted.points if p not in wrong]
+    assert len(sound) > 100
+    for p in sound:
+        point = world.points[p]
+        first, *others = [point.position - centres[k] for k in sorted(point.keyframes)]
+        angles = [np.arctan2(np.linalg.norm(np.cross(first, ray)), first @ ray) for ray in others]
+        assert point.parallax_deg == pytest.approx(np.degrees(max(angles)), abs=1e-4)
+
+
 def test_the_first_pose_and_the_unit_hold():
     _, world = shaken(sigma=0.0)
     for keyframe in world.keyframes.values():

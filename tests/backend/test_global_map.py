@@ -166,6 +166,13 @@ def test_a_culled_keyframe_is_carried_by_one_that_stayed(told):
     assert set(poses_of(world)) >= {0, 1, 2, 3, 4}
 
 
+def test_a_culled_keyframe_hangs_on_the_one_that_shared_most_with_it(told):
+    world, _, messages = told
+    shared = {m.id: len(np.intersect1d(m.points, messages[0].points)) for m in messages[1:]}
+    world._forget_keyframe(0)
+    assert world.carried.numbers[0, 1] == max(shared, key=shared.get)
+
+
 def test_what_the_new_keyframe_sees_outlives_a_culled_one(told):
     """A point of a culled keyframe and one other is seen by two again: the tracker kept it too."""
     world, teller, _ = told

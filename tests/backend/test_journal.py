@@ -117,7 +117,7 @@ def test_a_base_that_is_none_recovers_nothing(written: Path, damage: bytes | Non
 
 
 def test_a_base_without_generation_recovers_nothing(written: Path) -> None:
-    for info in ({}, {"generation": "x"}, {"generation": -1}):
+    for info in ({}, {"generation": "x"}, {"generation": -1}, {"generation": 2**64}):
         (written / "base").write_bytes(map_file.pack(info, {}))
         assert Journal(written).recover() is None
 

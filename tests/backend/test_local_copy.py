@@ -60,6 +60,8 @@ def test_nothing_of_it_is_news_and_new_points_get_new_numbers() -> None:
     world, _ = told(3)
     copy = local_copy(world)
     assert copy.changes.new_points == []
+    assert copy.heard == 2, "its corrections knew all of it"
+    assert [k.stamp_ns for k in copy.keyframes.values()] == [0, 0, 0]
     keyframe = copy.newest()
     free = np.array([0])
     keyframe.points[free] = -1

@@ -125,6 +125,14 @@ def test_without_descriptors_there_are_no_loops():
     assert not walk(Ring(drift=DRIFT), 44, places=False).loops.accepted
 
 
+def test_of_a_keyframe_that_is_not_here_no_place_is_noted():
+    """Culled before its depth came: nobody would ever forget it."""
+    mapper = walk(Ring(), 3, places=False)
+    assert not mapper.loops.add_place(3, np.eye(16, dtype=np.float32)[3])
+    assert mapper.loops.add_place(2, np.eye(16, dtype=np.float32)[2])
+    assert len(mapper.loops.index) == 1
+
+
 def test_a_place_half_known_needs_no_word_of_the_network():
     ring = Ring(drift=DRIFT / 4)
     mapper = walk(ring, 41, places=False)

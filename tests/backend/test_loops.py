@@ -9,7 +9,7 @@ import pytest
 
 from prism_edge.backend import loops
 from prism_edge.backend.connectivity import Way
-from prism_edge.backend.global_map import GlobalMap, GlobalPoint
+from prism_edge.backend.global_map import GlobalMap, GlobalPoint, no_features
 from prism_edge.backend.loops import (
     HELD,
     Found,
@@ -110,6 +110,17 @@ def wall_of_windows() -> tuple[GlobalMap, np.ndarray]:
         renamed = {"points": message.points + AGAIN, "new_points": message.new_points + AGAIN}
         world.absorb(replace(message, **renamed))
     return world, pose_at(0.1, 0.02)
+
+
+@pytest.mark.parametrize("sees", [True, False])
+def test_who_is_beside_the_query_counts_once_where_it_sees_the_place(sees):
+    world, true = wall_of_windows()
+    if not sees:
+        world.keyframes[20].features = no_features()
+    loop = verify(world, 21, 1, 30)
+    assert loop is not None
+    assert np.linalg.norm((loop.world_from_query - true)[:3, 3]) < 0.01
+    assert loop.neighbours == int(sees)
 
 
 @pytest.mark.parametrize("aside", [PERIOD, -PERIOD, 0.0])

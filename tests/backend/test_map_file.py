@@ -75,6 +75,35 @@ def test_the_layout_is_as_documented() -> None:
     np.testing.assert_array_equal(np.frombuffer(GOOD, "<i8", 5, start), ARRAYS["ids"])
 
 
+@pytest.mark.parametrize("longer", range(8))
+def test_a_header_of_any_length_comes_back_with_nothing_behind_it(longer: int) -> None:
+    info = {"robot": "a" * longer}
+    assert map_file.unpack(map_file.pack(info, {})) == (info, {})
+
+
+def test_a_header_as_long_as_may_be_is_written_and_read_and_no_longer_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (length,) = struct.unpack_from("<I", GOOD, 12)
+    monkeypatch.setattr(map_file, "LARGEST_HEADER", length)
+    assert map_file.unpack(map_file.pack(INFO, ARRAYS))[0] == INFO
+    monkeypatch.setattr(map_file, "LARGEST_HEADER", length - 1)
+    with pytest.raises(MapError, match="header"):
+        map_file.pack(INFO, ARRAYS)
+    with pytest.raises(MapError, match="header"):
+        map_file.unpack(GOOD)
+
+
+def test_what_could_not_be_read_again_is_not_written() -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        map_file.pack({"log_scale": float("nan")}, {})
+
+
+def test_a_sound_file_of_another_kind_is_no_map() -> None:
+    with pytest.raises(MapError, match="does not begin as a map"):
+        map_file.unpack(sealed(b"PRISMMAQ" + GOOD[8:-32]))
+
+
 @given(st.integers(0, len(GOOD) - 1), st.integers(1, 255))
 @settings(max_examples=100, deadline=None)
 def test_one_changed_byte_is_found(at: int, change: int) -> None:

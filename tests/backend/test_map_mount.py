@@ -70,6 +70,11 @@ def with_element(value: object, row: int = 0, column: int = 3) -> object:
         [1.0] * 16,
         np.eye(3).tolist(),
         [[1.0, 0.0, 0.0]] * 4,
+        np.eye(4, 3).tolist(),
+        np.eye(4, 5).tolist(),
+        [*np.eye(4).tolist()[:3], [0.0, 0.0, 0.0]],  # of rows that are not alike
+        [5] * 4,
+        ["1000"] * 4,
         with_element("0.3"),
         with_element(None),
         with_element(True),

@@ -41,6 +41,7 @@ def test_the_longest_that_there_can_be_fit_into_a_header_and_more_are_left_out()
     stamps = stamps_info([-LATEST_NS] * MOST_STAMPS)
     map_file.pack({**longest, **stamps, "model": "x" * 10_000}, {})
     assert parts_info(dict.fromkeys(range(MOST + 1), 5)) == {}
+    assert parts_info(dict.fromkeys(range(MOST + 1), 5) | {MOST + 1: HOME}) == {}
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,15 @@ def test_what_is_told_is_read(scale: KnownScale) -> None:
     assert KnownScale.of(scale.info) == scale
 
 
+def test_of_which_nothing_is_known_a_unit_counts_as_a_metre_give_or_take() -> None:
+    """It goes into the file and comes back as what it is: nobody's measurement."""
+    unknown = KnownScale()
+    assert unknown.info["log_scale"] == 0.0
+    assert not KnownScale.of(unknown.info).is_known
+    assert KnownScale(0.0, 0.1).is_known
+    assert KnownScale(network="net@1").is_known
+
+
 def test_maps_of_earlier_builds_know_of_no_bias_and_no_network() -> None:
     assert KnownScale.of({"log_scale": 0, "scale_sigma": 0.1}) == KnownScale(0.0, 0.1)
 

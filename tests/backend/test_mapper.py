@@ -10,6 +10,7 @@ import pytest
 
 from prism_edge.backend.loop_closing import MapChanges
 from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.window import Solution
 from prism_edge.bus import codec
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_exp, transform
@@ -169,6 +170,18 @@ def test_points_that_a_window_leaves_out_go_with_the_keyframe_that_made_them():
     assert len(of_newest) > 5
     after = in_own_view()
     assert max(np.linalg.norm(after[p] - before[p]) for p in left) < 1e-9
+
+
+def test_a_point_that_its_maker_has_lost_sight_of_goes_with_it_all_the_same():
+    """As in the tracker: nothing else has been said of its place."""
+    mapper, teller = Mapper(CONFIG), Teller()
+    for i in range(4):
+        mapper.absorb(teller.keyframe(pose_at(0.2 * i)))
+    point = next(p for p in mapper.world.points.values() if not p.keyframes & {2, 3})
+    point.made_by, place = 3, point.position.copy()
+    motion, pose = pose_at(0.1, 0.2, -0.1, 0.05, 0.1), mapper.world.keyframes[3].world_from_camera
+    mapper.replay(Solution({3: motion @ pose}, {}, {}, [], 0))
+    assert point.position == pytest.approx(transform(motion, place[None])[0], abs=1e-9)
 
 
 def test_sequences_grow_and_an_empty_answer_takes_one(solved):

@@ -19,6 +19,8 @@ from prism_edge.backend.places import (
 from prism_edge.config_file import leaves
 from prism_edge.tracking.place_index import PlaceIndex
 from tests.backend.ring import Ring
+from tests.backend.world import SHARED, chain
+from tests.tracking.cloud import pose_at
 
 
 @pytest.fixture(scope="module")
@@ -105,6 +107,19 @@ def test_of_places_half_known_the_nearest_view_comes_first_not_that_with_most_po
     assert all(SOME_SHARED <= shared[k] < FEW_SHARED for k in chosen)
     assert half_known(world, 41, 1, ()) == chosen[:1]
     assert chosen[0] not in half_known(world, 41, 100, without=chosen[:1])
+
+
+def test_near_is_what_is_moved_little_for_how_far_the_points_are():
+    """All of them 3 units away: 0.45 aside are less than a turn by 0.2, and more in a room of a tenth."""
+    aside, turned, elsewhere = pose_at(0.45), pose_at(0, 0, 0, 0, 0.2), pose_at(100.0)
+    last = RECENT + 4
+    world = chain([aside, elsewhere, turned, *[elsewhere] * (RECENT + 1), pose_at()])
+    for k, keyframe in world.keyframes.items():
+        keyframe.stamp_ns = int(1e9 * RECENT_S) * k
+    for keypoint, p in enumerate([*range(SOME_SHARED), *range(3 * SHARED, 3 * SHARED + SOME_SHARED)]):
+        world.points[p].position = np.array([0.0, 0.0, 3.0])
+        world.observe(last, p, keypoint)
+    assert half_known(world, last, 100, ()) == [0, 2]
 
 
 def test_a_place_of_which_next_to_nothing_was_found_again_is_not_half_known(walked):

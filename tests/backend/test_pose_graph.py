@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import X
 
+from prism_edge.backend import pose_graph
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop
 from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, _carry, _similarity, apply, spread
@@ -231,3 +232,20 @@ def test_a_loop_between_two_pieces_of_one_part_tells_of_no_unit():
     shifts = [float(moved[k].world_from_camera[1, 3]) for k in (0, 1, 2, 20, 21, 22)]
     assert shifts == sorted(shifts)
     assert shifts[2] > 0.02
+
+
+def test_where_one_number_of_one_pose_is_none_nothing_is_moved(monkeypatch):
+    """However sound all others are: the tracker would be told of it."""
+    world = chain([pose_at(0.3 * i) for i in range(6)])
+    asked = loop(world, 5, 0, pose_at(1.4))
+    assert spread(world, asked, []) is not None
+    read = pose_graph._pose_and_scale
+
+    def hurt(similarity):
+        pose, scale = read(similarity)
+        if abs(pose[0, 3] - 0.56) < 0.05:  # keyframe 2, about where the loop leaves it
+            pose[1, 3] = np.inf
+        return pose, scale
+
+    monkeypatch.setattr(pose_graph, "_pose_and_scale", hurt)
+    assert spread(world, asked, []) is None

@@ -87,6 +87,11 @@ def test_what_is_not_here_is_passed_over_and_what_cannot_be_is_refused() -> None
         assert (point.position == before[p]).all()
     with pytest.raises(ValueError, match="can't be"):
         solution_of(arrays | {"poses": np.full_like(arrays["poses"], np.nan)})
+    for name in ("poses", "positions"):
+        hurt = arrays[name].copy()
+        hurt.flat[5] = np.inf  # one number of them all
+        with pytest.raises(ValueError, match="can't be"):
+            solution_of(arrays | {name: hurt})
     with pytest.raises(ValueError, match="zip"):
         solution_of(arrays | {"points": arrays["points"][1:]})
     with pytest.raises(KeyError):

@@ -89,6 +89,18 @@ def test_every_part_of_the_map_comes_back() -> None:
     assert 3 not in places
 
 
+@pytest.mark.parametrize("culled", [0, 1])
+def test_the_first_keyframe_of_all_may_be_carried_and_carry(culled: int) -> None:
+    world, teller = GlobalMap(), Teller()
+    for i in range(3):
+        world.absorb(teller.keyframe(pose_at(0.1 * i)))
+    world._forget_keyframe(culled)
+    assert 0 in world.carried.numbers
+    again, _ = from_arrays(*map_file.unpack(map_file.pack(*to_arrays(world, PlaceIndex()))), max_carried=100)
+    np.testing.assert_array_equal(again.carried.numbers, world.carried.numbers)
+    np.testing.assert_allclose(poses_of(again)[culled], poses_of(world)[culled], atol=1e-12)
+
+
 def test_a_point_that_ran_off_stays_behind() -> None:
     world, index = example()
     far = next(iter(world.points))

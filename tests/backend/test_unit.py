@@ -68,6 +68,10 @@ def test_points_that_only_two_see_count_where_there_are_no_others():
 def test_nothing_to_go_by_changes_nothing():
     world = grown().world
     assert keep_unit(world, 0, {}, {}) == 1.0
+    centre = world.keyframes[4].world_from_camera[:3, 3]
+    points = {p: centre.copy() for p in list(world.points)[:20]}  # how far away is one that is nowhere?
+    assert keep_unit(world, 4, {}, points) == 1.0
+    assert all(np.array_equal(place, centre) for place in points.values())
 
 
 def test_a_map_without_metric_depth_stays_as_big_as_it_was():

@@ -157,6 +157,11 @@ def test_only_what_a_network_can_tell_counts_against_a_point():
     assert asked(world, told, sigma=0.9 * SHARE * off / 3.0)
     assert asked(world, told, sigma=1.25 * SHARE * off / 3.0) == set(), "of an image as odd as that"
     assert astray(world, told, [], sorted(world.points), 0.0) == set()
+    place = world.points[p].position
+    world.points[p].position = -place  # behind all of them
+    assert asked(world, told) == set()
+    world.points[p].position = place
+    assert asked(world, told)
     for k in told:
         world.keyframes[k].depths[world.keyframes[k].observed[p]] = 0.0
     assert asked(world, told) == set()

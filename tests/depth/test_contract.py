@@ -44,6 +44,10 @@ def test_a_complete_card_is_read_with_its_types():
     assert card.confidence_output == ""
 
 
+def test_a_line_may_have_five_hundred_characters():
+    assert card_from_mapping({**GOOD, "licence": "x" * 500}, "here").licence == "x" * 500
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
@@ -69,6 +73,7 @@ def test_a_complete_card_is_read_with_its_types():
         ({"colours": ["rgb"]}, "none of rgb"),
         ({"sha256": "abc"}, "64 hexadecimal"),
         ({"licence": "a\nb"}, "one line"),
+        ({"licence": "x" * 501}, "at most 500 characters"),
         ({"licence": ["MIT"]}, "text is needed"),
         ({"scale_bias_sigma": 10**400}, "too large"),
         ({"dsug_tau": 0.1}, "come together"),
@@ -118,7 +123,7 @@ def test_yaml_writes_small_numbers_that_pyyaml_reads_as_text(tmp_path: Path):
 
 
 BROKEN = [b"a: [1", b"\xff\xfe\x00", b"[" * 1500, b"x" * 70_000, b"a: 2020-99-99", b"", b"!!map [a, b]"]
-BROKEN += [b'a: !!int ""', b'a: !!bool ""', b'a: !!timestamp ""']
+BROKEN += [b'a: !!int ""', b'a: !!bool ""', b'a: !!timestamp ""', b"? [a, b]\n: c"]
 
 
 @pytest.mark.parametrize(

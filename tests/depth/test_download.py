@@ -171,6 +171,13 @@ def test_a_part_of_no_named_version_is_gone_on_with_only_where_a_digest_can_tell
             part.unlink()
 
 
+def test_a_digest_makes_up_for_a_version_that_is_not_named(server: WebServer, file: Path):
+    server.etags = False
+    server.plan = ["truncate"]
+    assert fetch(wanted(server, file), HASTY).read_bytes() == CONTENT
+    assert [span for _, span in server.asked] == ["", f"bytes={len(CONTENT) // 2}-"]
+
+
 def test_a_complete_part_of_another_version_of_the_same_length_is_fetched_again(server, file: Path):
     want = wanted(server, file, sha256="", size=0)
     fetch(want, HASTY)

@@ -11,6 +11,7 @@ from prism_edge.config import DepthConfig
 from prism_edge.depth.contract import INVERSE_RELATIVE, METRIC, RELATIVE
 from prism_edge.depth.offline import UnscaledNetwork, open_offline
 from prism_edge.depth.pairing import PairedNetwork
+from prism_edge.depth.registry import find
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -48,6 +49,16 @@ def test_one_without_says_what_it_says(tmp_path: Path, kind: str) -> None:
     expected = 3.0 / truth if kind == INVERSE_RELATIVE else 3.0 * truth
     assert answer.valid
     np.testing.assert_allclose(answer.depth[5:-5, 5:-5], expected[5:-5, 5:-5], rtol=0.03)
+
+
+def test_by_a_registered_name_the_registered_file_alone_is_opened(tmp_path: Path, monkeypatch) -> None:
+    entry = find("prism_nano")
+    assert entry is not None
+    assert open_offline("prism_nano", DepthConfig()).name == "prism_nano"
+    monkeypatch.setenv("PRISM_EDGE_MODELS", str(tmp_path))
+    write_tiny_network(tmp_path / entry.file)
+    with pytest.raises(ModelError, match=f"not the registered {entry.files[0].sha256[:12]}"):
+        open_offline("prism_nano", DepthConfig())
 
 
 def test_what_is_not_there_is_refused(tmp_path: Path) -> None:

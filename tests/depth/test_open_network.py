@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from prism_edge.config import DepthConfig
-from prism_edge.depth import open_network
+from prism_edge.depth import open_network, pinned_files
 from prism_edge.depth.registry import find
 from prism_edge.errors import ModelError
 from tests.synthetic.network import TinyNetwork, write_tiny_network
@@ -67,6 +67,12 @@ def test_a_registered_name_without_its_file_says_where_it_was_sought(tmp_path: P
     with pytest.raises(ModelError, match=r"put it there or give its path \(docs/MODELS.md\)") as error:
         open_network("fastdepth_nyu", CONFIG)
     assert str(tmp_path) in str(error.value)
+
+
+def test_of_a_name_that_nobody_knows_no_files_are_asked_for():
+    assert pinned_files("no_such_name") == ()
+    assert pinned_files("da3_small") == (), "nor of a checkpoint, which is none of a network's files"
+    assert [f.sha256[:12] for f in pinned_files("fastdepth_nyu")] == ["6275c23f467d"]
 
 
 def test_a_registered_name_opens_only_the_registered_file(tmp_path: Path, monkeypatch):

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.depth.placement import place, tensor
+from prism_edge.geometry.cameras import Camera
 from tests.synthetic.network import TinyNetwork
 
 CARD = TinyNetwork().card()
@@ -49,6 +50,23 @@ def test_a_spot_lands_where_image_to_depth_says(width, height, input_width, inpu
     low, high = 30 * max(a, c), min(input_width, input_height) - 30 * max(a, c)
     if low < a * x + b < high and low < c * y + d < high:  # else the crop cuts the spot
         assert found == pytest.approx((a * x + b, c * y + d), abs=0.06)
+
+
+@pytest.mark.parametrize("resize", ["stretch", "crop"])
+@pytest.mark.parametrize("size", [(336, 252), (252, 336)])
+def test_the_camera_of_the_input_sees_each_ray_where_the_image_lies_in_it(size, resize):
+    camera = Camera(640, 480, 510.0, 470.0, 300.5, 251.25)
+    card = replace(CARD, input_width=size[0], input_height=size[1], resize=resize)
+    placement = place(card, camera.width, camera.height)
+    a, b, c, d = placement.image_to_depth(*size)
+    fx, fy, cx, cy = placement.to_input(camera)
+    for ray in ((0.0, 0.0, 1.0), (0.3, -0.2, 1.0), (-0.7, 0.9, 2.0)):
+        x, y = camera.project(np.array([ray]))[0]
+        seen = fx * ray[0] / ray[2] + cx, fy * ray[1] / ray[2] + cy
+        assert seen == pytest.approx((a * x + b, c * y + d), abs=1e-9)
+    there = placement.to_image(fx, fy, cx, cy)
+    assert there == pytest.approx([camera.fx, camera.fy, camera.cx, camera.cy])
+    assert placement.focal_length(camera) == pytest.approx(np.sqrt(fx * fy))
 
 
 def test_a_depth_map_of_another_size_keeps_corners_on_corners():

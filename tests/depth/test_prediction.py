@@ -90,6 +90,11 @@ def test_confidence_of_a_kind_that_is_said_is_not_guessed_from_its_values(kind, 
     np.testing.assert_allclose(u[0], uncertainty, atol=1e-6)
 
 
+def test_of_no_kind_confidence_stays_as_it_is():
+    given = np.array([[-0.1, 0.0, 0.25, 1.2, np.inf]], np.float32)
+    np.testing.assert_array_equal(in_its_range(given, ""), given)
+
+
 @settings(max_examples=60, deadline=None)
 @given(hnp.arrays(np.float32, st.integers(0, 20), elements=st.floats(width=32)))
 def test_a_descriptor_has_norm_one_or_is_none(values):

@@ -221,6 +221,12 @@ def test_options_reach_their_provider_alone(network, monkeypatch):
     assert border.options[CPU] == {}
 
 
+def test_qualcomm_s_library_is_that_of_this_system(network, monkeypatch):
+    border = Border(monkeypatch, qnn="starts")
+    OnnxNetwork(network, DepthConfig(providers=("qnn",)))
+    assert border.options[QNN] == {"backend_path": "libQnnHtp.so"}, "and on Windows it is a DLL"
+
+
 def test_options_of_a_provider_that_is_not_asked_for_are_told():
     options = ("cuda.device_id=1", "cpu.x=1")
     (said,) = providers.idle_options(DepthConfig(provider_options=options))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import onnx
@@ -11,10 +12,10 @@ from onnx import TensorProto, helper, numpy_helper
 
 from prism_edge.cli.main import main
 from prism_edge.config import DepthConfig
-from prism_edge.depth import open_onnx
+from prism_edge.depth import open_onnx, several_views
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.offline import open_offline
-from prism_edge.depth.registry import sha256_of
+from prism_edge.depth.registry import File, sha256_of
 from prism_edge.depth.several_views import LEAST_UNIT, SeveralViewsNetwork, unit_of
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
@@ -125,6 +126,22 @@ def test_depth_is_in_the_unit_of_the_poses(tmp_path: Path) -> None:
         # A picture of one colour has one depth, which counts as none.
         assert not answer.valid
         assert f"{metres * (1 + rgb[0, 0, 0] / 255):.3g} m" in answer.reason
+
+
+def test_each_answer_took_its_share_of_the_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    network = opened(write(tmp_path / "net.onnx"))
+    clock = SimpleNamespace(perf_counter=iter([10.0, 10.0 + 0.1 * VIEWS]).__next__)
+    monkeypatch.setattr(several_views, "time", clock)
+    answers = network.infer(pictures(), [CAMERA] * VIEWS, POSES)
+    assert [answer.inference_ms for answer in answers] == pytest.approx([100.0] * VIEWS)
+
+
+def test_where_its_file_is_pinned_no_other_is_taken(tmp_path: Path) -> None:
+    path = write(tmp_path / "net.onnx")
+    pinned = (File(path.name, sha256_of(path)),)
+    assert SeveralViewsNetwork(path, DepthConfig(), pinned).views == VIEWS
+    with pytest.raises(ModelError, match="not the registered 000000000000"):
+        SeveralViewsNetwork(path, DepthConfig(), (File(path.name, 64 * "0"),))
 
 
 @pytest.mark.parametrize(("views", "unit"), [(1, 0.1), (2, 0.1), (3, 1.0), (4, 1.0), (5, 2.0), (6, 2.0)])

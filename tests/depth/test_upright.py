@@ -116,3 +116,5 @@ def test_the_turned_camera_sees_a_point_where_the_turned_picture_shows_it(turns:
     seen = transform(inverse(camera_from_turned(turns)), point)
     expected = np.argwhere(np.rot90(picture, turns) == 1.0)[0][::-1]
     np.testing.assert_allclose(turned_camera(camera, turns).project(seen)[0], expected, atol=0.51)
+    there_and_back = np.linalg.matrix_power(camera_from_turned(1), 4)
+    np.testing.assert_allclose(there_and_back, np.eye(4), atol=1e-12)

@@ -110,6 +110,14 @@ def test_a_folder_of_links_says_what_to_do(tmp_path: Path):
     refused(shown / "net.onnx", "'weights.bin' lies beside the link alone; copy both files, not the links")
 
 
+def test_of_a_link_whose_weights_are_nowhere_it_is_not_said_that_they_lie_beside_it(tmp_path: Path):
+    (tmp_path / "store").mkdir()
+    (split(tmp_path / "store" / "net.onnx").parent / "weights.bin").unlink()
+    link = tmp_path / "net.onnx"
+    link.symlink_to(tmp_path / "store" / "net.onnx")
+    refused(link, "'weights.bin' is not beside it")
+
+
 def test_a_link_to_a_network_is_followed_to_its_weights(tmp_path: Path):
     (tmp_path / "store").mkdir()
     (tmp_path / "links").mkdir()

@@ -11,6 +11,7 @@ import pytest
 from prism_edge.config import ScaleConfig
 from prism_edge.messages import HOME, Scale
 from prism_edge.scale.estimator import ScaleEstimator
+from prism_edge.scale.least_squares import Observation
 from tests.scale.scene import depth_of, keyframe_of_wall
 
 STEP_S = 0.5
@@ -98,3 +99,17 @@ def test_a_network_of_a_wide_spread_is_not_lost_where_the_unit_has_changed() -> 
     assert scales[-1].log_scale == pytest.approx(math.log(30.0), abs=0.5)
     assert scales[-1].sigma < 1.0
     assert not player.estimator.doubt
+
+
+def test_of_two_parts_where_the_network_is_lost_the_one_here_is_spoken_of() -> None:
+    """A figure that is another part's would say nothing of what the network sees now."""
+    player, said = Player(), []
+    for part, error in ((HOME, 0.3), (1, 0.42)):
+        player.play(1, 0.0, part=part)
+        known = player.estimator._filter
+        for k in range(100):
+            known.predict(known._time_s + 60.0, 0.0)
+            known.update(Observation(error * (-1) ** k, 0.0226, 0.0001, 100))
+        said.append(float(player.estimator.doubt.split("size by ")[1].split(" ")[0]))
+    assert said[1] == pytest.approx(0.42, abs=0.02)
+    assert said[0] == pytest.approx(0.3, abs=0.02)

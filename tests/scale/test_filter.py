@@ -270,6 +270,7 @@ def test_the_ablation_takes_the_last_observation():
         scale.predict(k * 0.3, 0.0)
         assert scale.update(seen(z))
         assert scale.log_scale == z
+        assert scale.accepted == k + 1
         assert scale.sigma == pytest.approx(np.sqrt(WHITE + STILL.frame_sigma**2))
 
 

@@ -102,7 +102,7 @@ def test_the_images_show_u_and_w_of_every_pixel():
     assert np.all(weight[20:100, 80:150] > 0.95)
 
 
-@pytest.mark.parametrize("between", [None, {"valid": False}, "later"])
+@pytest.mark.parametrize("between", [None, {"valid": False}, "later", "never"])
 def test_views_follow_a_correction_also_behind_keyframes_without_depth(between):
     """The correction is said of the keyframe before, which has no view."""
     estimator, moved = ScaleEstimator(ScaleConfig()), pose_at(40.0, 1.0, -2.0, 0.3, 0.5)
@@ -114,6 +114,8 @@ def test_views_follow_a_correction_also_behind_keyframes_without_depth(between):
         estimator.hear(blind)
         estimator.hear(last)
         estimator.process(blind, depth_of(blind, **FITTED))
+    elif between == "never":  # nor a word that none will
+        estimator.hear(blind)
     else:
         estimator.process(blind, None if between is None else depth_of(blind, **FITTED, **between))
     gate = estimator.process(last, depth_of(last, **FITTED))[1]

@@ -106,6 +106,12 @@ def test_the_frame_is_carried_to_where_the_second_view_has_it():
     assert np.allclose(carried, second.world_from_camera, atol=1e-9)
 
 
+def test_a_motion_that_wrong_depths_made_is_not_gone_on_with():
+    run, _ = until_the_second_keyframe(0, flat(footage().depths[0]))
+    pose, motion = run.tracker.last_pose(), run.tracker.motion
+    assert np.array_equal(motion.predict(pose, motion.stamp_ns + 100_000_000), pose)
+
+
 def test_so_it_is_from_most_starts():
     """One start alone is luck: a pixel's difference moves it by as much as the median.
 

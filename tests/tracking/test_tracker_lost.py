@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
+import pytest
 
 from prism_edge.messages import DEGRADED, LOST, OK
+from prism_edge.tracking import tracker as tracking
+from prism_edge.tracking.frame_tracking import FrameTracker
 from prism_edge.tracking.submaps import HOME, Parts
 from tests.synthetic.scene import block_texture
 from tests.tracking.cloud import pose_at
@@ -114,3 +119,46 @@ def test_who_is_found_in_another_part_hangs_on_a_keyframe_of_that_part():
     assert tracker.parts.of(found.reference) == HOME
     carried = tracker.world.keyframes[found.reference].world_from_camera @ found.reference_from_camera
     assert np.allclose(carried, found.world_from_camera, atol=1e-9)
+
+
+def test_a_camera_that_is_not_found_gets_more_features_until_it_is():
+    run = Run(tracking.Tracker(replace(CONFIG, features=300, max_features=600)))
+    run.play(range(10), depth_for="first")
+    before = len(run.tracker.last.features)
+    assert before < 500, "most match, so fewer are enough"
+    for i in range(10, 13):
+        assert run.feed(0, BLACK, at=i).odometry == DEGRADED
+    assert run.feed(10, at=13).odometry == OK
+    assert len(run.tracker.last.features) > 1.1 * before
+
+
+def test_after_a_frame_that_was_not_found_the_camera_is_looked_for_where_it_was(monkeypatch):
+    """How fast it went before says nothing of it any more: a blow, a hand before the lens."""
+    run, expected = Run(), []
+    run.play(range(12), depth_for="first")
+    follow = FrameTracker.track_after
+
+    def followed(self, world, camera, features, moving, *rest):
+        expected.append(moving)
+        return follow(self, world, camera, features, moving, *rest)
+
+    monkeypatch.setattr(FrameTracker, "track_after", followed)
+    at_11 = run.tracker.last_pose()
+    run.feed(12)
+    assert np.abs(expected[-1] - at_11).max() > 1e-3, "as long as it is seen it is expected to go on"
+    at_12 = run.tracker.last_pose()
+    assert run.feed(0, BLACK, at=13).world_from_camera is None
+    assert run.feed(13, at=14).odometry == OK
+    assert np.array_equal(expected[-1], at_12)
+
+
+@pytest.mark.parametrize("missing", [0, 1])
+def test_a_frame_that_fewer_points_agree_on_than_are_needed_is_not_believed(missing, monkeypatch):
+    """Where nothing else is found either; as many as are needed are enough."""
+    run = Run()
+    run.play(range(4), depth_for="first")
+    follow, matched = FrameTracker.track_after, CONFIG.min_matches - missing
+    monkeypatch.setattr(FrameTracker, "track_after", lambda *of: replace(follow(*of), matched=matched))
+    monkeypatch.setattr(tracking, "recover", lambda *_: None)
+    monkeypatch.setattr(tracking, "look_again", lambda world, parts, frames, frame, *_: frame)
+    assert (run.feed(4).world_from_camera is None) == bool(missing)

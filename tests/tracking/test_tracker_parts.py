@@ -183,6 +183,23 @@ def test_without_depth_no_part_is_begun_in_vain():
     check(run.tracker.world)
 
 
+def test_the_first_depth_of_a_part_is_put_into_the_unit_that_is_published():
+    """Later ones are put there by the map's own, which may differ: a part begins in no map."""
+    run = Run(Tracker(replace(CONFIG, submap_after_s=0.1, lost_after_s=0.0)))
+    run.play(range(5), depth_for="first")
+    tracker, image = run.tracker, churning(1)[0]
+    depth = np.tile(np.linspace(1.0, 3.0, 320, dtype=np.float32), (240, 1))
+    tracker.log_scale, tracker.map_log_scale = np.log(3.0), np.log(2.0)
+    for i in range(5, 11):
+        run.feed(0, image, at=i)
+    waiting = tracker.world.newest()
+    assert tracker.parts.of(waiting.id) == waiting.id
+    assert tracker.add_depth(waiting.id, depth, IDENTITY, 0.1) > 50
+    keypoints, depths = tracker.world.depths_in(waiting)
+    x, y = np.rint(waiting.features.pixels[keypoints]).astype(int).T
+    assert np.median(depth[y, x] / depths) == pytest.approx(3.0, rel=0.02)
+
+
 def test_a_part_that_is_given_up_does_not_begin_once_its_depth_comes():
     run, room, waiting = a_part_that_waits()
     run.tracker.may_map = False
