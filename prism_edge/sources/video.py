@@ -69,9 +69,11 @@ class Video(Source):
         if 0.1 <= rate <= 1000.0:
             self.period_ns = round(1e9 / rate)
         self._said_ns = round(1e9 * count / rate) if count > 0 and rate > 0 else 0
+        codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("latin-1")
         image = next((item for item in iter(self.read, None) if isinstance(item, Image)), None)
         if image is None:
-            raise SourceError(f"{self._path} has no readable frame")
+            why = f"it is damaged, or OpenCV does not decode {codec!r} here (then convert it, to H.264 say)"
+            raise SourceError(f"{self._path} has no readable frame: {why}")
         check_camera_size(self.camera, self.camera_origin, image.pixels, str(self._path))
         if (1.0 - _EARLY) * count < capture.get(cv2.CAP_PROP_PTS) < count:
             count = self._said_ns = 0  # Matroska's goes by its last stamp, wherever the first one is
