@@ -37,6 +37,7 @@ from prism_edge.evaluation.scores import of_own_length  # noqa: E402
 from prism_edge.evaluation.table import OWN_LENGTH  # noqa: E402
 from prism_edge.named_path import named_path  # noqa: E402
 from prism_edge.sources.open import find_listing  # noqa: E402
+from prism_edge.sources.sim import is_simulated  # noqa: E402
 from tools.accuracy import at  # noqa: E402
 from tools.finished_runs import Metrics, finished, others_used_the_machine  # noqa: E402
 from tools.published_figures import NOTES, dataset_of, published  # noqa: E402
@@ -264,12 +265,14 @@ def _settings(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("folders", metavar="FOLDER", nargs="+", type=Path)
     parser.add_argument("--model", metavar="MODEL", required=True, help="as for `prism-edge eval`")
     parser.add_argument("--lockstep", dest="mode", action="store_const", const="lockstep", default="realtime")
-    parser.add_argument("--runs", metavar="N", type=int, choices=range(1, 100), default=1)
+    parser.add_argument("--runs", metavar="N", type=whole_above_zero, default=1)
     parser.add_argument("--frames", metavar="N", type=whole_above_zero, help="of each folder the first N")
     parser.add_argument("--camera", metavar="FILE", help="camera file of all the folders, or auto")
     parser.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "build" / "benchmark")
     args = parser.parse_args(arguments)
     args.out = args.out.resolve()
+    if simulated := [str(folder) for folder in args.folders if is_simulated(str(folder))]:
+        parser.error(f"{simulated[0]} is no folder: `prism-edge eval` scores simulated worlds")
     args.folders = list(dict.fromkeys(map(as_named, args.folders)))
     places = [place(args.out, folder, args.mode, 1) for folder in args.folders]
     if len(set(places)) < len(places):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -15,6 +16,7 @@ A_BAG = "is a bag: write its images to files first (docs/SOURCES.md, Another dat
 
 # What datasets come in; none of them can be played as it is.
 PACKED = {".zip", ".tgz", ".tar", ".gz", ".bz2", ".xz", ".7z", ".rar"}
+_VIDEOS = {".mp4", ".m4v", ".mov", ".avi", ".mkv", ".webm", ".mpg", ".mpeg", ".ts", ".h264", ".gif"}
 _YAML = {".yaml", ".yml"}
 _TEXT = {".txt", ".csv", ".json", ".xml", ".toml", ".md", ".tum", *_YAML}
 
@@ -45,12 +47,26 @@ def guess(folder: Path) -> str:
             return A_BAG
         if data := _euroc(folder):
             return f"has EuRoC's images: name {data}, or with truth see docs/SOURCES.md, Another dataset"
-        below = sorted((path for path in folder.iterdir() if _is_sequence(path)), key=natural_order)
-        names = ", ".join([path.name for path in below[:_NAMED]] + ["..."] * (len(below) > _NAMED))
-        if below:
-            which = "it" if len(below) == 1 else "one of them"
-            return f"is no sequence but holds {len(below)}; name {which}: {names}"
+        # One further down, too: KITTI's are in dataset/sequences.
+        if below := _sequences(folder.iterdir()) or _sequences(folder.glob("*/*")):
+            return f"is no sequence but holds {len(below)}; {_name(below, folder)}"
+        if videos := sorted(filter(_is_video, folder.iterdir()), key=natural_order):
+            return f"is no video but holds {len(videos)}; {_name(videos, folder)}"
     return ""
+
+
+def _name(found: list[Path], folder: Path) -> str:
+    which = "it" if len(found) == 1 else "one of them"
+    names = [str(path.relative_to(folder)) for path in found[:_NAMED]]
+    return f"name {which}: {', '.join(names + ['...'] * (len(found) > _NAMED))}"
+
+
+def _is_video(file: Path) -> bool:
+    return file.suffix.lower() in _VIDEOS and not file.name.startswith(".")
+
+
+def _sequences(folders: Iterable[Path]) -> list[Path]:
+    return sorted((path for path in folders if _is_sequence(path)), key=natural_order)
 
 
 def _euroc(folder: Path) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -24,6 +25,8 @@ _QUIET = cv2.utils.logging.LOG_LEVEL_ERROR
 _ENDED = 100  # times in a row
 _EARLY = 0.9  # of the time that the container says
 _LOOKED_AT = 15  # frames, for the usual time between them
+_BACK = 2  # of their stamps; a single one may be where recordings were joined
+_ALIKE = 0.1  # of the time between frames
 
 
 class Video(Source):
@@ -49,6 +52,7 @@ class Video(Source):
         self._coming: list[bool] = []  # taken from the container already; False: could not be decoded
         self._decoded = False  # the one taken last
         self._known = False
+        self._shuffled = False  # its stamps are of the order in which frames are stored, not shown
         self._said_ns = 0  # how long the container says it is; 0: it doesn't
         self._warned = False
 
@@ -65,9 +69,11 @@ class Video(Source):
         if 0.1 <= rate <= 1000.0:
             self.period_ns = round(1e9 / rate)
         self._said_ns = round(1e9 * count / rate) if count > 0 and rate > 0 else 0
+        codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("latin-1")
         image = next((item for item in iter(self.read, None) if isinstance(item, Image)), None)
         if image is None:
-            raise SourceError(f"{self._path} has no readable frame")
+            why = f"it is damaged, or OpenCV does not decode {codec!r} here (then convert it, to H.264 say)"
+            raise SourceError(f"{self._path} has no readable frame: {why}")
         check_camera_size(self.camera, self.camera_origin, image.pixels, str(self._path))
         if (1.0 - _EARLY) * count < capture.get(cv2.CAP_PROP_PTS) < count:
             count = self._said_ns = 0  # Matroska's goes by its last stamp, wherever the first one is
@@ -78,7 +84,14 @@ class Video(Source):
             if self._rate_hz:
                 self.period_ns = round(1e9 / self._rate_hz)
             log.info("%s has no stamps: taken to run at %.4g Hz", self._path, 1e9 / self.period_ns)
-        self.period_ns = usual_period_ns(stamps_ns, self.period_ns)
+        usual_ns = usual_period_ns(sorted(stamps_ns), self.period_ns)
+        # Frames come as they are shown, so only a container that knows no such order has them go back often.
+        self._shuffled = sum(b < a for a, b in pairwise(stamps_ns)) >= _BACK
+        if not self._shuffled or abs(usual_ns / self.period_ns - 1.0) > _ALIKE:
+            self.period_ns = usual_ns  # else the container's own, which is the mean over all its frames
+        if self._shuffled:
+            words = "%s has the stamps of frames as they are stored, not as shown: taken to run at %.4g Hz"
+            log.warning(words, self._path, 1e9 / self.period_ns)
         # Where the container says no rate FFmpeg guesses one, say 1000 Hz, and the number of frames by it.
         self.frame_count = count if count > 0 and self.period_ns * rate < 2e9 else None
         self._known = True
@@ -146,8 +159,8 @@ class Video(Source):
 
     def _stamp_ns(self) -> int:
         """Of the frame taken last; about when it was where there is none."""
-        position_ns = self._position_ns() if self._decoded else 0
-        if position_ns == 0 and self._next > 0:  # in a bare stream, and at an AVI's end behind B-frames
+        position_ns = self._position_ns() if self._decoded and not self._shuffled else 0
+        if position_ns == 0 and self._next > 0:  # in a bare stream, shuffled, and at an AVI's end
             return self._last_stamp_ns + self.period_ns
         return position_ns
 

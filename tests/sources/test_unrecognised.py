@@ -84,6 +84,19 @@ def test_a_folder_of_sequences_names_a_few(tmp_path: Path, write: Callable[[Path
     assert refusal(tmp_path).endswith("holds 5; name one of them: b1, b2, b3, b4, ...")
 
 
+def test_sequences_one_folder_further_down_are_named_with_it(tmp_path: Path) -> None:
+    for name in ("10", "07"):
+        tiny.write_kitti(tmp_path / "dataset" / "sequences" / name)
+    message = refusal(tmp_path / "dataset")
+    assert message.endswith("holds 2; name one of them: sequences/07, sequences/10")
+
+
+def test_a_folder_around_videos_names_them(tmp_path: Path) -> None:
+    (tmp_path / "walk.MP4").write_bytes(b"any")
+    (tmp_path / "._walk.MP4").write_bytes(b"of macOS")
+    assert refusal(tmp_path).endswith("is no video but holds 1; name it: walk.MP4")
+
+
 def test_of_other_folders_nothing_is_said(tmp_path: Path) -> None:
     tiny.write_images(tmp_path / "rgb")
     assert guess(tmp_path) == ""

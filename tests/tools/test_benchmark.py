@@ -222,6 +222,20 @@ def test_folders_that_would_share_a_place_are_refused(tmp_path: Path, ran, capsy
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["sim:room?seed=3"], "sim:room?seed=3 is no folder: `prism-edge eval` scores simulated worlds"),
+        (["seq-01", "--runs", "0"], "--runs: expected a whole number above 0, and below 2^31, got '0'"),
+    ],
+)
+def test_what_can_not_be_run_is_refused_in_one_line(ran, capsys, words: list[str], said: str):
+    with pytest.raises(SystemExit):
+        benchmark.main([*words, "--model", "net.onnx"])
+    assert capsys.readouterr().err.endswith(f"{said}\n")
+    assert not ran
+
+
+@pytest.mark.parametrize(
     ("dataset", "folder", "expected"),
     [
         ("BONN Dynamic", "rgbd_bonn_balloon", 9.8),
