@@ -152,6 +152,8 @@ class Keyframe:
     kept: I64 = optional("int64", -1)  # all that the map has: others went, also where nobody heard of it
     joined: I64 = optional("int64", -1, 2)  # parts that were since the keyframe before: the newer, the older,
     joined_units: F64 = optional("float64", -1, 2)  # ... and of each what MapUpdate.loop_units says
+    # How the camera moved, a second, in its own frame and map units, translation first; 0: nothing is known.
+    twist: F64 = field(default_factory=lambda: np.zeros(6), metadata={"dtype": "float64", "shape": (6,)})
     # Where the camera sat on the robot that began the map, metres: `map` is that times the map's world.
     base_from_camera: F64 = field(
         default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}

@@ -56,6 +56,8 @@ class GlobalKeyframe:
     part: int | None = None  # of the map, as the tracker has it; None: nobody has said (earlier builds' maps)
     taken_ns: int | None = None  # the same, whichever run took it; None where a file did not say
     grown: float = 1.0  # by how much a loop has lengthened its part since it was made
+    # How its camera moved, a second, in its own frame and the units it was made in; 0: nothing is known.
+    twist: Array = field(default_factory=lambda: np.zeros(6))
     # world_from_camera, were the map's frame kept to the last digit (frame.py).
     reference: Array = field(init=False, repr=False)
 
@@ -132,6 +134,7 @@ class GlobalMap:
             part=message.part,
             taken_ns=message.stamp_ns,
             grown=self._grown.get(message.part, 1.0),
+            twist=message.twist,
         )
         for newer, older in message.joined.tolist():
             self._grown.pop(newer, None)

@@ -1,1 +1,1 @@
-"""Intrinsics from views of a board, and a rolling shutter's readout (docs/CAMERAS.md); pure."""
+"""Intrinsics from views of a board (docs/CAMERAS.md); pure."""

@@ -102,6 +102,7 @@ def metrics(
             *apart,
             *refused,
             *guessed_camera(played),
+            *played.doubts,
             *not_in_the_map(final_missing, len(recording.tracked)),
             *unfinished(settled or snapshot is None),
             *([] if truth is not None else no_truth(played.layout)),

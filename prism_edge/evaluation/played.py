@@ -33,15 +33,19 @@ class Played:
     guessed: bool = False  # the camera
     images: str | None = None  # of a folder: images_of()
     files: dict[str, str] | None = None  # digests_of() what its figures hang on
+    doubts: tuple[str, ...] = ()  # of the camera, which its images raise
 
     def after(self, log: Path) -> Played:
-        """The same with what a daemon's ``log`` says of a camera that nobody calibrated."""
-        if self.camera is None or self.camera["origin"] != AUTO:
-            return self
-        said: list[str] = []
+        """The same with what a daemon's ``log`` says of a camera: one that nobody calibrated, its shutter."""
+        text = ""
         with contextlib.suppress(OSError):
-            said = re.findall(r"; camera: (.*)$", log.read_text(errors="replace"), re.MULTILINE)
-        return replace(self, camera=self.camera | {"origin": f"{AUTO}: {said[-1]}" if said else AUTO})
+            text = log.read_text(errors="replace")
+        doubts = re.findall(r" WARNING +backend: (rolling shutter: .*)$", text, re.M)
+        told = replace(self, doubts=tuple(doubts))
+        if self.camera is None or self.camera["origin"] != AUTO:
+            return told
+        said = re.findall(r"; camera: (.*)$", text, re.M)
+        return replace(told, camera=self.camera | {"origin": f"{AUTO}: {said[-1]}" if said else AUTO})
 
 
 def played(config: SourceConfig, source: Source, truth: Path | None) -> Played:

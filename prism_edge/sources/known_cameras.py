@@ -8,7 +8,7 @@ from pathlib import Path
 
 from prism_edge.geometry.cameras import Camera
 
-# Of a Kinect, as measured with tools/measure_readout.py on another dataset's (docs/CAMERAS.md).
+# Of a Kinect, as measured on another dataset's (docs/CAMERAS.md).
 _KINECT_MS = 23.0
 
 

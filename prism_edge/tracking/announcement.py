@@ -84,6 +84,7 @@ def keyframe_message(
         kept=np.array(sorted(world.keyframes), np.int64),
         joined=joined[:, :2].astype(np.int64),
         joined_units=joined[:, 2:],
+        twist=keyframe.twist,
         base_from_camera=np.eye(4) if mount is None else mount,
     )
 

@@ -30,6 +30,7 @@ class LocalKeyframe:
     neighbours: list[int] = field(default_factory=list)  # covisible when it or they were made, best first
     metres: Array | None = None  # (n,) depth of each keypoint as the network has it; 0: none
     stands_in: bool = False  # for an older one that shows the same from as good as the same place
+    twist: Array = field(default_factory=lambda: np.zeros(6))  # its camera's, a second; 0: nothing is known
 
     def observed(self) -> Index:
         """Keypoints that have a point."""

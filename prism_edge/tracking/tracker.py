@@ -268,7 +268,8 @@ class Tracker:
             index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points.copy()
         )
         mapping.introduce(self.world, keyframe)
-        keyframe.stands_in, self._unmapped = known is not None, (keyframe, frame)
+        keyframe.twist, self._unmapped = self.motion.twist.copy(), (keyframe, frame)
+        keyframe.stands_in = known is not None
         log.debug("keyframe %d at frame %d: %s", keyframe.id, index, reason)
         return keyframe
 

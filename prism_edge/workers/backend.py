@@ -34,6 +34,7 @@ from prism_edge.workers.handover import Handover
 from prism_edge.workers.loaded_map import LoadedMap
 from prism_edge.workers.map_keeper import MapKeeper
 from prism_edge.workers.map_snapshot import snapshot
+from prism_edge.workers.shutter_watch import ShutterWatch
 
 log = logging.getLogger("prism_edge.backend")
 
@@ -43,15 +44,14 @@ _ASK_S = 2.0
 _PATIENCE_S = 30.0  # lockstep: a keyframe or depth that takes longer isn't coming
 # Real time: how long a keyframe waits for its depth and gate before its window is solved without.
 _DEPTH_WAIT_S = 0.25
-_LOCKSTEP_STEPS = 3  # of a global adjustment with each keyframe
+_LOCKSTEP_STEPS = 3  # of a global adjustment with each keyframe, so that its end comes a fixed number later
 
 
 class BackendWorker:
     """Joins the mapper to the bus."""
 
     def __init__(self, config: Config, bus: Bus) -> None:
-        self._bus = bus
-        self._peers = peers_of(config, "backend")
+        self._bus, self._peers = bus, peers_of(config, "backend")
         self._use_depth = "depth_factor" not in config.ablate and "depth" in self._peers
         self._close_loops = config.backend.loops and "loop" not in config.ablate
         self._keyframes = bus.queue("keyframe", 64)
@@ -65,7 +65,7 @@ class BackendWorker:
         self._mapper = Mapper(settings, self._use_depth, bus.first_id, config.seed, use_rays)
         self._keeper, self._loaded = MapKeeper(config, bus, self._mapper), LoadedMap(bus, self._mapper)
         self._desk = bus.commands({"save_map": self._save_map, "load_map": self._load_map})
-        self._whole = Handover()
+        self._whole, self._shutter = Handover(), ShutterWatch(bus.pulse)
         self._waiting: deque[tuple[float, Keyframe]] = deque()
         self._unsolved: Keyframe | None = None  # absorbed for who asked for the map
         self._early: dict[int, Depth] = {}
@@ -112,13 +112,15 @@ class BackendWorker:
         while self._mapper.loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
             self._adjust()
         if not self._waiting:
+            self._shutter.look(self._mapper.world, self._mapper.epoch, ended=True)
             self._keeper.tidy(self._home_scale)
             self._settled = True
             self._snapshot = self._take_snapshot()
             self._rest()
 
     def _tidy(self) -> None:
-        if self._keeper.tidy(self._home_scale):
+        looked = self._shutter.look(self._mapper.world, self._mapper.epoch)
+        if self._keeper.tidy(self._home_scale) or looked:
             self._rest()
 
     def _rest(self) -> None:
@@ -247,8 +249,8 @@ class BackendWorker:
         budget_s = _SOLVE_S if self._ticks is None else _ADJUST_S  # in lockstep it has steps of both
         self._bus.pulse.working(f"window of keyframe {keyframe.id}", budget_s)
         loops, adjusted = self._mapper.loops, False
+        world, values = self._mapper.world, self._bus.pulse.values
         if self._ticks is not None:
-            # In lockstep its result comes a fixed number of keyframes after its beginning.
             for _ in range(_LOCKSTEP_STEPS):
                 if loops.adjusting and not adjusted:
                     adjusted = self._adjust_further()
@@ -263,14 +265,12 @@ class BackendWorker:
         if update is not None:
             self._bus.publish("map_update", update)
             self._keeper.note_solved(update, self._home_scale)
-            self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
+            values["solve_ms"] = f"{update.solve_ms:.0f}"
         self._snapshot = self._take_snapshot()
-        self._bus.pulse.values["keyframes"] = str(len(self._mapper.world.keyframes))
-        self._bus.pulse.values["points"] = str(len(self._mapper.world.points))
-        self._bus.pulse.values["behind"] = str(len(self._waiting))
-        camera = self._mapper.world.camera
-        if camera is not None:
-            self._bus.pulse.values["k1"] = f"{radial(camera):.4f}"
+        values.update(keyframes=str(len(world.keyframes)), points=str(len(world.points)))
+        values["behind"] = str(len(self._waiting))
+        if world.camera is not None:
+            values["k1"] = f"{radial(world.camera):.4f}"
         self._bus.pulse.idle()
         return update
 

@@ -176,6 +176,10 @@ def test_truth_of_what_was_not_played_is_in_no_count() -> None:
     assert len(report(truth=later, config=beginning)["warnings"]) == 1
 
 
+def test_what_a_camera_s_images_say_against_it_is_a_warning() -> None:
+    assert report(played=Played(doubts=("rolling shutter: ...",)))["warnings"] == ["rolling shutter: ..."]
+
+
 def test_a_run_with_nothing_to_score_says_so() -> None:
     empty = Trajectory.of([])
     network = Config(depth=DepthConfig(model="net.onnx"))

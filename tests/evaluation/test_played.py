@@ -113,6 +113,16 @@ def test_a_camera_that_was_calibrated_stays_whatever_the_daemon_says(tmp_path: P
     assert Played().after(log) == Played()
 
 
+def test_a_rolling_shutter_that_its_images_show_is_a_doubt_of_its_camera(tmp_path: Path) -> None:
+    log = tmp_path / "daemon.log"
+    said = "rolling shutter: rows are read over 25.2 ms longer than is said, sigma 2.1, 19 keyframes: tell"
+    none = "rolling shutter: none for sure but what is said (rows are read over 0.2 ms longer than is said)"
+    log.write_text(f"09:18:17.166 INFO    backend: {none}\n09:19:45.077 WARNING backend: {said}\n")
+    assert Played().after(log).doubts == (said,)
+    log.write_text(f"09:18:17.166 INFO    backend: {none}\n")
+    assert Played().after(log).doubts == ()
+
+
 def test_videos_and_simulated_worlds_have_no_file_of_truth(tmp_path: Path) -> None:
     video = of(tiny.write_video(tmp_path / "film.avi"))
     assert (video.layout, video.truth_file, video.images) == ("video file", None, None)

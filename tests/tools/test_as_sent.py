@@ -12,11 +12,10 @@ import numpy as np
 import pytest
 
 from prism_edge.bus.pack import as_sent, grey, rgb
-from prism_edge.config import ScaleConfig, SourceConfig
+from prism_edge.config import ScaleConfig
 from prism_edge.depth.prediction import Prediction, no_confidence, no_descriptor
-from prism_edge.tracking.tracker import Tracker
 from tests.synthetic.sequence import synthetic_camera, write_sequence
-from tools import fit_gate, measure_depth, measure_readout, scale_profile
+from tools import fit_gate, measure_depth, scale_profile
 
 SIZE = (160, 120)
 
@@ -59,19 +58,3 @@ def test_images_are_seen_as_they_are_sent(
     np.testing.assert_array_equal(watched.colours, [rgb(sent)])
     assert all(np.array_equal(luma, grey(sent)) for luma in watched.greys)
     assert len(watched.greys) == (tool is not measure_depth)
-
-
-def test_a_readout_is_measured_on_images_as_they_are_sent(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder, watched, process = write_sequence(tmp_path, 1, 320, 240), Watched(), Tracker.process
-
-    def watching(tracker: Tracker, index: int, stamp_ns: int, luma: np.ndarray, camera: Any) -> Any:
-        watched.greys.append(luma)
-        return process(tracker, index, stamp_ns, luma, camera)
-
-    monkeypatch.setattr(Tracker, "process", watching)
-    measure_readout.left_over(SourceConfig(uri=str(folder)), watched, 0.0)
-    sent = as_sent(cv2.imread(str(folder / "rgb" / "0.000000.png")), synthetic_camera(320, 240))
-    np.testing.assert_array_equal(watched.greys, [grey(sent)])
-    np.testing.assert_array_equal(watched.colours, [rgb(sent)])

@@ -39,6 +39,7 @@ def test_a_message_carries_the_keyframe_and_survives_the_codec():
     world, _ = cloud.mapped([np.eye(4), pose_at(0.2)], parallax_deg=4.0)
     world.points.parallax_deg[:10] = 0.0
     tracker, newest = teller(world), world.newest()
+    newest.twist = np.array([0.1, -0.2, 0.3, 0.4, -0.5, 0.6])
     made = keyframe_message(tracker, newest, travelled=1.5, mount=pose_at(0.3, -0.1, 0.5, 0.2))
     message = codec.unpack(codec.pack(made), Keyframe)
     for f in fields(Keyframe):
@@ -49,7 +50,9 @@ def test_a_message_carries_the_keyframe_and_survives_the_codec():
     assert world.announced == 1
     assert not message.stands_in
     newest.stands_in = True
-    assert GlobalMap().absorb(sent(tracker, newest)).stands_in
+    absorbed = GlobalMap().absorb(sent(tracker, newest))
+    assert absorbed.stands_in
+    assert absorbed.twist.tolist() == newest.twist.tolist() == message.twist.tolist()
     keypoints, depths = world.depths_in(newest)
     assert message.depths[keypoints] == pytest.approx(depths, rel=1e-6)
     assert not message.depths[newest.points < 0].any()

@@ -12,7 +12,7 @@ from prism_edge.tracking.announcement import keyframe_message
 from tests.synthetic.messages import map_update
 from tests.tracking.cloud import check, pose_at
 from tests.tracking.film_run import BLACK, CONFIG, Run
-from tests.tracking.footage import IDENTITY, footage
+from tests.tracking.footage import IDENTITY, RATE_HZ, footage
 
 
 @pytest.fixture(scope="module")
@@ -44,6 +44,17 @@ def test_keyframes_come_as_the_camera_moves(whole):
     assert 2 <= len(whole.keyframes) <= 15
     assert list(whole.keyframes) == list(range(len(whole.keyframes)))
     check(whole.tracker.world)
+
+
+def test_keyframes_say_how_the_camera_moved(whole):
+    truth, keyframes = footage().poses, list(whole.tracker.world.keyframes.values())
+    assert not keyframes[0].twist.any(), "nothing tells of the first"
+    for keyframe in keyframes[1:]:
+        true = se3_log(inverse(truth[keyframe.index - 1]) @ truth[keyframe.index]) * RATE_HZ
+        off = keyframe.twist - true
+        # A pose of so small an image is half a centimetre off, thirty times a second.
+        assert np.linalg.norm(off[:3]) < 0.25 < np.linalg.norm(true[:3])
+        assert np.linalg.norm(off[3:]) < 0.07 < np.linalg.norm(true[3:])
 
 
 def test_a_frame_hangs_on_its_keyframe(whole):
