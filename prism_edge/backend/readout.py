@@ -26,7 +26,7 @@ OBSERVATIONS = 150  # of a keyframe: points that most others see
 VIEWS = 3  # of a point at least: two rays cross wherever their rows were seen from
 STEPS = 12
 SETTLED = 0.05  # sigmas: a smaller step is the last
-LEAST_DEPTH = 1e-3
+LEAST_DEPTH, LEAST_DAMPING = 1e-3, 1e-6
 FLOOR = 1e-9  # of information: a direction that nothing measures stays where it is
 HELD = 1e12  # times its own information, for the first pose
 CLEAR, LEAST_MS = 6.0, 4.0  # sigmas (a map that is wrong makes up to four), and ms, from which on it is one
@@ -77,22 +77,27 @@ def solve(seen: Seen, poses: Array, positions: Array) -> tuple[float, float] | N
 
     None where nothing tells it.
     """
+    try:
+        return _solved(seen, poses, positions)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _solved(seen: Seen, poses: Array, positions: Array) -> tuple[float, float] | None:
     readout_s, damping = 0.0, 1e-4
     at = _linearised(seen, poses, positions, readout_s)
     for _ in range(STEPS):
-        try:
-            twists, shifts, more_s, sigma_s = _step(seen, at, len(poses), len(positions), damping)
-        except np.linalg.LinAlgError:
-            return None
+        twists, shifts, more_s, sigma_s = _step(seen, at, len(poses), len(positions), damping)
         moved = np.array([pose @ se3_exp(twist) for pose, twist in zip(poses, twists, strict=True)])
         tried = _linearised(seen, moved, positions + shifts, readout_s + more_s)
         if not tried.cost <= at.cost:
             damping *= 100.0
             continue
         poses, positions, readout_s, at = moved, positions + shifts, readout_s + more_s, tried
-        damping = max(0.1 * damping, 1e-6)
+        damping = max(0.1 * damping, LEAST_DAMPING)
         if abs(more_s) < SETTLED * sigma_s:
             break
+    *_, sigma_s = _step(seen, at, len(poses), len(positions), LEAST_DAMPING)  # damped, all seems surer
     return (readout_s, sigma_s) if np.isfinite((readout_s, sigma_s)).all() else None
 
 
