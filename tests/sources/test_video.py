@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import struct
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -79,16 +80,21 @@ def test_a_video_that_asks_to_be_turned_is_not_but_it_is_said(
     assert degrees == 0 or f"by {degrees} degrees; its frames are taken as they are stored" in caplog.text
 
 
-def write_h264(path: Path, kind: str, count: int = 8, **options: str) -> Path:
-    """At 20 Hz and with B-frames; kind "h264" is a bare stream, which has no stamps."""
+def write_h264(path: Path, kind: str, count: int = 8, stored: bool = False, **options: str) -> Path:
+    """At 20 Hz and with B-frames; kind "h264" is a bare stream, which has no stamps.
+
+    ``stored``: stamps are of the order in which frames are stored, as some recorders write them.
+    """
     av = pytest.importorskip("av", reason="OpenCV can't write H.264 here, and PyAV is not installed")
     (path.parent / "camera.yaml").write_text(tiny.CAMERA)
     with av.open(str(path), "w", format=kind) as container:
         stream = container.add_stream("libx264", rate=20, options={"bf": "2"} | options)
         stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
-        for i in range(count):
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(tiny.picture(i), format="bgr24")))
-        container.mux(stream.encode())
+        frames = [av.VideoFrame.from_ndarray(tiny.picture(i), format="bgr24") for i in range(count)]
+        for i, packet in enumerate(chain.from_iterable(map(stream.encode, [*frames, None]))):
+            if stored:
+                packet.time_base, packet.pts, packet.dts = Fraction(1, 20), i, i
+            container.mux(packet)
     return path
 
 
@@ -119,16 +125,9 @@ def test_stamps_in_the_order_of_storage_are_not_those_of_the_frames(
     tmp_path: Path, b_frames: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Some recorders write B-frames without saying when each is shown: half of the stamps go back."""
-    av = pytest.importorskip("av", reason="OpenCV can't write H.264 here, and PyAV is not installed")
-    good = write_h264(tmp_path / "good.mp4", "mp4", count=40, bf=str(b_frames), preset="veryfast")
-    path = tmp_path / "clip.mp4"
-    with av.open(str(good)) as read, av.open(str(path), "w") as written:
-        stream = written.add_stream_from_template(read.streams.video[0])
-        packets = [packet for packet in read.demux(read.streams.video[0]) if packet.size]
-        for i, packet in enumerate(packets):
-            packet.stream, packet.time_base = stream, Fraction(1, 20)
-            packet.pts = packet.dts = i
-            written.mux(packet)
+    path = write_h264(
+        tmp_path / "clip.mp4", "mp4", count=40, stored=True, bf=str(b_frames), preset="veryfast"
+    )
     with opened(path) as source:
         stamps = [item.stamp_ns for item in iter(source.read, None) if item]
     assert stamps == [50_000_000 * i for i in range(40)]
