@@ -19,6 +19,7 @@ from prism_edge.sources.listing import Listing
 from prism_edge.sources.open import AUTO, find_listing
 from prism_edge.sources.sim import is_simulated
 from prism_edge.sources.truth import truth_file
+from prism_edge.workers.shutter_watch import SUBJECT
 
 _NUMBERS = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion", "readout_ms")
 
@@ -40,7 +41,7 @@ class Played:
         text = ""
         with contextlib.suppress(OSError):
             text = log.read_text(errors="replace")
-        doubts = re.findall(r" WARNING +backend: (rolling shutter: .*)$", text, re.M)
+        doubts = re.findall(rf" WARNING +backend: ({SUBJECT}: .*)$", text, re.M)
         told = replace(self, doubts=tuple(doubts))
         if self.camera is None or self.camera["origin"] != AUTO:
             return told

@@ -41,7 +41,7 @@ class Problem:
 
 
 @dataclass(frozen=True)
-class _Linear:
+class Linear:
     """A problem linearised: whitened residuals and Jacobians, three rows an observation."""
 
     cost: float
@@ -53,16 +53,13 @@ class _Linear:
 def adjust(problem: Problem, poses: Array, positions: Array) -> tuple[Array, Array] | None:
     """Poses (views, 4, 4), world_from_camera, and points (points, 3) that fit better; None where none do."""
     best, damping = (poses, positions), 1e-4
-    at = first = _linearise(problem, poses, positions)
+    at = first = linearise(problem, poses, positions)
     for _ in range(STEPS):
-        twists, shifts = _step(problem, at, damping)
-        if not (np.isfinite(twists).all() and np.isfinite(shifts).all()):
+        step = gauss_newton(problem, at, damping)
+        if not (np.isfinite(step.twists).all() and np.isfinite(step.shifts).all()):
             break
-        moved, shifted = best[0].copy(), best[1].copy()
-        for i, twist in enumerate(twists):
-            moved[i] = moved[i] @ se3_exp(twist)
-        shifted[: problem.free_points] += shifts
-        tried = _linearise(problem, moved, shifted)
+        moved, shifted = moved_by(step, *best)
+        tried = linearise(problem, moved, shifted)
         gained = at.cost - tried.cost
         if gained <= 0.0:
             damping *= 100.0
@@ -73,7 +70,17 @@ def adjust(problem: Problem, poses: Array, positions: Array) -> tuple[Array, Arr
     return best if at.cost < first.cost else None
 
 
-def _linearise(problem: Problem, poses: Array, positions: Array) -> _Linear:
+def moved_by(step: Step, poses: Array, positions: Array) -> tuple[Array, Array]:
+    """Poses and points after a step; those that can't move stay."""
+    moved, shifted = poses.copy(), positions.copy()
+    for i, twist in enumerate(step.twists):
+        moved[i] = moved[i] @ se3_exp(twist)
+    shifted[: len(step.shifts)] += step.shifts
+    return moved, shifted
+
+
+def linearise(problem: Problem, poses: Array, positions: Array) -> Linear:
+    """The problem at poses (views, 4, 4), world_from_camera, and points (points, 3)."""
     turned, centre = poses[problem.view, :3, :3], poses[problem.view, :3, 3]
     local = np.einsum("nji,nj->ni", turned, positions[problem.point] - centre)
     visible = local[:, 2] > LEAST_DEPTH
@@ -100,7 +107,7 @@ def _linearise(problem: Problem, poses: Array, positions: Array) -> _Linear:
     depth = heard * (np.log(z) - problem.log_depth)
     by_local[:, 2, 2] = heard / z
     by_twist = np.concatenate([-by_local, np.cross(by_local, local[:, None, :])], axis=2)
-    return _Linear(
+    return Linear(
         cost + float(depth @ depth),
         np.concatenate([pixel * root, depth[:, None]], axis=1),
         by_twist,
@@ -108,15 +115,35 @@ def _linearise(problem: Problem, poses: Array, positions: Array) -> _Linear:
     )
 
 
-def _step(problem: Problem, at: _Linear, damping: float) -> tuple[Array, Array]:
-    """Twists (free views, 6) and shifts (free points, 3) of one damped Gauss-Newton step."""
+@dataclass(frozen=True)
+class Step:
+    """Where one step of Gauss-Newton goes."""
+
+    twists: Array  # (free views, 6)
+    shifts: Array  # (free points, 3)
+    shared: Array  # (k,) of what all observations have in common
+    covariance: Array  # (k, k) of that, as sure as the damping has it
+
+
+def gauss_newton(problem: Problem, at: Linear, damping: float, by_shared: Array | None = None) -> Step:
+    """One damped step; ``by_shared`` (m, 3, k) are Jacobians by variables that observations share, if any.
+
+    Raises LinAlgError where nothing tells one of them.
+    """
     views, points = problem.free_views, problem.free_points
-    camera, camera_pull = np.zeros((6 * views, 6 * views)), np.zeros(6 * views)
+    shared = np.zeros((*at.residual.shape, 0)) if by_shared is None else by_shared
+    known = shared.shape[2]
+    rest = slice(6 * views, 6 * views + known)
+    camera, camera_pull = np.zeros((rest.stop, rest.stop)), np.zeros(rest.stop)
     for i in range(views):
         mine, block = problem.view == i, slice(6 * i, 6 * i + 6)
         by_twist = at.by_twist[mine].reshape(-1, 6)
         camera[block, block] = by_twist.T @ by_twist
+        camera[block, rest] = by_twist.T @ shared[mine].reshape(len(by_twist), known)
+        camera[rest, block] = camera[block, rest].T
         camera_pull[block] = by_twist.T @ at.residual[mine].ravel()
+    in_rows = shared.reshape(at.residual.size, known)
+    camera[rest, rest], camera_pull[rest] = in_rows.T @ in_rows, in_rows.T @ at.residual.ravel()
     own = problem.point < points
     view, point, by_point = problem.view[own], problem.point[own], at.by_point[own]
     hessian = _summed(point, np.einsum("nki,nkj->nij", by_point, by_point).reshape(-1, 9), points)
@@ -130,11 +157,17 @@ def _step(problem: Problem, at: _Linear, damping: float) -> tuple[Array, Array]:
     blocks = np.einsum("nki,nkj->nij", by_point[joint], at.by_twist[own][joint])
     cross[point[joint], :, view[joint], :] = blocks
     flat = cross.reshape(3 * points, 6 * views)
+    if known:
+        by_both = np.einsum("nki,nkj->nij", by_point, shared[own]).reshape(-1, 3 * known)
+        flat = np.hstack([flat, _summed(point, by_both, points).reshape(3 * points, known)])
     inverted = np.linalg.inv(hessian)
-    solved = (inverted @ flat.reshape(points, 3, 6 * views)).reshape(3 * points, 6 * views)
-    twists = -np.linalg.solve(camera - flat.T @ solved, camera_pull - solved.T @ gradient.ravel())
-    shifts = -np.einsum("nij,nj->ni", inverted, gradient) - (solved @ twists).reshape(points, 3)
-    return np.asarray(twists, np.float64).reshape(views, 6), shifts
+    solved = (inverted @ flat.reshape(points, 3, -1)).reshape(3 * points, rest.stop)
+    reduced = camera - flat.T @ solved
+    step = -np.linalg.solve(reduced, camera_pull - solved.T @ gradient.ravel())
+    shifts = -np.einsum("nij,nj->ni", inverted, gradient) - (solved @ step).reshape(points, 3)
+    twists = np.asarray(step[: rest.start], np.float64).reshape(views, 6)
+    covariance = np.linalg.solve(reduced, np.eye(rest.stop)[:, rest])[rest] if known else np.zeros((0, 0))
+    return Step(twists, shifts, np.asarray(step[rest], np.float64), np.asarray(covariance, np.float64))
 
 
 def _summed(groups: Index, rows: Array, count: int) -> Array:

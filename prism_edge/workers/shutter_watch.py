@@ -10,6 +10,7 @@ from prism_edge.bus.pulse import Pulse
 
 log = logging.getLogger("prism_edge.backend")
 
+SUBJECT = "rolling shutter"  # what all that is said of it begins with
 _BUDGET_S = 20.0
 FIRST, GROWTH, LAST = 20, 2, 400  # keyframes at which it is looked for, each so many times the one before
 
@@ -22,7 +23,7 @@ class ShutterWatch:
         self._epoch, self._next, self._looked_at = -1, FIRST, 0
 
     def look(self, world: GlobalMap, epoch: int, ended: bool = False) -> bool:
-        """Between keyframes: whether it was looked for, for half a second at most, and the pulse says so.
+        """Between keyframes: whether it was looked for, for a second at most, and the pulse says so.
 
         ``ended``: no keyframe will come any more.
         """
@@ -33,16 +34,16 @@ class ShutterWatch:
         due = keyframes >= self._next or (ended and keyframes > self._looked_at)
         if not due or keyframes > LAST:
             return False
-        self._pulse.working("rolling shutter", _BUDGET_S)
+        self._pulse.working(SUBJECT, _BUDGET_S)
         self._next, self._looked_at = GROWTH * keyframes, keyframes
         found = readout_of(world)
         if found is None:
             return True
         if not found.is_clear:
-            log.info("rolling shutter: none for sure but what is said (%s)", _told(found))
+            log.info("%s: none for sure but what is said (%s)", SUBJECT, _told(found))
             return True
-        self._next = self._looked_at = LAST + 1
-        said = f"rolling shutter: {_told(found)}: tell readout_ms (docs/CAMERAS.md#rolling-shutters)"
+        self._next = self._looked_at = LAST + 1  # for this map that is all
+        said = f"{SUBJECT}: {_told(found)}: tell readout_ms (docs/CAMERAS.md#rolling-shutters)"
         log.warning("%s", said)
         self._pulse.values["warning"] = said
         return True

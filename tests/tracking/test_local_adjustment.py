@@ -129,13 +129,13 @@ def test_the_derivatives_are_those_of_the_cost(what: str) -> None:
         says = rng.normal(1.2, 0.3, len(problem.view))
         problem = replace(problem, log_depth=says, depth_weight=rng.uniform(0.5, 2.0, len(says)))
     here = displaced(poses, points)
-    at = local_adjustment._linearise(problem, *here)
+    at = local_adjustment.linearise(problem, *here)
 
     def cost(twist: np.ndarray, shift: np.ndarray) -> float:
         moved, shifted = here[0].copy(), here[1].copy()
         moved[1] = moved[1] @ se3_exp(twist)
         shifted[5] += shift
-        return local_adjustment._linearise(problem, moved, shifted).cost
+        return local_adjustment.linearise(problem, moved, shifted).cost
 
     mine, of_point = problem.view == 1, problem.point == 5
     by_twist = 2.0 * np.einsum("mki,mk->i", at.by_twist[mine], at.residual[mine])
@@ -163,9 +163,9 @@ def test_a_doubtful_depth_makes_a_pixel_doubtful_along_what_it_moves_it() -> Non
         error = FOCAL * (here[:2] / here[2] - ray)
         chi = np.sqrt(error @ np.linalg.inv(np.eye(2) + np.outer(smear, smear)) @ error)
         cost += chi**2 if chi < HUBER else HUBER * (2.0 * chi - HUBER)
-    found = local_adjustment._linearise(replace(problem, depth_error=doubt), poses, points).cost
+    found = local_adjustment.linearise(replace(problem, depth_error=doubt), poses, points).cost
     assert found == pytest.approx(cost, rel=1e-6)
-    assert found < 0.9 * local_adjustment._linearise(problem, poses, points).cost
+    assert found < 0.9 * local_adjustment.linearise(problem, poses, points).cost
 
 
 def one_held(says: float, sigma: float) -> tuple[Problem, np.ndarray, np.ndarray]:
