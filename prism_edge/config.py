@@ -252,6 +252,9 @@ class BackendConfig:
     lens: bool = field(
         default=True, metadata={"help": "find and take out radial distortion that the camera file lacks"}
     )
+    shutter: bool = field(
+        default=True, metadata={"help": "take out a rolling shutter that is found where nobody has said one"}
+    )
     loop_inliers: int = limits(30, 10, 1000, "points that must agree on a loop")
     ray_sigma_m: float = limits(
         0.01, 1e-4, 1.0, "noise of a point's distance from a ray (m), no less than a pixel"

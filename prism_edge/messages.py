@@ -72,7 +72,7 @@ class Frame:
     camera_model: str
     camera: F64 = array("float64", -1)  # width height fx fy cx cy, then distortion
     image: U8 = array("uint8", -1, -1)
-    readout_ms: float = 0.0  # of a rolling shutter, as the camera's file says
+    readout_ms: float = math.nan  # of a rolling shutter, as the camera's file says; NaN: it doesn't
 
 
 @dataclass(frozen=True)
@@ -154,6 +154,8 @@ class Keyframe:
     joined_units: F64 = optional("float64", -1, 2)  # ... and of each what MapUpdate.loop_units says
     # How the camera moved, a second, in its own frame and map units, translation first; 0: nothing is known.
     twist: F64 = field(default_factory=lambda: np.zeros(6), metadata={"dtype": "float64", "shape": (6,)})
+    readout_ms: float = 0.0  # of the rolling shutter that its keypoints were moved for,
+    readout_said: bool = False  # ... and whether the camera's file, or the configuration, says so
     # Where the camera sat on the robot that began the map, metres: `map` is that times the map's world.
     base_from_camera: F64 = field(
         default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
@@ -279,6 +281,7 @@ class MapUpdate:
     added_keypoints: I64 = optional("int64", -1)  # ... keypoint
     weights: F32 = optional("float32", -1)  # of each point, 0..1: how far it stands still; empty: as before
     camera: F64 = optional("float64", -1)  # as the backend has found it: all pixels through its lens
+    readout_ms: float = 0.0  # of a rolling shutter that nobody has said, as the backend has found it
     everything: bool = False  # whether it names every keyframe that the backend has
 
 

@@ -107,7 +107,7 @@ def describe(camera: Camera, path: Path) -> None:
     path.write_text(
         f"model: {camera.model}\nwidth: {camera.width}\nheight: {camera.height}\n"
         f"fx: {camera.fx}\nfy: {camera.fy}\ncx: {camera.cx}\ncy: {camera.cy}\n"
-        f"readout_ms: {camera.readout_ms}\n"
+        + ("" if camera.readout_ms is None else f"readout_ms: {camera.readout_ms}\n")
     )
 
 

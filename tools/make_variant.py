@@ -76,9 +76,11 @@ class Variant:
 
     def camera(self, taken: Camera) -> Camera:
         """The camera that takes these images; time that goes both ways leaves no order of its rows."""
-        order = 0.0 if self.ways > 1 else -1.0 if self.backwards else 1.0
         cx = taken.width - 1.0 - taken.cx if self.mirrored else taken.cx
-        return replace(taken, cx=cx, readout_ms=order * taken.readout_ms)
+        said_ms = 0.0 if self.ways > 1 else taken.readout_ms
+        if said_ms is not None and self.backwards:
+            said_ms = -said_ms
+        return replace(taken, cx=cx, readout_ms=said_ms)
 
 
 def bonnet(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:

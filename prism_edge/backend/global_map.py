@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.backend.carried import Carried
+from prism_edge.backend.rows_at_once import message_at_once
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import Keyframe
@@ -58,6 +59,7 @@ class GlobalKeyframe:
     grown: float = 1.0  # by how much a loop has lengthened its part since it was made
     # How its camera moved, a second, in its own frame and the units it was made in; 0: nothing is known.
     twist: Array = field(default_factory=lambda: np.zeros(6))
+    readout_ms: float = 0.0  # of the rolling shutter that its keypoints were moved for
     # world_from_camera, were the map's frame kept to the last digit (frame.py).
     reference: Array = field(init=False, repr=False)
 
@@ -94,6 +96,8 @@ class GlobalMap:
         # Points that a loop made one: the tracker may still speak of the old identity until it hears of it.
         self._now: dict[int, int] = {}
         self._grown: dict[int, float] = {}  # parts that a loop gave another unit, till the tracker has it too
+        # Of a rolling shutter: as found here where nobody says it; whether a keyframe's camera does.
+        self.readout_ms, self.readout_said = 0.0, False
 
     def absorb(self, message: Keyframe) -> GlobalKeyframe:
         """Take in a keyframe message.
@@ -101,9 +105,11 @@ class GlobalMap:
         While corrections are on their way to the tracker, its world and this one differ: the keyframe is put
         where it fits the points that both know, points made from it with it, and those made from earlier
         ones where they are beside its anchor. Points that a loop made one here are taken for what they
-        became. Its pixels are brought to the lens found here.
+        became. Its pixels are brought to the lens and the readout found here.
         """
-        message = self._in_present_unit(self._in_own_lens(self._renamed(message)))
+        message = message_at_once(self._in_own_lens(self._renamed(message)), self.readout_ms)
+        message = self._in_present_unit(message)
+        self.readout_said |= message.readout_said
         of_earlier, world_correction = self._corrections(message)
         told = message.new_points.tolist(), message.new_positions, message.new_by.tolist()
         for point, position, made_by in zip(*told, strict=True):
@@ -135,6 +141,7 @@ class GlobalMap:
             taken_ns=message.stamp_ns,
             grown=self._grown.get(message.part, 1.0),
             twist=message.twist,
+            readout_ms=message.readout_ms,
         )
         for newer, older in message.joined.tolist():
             self._grown.pop(newer, None)

@@ -21,6 +21,7 @@ def local_copy(world: GlobalMap) -> LocalMap:
     as there are keyframes that see them; they were made long ago, and keyframes' stamps are 0.
     """
     copy = LocalMap()
+    copy.readout_ms = world.readout_ms
     order = sorted(world.keyframes)
     ids = np.array(sorted(p for p, point in world.points.items() if point.keyframes), np.int64)
     if len(ids):

@@ -262,6 +262,11 @@ class LoopCloser:
         """Whether a global adjustment has begun."""
         return self._adjustment is not None
 
+    def overhaul(self) -> None:
+        """All keypoints are elsewhere now: everything is to be adjusted to that, and soon."""
+        self._adjustment = None  # of what there was
+        self._wanted, self._last_begun = True, self._count - REST
+
     def finish(self) -> None:
         """Nothing more will come: what no global adjustment has seen is to be adjusted, loop or not."""
         self._wanted = self._wanted or self._count > self._last_begun
@@ -323,7 +328,7 @@ class LoopCloser:
             number, off = len(self._world.keyframes), radial(lens.camera) - lens.said
             log.info("lens: k1 %s (%+.4f, sigma %.4f, %d keyframes)", says, off, lens.sigma, number)
         if taken:
-            self._wanted, self._last_begun = True, self._count - REST
+            self.overhaul()
         return taken
 
     def take_changes(self) -> MapChanges:

@@ -231,6 +231,7 @@ class Mapper:
             dropped_keyframes=outliers[:, 0],
             dropped_points=outliers[:, 1],
             camera=_pinhole(self.world.camera),
+            readout_ms=self.world.readout_ms,
             everything=everything,
         )
 
@@ -272,6 +273,7 @@ class Mapper:
             added_points=added[:, 1],
             added_keypoints=added[:, 2],
             camera=_pinhole(world.camera),
+            readout_ms=world.readout_ms,
             everything=True,
         )
 

@@ -15,9 +15,11 @@ from operator import itemgetter
 import numpy as np
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
-from prism_edge.geometry.poses import Array
+from prism_edge.geometry.cameras import LONGEST_READOUT_MS
+from prism_edge.geometry.poses import Array, inverse, transform
 from prism_edge.tracking.local_adjustment import Linear, Problem, Step, gauss_newton, linearise, moved_by
 from prism_edge.tracking.point_table import TRIANGULATED_DEG
+from prism_edge.tracking.rolling_shutter import seen_at_once
 
 FEWEST, MOST = 12, 60  # keyframes whose motion is known
 OBSERVATIONS = 150  # of a keyframe: points that most others see
@@ -26,6 +28,8 @@ STEPS = 12
 SETTLED = 0.05  # sigmas: a smaller step is the last
 LEAST_DEPTH, LEAST_DAMPING = 1e-3, 1e-6
 CLEAR, LEAST_MS = 6.0, 4.0  # sigmas (a map that is wrong makes up to four), and ms, from which on it is one
+NEWS, LEAST_NEWS_MS = 3.0, 1.0  # the same, where it has been one before
+WELL_KNOWN_MS = 1.0  # sigma
 
 
 @dataclass(frozen=True)
@@ -40,6 +44,16 @@ class Readout:
     def is_clear(self) -> bool:
         """Whether it is surely another than is said."""
         return abs(self.ms) >= max(CLEAR * self.sigma_ms, LEAST_MS)
+
+    @property
+    def is_news(self) -> bool:
+        """Whether one that was found before is to be followed."""
+        return abs(self.ms) >= max(NEWS * self.sigma_ms, LEAST_NEWS_MS)
+
+    @property
+    def is_well_known(self) -> bool:
+        """Whether it need not be looked for again so soon."""
+        return self.sigma_ms < WELL_KNOWN_MS
 
 
 @dataclass(frozen=True)
@@ -65,6 +79,20 @@ def readout_of(world: GlobalMap) -> Readout | None:
     except np.linalg.LinAlgError:
         return None
     return Readout(1e3 * found[0], 1e3 * found[1], len(views)) if np.isfinite(found).all() else None
+
+
+def take_out(world: GlobalMap, more_ms: float) -> None:
+    """Move the keypoints of all keyframes by a readout that is so much more than is known; so are later ones.
+
+    Those that came from a file stay: nobody knows how their camera moved.
+    """
+    world.readout_ms = max(-LONGEST_READOUT_MS, min(world.readout_ms + more_ms, LONGEST_READOUT_MS))
+    for keyframe in world.keyframes.values():
+        more_ms, keyframe.readout_ms = world.readout_ms - keyframe.readout_ms, world.readout_ms
+        twist, depth = _twist(keyframe), _depth(world, keyframe)
+        if more_ms and twist.any() and depth > 0.0:
+            pixels = seen_at_once(keyframe.pixels, keyframe.camera, twist, depth, more_ms)
+            keyframe.pixels, keyframe.features = pixels, keyframe.features.at(pixels, keyframe.camera)
 
 
 def solve(problem: Problem, rows: Rows, poses: Array, positions: Array) -> tuple[float, float]:
@@ -160,3 +188,10 @@ def _moved(keyframe: GlobalKeyframe) -> bool:
 def _twist(keyframe: GlobalKeyframe) -> Array:
     """As the tracker said it, in the unit that the keyframe's part has now."""
     return keyframe.twist * np.repeat((keyframe.grown, 1.0), 3)
+
+
+def _depth(world: GlobalMap, keyframe: GlobalKeyframe) -> float:
+    """Median of what a keyframe sees, map units; 0 where it sees nothing before it."""
+    places = np.array([world.points[p].position for p in keyframe.observed]).reshape(-1, 3)
+    depths = transform(inverse(keyframe.world_from_camera), places)[:, 2]
+    return float(np.median(depths[depths > 0.0])) if (depths > 0.0).any() else 0.0

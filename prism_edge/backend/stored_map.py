@@ -31,7 +31,8 @@ renamed          i8 (R,2)    point that there was, and the one that it was made 
 ================ =========== ================================================================
 
 The last three are not in saved maps, which builds before them read as well. When keyframes were taken, and
-which part of the map they are of, is told beside the arrays (map_stamps.py, map_parts.py).
+which part of the map they are of, is told beside the arrays (map_stamps.py, map_parts.py), as is a
+rolling shutter that was found (map_readout.py).
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ from numpy.typing import NDArray
 from prism_edge.backend.global_map import UNKNOWN, GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.map_parts import parts_info, parts_told
+from prism_edge.backend.map_readout import readout_info, readout_told
 from prism_edge.backend.map_stamps import stamps_info, stamps_of
 from prism_edge.backend.map_stand_ins import stand_ins_info, stand_ins_told
 from prism_edge.errors import ConfigError, MapError
@@ -145,6 +147,7 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["renamed"] = world.renamed()
     known = stamps_info([k.taken_ns for k in keyframes]) | parts_info({k.id: k.part for k in keyframes})
     standing = stand_ins_info([k.id for k in keyframes if k.stands_in])
+    known |= readout_info(world.readout_ms)
     return {"cameras": listed, "places_of": index.network, **known, **standing}, arrays
 
 
@@ -165,6 +168,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     if away and away.keys() >= set(arrays["keyframes"].tolist()):
         away = None  # none is at home: earlier builds wrote that too
     world = GlobalMap(max_carried)
+    world.readout_ms = readout_told(info)
     world.rename(arrays["renamed"])
     ids = arrays["points"].tolist()
     columns = arrays["positions"], arrays["parallax_deg"].tolist(), arrays["made_by"].tolist()

@@ -5,10 +5,12 @@ from __future__ import annotations
 from prism_edge.calibration.solve import Calibration
 
 
-def camera_text(result: Calibration, views: int, source: str, board: str, readout_ms: float = 0.0) -> str:
+def camera_text(
+    result: Calibration, views: int, source: str, board: str, readout_ms: float | None = None
+) -> str:
     """YAML that `prism_edge.sources.camera_file` reads back; comments say what it was made from.
 
-    ``readout_ms`` is a rolling shutter's, which no board shows: 0 where none is known.
+    ``readout_ms`` is a rolling shutter's, which no board shows: None where it is not known.
     """
     camera = result.camera
     sigmas = ", ".join(
@@ -25,6 +27,6 @@ def camera_text(result: Calibration, views: int, source: str, board: str, readou
         f"height: {camera.height}",
         *(f"{name}: {getattr(camera, name):.6f}" for name in ("fx", "fy", "cx", "cy")),
         f"distortion: [{', '.join(f'{value:.9f}' for value in camera.distortion)}]",
-        *([f"readout_ms: {readout_ms:g}"] if readout_ms else []),
+        *([] if readout_ms is None else [f"readout_ms: {readout_ms:g}"]),
     ]
     return "\n".join(lines) + "\n"

@@ -120,19 +120,19 @@ def _finish(
     _refuse(verdict.of_calibration(views, seen, result))
     readout_ms = _readout_of(out)
     put_whole(out, camera_text(result, len(used), name, args.board, readout_ms).encode())
-    kept = f" (with the readout_ms of {readout_ms:g} that it had)" if readout_ms else ""
+    kept = "" if readout_ms is None else f" (with the readout_ms of {readout_ms:g} that it had)"
     print(f"camera file: {out}{kept}")
     return 0
 
 
-def _readout_of(out: Path) -> float:
+def _readout_of(out: Path) -> float | None:
     """The rolling shutter's readout that the camera file to be replaced has: no board shows it."""
     from prism_edge.sources.camera_file import read_camera
 
     try:
         return read_camera(out).readout_ms
     except ConfigError:  # none, or not a camera file
-        return 0.0
+        return None
 
 
 def _refuse(problems: list[str]) -> None:

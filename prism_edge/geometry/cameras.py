@@ -29,8 +29,8 @@ class Camera:
 
     ``distortion`` is k1 k2 p1 p2 [k3 [k4 k5 k6]] (pinhole, OpenCV's order) or k1..k4 (fisheye); empty
     means none. ``readout_ms`` is how long a rolling shutter takes from the first row to the last, below 0
-    where the last is read first; two cameras that differ by nothing else are the same, and arrays and
-    messages of keyframes don't have it. Raises ConfigError where a value can't be a camera's.
+    where the last is read first, None where nobody has said; two cameras that differ by nothing else are the
+    same, and arrays don't have it. Raises ConfigError where a value can't be a camera's.
     """
 
     width: int
@@ -41,7 +41,7 @@ class Camera:
     cy: float
     model: str = PINHOLE
     distortion: tuple[float, ...] = ()
-    readout_ms: float = field(default=0.0, compare=False)
+    readout_ms: float | None = field(default=None, compare=False)
 
     def __post_init__(self) -> None:
         if self.model not in _COEFFICIENTS:
@@ -54,7 +54,7 @@ class Camera:
         values = (self.fx, self.fy, self.cx, self.cy, *self.distortion)
         if not all(map(math.isfinite, values)):
             raise ConfigError("camera intrinsics must be finite numbers")
-        if not abs(self.readout_ms) <= LONGEST_READOUT_MS:
+        if self.readout_ms is not None and not abs(self.readout_ms) <= LONGEST_READOUT_MS:
             most = f"{-LONGEST_READOUT_MS:g} to {LONGEST_READOUT_MS:g}"
             raise ConfigError(f"readout_ms: expected {most}, found {self.readout_ms:g}")
         if self.fx <= 0 or self.fy <= 0:
@@ -96,7 +96,7 @@ class Camera:
         )
 
     @classmethod
-    def from_array(cls, model: str, values: Array, readout_ms: float = 0.0) -> Camera:
+    def from_array(cls, model: str, values: Array, readout_ms: float | None = None) -> Camera:
         """The camera that :meth:`to_array` described, and its readout.
 
         Raises ConfigError where no camera is like that.

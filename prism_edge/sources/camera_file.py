@@ -121,7 +121,7 @@ def _own(tree: dict[Any, Any]) -> Camera:
     fx, fy, cx, cy = (_number(key, tree[key]) for key in ("fx", "fy", "cx", "cy"))
     distortion = tree.get("distortion")
     distortion = _numbers("distortion", [] if distortion is None else distortion)
-    readout_ms = _number("readout_ms", tree.get("readout_ms", 0.0))
+    readout_ms = _number("readout_ms", tree["readout_ms"]) if "readout_ms" in tree else None
     size = _size(tree, "width"), _size(tree, "height")
     return Camera(*size, fx, fy, cx, cy, model, distortion, readout_ms)
 

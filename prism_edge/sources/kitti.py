@@ -15,6 +15,7 @@ from prism_edge.sources.listing import Intrinsics, Listing, files_in, lines_of
 from prism_edge.sources.stamps import parse_seconds
 
 _CAMERAS = {"image_2": "P2", "image_0": "P0"}  # colour before grey
+_GLOBAL_MS = 0.0  # its cameras have global shutters
 TABLES = "calib.txt and times.txt come with the benchmark's data_odometry_calib.zip"
 
 
@@ -129,7 +130,8 @@ def _intrinsics(path: Path, key: str, images: list[Path]) -> Intrinsics:
         if not isinstance(pixels, str):
             height, width = pixels.shape[:2]
             try:
-                return f"{key} of {path.name}", Camera(width, height, p[0], p[5], p[2], p[6])
+                camera = Camera(width, height, p[0], p[5], p[2], p[6], readout_ms=_GLOBAL_MS)
+                return f"{key} of {path.name}", camera
             except ConfigError as error:
                 raise ConfigError(f"{path} line {number}: {error}") from None
     raise SourceError(f"{path.parent} has no readable image")

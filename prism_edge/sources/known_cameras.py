@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 
 from prism_edge.geometry.cameras import Camera
 
 # Of a Kinect, as measured on another dataset's (docs/CAMERAS.md).
 _KINECT_MS = 23.0
+# Rendered at once; or compared with references that take all rows so, as structure from motion does.
+_AT_ONCE_MS = 0.0
 
 
 def _vga(
-    matrix: tuple[float, float, float, float], distortion: tuple[float, ...] = (), readout_ms: float = 0.0
+    matrix: tuple[float, float, float, float],
+    distortion: tuple[float, ...] = (),
+    readout_ms: float | None = None,
 ) -> Camera:
     """A 640x480 camera of fx fy cx cy."""
     return Camera(640, 480, *matrix, distortion=distortion, readout_ms=readout_ms)
@@ -45,11 +50,14 @@ BY_NAME = {
             (0.039903, -0.099343, -0.000730, -0.000144, 0.0),
         ),
     ),
-    "tartanair": ("TartanAir intrinsics", _vga((320.0, 320.0, 320.0, 240.0))),
-    "new_tsukuba": ("New Tsukuba intrinsics", _vga((615.0, 615.0, 320.0, 240.0))),
+    "tartanair": ("TartanAir intrinsics", _vga((320.0, 320.0, 320.0, 240.0), (), _AT_ONCE_MS)),
+    "new_tsukuba": ("New Tsukuba intrinsics", _vga((615.0, 615.0, 320.0, 240.0), (), _AT_ONCE_MS)),
 }
-SEVEN_SCENES = ("7-Scenes published intrinsics", _vga((525.0, 525.0, 320.0, 240.0)))
-SEVEN_SCENES_GUESS = (f"{SEVEN_SCENES[0]} (a guess by its files' names: give a camera file)", SEVEN_SCENES[1])
+SEVEN_SCENES = ("7-Scenes published intrinsics", _vga((525.0, 525.0, 320.0, 240.0), (), _AT_ONCE_MS))
+SEVEN_SCENES_GUESS = (
+    f"{SEVEN_SCENES[0]} (a guess by its files' names: give a camera file)",
+    replace(SEVEN_SCENES[1], readout_ms=None),
+)
 ROS_DEFAULT = ("ROS default for a Kinect (a guess: give a camera file)", _vga((525.0, 525.0, 319.5, 239.5)))
 
 GUESSES = (SEVEN_SCENES_GUESS, ROS_DEFAULT)

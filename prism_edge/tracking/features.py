@@ -64,8 +64,11 @@ class Features:
 
     def through(self, lens: Camera, was: Camera) -> Features:
         """The same keypoints where another lens has them; ``was`` is the camera they were undistorted by."""
-        pixels = lens.pixels_of(was, self.pixels)
-        return Features.build(pixels, self.octaves, self.descriptors, lens.width, lens.height)
+        return self.at(lens.pixels_of(was, self.pixels), lens)
+
+    def at(self, pixels: NDArray[np.float64], camera: Camera) -> Features:
+        """The same keypoints elsewhere in the image: at ``pixels`` (n, 2)."""
+        return Features.build(pixels, self.octaves, self.descriptors, camera.width, camera.height)
 
 
 class OrbExtractor:

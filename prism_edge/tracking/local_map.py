@@ -31,6 +31,7 @@ class LocalKeyframe:
     metres: Array | None = None  # (n,) depth of each keypoint as the network has it; 0: none
     stands_in: bool = False  # for an older one that shows the same from as good as the same place
     twist: Array = field(default_factory=lambda: np.zeros(6))  # its camera's, a second; 0: nothing is known
+    readout_ms: float = 0.0  # of the rolling shutter that its keypoints were moved for
 
     def observed(self) -> Index:
         """Keypoints that have a point."""
@@ -60,6 +61,7 @@ class LocalMap:
         self.keyframes: dict[int, LocalKeyframe] = {}
         self.changes = Changes()
         self.heard = -1  # the newest keyframe that a correction knew
+        self.readout_ms = 0.0  # of a rolling shutter that nobody has said, as the backend has found it
         self.announced = -1  # the newest whose message has gone out: what it gains later must be told apart
 
     def newest(self) -> LocalKeyframe:

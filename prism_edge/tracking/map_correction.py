@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.errors import ConfigError
-from prism_edge.geometry.cameras import PINHOLE, Camera
+from prism_edge.geometry.cameras import LONGEST_READOUT_MS, PINHOLE, Camera
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
 from prism_edge.messages import MapUpdate
 from prism_edge.tracking.features import Features
@@ -58,6 +58,8 @@ def flaw(update: MapUpdate) -> str:
             return f"its {name} are not all finite"
     if len(update.loop_units) and abs(float(update.loop_units[0])) > MOST_GROWTH:
         return "its parts are of sizes that can't be"
+    if not abs(update.readout_ms) <= LONGEST_READOUT_MS:
+        return "its readout is none"
     if len(update.camera):
         try:
             Camera.from_array(PINHOLE, update.camera)
@@ -127,6 +129,8 @@ def apply_correction(
             motions[i] = _similarity(keyframe.world_from_camera, corrected_pose, growth.get(part[i], 1.0))
             placed[i] = True
             keyframe.world_from_camera = corrected_pose
+        if part[i] in growth:
+            keyframe.twist = keyframe.twist * np.repeat((growth[part[i]], 1.0), 3)
     mine = np.flatnonzero(follows & placed[owner])
     along = motions[owner[mine]]
     turned = np.einsum("nij,nj->ni", along[:, :3, :3], table.position[mine])

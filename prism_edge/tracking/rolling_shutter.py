@@ -21,34 +21,38 @@ from prism_edge.tracking.turn_between import turn_between
 LEAST = 0.5  # of a ray's depth that is left: a wrong motion, however fast, turns no ray away
 
 
+def seen_at_once(pixels: Array, camera: Camera, twist: Array, depth: float, readout_ms: float) -> Array:
+    """Ideal pixels (n, 2) of a camera that moves by ``twist`` a second, as of the middle of its readout.
+
+    ``twist`` (6,) is the camera's, translation first, in its own frame and in the unit of ``depth``, what
+    most of the scene is away: the turning is exact to first order, the shift that of a wall there.
+    """
+    rows = camera.distort_pixels(pixels)[:, 1]
+    after_s = ((rows + 0.5) / camera.height - 0.5) * (1e-3 * readout_ms)
+    seen = rays(camera, pixels)
+    seen += after_s[:, None] * (np.cross(twist[3:], seen) + twist[:3] / depth)
+    return camera.to_pixels(seen[:, :2] / np.maximum(seen[:, 2:], LEAST))
+
+
 class RollingShutter:
     """A camera's readout; does nothing to what a global shutter sees."""
 
-    def __init__(self, readout_ms: float) -> None:
-        """``readout_ms``: from the first row to the last; below 0 where the last is read first.
+    def __init__(self, set_ms: float) -> None:
+        """``set_ms``: from the first row to the last; below 0 where the last is read first.
 
-        0: as each frame's camera says.
+        0: as each frame's camera says and, where it doesn't, as the backend finds.
         """
-        self._said_ms, self._readout_s = readout_ms, 1e-3 * readout_ms
+        self._set_ms, self.is_said = set_ms, bool(set_ms)
+        self.readout_ms = set_ms  # of the last frame
         self._before: tuple[int, Features] | None = None  # stamp and keypoints as taken
         self._now: tuple[int, Features] | None = None
 
     def in_the_middle(self, features: Features, camera: Camera, twist: Array, depth: float) -> Features:
-        """Keypoints as seen in the middle of the readout by a camera that moves by ``twist`` a second.
-
-        ``twist`` (6,) is the camera's, translation first, in its own frame and in the unit of ``depth``, what
-        most of the scene is away: the turning is exact to first order, the shift that of a wall there.
-        """
-        if not (self._readout_s and twist.any()):
+        """A frame's keypoints, :func:`seen_at_once`."""
+        if not (self.readout_ms and twist.any()):
             return features
-        rows = camera.distort_pixels(features.pixels)[:, 1]
-        after_s = ((rows + 0.5) / camera.height - 0.5) * self._readout_s
-        seen = rays(camera, features.pixels)
-        seen += after_s[:, None] * (np.cross(twist[3:], seen) + twist[:3] / depth)
-        pixels = camera.to_pixels(seen[:, :2] / np.maximum(seen[:, 2:], LEAST))
-        return Features.build(
-            pixels, features.octaves, features.descriptors, camera.width, camera.height
-        )
+        pixels = seen_at_once(features.pixels, camera, twist, depth, self.readout_ms)
+        return features.at(pixels, camera)
 
     def placed(
         self, world: LocalMap, frames: FrameTracker, frame: TrackedFrame, raw: Features, twist: Array,
@@ -58,16 +62,22 @@ class RollingShutter:
         seen = self.in_the_middle(raw, frame.camera, twist, depth)
         return frame if seen is frame.features else frames.seen_again(world, frame, seen)
 
-    def saw(self, stamp_ns: int, features: Features, readout_ms: float = 0.0) -> None:
-        """A frame has come, with keypoints as they were taken; ``readout_ms`` is what its camera says."""
-        self._readout_s = 1e-3 * (self._said_ms or readout_ms)
-        if self._readout_s:
+    def saw(
+        self, stamp_ns: int, features: Features, said_ms: float | None = None, found_ms: float = 0.0
+    ) -> None:
+        """A frame has come, with keypoints as they were taken.
+
+        ``said_ms`` is what its camera says, ``found_ms`` what counts where that says nothing.
+        """
+        self.is_said = bool(self._set_ms) or said_ms is not None
+        self.readout_ms = self._set_ms or (found_ms if said_ms is None else said_ms)
+        if self.readout_ms:
             self._before, self._now = self._now, (stamp_ns, features)
 
     @property
     def may_begin(self) -> bool:
         """Whether a map may begin with this frame: not with the first of all, whose motion nothing tells."""
-        return self._before is not None or not self._readout_s
+        return self._before is not None or not self.readout_ms
 
     def without_map(self, features: Features, camera: Camera) -> Features:
         """The last frame's keypoints, moved by how its corners went since the frame before.
@@ -83,3 +93,16 @@ class RollingShutter:
         turn, twist = turn_between(camera, self._before[1], features), np.zeros(6)
         twist[3:] = 0.0 if turn is None else turn / elapsed_s
         return self.in_the_middle(features, camera, twist, 1.0)
+
+
+def see_at_once(world: LocalMap, readout_ms: float) -> None:
+    """Move the keypoints of all keyframes by as much as a readout is another than was found before."""
+    if readout_ms == world.readout_ms:
+        return
+    world.readout_ms = readout_ms
+    for keyframe in world.keyframes.values():
+        more_ms, keyframe.readout_ms = readout_ms - keyframe.readout_ms, readout_ms
+        if keyframe.twist.any():
+            features, depth = keyframe.features, world.median_depth(keyframe)
+            pixels = seen_at_once(features.pixels, keyframe.camera, keyframe.twist, depth, more_ms)
+            keyframe.features = features.at(pixels, keyframe.camera)

@@ -33,7 +33,7 @@ from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import clearly_better, misled, recover
 from prism_edge.tracking.reference import Reference
 from prism_edge.tracking.relocalisation import Relocaliser
-from prism_edge.tracking.rolling_shutter import RollingShutter
+from prism_edge.tracking.rolling_shutter import RollingShutter, see_at_once
 from prism_edge.tracking.second_look import look_again
 from prism_edge.tracking.seeding import seed_at_middle, seed_from_depth
 from prism_edge.tracking.submaps import Parts
@@ -65,15 +65,14 @@ class Tracker:
         self.epoch = self._next_keyframe = first_id
         self.log_scale = self.map_log_scale = 0.0  # as published; what the map is built by
         self.last: TrackedFrame | None = None
-        self.motion, self._shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
+        self.motion, self.shutter = ConstantVelocity(), RollingShutter(config.readout_ms)
         self._seen_at: int | None = None  # stamp of the last tracked frame
         self._began_at: int | None = None  # of this map's first; None for one that was there before
         self._at, self.first, self._since_refresh = Reference(), FirstKeyframe(), 0
         self.initialised = False  # True once a frame was tracked in this map
         self._result: FrameResult | None = None
         self._fresh: tuple[int, TrackedFrame] | None = None  # tracked, not yet judged as a keyframe
-        # Made, and nothing more; of which frame, but for one that begins a map or a part.
-        self._unmapped: tuple[LocalKeyframe, TrackedFrame | None] | None = None
+        self._unmapped: tuple[LocalKeyframe, TrackedFrame | None] | None = None  # made; of which frame
         self._begins_at = np.eye(4)  # pose of a map's first camera, metres
         self._pending: LocalKeyframe | None = None  # the first keyframe, not yet handed out
         self._lens: Camera | None = None  # the camera as the backend has found it
@@ -89,7 +88,7 @@ class Tracker:
         """
         lens = self._lens if self._lens is not None and self._lens.like(camera) else camera
         features = self._extractor.extract(grey, lens)
-        self._shutter.saw(stamp_ns, features, camera.readout_ms)
+        self.shutter.saw(stamp_ns, features, camera.readout_ms, self.world.readout_ms)
         self._fresh = None  # an older frame that nobody judged
         follow = self._continue if self.world.keyframes else self._begin
         self._result = follow(index, stamp_ns, lens, features)
@@ -111,7 +110,7 @@ class Tracker:
     # -- frames ---------------------------------------------------------------------------------
 
     def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
-        if len(features) >= MIN_FIRST_FEATURES and self._shutter.may_begin:
+        if len(features) >= MIN_FIRST_FEATURES and self.shutter.may_begin:
             self._pending = self._insert(index, stamp_ns, camera, features, self._begins_at)
             self.first.begin(self._pending.id, stamp_ns)
             self._seen_at = self._began_at = stamp_ns
@@ -203,7 +202,7 @@ class Tracker:
             return self.places.attempt(self.world, self._frames, camera, features, previous, enough, stamp_ns)
         raw, depth = features, self._at.depth
         if previous is not None:
-            features = self._shutter.in_the_middle(raw, camera, self.motion.twist, depth)
+            features = self.shutter.in_the_middle(raw, camera, self.motion.twist, depth)
             moving = self.motion.predict(previous.world_from_camera, stamp_ns)
             frame = self._frames.track_after(self.world, camera, features, moving, previous, enough)
         if misled(frame, previous, enough):
@@ -217,7 +216,7 @@ class Tracker:
             self.world, self.parts, self._frames, frame, self._reference(), self.proven_after_s, self._seed
         )
         twist = self.motion.since(self.last_pose(), frame.world_from_camera, stamp_ns)
-        return self._shutter.placed(self.world, self._frames, frame, raw, twist, depth)
+        return self.shutter.placed(self.world, self._frames, frame, raw, twist, depth)
 
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)
@@ -304,9 +303,10 @@ class Tracker:
         points: Ids | None = None,
     ) -> LocalKeyframe:
         if points is None:  # it begins a map or a part: only corners can say how it moves
-            features = self._shutter.without_map(features, camera)
+            features = self.shutter.without_map(features, camera)
             points = np.full(len(features), -1, np.int64)
         keyframe = LocalKeyframe(self._next_keyframe, index, stamp_ns, pose.copy(), camera, features, points)
+        keyframe.readout_ms = self.shutter.readout_ms
         self._next_keyframe += 1
         self.world.add_keyframe(keyframe)
         self.parts.add(keyframe.id)
@@ -347,8 +347,7 @@ class Tracker:
     def add_no_depth(self, keyframe_id: int) -> None:
         """What the network has for a keyframe is of no use."""
         self.first.has_no_depth(keyframe_id)
-        keyframe = self.world.keyframes.get(keyframe_id)
-        if keyframe is not None:
+        if (keyframe := self.world.keyframes.get(keyframe_id)) is not None:
             seed_at_middle(self.world, keyframe, self._config.features // 3)
             self._since_refresh = REFRESH_FRAMES
 
@@ -364,6 +363,7 @@ class Tracker:
         if len(update.camera):
             self._lens = Camera.from_array(PINHOLE, update.camera)
             see_through(self._lens, [*self.world.keyframes.values(), *([self.last] if self.last else [])])
+        see_at_once(self.world, update.readout_ms)
         if take_over(self.world, self.parts, update, self.last, self._frames.pose) and self.last is not None:
             self._refresh(self.last)
 
@@ -392,9 +392,9 @@ class Tracker:
         """Begin a new map, its first camera at a pose (4, 4) in metres."""
         self.world, self._begins_at = LocalMap(), at
         self.places, self.parts, self._baselines = Relocaliser(self._seed), Parts(), Baselines()
-        self._lost, self.wants_probe, self._waiting = False, False, None
+        self._lost = self.wants_probe = self.initialised = False
         self.epoch += 1
         self.log_scale = self.map_log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
-        self.last, self._unmapped, self.initialised, self._lens = None, None, False, None
-        self._pending, self._fresh, self._result = None, None, None
+        self.last = self._waiting = self._lens = self._result = None
+        self._pending = self._unmapped = self._fresh = None
         self.motion.stop()

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from prism_edge.backend.lens import radial
 from prism_edge.backend.loop_closing import Accepted
 from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
@@ -32,6 +31,7 @@ from prism_edge.messages import (
 from prism_edge.processes import peers_of
 from prism_edge.workers.handover import Handover
 from prism_edge.workers.loaded_map import LoadedMap
+from prism_edge.workers.map_health import show_map
 from prism_edge.workers.map_keeper import MapKeeper
 from prism_edge.workers.map_snapshot import snapshot
 from prism_edge.workers.shutter_watch import ShutterWatch
@@ -65,7 +65,8 @@ class BackendWorker:
         self._mapper = Mapper(settings, self._use_depth, bus.first_id, config.seed, use_rays)
         self._keeper, self._loaded = MapKeeper(config, bus, self._mapper), LoadedMap(bus, self._mapper)
         self._desk = bus.commands({"save_map": self._save_map, "load_map": self._load_map})
-        self._whole, self._shutter = Handover(), ShutterWatch(bus.pulse)
+        self._whole = Handover()
+        self._shutter = ShutterWatch(self._mapper, bus.pulse, config.backend.shutter)
         self._waiting: deque[tuple[float, Keyframe]] = deque()
         self._unsolved: Keyframe | None = None  # absorbed for who asked for the map
         self._early: dict[int, Depth] = {}
@@ -108,19 +109,24 @@ class BackendWorker:
 
     def _settle(self) -> None:
         """Adjust what is still to be adjusted; the end has been reached where nothing comes meanwhile."""
-        self._mapper.loops.finish()
-        while self._mapper.loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
-            self._adjust()
+        loops, bent = self._mapper.loops, True
+        while bent:
+            loops.finish()
+            while loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
+                self._adjust()
+            if bent := not self._waiting and bool(self._shutter.look(ended=True)):
+                self._tell_whole()
         if not self._waiting:
-            self._shutter.look(self._mapper.world, self._mapper.epoch, ended=True)
             self._keeper.tidy(self._home_scale)
             self._settled = True
             self._snapshot = self._take_snapshot()
             self._rest()
 
     def _tidy(self) -> None:
-        looked = self._shutter.look(self._mapper.world, self._mapper.epoch)
-        if self._keeper.tidy(self._home_scale) or looked:
+        # In lockstep a map is looked at with its keyframes: what moves it must not hang on the hour.
+        if taken := self._shutter.look() if self._ticks is None else None:
+            self._tell_whole()
+        if self._keeper.tidy(self._home_scale) or taken is not None:
             self._rest()
 
     def _rest(self) -> None:
@@ -249,11 +255,11 @@ class BackendWorker:
         budget_s = _SOLVE_S if self._ticks is None else _ADJUST_S  # in lockstep it has steps of both
         self._bus.pulse.working(f"window of keyframe {keyframe.id}", budget_s)
         loops, adjusted = self._mapper.loops, False
-        world, values = self._mapper.world, self._bus.pulse.values
         if self._ticks is not None:
             for _ in range(_LOCKSTEP_STEPS):
                 if loops.adjusting and not adjusted:
                     adjusted = self._adjust_further()
+            adjusted |= bool(self._shutter.look())
         began_ns, began_cpu = time.monotonic_ns(), time.process_time()
         update = self._mapper.optimise(keyframe.id, self._log_scale)
         if update is not None:
@@ -265,12 +271,9 @@ class BackendWorker:
         if update is not None:
             self._bus.publish("map_update", update)
             self._keeper.note_solved(update, self._home_scale)
-            values["solve_ms"] = f"{update.solve_ms:.0f}"
+            self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
         self._snapshot = self._take_snapshot()
-        values.update(keyframes=str(len(world.keyframes)), points=str(len(world.points)))
-        values["behind"] = str(len(self._waiting))
-        if world.camera is not None:
-            values["k1"] = f"{radial(world.camera):.4f}"
+        show_map(self._bus.pulse.values, self._mapper.world, len(self._waiting))
         self._bus.pulse.idle()
         return update
 
@@ -278,8 +281,7 @@ class BackendWorker:
         """By a descriptor that was not there yet when the keyframe was looked at."""
         self._bus.pulse.working(f"place of keyframe {keyframe}", _SOLVE_S)
         self._late = None
-        closed = self._mapper.loops.look(keyframe)
-        if closed is not None:
+        if (closed := self._mapper.loops.look(keyframe)) is not None:
             self._settled = False
             self._tell_whole(closed)
         self._rest()
@@ -304,8 +306,7 @@ class BackendWorker:
         loops = self._mapper.loops
         if not loops.under_way:
             self._adjusting_since_ns = time.monotonic_ns()
-        adjusted = loops.adjust(float(np.exp(-self._log_scale)))
-        if adjusted is not None:
+        if (adjusted := loops.adjust(float(np.exp(-self._log_scale)))) is not None:
             self._tell_solved(True, len(adjusted.poses), self._adjusting_since_ns, adjusted.cpu_s)
         return adjusted is not None
 
@@ -317,8 +318,7 @@ class BackendWorker:
     def _lockstep(self) -> bool:
         """Do the next frame's work and acknowledge it; whether there was one."""
         assert self._ticks is not None
-        tick = self._ticks.take(_LOOK_S)
-        if tick is None:
+        if (tick := self._ticks.take(_LOOK_S)) is None:
             self._hear_of_new_maps()
             self._tidy()
             return False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +33,8 @@ class FrameCamera:
     def of(self, frame: Frame) -> Camera | None:
         """The frame's camera; None where no camera takes such a frame."""
         try:
-            camera = Camera.from_array(frame.camera_model, frame.camera, frame.readout_ms)
+            said = None if math.isnan(frame.readout_ms) else frame.readout_ms
+            camera = Camera.from_array(frame.camera_model, frame.camera, said)
             size = camera.height, camera.width
             if grey(frame).shape != size:
                 problem = "its image is smaller than its camera says"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
 import time
 from collections import deque
 from dataclasses import replace
@@ -251,6 +252,7 @@ class SourceWorker:
             self._show()
             return False
         image, colour = pack(item.pixels)
+        readout_ms = self._source.camera.readout_ms
         frame = Frame(
             index=item.index,
             stamp_ns=item.stamp_ns,
@@ -260,7 +262,7 @@ class SourceWorker:
             camera_model=self._source.camera.model,
             camera=self._camera,
             image=image,
-            readout_ms=self._source.camera.readout_ms,
+            readout_ms=math.nan if readout_ms is None else readout_ms,
         )
         self._bus.publish("frame", frame)
         self._position.note(frame.index, frame.stamp_ns)

@@ -257,6 +257,17 @@ def test_a_loop_ends_the_adjustment_that_was_under_way():
         assert position_error(poses_of(mapper.world), ring.true) < 0.1 * drifted
 
 
+def test_an_overhaul_ends_the_adjustment_that_was_under_way_and_wants_another_at_once():
+    mapper = walk(Ring(), 12, places=False, mapper=Mapper(replace(CONFIG, lens=False), use_depth=False))
+    mapper.loops._wanted = True
+    mapper.loops.adjust(1.0)
+    assert mapper.loops.under_way
+    assert mapper.loops._last_begun == mapper.loops._count
+    mapper.loops.overhaul()
+    assert not mapper.loops.under_way
+    assert mapper.loops.adjusting, "without a rest"
+
+
 def test_an_adjustment_that_fits_worse_than_what_there_was_is_not_taken(monkeypatch):
     mapper = walk(Ring(), 6, places=False)
     mapper.loops._wanted = True

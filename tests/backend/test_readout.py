@@ -9,9 +9,10 @@ import pytest
 
 from prism_edge.backend import readout
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
-from prism_edge.backend.readout import FEWEST, LEAST_MS, Readout, readout_of
+from prism_edge.backend.readout import FEWEST, LEAST_MS, Readout, readout_of, take_out
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log, transform
+from prism_edge.tracking.features import Features
 from tests.tracking.cloud import CAMERA, Cloud
 
 BENT = replace(CAMERA, distortion=(-0.2, 0.05, 0.0, 0.0))
@@ -156,3 +157,61 @@ def test_it_is_clear_by_its_sigmas_and_in_itself():
     assert not Readout(-15.0, 3.0, 60).is_clear
     assert Readout(25.0, 2.0, 20).is_clear
     assert Readout(-25.0, 2.0, 20).is_clear
+
+
+def test_one_that_was_found_before_is_followed_sooner():
+    assert Readout(4.0, 1.0, 20).is_news
+    assert Readout(-4.0, 1.3, 20).is_news
+    assert not Readout(4.0, 1.4, 20).is_news
+    assert not Readout(0.9, 0.1, 60).is_news
+    assert Readout(0.0, 0.9, 60).is_well_known
+    assert not Readout(0.0, 1.1, 60).is_well_known
+
+
+@pytest.mark.parametrize("camera", [CAMERA, BENT])
+def test_what_is_taken_out_is_not_found_again(camera):
+    world = world_of(26.0, camera)
+    for keyframe in world.keyframes.values():
+        pixels = keyframe.pixels
+        octaves, descriptors = np.zeros(len(pixels), np.intp), np.zeros((len(pixels), 4), np.uint64)
+        keyframe.features = Features.build(pixels, octaves, descriptors, camera.width, camera.height)
+    take_out(world, 20.0)
+    take_out(world, 6.0)
+    assert world.readout_ms == 26.0
+    assert {k.readout_ms for k in world.keyframes.values()} == {26.0}
+    left = readout_of(world)
+    # Each keypoint is moved as if it were as far away as most.
+    assert abs(left.ms) < max(3.5 * left.sigma_ms, 2.0)
+    for keyframe in world.keyframes.values():
+        assert np.array_equal(keyframe.pixels, keyframe.features.pixels)
+
+
+def test_keyframes_of_which_nobody_knows_how_they_moved_stay_as_they_are():
+    world = world_of(26.0, keyframes=3)
+    world.keyframes[1].twist = np.zeros(6)
+    world.keyframes[2].observed.clear()
+    before = [world.keyframes[k].pixels.copy() for k in range(3)]
+    take_out(world, 26.0)
+    assert [np.array_equal(before[k], world.keyframes[k].pixels) for k in range(3)] == [False, True, True]
+
+
+def test_no_more_is_taken_out_than_a_camera_can_have():
+    world = world_of(26.0, keyframes=2)
+    take_out(world, 70.0)
+    take_out(world, 70.0)
+    assert world.readout_ms == 100.0
+    take_out(world, -900.0)
+    assert world.readout_ms == -100.0
+
+
+def test_a_keyframe_of_a_part_that_grew_is_moved_as_much():
+    world, grown = world_of(26.0, keyframes=2), world_of(26.0, keyframes=2)
+    for keyframe in grown.keyframes.values():
+        keyframe.world_from_camera = keyframe.world_from_camera.copy()
+        keyframe.world_from_camera[:3, 3] *= 3.0
+        keyframe.grown = 3.0
+    for point in grown.points.values():
+        point.position = 3.0 * point.position
+    for made in (world, grown):
+        take_out(made, 26.0)
+    np.testing.assert_allclose(grown.keyframes[1].pixels, world.keyframes[1].pixels, atol=1e-9)

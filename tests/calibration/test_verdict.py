@@ -181,8 +181,8 @@ def test_what_is_written_is_read_back(source: str, result: Calibration) -> None:
     assert parse_camera(camera_text(fisheye, 20, "x", "y")) == FISHEYE_CAMERA
 
 
-@pytest.mark.parametrize("readout_ms", [26.5, -15.0, 0.0])
-def test_a_readout_is_written_where_one_is_known(result: Calibration, readout_ms: float) -> None:
+@pytest.mark.parametrize("readout_ms", [26.5, -15.0, 0.0, None])
+def test_a_readout_is_written_where_one_is_known(result: Calibration, readout_ms: float | None) -> None:
     text = camera_text(result, 20, "x", "y", readout_ms)
     assert parse_camera(text).readout_ms == readout_ms
-    assert ("readout_ms" in text) == (readout_ms != 0.0)
+    assert ("readout_ms" in text) == (readout_ms is not None)

@@ -115,8 +115,8 @@ def test_a_camera_that_was_calibrated_stays_whatever_the_daemon_says(tmp_path: P
 
 def test_a_rolling_shutter_that_its_images_show_is_a_doubt_of_its_camera(tmp_path: Path) -> None:
     log = tmp_path / "daemon.log"
-    said = "rolling shutter: rows are read over 25.2 ms longer than is said, sigma 2.1, 19 keyframes: tell"
-    none = "rolling shutter: none for sure but what is said (rows are read over 0.2 ms longer than is said)"
+    said = "rolling shutter: rows are read over 25.2 ms longer than is known, sigma 2.1, 19 keyframes: tell"
+    none = "rolling shutter: none for sure but what is known (rows are read over 0.2 ms longer than is known)"
     log.write_text(f"09:18:17.166 INFO    backend: {none}\n09:19:45.077 WARNING backend: {said}\n")
     assert Played().after(log).doubts == (said,)
     log.write_text(f"09:18:17.166 INFO    backend: {none}\n")

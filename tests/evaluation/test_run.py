@@ -96,7 +96,7 @@ def test_a_run_is_recorded_and_scored(tiny_sequence: Path, tmp_path: Path) -> No
     assert found["layout"] == "TUM RGB-D"
     assert found["camera"] == {
         **{"origin": str(tiny_sequence / "camera.yaml"), "model": "pinhole", "width": 64, "height": 48},
-        **{"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "distortion": [], "readout_ms": 0.0},
+        **{"fx": 60.0, "fy": 60.0, "cx": 31.5, "cy": 23.5, "distortion": [], "readout_ms": None},
     }
     effective = load(str(tmp_path / "effective.yaml"))
     assert effective.source.uri == str(tiny_sequence)

@@ -89,8 +89,8 @@ def test_own_format() -> None:
     assert with_distortion.distortion == (0.1, -0.2, 1e-8, -3e-4)
     fisheye = parse_camera(OWN.replace("pinhole", "fisheye") + "distortion: [0.1, 0, 0, 0]\n")
     assert fisheye.model == "fisheye"
-    assert parse_camera(OWN).readout_ms == 0.0
-    for readout_ms in (26, -12.5, 100):
+    assert parse_camera(OWN).readout_ms is None
+    for readout_ms in (26, -12.5, 100, 0):
         assert parse_camera(f"{OWN}readout_ms: {readout_ms}\n").readout_ms == readout_ms
 
 

@@ -45,12 +45,13 @@ def test_published_intrinsics_go_by_the_name(tmp_path: Path, name: str, fx: floa
     [
         ("rgbd_dataset_freiburg1_desk", 23.0),
         ("tum-fr2_xyz", 23.0),
-        ("rgbd_dataset_freiburg3_walking_xyz", 0.0),
-        ("rgbd_bonn_balloon", 0.0),
+        ("rgbd_dataset_freiburg3_walking_xyz", None),
+        ("rgbd_bonn_balloon", None),
         ("new_tsukuba", 0.0),
+        ("tartanair_hospital", 0.0),
     ],
 )
-def test_kinects_are_read_row_by_row(tmp_path: Path, name: str, readout_ms: float) -> None:
+def test_kinects_are_read_row_by_row(tmp_path: Path, name: str, readout_ms: float | None) -> None:
     known = by_name(tmp_path / name)
     assert known is not None
     assert known[1].readout_ms == readout_ms
@@ -149,6 +150,7 @@ def test_files_called_as_those_of_7_scenes_are_its_own_by_their_folder(
     source = opened(tiny.write_seven_scenes(tmp_path / name, count=1))
     assert source.camera.fx == 525.0
     assert ("guess" in source.camera_origin) == ("guess" in caplog.text) == (not known)
+    assert source.camera.readout_ms == (0.0 if known else None), "its references take rows as read at once"
 
 
 def test_an_unknown_tum_folder_is_guessed_aloud(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

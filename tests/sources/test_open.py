@@ -108,6 +108,7 @@ def test_kitti_grey(tmp_path: Path) -> None:
     items = all_of(source)
     # calib.txt gives no size, so it is the images' own, odd as it may be
     assert source.camera.to_array().tolist() == [63, 47, 70, 71, 31, 23]
+    assert source.camera.readout_ms == 0.0, "of global shutters"
     assert [item.stamp_ns for item in items] == [0, 100000000, 200000000]
     assert isinstance(items[0], Image)
     assert items[0].pixels.shape == (47, 63)

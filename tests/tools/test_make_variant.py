@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -106,6 +107,8 @@ def test_rows_are_read_in_the_order_of_time(tmp_path, variant, order):
     taken = Camera(64, 48, 60.0, 60.0, 30.0, 23.0, readout_ms=26.0)
     describe(variant.camera(taken), tmp_path / "camera.yaml")
     assert read_camera(tmp_path / "camera.yaml").readout_ms == 26.0 * order
+    describe(variant.camera(replace(taken, readout_ms=None)), tmp_path / "camera.yaml")
+    assert read_camera(tmp_path / "camera.yaml").readout_ms == (None if order else 0.0)
 
 
 def test_a_mirrored_camera_sees_a_mirrored_world():

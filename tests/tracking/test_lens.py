@@ -87,6 +87,12 @@ def test_a_camera_that_is_none_makes_an_update_unusable(camera):
     assert "camera" in flaw(map_update(0, camera=np.array(camera)))
 
 
+@pytest.mark.parametrize("readout_ms", [np.nan, np.inf, -100.1])
+def test_an_update_with_a_readout_that_is_none_is_refused(readout_ms):
+    assert "readout" in flaw(map_update(0, readout_ms=readout_ms))
+    assert flaw(map_update(0, readout_ms=-100.0)) == ""
+
+
 @pytest.mark.parametrize(
     ("units", "said"), [([0.1], "two numbers"), ([0.1, np.nan], "finite"), ([-800.0, 0.1], "sizes that")]
 )

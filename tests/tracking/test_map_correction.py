@@ -152,7 +152,11 @@ def test_a_part_that_a_loop_joins_grows_with_all_that_the_backend_does_not_name(
     )  # fmt: skip
     parts = Parts.given({3: 3, 4: 3, 5: 3})
     parts.current = 3
+    for keyframe in world.keyframes.values():
+        keyframe.twist = np.ones(6)
     motion = apply_correction(world, update, BY_POINTS, parts)[5]
+    moving = [world.keyframes[k].twist.tolist() for k in (2, 3, 5)]
+    assert moving == [[1.0] * 6, [growth] * 3 + [1.0] * 3, [growth] * 3 + [1.0] * 3]
     assert table.position == pytest.approx(true, abs=5e-3)
     assert world.keyframes[5].world_from_camera == pytest.approx(POSES[5], abs=2e-3)
     assert transform(motion, last[:3, 3][None])[0] == pytest.approx(POSES[5][:3, 3], abs=5e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse, rotation_angle, se3_exp, transform
 from prism_edge.sources.sim import SimSource
+from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.features import Features
-from prism_edge.tracking.rolling_shutter import RollingShutter
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.rolling_shutter import RollingShutter, see_at_once
 from prism_edge.tracking.tracker import Tracker
 from tests.synthetic.drawing import SLACK
 from tests.synthetic.messages import map_update
@@ -247,3 +250,100 @@ def test_what_was_known_of_the_motion_before_a_long_gap_shears_no_image_after_it
     off = inverse(pose) @ result.world_from_camera
     assert np.linalg.norm(off[:3, 3]) < 0.005
     assert rotation_angle(off[:3, :3]) < np.radians(0.1)
+
+
+def test_what_was_found_counts_where_nobody_says_anything() -> None:
+    found, shutter = features(CAMERA.project(wall(0))), RollingShutter(0.0)
+    for said_ms, counts, said in ((None, 26.0, False), (0.0, 0.0, True), (-9.0, -9.0, True)):
+        shutter.saw(0, found, said_ms, 26.0)
+        assert (shutter.readout_ms, shutter.is_said) == (counts, said)
+    by_hand = RollingShutter(12.0)
+    by_hand.saw(0, found, None, 26.0)
+    assert (by_hand.readout_ms, by_hand.is_said) == (12.0, True)
+
+
+def local_world(twist: Array, readout_s: float) -> tuple[LocalMap, Array]:
+    """A keyframe that saw a wall row by row, in a map that has the wall; where it is in the middle."""
+    world, points = LocalMap(), wall(2)
+    taken = features(read_row_by_row(points, twist, CAMERA, readout_s))
+    keyframe = LocalKeyframe(0, 0, 0, np.eye(4), CAMERA, taken, np.full(len(points), -1, np.int64))
+    world.add_keyframe(keyframe)
+    keypoints = np.arange(len(points))
+    keyframe.points[:] = world.add_points(keyframe, keypoints, points, np.full(len(points), 0.1), 0.0)
+    keyframe.twist = twist
+    return world, CAMERA.project(points)
+
+
+def test_keyframes_are_seen_at_once_as_far_as_a_readout_is_another_than_before() -> None:
+    twist = np.array([0.4, 0.1, -0.2, 0.1, 0.5, 0.2])
+    world, true = local_world(twist, 0.026)
+    raw = world.keyframes[0].features.pixels
+    for readout_ms in (16.0, 26.0):
+        see_at_once(world, readout_ms)
+        assert world.readout_ms == world.keyframes[0].readout_ms == readout_ms
+    seen = world.keyframes[0].features
+    assert np.abs(seen.pixels - true).max() < 0.02 + 0.05 * np.abs(raw - true).max()
+    see_at_once(world, 26.0)
+    assert world.keyframes[0].features is seen, "no news"
+    see_at_once(world, 0.0)
+    assert np.abs(world.keyframes[0].features.pixels - raw).max() < 0.05 * np.abs(raw - true).max()
+
+
+def test_a_keyframe_whose_motion_nobody_knows_stays_as_it_was_taken() -> None:
+    world, _ = local_world(np.zeros(6), 0.026)
+    before = world.keyframes[0].features
+    see_at_once(world, 26.0)
+    assert world.keyframes[0].features is before
+    assert world.keyframes[0].readout_ms == 26.0, "there is nothing left to move for it"
+
+
+def test_a_tracker_takes_a_readout_out_that_the_backend_has_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    tracker, taken = Tracker(TrackingConfig()), []
+    extract = tracker._extractor.extract
+
+    def noted(grey: Any, camera: Camera) -> Features:
+        taken.append(extract(grey, camera))
+        return taken[-1]
+
+    monkeypatch.setattr(tracker._extractor, "extract", noted)
+    with SimSource("sim:room?seed=3&speed=1.2&readout=40&width=320&height=240&frames=14") as source:
+        for index in range(source.frame_count):
+            image = source.read()
+            assert image is not None
+            grey = image.pixels.mean(axis=2).astype(np.uint8)
+            tracker.process(index, image.stamp_ns, grey, source.camera)
+            keyframe = tracker.maybe_keyframe()
+            tracker.map_keyframe()
+            if keyframe is not None:
+                tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
+                message = keyframe_message(tracker, keyframe)
+                assert (message.readout_ms, message.readout_said) == (keyframe.readout_ms, False)
+            if index == 1:
+                assert tracker.last is not None
+                assert tracker.last.features is taken[-1]
+            if index == 6:
+                tracker.apply_update(map_update(0, readout_ms=40.0))
+                assert {k.readout_ms for k in tracker.world.keyframes.values()} == {40.0}
+    assert tracker.last is not None
+    assert len(tracker.last.features) == len(taken[-1])
+    assert np.abs(tracker.last.features.pixels - taken[-1].pixels).max() > 1.0
+    assert {k.readout_ms for k in tracker.world.keyframes.values()} == {40.0}
+    tracker.reset()
+    tracker.process(index + 1, image.stamp_ns + 33_000_000, grey, source.camera)
+    assert tracker.shutter.readout_ms == 0.0, "it was that map's"
+
+
+def test_a_keyframe_says_whether_its_camera_does() -> None:
+    for said_ms, told in ((None, (0.0, False)), (0.0, (0.0, True)), (12.0, (12.0, True))):
+        tracker = Tracker(TrackingConfig())
+        with SimSource("sim:room?seed=3&width=320&height=240&frames=3") as source:
+            keyframe = None
+            while keyframe is None:
+                image = source.read()
+                assert image is not None
+                grey = image.pixels.mean(axis=2).astype(np.uint8)
+                camera = replace(source.camera, readout_ms=said_ms)
+                tracker.process(image.index, image.stamp_ns, grey, camera)
+                keyframe = tracker.maybe_keyframe()
+        message = keyframe_message(tracker, keyframe)
+        assert (message.readout_ms, message.readout_said) == told

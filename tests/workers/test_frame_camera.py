@@ -43,7 +43,13 @@ def test_a_frame_says_how_long_its_rows_are_read(bus, said):
     assert camera.bent(0.1).readout_ms == said  # whatever lens is found
 
 
-@pytest.mark.parametrize("said", [np.nan, 101.0, -np.inf])
+def test_a_frame_may_not_say_how_long_its_rows_are_read(bus):
+    camera = FrameCamera(bus.pulse, "").of(replace(frame(0), readout_ms=np.nan))
+    assert camera is not None
+    assert camera.readout_ms is None
+
+
+@pytest.mark.parametrize("said", [np.inf, 101.0, -np.inf])
 def test_a_readout_that_is_none_is_no_camera_s(bus, caplog, said):
     assert FrameCamera(bus.pulse, "").of(replace(frame(0), readout_ms=said)) is None
     assert bus.pulse.values["malformed"] == "1"

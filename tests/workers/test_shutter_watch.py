@@ -1,23 +1,26 @@
-"""When the backend looks for a rolling shutter, and what it says of one."""
+"""When the backend looks for a rolling shutter, and what becomes of what it finds."""
 
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from prism_edge.backend.readout import Readout
 from prism_edge.messages import EndOfStream
 from prism_edge.workers import backend as worker
 from prism_edge.workers import shutter_watch
-from prism_edge.workers.shutter_watch import FIRST, LAST, ShutterWatch
-from tests.workers.backend_bench import CONFIG, depth_of, keyframes
+from prism_edge.workers.shutter_watch import FIRST, LAST, MOST_AT_END, ShutterWatch
+from tests.synthetic.messages import tick
+from tests.workers.backend_bench import CONFIG, LOCKSTEP, depth_of, gate_of, keyframes, scale_of
 from tests.workers.list_bus import ListBus
 
-NONE = Readout(1.0, 2.0, 20)
-CLEAR = Readout(25.2, 2.1, 19)
+NONE, SURE = Readout(1.0, 2.0, 20), Readout(0.1, 0.2, 60)
+CLEAR, NEWS = Readout(25.2, 2.1, 19), Readout(3.5, 1.1, 40)
 
 
 class Looks:
@@ -39,42 +42,103 @@ def looks(monkeypatch: pytest.MonkeyPatch) -> Looks:
     return looks
 
 
-def of(count: int) -> Any:
-    return SimpleNamespace(keyframes=dict.fromkeys(range(count)))
+@pytest.fixture
+def taken(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """What is taken out."""
+    taken: list[float] = []
+
+    def take_out(world: Any, more_ms: float) -> None:
+        taken.append(more_ms)
+        world.readout_ms += more_ms
+
+    monkeypatch.setattr(shutter_watch, "take_out", take_out)
+    return taken
 
 
-def test_it_looks_as_the_map_doubles_and_at_its_end(looks):
-    bus = ListBus()
-    watch = ShutterWatch(bus.pulse)
-    looked = [count for count in range(3 * FIRST) if watch.look(of(count), 0)]
-    assert looks.at == looked == [FIRST, 2 * FIRST]
-    assert not watch.look(of(2 * FIRST), 0, ended=True), "as large as it was when it was looked at"
-    assert watch.look(of(3 * FIRST - 1), 0, ended=True)
-    assert not watch.look(of(LAST + 1), 0, ended=True), "it takes too long"
-    assert bus.states == ["rolling shutter"] * 3, "the supervisor knows what it waits for"
-    assert "warning" not in bus.pulse.values
+class Map:
+    """A mapper's map of so many keyframes."""
+
+    def __init__(self, cameras: str = "one") -> None:
+        self.world = SimpleNamespace(keyframes={}, readout_ms=0.0, readout_said=False)
+        self.cameras, self.epoch, self.overhauls = cameras, 0, 0
+        self.loops = SimpleNamespace(overhaul=self._overhaul)
+        self.bus = ListBus()
+        self.watch = ShutterWatch(self, self.bus.pulse, True)  # type: ignore[arg-type]
+
+    def _overhaul(self) -> None:
+        self.overhauls += 1
+
+    def look(self, count: int, ended: bool = False) -> bool | None:
+        camera = {k: SimpleNamespace(camera=k if self.cameras == "many" else 0) for k in range(count)}
+        self.world.keyframes = camera
+        return self.watch.look(ended)
 
 
-def test_what_is_clear_is_said_once_on_the_log_and_stays_on_health(looks, caplog):
-    bus = ListBus()
-    watch = ShutterWatch(bus.pulse)
+def test_it_looks_as_the_map_grows_and_at_its_end(looks):
+    made = Map()
+    looked = [count for count in range(60) if made.look(count) is not None]
+    assert looks.at == looked == [15, 21, 30, 42, 59]
+    assert made.look(59, ended=True) is None, "as large as it was when it was looked at"
+    assert made.look(60, ended=True) is False
+    assert made.look(LAST + 1, ended=True) is None, "it takes too long"
+    assert made.bus.states == ["rolling shutter"] * 6, "the supervisor knows what it waits for"
+    assert "warning" not in made.bus.pulse.values
+
+
+@pytest.mark.parametrize("why", ["said", "known", "many"])
+def test_it_looks_more_seldom_where_that_is_enough(looks, why):
+    made, looks.says = Map(why), SURE if why == "known" else NONE
+    made.world.readout_said = why == "said"
+    assert [count for count in range(61) if made.look(count) is not None] == [15, 30, 60]
+
+
+def test_what_is_clear_is_taken_out_and_the_map_adjusted_to_that(looks, taken, caplog):
+    made = Map()
     with caplog.at_level(logging.INFO, "prism_edge.backend"):
-        watch.look(of(FIRST), 0)
+        assert made.look(FIRST) is False
         assert "none for sure" in caplog.messages[-1]
         looks.says = None
-        watch.look(of(2 * FIRST), 0)
-        assert len(caplog.messages) == 1
+        assert made.look(2 * FIRST) is False
+        looks.says = NEWS
+        assert made.look(3 * FIRST) is False, "no news of what is none"
         looks.says = CLEAR
-        assert watch.look(of(4 * FIRST), 0)
-    (warning,) = (r.getMessage() for r in caplog.records if r.levelno == logging.WARNING)
-    assert "25.2 ms longer than is said, sigma 2.1, 19 keyframes: tell readout_ms" in warning
-    assert bus.pulse.values["warning"] == warning
-    assert not watch.look(of(8 * FIRST), 0, ended=True), "it is sure"
-    looks.says = Readout(-25.0, 2.0, 19)
-    assert watch.look(of(FIRST), 1), "another map"
-    assert "25.0 ms shorter than is said" in bus.pulse.values["warning"]
-    watch.look(of(1), 2)
-    assert "warning" not in bus.pulse.values
+        assert made.look(5 * FIRST) is True
+        assert caplog.messages[-1].startswith("rolling shutter: rows are read over 25.2 ms longer")
+        assert "taken out" in caplog.messages[-1]
+    assert (taken, made.overhauls, made.bus.pulse.values) == ([25.2], 1, {})
+    looks.says = NEWS
+    assert made.look(9 * FIRST) is True
+    looks.says = NONE
+    assert made.look(20 * FIRST) is False
+    assert taken == [25.2, 3.5]
+    made.epoch, looks.says = 1, CLEAR
+    assert made.look(FIRST) is True, "another map"
+
+
+def test_at_the_end_what_is_taken_out_is_looked_at_again_but_not_for_ever(looks, taken):
+    made, looks.says = Map(), CLEAR
+    assert [made.look(FIRST - 1, ended=True) for _ in range(MOST_AT_END + 1)] == [True] * MOST_AT_END + [None]
+    assert len(taken) == made.overhauls == MOST_AT_END
+
+
+@pytest.mark.parametrize("why", ["said", "off", "many"])
+def test_what_can_not_be_taken_out_is_said_once_on_the_log_and_stays_on_health(looks, taken, caplog, why):
+    made, looks.says = Map(why), CLEAR
+    made.world.readout_said = why == "said"
+    if why == "off":
+        made.watch = ShutterWatch(made, made.bus.pulse, False)
+    assert made.look(FIRST) is False
+    (warning,) = caplog.messages
+    assert "25.2 ms longer than is known, sigma 2.1, 19 keyframes: tell readout_ms" in warning
+    assert made.bus.pulse.values["warning"] == warning
+    assert made.look(8 * FIRST, ended=True) is None, "it is sure"
+    made.epoch, looks.says = 1, Readout(-25.0, 2.0, 19)
+    assert made.look(FIRST) is False, "another map"
+    assert "25.0 ms shorter than is known" in made.bus.pulse.values["warning"]
+    made.epoch = 2
+    made.look(1)
+    assert "warning" not in made.bus.pulse.values
+    assert (taken, made.overhauls) == ([], 0)
 
 
 @pytest.mark.usefixtures("impatient")
@@ -89,3 +153,42 @@ def test_the_backend_has_its_map_looked_at_between_keyframes_or_at_the_end(looks
     assert looks.at == [3]
     then = bus.states[bus.states.index("rolling shutter") + 1]
     assert then == ("idle" if first == 3 else "ended"), "else the supervisor thinks that it hangs"
+
+
+@pytest.mark.usefixtures("impatient")
+@pytest.mark.parametrize("first", [3, FIRST])
+def test_the_tracker_is_told_of_what_was_taken_out_and_the_map_is_adjusted(looks, monkeypatch, first):
+    monkeypatch.setattr(shutter_watch, "FIRST", first)
+    bus, (teller, told) = ListBus("keyframe", patience=40), keyframes(3)
+    told = [replace(keyframe, twist=np.array([0.2, 0.0, 0.0, 0.0, 0.3, 0.0])) for keyframe in told]
+    looks.says = CLEAR
+    bus.give("depth", *(depth_of(k, teller) for k in told))
+    bus.give("keyframe", *told)
+    bus.give("end", EndOfStream(100, 100, 0, 0, 99))
+    worker.main(CONFIG, bus)
+    updates = bus.of("map_update")
+    found = next(i for i, u in enumerate(updates) if u.readout_ms)
+    assert updates[found].everything
+    assert updates[found].readout_ms == pytest.approx(25.2)
+    assert all(u.readout_ms >= 25.2 for u in updates[found:])
+    assert any(s.everything for s in bus.of("solved")), "its points were seen elsewhere"
+    assert bus.states[-1] == "ended"
+
+
+def test_in_lockstep_a_map_is_looked_at_with_its_keyframes(looks, monkeypatch):
+    """Whenever the worker has time for it: two runs are to be the same."""
+    monkeypatch.setattr(shutter_watch, "FIRST", 2)
+    looks.says = CLEAR
+    bus, (teller, told) = ListBus("tracked"), keyframes(4)
+    for keyframe in told:
+        bus.give("keyframe", keyframe)
+        bus.give("depth", depth_of(keyframe, teller))
+        bus.give("log_scale", scale_of(keyframe))
+        bus.give("gate", gate_of(keyframe))
+    bus.give("tracked", *(tick(i, i) for i in range(4)))
+    worker.main(LOCKSTEP, bus)
+    updates = bus.of("map_update")
+    assert [u.based_on for u in updates] == [0, 1, 2, 3], "one a keyframe, as the tracker waits for them"
+    assert [round(u.readout_ms, 1) for u in updates] == [0.0, 25.2, 50.4, 50.4]
+    assert [u.everything for u in updates][1:3] == [True, True]
+    assert looks.at == [2, 3]

@@ -1,0 +1,19 @@
+"""What `health` shows of the backend's map."""
+
+from __future__ import annotations
+
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.lens import radial
+
+
+def show_map(values: dict[str, str], world: GlobalMap, behind: int) -> None:
+    """Put a map's size, and what was found of its camera, among a pulse's values.
+
+    ``behind``: keyframes that wait.
+    """
+    values.update(keyframes=str(len(world.keyframes)), points=str(len(world.points)), behind=str(behind))
+    if world.camera is not None:
+        values["k1"] = f"{radial(world.camera):.4f}"
+    values.pop("readout_ms", None)
+    if world.readout_ms:
+        values["readout_ms"] = f"{world.readout_ms:.1f}"
