@@ -117,7 +117,7 @@ class TrackingConfig:
         10, 1, 25, "lowest FAST threshold; it rises with the texture, to 25 at most"
     )
     readout_ms: float = limits(
-        0.0, -100.0, 100.0, "rolling shutter: first row to last; below 0: last first; 0: as the camera says"
+        0.0, -100.0, 100.0, "rolling shutter: first row to last; below 0: last first; 0: as said or found"
     )
     min_matches: int = limits(25, 6, 1000, "fewer inliers than this and tracking is lost")
     lost_after_s: float = limits(0.3, 0.0, 10.0, "failing for longer than this is `lost`")
