@@ -17,10 +17,10 @@ def message_at_once(message: Keyframe, readout_ms: float) -> Keyframe:
     if message.readout_said or not more_ms:
         return message
     moved = replace(message, readout_ms=readout_ms)
-    depths = message.depths[message.depths > 0.0]
-    if not (message.twist.any() and len(depths)):
+    depths, twist = message.depths[message.depths > 0.0], message.twist
+    if not (np.isfinite(twist).all() and twist.any() and len(depths)):
         return moved
     camera = Camera.from_array(message.camera_model, message.camera)
     depth, pixels = float(np.median(depths)), message.pixels.astype(np.float64)
-    seen = seen_at_once(pixels, camera, message.twist, depth, more_ms)
+    seen = seen_at_once(pixels, camera, twist, depth, more_ms)
     return replace(moved, pixels=seen.astype(np.float32))

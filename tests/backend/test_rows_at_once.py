@@ -41,9 +41,9 @@ def test_what_knows_it_or_a_readout_that_is_said_is_left_alone(told):
     assert message_at_once(said, 26.0) is said
 
 
-@pytest.mark.parametrize("lacks", ["twist", "depths"])
-def test_without_a_motion_or_a_depth_its_pixels_stay(told, lacks):
-    moved = message_at_once(replace(told, **{lacks: np.zeros_like(getattr(told, lacks))}), 26.0)
+@pytest.mark.parametrize(("lacks", "has"), [("twist", 0.0), ("twist", np.nan), ("depths", 0.0)])
+def test_without_a_motion_or_a_depth_its_pixels_stay(told, lacks, has):
+    moved = message_at_once(replace(told, **{lacks: np.full_like(getattr(told, lacks), has)}), 26.0)
     assert moved.readout_ms == 26.0
     assert moved.pixels is told.pixels
 
