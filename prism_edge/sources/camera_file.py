@@ -1,10 +1,8 @@
-"""Camera files: our own few keys, what ROS's and OpenCV's calibrators write, or an echoed camera_info."""
+"""Camera files: our own few keys, what ROS, OpenCV and Kalibr write, or an echoed camera_info."""
 
 from __future__ import annotations
 
-import math
 import re
-from collections.abc import Set
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +11,15 @@ import yaml
 from prism_edge.errors import YAML_MISFITS, ConfigError
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
 from prism_edge.named_path import refuse_pipe
+from prism_edge.sources.camera_fields import (
+    check_keys,
+    counted,
+    number_of,
+    numbers_of,
+    size_of,
+    word_of,
+)
+from prism_edge.sources.kalibr import is_kalibr, kalibr_camera
 
 _OWN_REQUIRED = ("width", "height", "fx", "fy", "cx", "cy")
 _OWN_KEYS = {*_OWN_REQUIRED, "model", "distortion", "readout_ms"}
@@ -108,56 +115,59 @@ def parse_camera(text: str) -> Camera:
         raise ConfigError("is no valid YAML") from None
     if not isinstance(tree, dict):
         raise ConfigError("holds no keys; expected width, height, fx, fy, cx, cy")
+    if is_kalibr(tree):
+        return kalibr_camera(tree)
     if "camera_matrix" in tree or "image_width" in tree:
         return _ros(tree)
     return _echoed(tree) if tree.keys() & {"k", "K", "d", "D"} else _own(tree)
 
 
 def _own(tree: dict[Any, Any]) -> Camera:
-    _check_keys(tree, _OWN_KEYS, _OWN_REQUIRED)
-    model = _word(tree, "model", PINHOLE)
+    check_keys(tree, _OWN_KEYS, _OWN_REQUIRED)
+    model = word_of(tree, "model", PINHOLE)
     if model not in (PINHOLE, FISHEYE):
         raise ConfigError(f"model: {model!r} is not known (use {PINHOLE} or {FISHEYE})")
-    fx, fy, cx, cy = (_number(key, tree[key]) for key in ("fx", "fy", "cx", "cy"))
+    fx, fy, cx, cy = (number_of(key, tree[key]) for key in ("fx", "fy", "cx", "cy"))
     distortion = tree.get("distortion")
-    distortion = _numbers("distortion", [] if distortion is None else distortion)
-    readout_ms = _number("readout_ms", tree["readout_ms"]) if "readout_ms" in tree else None
-    size = _size(tree, "width"), _size(tree, "height")
-    return Camera(*size, fx, fy, cx, cy, model, distortion, readout_ms)
+    distortion = numbers_of("distortion", [] if distortion is None else distortion)
+    readout_ms = number_of("readout_ms", tree["readout_ms"]) if "readout_ms" in tree else None
+    width, height = size_of("width", tree["width"]), size_of("height", tree["height"])
+    return Camera(width, height, fx, fy, cx, cy, model, distortion, readout_ms)
 
 
 def _ros(tree: dict[Any, Any]) -> Camera:
-    _check_keys(tree, _ROS_KEYS, _ROS_REQUIRED, _SAMPLE_KEYS)
+    check_keys(tree, _ROS_KEYS, _ROS_REQUIRED, _SAMPLE_KEYS)
     fisheye = tree.get("fisheye_model", 0)
     if fisheye not in (0, 1):
         raise ConfigError(f"fisheye_model: expected 0 or 1, found {fisheye!r}")
     model, counts, name = _ros_model(tree, "equidistant" if fisheye else "plumb_bob")
     fx, fy, cx, cy = _intrinsics("camera_matrix.data", _matrix(tree, "camera_matrix"))
     distortion = _matrix(tree, "distortion_coefficients")
-    distortion = _counted("distortion_coefficients.data", distortion, counts, name)
-    return Camera(_size(tree, "image_width"), _size(tree, "image_height"), fx, fy, cx, cy, model, distortion)
+    distortion = counted("distortion_coefficients.data", distortion, counts, name)
+    width, height = (size_of(key, tree[key]) for key in ("image_width", "image_height"))
+    return Camera(width, height, fx, fy, cx, cy, model, distortion)
 
 
 def _echoed(tree: dict[Any, Any]) -> Camera:
     """A camera_info message: its k and d, which belong to the raw image; r and p belong to the rectified."""
     tree = {key.lower() if key in _CAPITALS else key: value for key, value in tree.items()}
-    _check_keys(tree, _INFO_KEYS, _INFO_REQUIRED)
-    width, height = _size(tree, "width"), _size(tree, "height")
+    check_keys(tree, _INFO_KEYS, _INFO_REQUIRED)
+    width, height = size_of("width", tree["width"]), size_of("height", tree["height"])
     for key in ("binning_x", "binning_y"):
-        if _number(key, tree.get(key, 0)) not in (0, 1):  # 0 is 1 there
+        if number_of(key, tree.get(key, 0)) not in (0, 1):  # 0 is 1 there
             raise ConfigError(f"{key}: {tree[key]} pixels are taken together, and k is of the whole sensor")
     _check_whole({} if tree.get("roi") is None else tree["roi"], width, height)
-    distortion = _numbers("d", tree["d"])
+    distortion = numbers_of("d", tree["d"])
     if tree["distortion_model"] == "" and not any(distortion):  # of a simulator, or rectified
         tree["distortion_model"] = "plumb_bob"
     model, counts, name = _ros_model(tree)
     if any(distortion):
         while len(distortion) > max(counts) and distortion[-1] == 0.0:  # of a longer model that isn't used
             distortion = distortion[:-1]
-        distortion = _counted("d", distortion, counts, name)
+        distortion = counted("d", distortion, counts, name)
     else:
         distortion = ()
-    k = _numbers("k", tree["k"])
+    k = numbers_of("k", tree["k"])
     if k and not any(k[:8]):
         raise ConfigError("k: is all zeros, by which ROS says that the camera is not calibrated")
     return Camera(width, height, *_intrinsics("k", k), model, distortion)
@@ -167,9 +177,9 @@ def _check_whole(roi: Any, width: int, height: int) -> None:
     """A region of interest must be the whole image; all zeros say that, too."""
     if not isinstance(roi, dict):
         raise ConfigError(f"roi: expected x_offset, y_offset, height and width, found {roi!r}")
-    _check_keys({f"roi.{key}": None for key in roi}, {f"roi.{key}" for key in _ROI_KEYS}, ())
+    check_keys({f"roi.{key}": None for key in roi}, {f"roi.{key}" for key in _ROI_KEYS}, ())
     names = ("x_offset", "y_offset", "width", "height")
-    part = tuple(_number(f"roi.{name}", roi.get(name, 0)) for name in names)
+    part = tuple(number_of(f"roi.{name}", roi.get(name, 0)) for name in names)
     if part not in ((0, 0, 0, 0), (0, 0, width, height)):
         raise ConfigError(
             f"roi: {part[2]:g}x{part[3]:g} at ({part[0]:g}, {part[1]:g}) is not the whole {width}x{height} "
@@ -179,7 +189,7 @@ def _check_whole(roi: Any, width: int, height: int) -> None:
 
 def _ros_model(tree: dict[Any, Any], default: str = "") -> tuple[str, tuple[int, ...], str]:
     """Our model, how many coefficients it takes, and ROS's name of it."""
-    name = _word(tree, "distortion_model", default)
+    name = word_of(tree, "distortion_model", default)
     if name not in _ROS_MODELS:
         raise ConfigError(f"distortion_model: {name!r} is not known (use {', '.join(_ROS_MODELS)})")
     return *_ROS_MODELS[name], name
@@ -194,57 +204,8 @@ def _intrinsics(key: str, k: tuple[float, ...]) -> tuple[float, float, float, fl
     return k[0], k[4], k[2], k[5]
 
 
-def _counted(key: str, values: tuple[float, ...], counts: tuple[int, ...], name: str) -> tuple[float, ...]:
-    if len(values) not in counts:
-        raise ConfigError(f"{key}: {name} takes {' or '.join(map(str, counts))}, not {len(values)}")
-    return values
-
-
-def _check_keys(
-    tree: dict[Any, Any], known: set[str], required: tuple[str, ...], ignored: Set[str] = frozenset()
-) -> None:
-    for key in tree:
-        if key not in known and key not in ignored:
-            raise ConfigError(f"key {key!r} is not known (known: {', '.join(sorted(known))})")
-    for key in required:
-        if key not in tree:
-            raise ConfigError(f"key {key!r} is missing")
-
-
-def _word(tree: dict[Any, Any], key: str, default: str) -> str:
-    value = tree.get(key, default)
-    if not isinstance(value, str):
-        raise ConfigError(f"{key}: expected a word, found {value!r}")
-    return value
-
-
-def _number(key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise ConfigError(f"{key}: expected a number, found {value!r}")
-    try:
-        number = float(value)
-    except OverflowError:
-        number = math.inf
-    if not math.isfinite(number):
-        raise ConfigError(f"{key}: expected a finite number, found {value!r}")
-    return number
-
-
-def _numbers(key: str, value: Any) -> tuple[float, ...]:
-    if not isinstance(value, list):
-        raise ConfigError(f"{key}: expected a list of numbers, found {value!r}")
-    return tuple(_number(key, item) for item in value)
-
-
-def _size(tree: dict[Any, Any], key: str) -> int:
-    number = _number(key, tree[key])
-    if not number.is_integer() or not 1 <= number <= 65_535:
-        raise ConfigError(f"{key}: expected a whole number of pixels from 1 to 65535, found {number:g}")
-    return int(number)
-
-
 def _matrix(tree: dict[Any, Any], key: str) -> tuple[float, ...]:
     block = tree[key]
     if not isinstance(block, dict) or "data" not in block or not set(block) <= _MATRIX_KEYS:
         raise ConfigError(f"{key}: expected rows, cols and data, found {block!r}")
-    return _numbers(f"{key}.data", block["data"])
+    return numbers_of(f"{key}.data", block["data"])

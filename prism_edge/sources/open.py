@@ -128,7 +128,8 @@ def camera_files(uri: str) -> list[Path]:
     """Where a camera file may lie with a recording that is there, best first; others have none."""
     path = named_path(uri)
     folder = path if os.path.isdir(path) else path.parent
-    return [folder / name for name in CAMERA_FILES] if os.path.exists(path) else []
+    of_euroc = [folder.parent / "sensor.yaml"] if folder.name == "data" else []
+    return [*(folder / name for name in CAMERA_FILES), *of_euroc] if os.path.exists(path) else []
 
 
 def _no_camera(path: Path) -> Intrinsics:
