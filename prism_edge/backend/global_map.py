@@ -107,6 +107,8 @@ class GlobalMap:
         ones where they are beside its anchor. Points that a loop made one here are taken for what they
         became. Its pixels are brought to the lens and the readout found here.
         """
+        if not (self.keyframes or message.readout_said):  # a map before this one has shown it
+            self.readout_ms = message.readout_ms
         message = message_at_once(self._in_own_lens(self._renamed(message)), self.readout_ms)
         message = self._in_present_unit(message)
         self.readout_said |= message.readout_said

@@ -20,8 +20,7 @@ def local_copy(world: GlobalMap) -> LocalMap:
     What the backend does not keep is put as cautiously as need be: points count as seen in as many frames
     as there are keyframes that see them; they were made long ago, and keyframes' stamps are 0.
     """
-    copy = LocalMap()
-    copy.readout_ms = world.readout_ms
+    copy = LocalMap(world.readout_ms)
     order = sorted(world.keyframes)
     ids = np.array(sorted(p for p, point in world.points.items() if point.keyframes), np.int64)
     if len(ids):

@@ -21,6 +21,7 @@ def described(found: Opened) -> list[str]:
     when += f" (not said of {len(keyframes) - len(stamps)})" if 0 < len(stamps) < len(keyframes) else ""
     seen_by = [k.camera for k in keyframes.values()]
     cameras = Counter(f"{camera.model} {camera.width}x{camera.height}" for camera in seen_by)
+    shutter = f"; rows read over {found.world.readout_ms:.1f} ms, as found" if found.world.readout_ms else ""
     metres = math.exp(found.scale.log_scale)
     sigma = math.hypot(found.scale.sigma, found.scale.bias_sigma)
     x, y, z = metric.extent
@@ -34,7 +35,7 @@ def described(found: Opened) -> list[str]:
         "robot": _word(info, "robot") or "not said",
         "keyframes": f"{len(keyframes)}{apart}",
         "points": f"{len(found.world.points)}",
-        "cameras": ", ".join(f"{camera} ({count} keyframes)" for camera, count in cameras.items()),
+        "cameras": ", ".join(f"{camera} ({count} keyframes)" for camera, count in cameras.items()) + shutter,
         "taken": when,
         "extent": f"{x:.2f} x {y:.2f} x {z:.2f} m along map's x, y, z",
         "scale": f"{metres:.4f} ± {metres * sigma:.4f} m per map unit",

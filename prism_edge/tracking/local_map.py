@@ -56,12 +56,13 @@ class Changes:
 class LocalMap:
     """Keyframes and points in one world frame and unit."""
 
-    def __init__(self) -> None:
+    def __init__(self, readout_ms: float = 0.0) -> None:
+        """``readout_ms``: of a rolling shutter that nobody has said, as the backend has found it."""
         self.points = PointTable()
         self.keyframes: dict[int, LocalKeyframe] = {}
         self.changes = Changes()
         self.heard = -1  # the newest keyframe that a correction knew
-        self.readout_ms = 0.0  # of a rolling shutter that nobody has said, as the backend has found it
+        self.readout_ms = readout_ms
         self.announced = -1  # the newest whose message has gone out: what it gains later must be told apart
 
     def newest(self) -> LocalKeyframe:

@@ -390,7 +390,7 @@ class Tracker:
 
     def _restart(self, at: Array) -> None:
         """Begin a new map, its first camera at a pose (4, 4) in metres."""
-        self.world, self._begins_at = LocalMap(), at
+        self.world, self._begins_at = LocalMap(self.world.readout_ms), at
         self.places, self.parts, self._baselines = Relocaliser(self._seed), Parts(), Baselines()
         self._lost = self.wants_probe = self.initialised = False
         self.epoch += 1

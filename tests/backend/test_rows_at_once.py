@@ -50,12 +50,23 @@ def test_without_a_motion_or_a_depth_its_pixels_stay(told, lacks, has):
 
 def test_a_map_takes_keyframes_in_by_the_readout_that_it_has_found(told):
     world = GlobalMap()
+    world.absorb(replace(told, id=told.id + 1))
     world.readout_ms = 26.0
     added = world.absorb(told)
     assert added.readout_ms == 26.0
     np.testing.assert_allclose(added.pixels, message_at_once(told, 26.0).pixels)
     np.testing.assert_allclose(added.features.pixels, added.pixels)
     assert not world.readout_said
-    world.absorb(replace(told, id=told.id + 1, readout_said=True))
-    world.absorb(replace(told, id=told.id + 2))
+    world.absorb(replace(told, id=told.id + 2, readout_said=True))
+    world.absorb(replace(told, id=told.id + 3))
     assert world.readout_said, "said once is said"
+
+
+@pytest.mark.parametrize(("said", "known"), [(False, 26.0), (True, 0.0)])
+def test_a_map_begins_with_what_one_before_it_has_shown(told, said, known):
+    world = GlobalMap()
+    added = world.absorb(replace(told, readout_ms=26.0, readout_said=said))
+    assert (world.readout_ms, added.readout_ms) == (known, 26.0)
+    assert np.array_equal(added.pixels, told.pixels)
+    later = world.absorb(replace(told, id=told.id + 1, readout_ms=0.0, readout_said=said))
+    assert later.readout_ms == known

@@ -316,6 +316,13 @@ class TestShow:
         assert "\x1b" not in said
         assert max(map(len, said.splitlines())) < 200
 
+    def test_a_shutter_that_was_found(
+        self, state: tuple[Path, ListBus], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        assert "keyframes); rows read over 24.2 ms, as found\n" in shown(
+            changed(state, tmp_path, readout_ms=24.16), capsys
+        )
+
     def test_a_name_is_one_of_the_state_directory(
         self,
         state: tuple[Path, ListBus],
