@@ -123,8 +123,7 @@ class BackendWorker:
             self._rest()
 
     def _tidy(self) -> None:
-        # In lockstep a map is looked at with its keyframes: what moves it must not hang on the hour.
-        if taken := self._shutter.look() if self._ticks is None else None:
+        if taken := self._shutter.look():  # in lockstep it has been looked at with its newest keyframe
             self._tell_whole()
         if self._keeper.tidy(self._home_scale) or taken is not None:
             self._rest()

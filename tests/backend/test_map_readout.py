@@ -50,3 +50,13 @@ def test_a_map_that_is_taken_up_knows_it(in_use: bool) -> None:
     made.restore({k: v for k, v in info.items() if k != FIELD}, arrays)
     assert made.world.readout_ms == 0.0
     assert np.array_equal(pixels, made.world.keyframes[1].pixels), "they are stored as they are now"
+
+
+def test_each_update_says_it() -> None:
+    made, teller = Mapper(BackendConfig()), Teller()
+    for i in range(3):
+        made.absorb(teller.keyframe(pose_at(0.2 * i)))
+    made.world.readout_ms = 26.5
+    window = made.optimise(2, 0.0)
+    assert window is not None
+    assert window.readout_ms == made.whole(2, made.loops.take_changes()).readout_ms == 26.5
