@@ -27,7 +27,7 @@ VIEWS = 3  # of a point at least: two rays cross wherever their rows were seen f
 STEPS = 12
 SETTLED = 0.05  # sigmas: a smaller step is the last
 LEAST_DEPTH, LEAST_DAMPING = 1e-3, 1e-6
-CLEAR, LEAST_MS = 6.0, 4.0  # sigmas (a map that is wrong makes up to four), and ms, from which on it is one
+CLEAR, LEAST_MS = 5.0, 4.0  # sigmas (a map that is wrong makes up to four), and ms, from which on it is one
 NEWS, LEAST_NEWS_MS = 3.0, 1.0  # the same, where it has been one before
 WELL_KNOWN_MS = 1.0  # sigma
 

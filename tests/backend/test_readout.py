@@ -154,7 +154,8 @@ def test_a_map_that_says_nothing_is_not_made_to():
 
 def test_it_is_clear_by_its_sigmas_and_in_itself():
     assert not Readout(LEAST_MS - 0.1, 0.01, 60).is_clear
-    assert not Readout(-15.0, 3.0, 60).is_clear
+    assert not Readout(-14.9, 3.0, 60).is_clear
+    assert Readout(15.1, 3.0, 60).is_clear
     assert Readout(25.0, 2.0, 20).is_clear
     assert Readout(-25.0, 2.0, 20).is_clear
 
