@@ -59,7 +59,6 @@ class GlobalKeyframe:
     grown: float = 1.0  # by how much a loop has lengthened its part since it was made
     # How its camera moved, a second, in its own frame and the units it was made in; 0: nothing is known.
     twist: Array = field(default_factory=lambda: np.zeros(6))
-    readout_ms: float = 0.0  # of the rolling shutter that its keypoints were moved for
     # world_from_camera, were the map's frame kept to the last digit (frame.py).
     reference: Array = field(init=False, repr=False)
 
@@ -143,7 +142,6 @@ class GlobalMap:
             taken_ns=message.stamp_ns,
             grown=self._grown.get(message.part, 1.0),
             twist=message.twist,
-            readout_ms=message.readout_ms,
         )
         for newer, older in message.joined.tolist():
             self._grown.pop(newer, None)

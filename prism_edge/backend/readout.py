@@ -86,12 +86,13 @@ def take_out(world: GlobalMap, more_ms: float) -> None:
 
     Those that came from a file stay: nobody knows how their camera moved.
     """
-    world.readout_ms = max(-LONGEST_READOUT_MS, min(world.readout_ms + more_ms, LONGEST_READOUT_MS))
+    known_ms = world.readout_ms
+    world.readout_ms = max(-LONGEST_READOUT_MS, min(known_ms + more_ms, LONGEST_READOUT_MS))
+    more_ms = world.readout_ms - known_ms
     for keyframe in world.keyframes.values():
-        more_ms, keyframe.readout_ms = world.readout_ms - keyframe.readout_ms, world.readout_ms
-        depth = _depth(world, keyframe)
-        if more_ms and _moved(keyframe) and depth > 0.0:
-            pixels = seen_at_once(keyframe.pixels, keyframe.camera, _twist(keyframe), depth, more_ms)
+        twist, depth = _twist(keyframe), _depth(world, keyframe)
+        pixels = seen_at_once(keyframe.pixels, keyframe.camera, twist, depth, more_ms)
+        if pixels is not keyframe.pixels:
             keyframe.pixels, keyframe.features = pixels, keyframe.features.at(pixels, keyframe.camera)
 
 

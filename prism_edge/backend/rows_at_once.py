@@ -16,11 +16,8 @@ def message_at_once(message: Keyframe, readout_ms: float) -> Keyframe:
     more_ms = readout_ms - message.readout_ms
     if message.readout_said or not more_ms:
         return message
-    moved = replace(message, readout_ms=readout_ms)
-    depths, twist = message.depths[message.depths > 0.0], message.twist
-    if not (np.isfinite(twist).all() and twist.any() and len(depths)):
-        return moved
+    depths = message.depths[message.depths > 0.0]
+    depth = float(np.median(depths)) if len(depths) else 0.0
     camera = Camera.from_array(message.camera_model, message.camera)
-    depth, pixels = float(np.median(depths)), message.pixels.astype(np.float64)
-    seen = seen_at_once(pixels, camera, twist, depth, more_ms)
-    return replace(moved, pixels=seen.astype(np.float32))
+    seen = seen_at_once(message.pixels.astype(np.float64), camera, message.twist, depth, more_ms)
+    return replace(message, readout_ms=readout_ms, pixels=seen.astype(np.float32))

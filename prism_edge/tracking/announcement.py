@@ -85,7 +85,7 @@ def keyframe_message(
         joined=joined[:, :2].astype(np.int64),
         joined_units=joined[:, 2:],
         twist=keyframe.twist,
-        readout_ms=keyframe.readout_ms,
+        readout_ms=tracker.shutter.readout_ms,
         readout_said=tracker.shutter.is_said,
         base_from_camera=np.eye(4) if mount is None else mount,
     )

@@ -31,7 +31,6 @@ class LocalKeyframe:
     metres: Array | None = None  # (n,) depth of each keypoint as the network has it; 0: none
     stands_in: bool = False  # for an older one that shows the same from as good as the same place
     twist: Array = field(default_factory=lambda: np.zeros(6))  # its camera's, a second; 0: nothing is known
-    readout_ms: float = 0.0  # of the rolling shutter that its keypoints were moved for
 
     def observed(self) -> Index:
         """Keypoints that have a point."""

@@ -25,8 +25,11 @@ def seen_at_once(pixels: Array, camera: Camera, twist: Array, depth: float, read
     """Ideal pixels (n, 2) of a camera that moves by ``twist`` a second, as of the middle of its readout.
 
     ``twist`` (6,) is the camera's, translation first, in its own frame and in the unit of ``depth``, what
-    most of the scene is away: the turning is exact to first order, the shift that of a wall there.
+    most of the scene is away: the turning is exact to first order, the shift that of a wall there. The same
+    pixels where there is no readout, or a motion or a depth that nobody knows.
     """
+    if not (readout_ms and twist.any() and np.isfinite(twist).all() and depth > 0.0):
+        return pixels
     rows = camera.distort_pixels(pixels)[:, 1]
     after_s = ((rows + 0.5) / camera.height - 0.5) * (1e-3 * readout_ms)
     seen = rays(camera, pixels)
@@ -49,10 +52,8 @@ class RollingShutter:
 
     def in_the_middle(self, features: Features, camera: Camera, twist: Array, depth: float) -> Features:
         """A frame's keypoints, :func:`seen_at_once`."""
-        if not (self.readout_ms and twist.any()):
-            return features
         pixels = seen_at_once(features.pixels, camera, twist, depth, self.readout_ms)
-        return features.at(pixels, camera)
+        return features if pixels is features.pixels else features.at(pixels, camera)
 
     def placed(
         self, world: LocalMap, frames: FrameTracker, frame: TrackedFrame, raw: Features, twist: Array,
@@ -97,12 +98,8 @@ class RollingShutter:
 
 def see_at_once(world: LocalMap, readout_ms: float) -> None:
     """Move the keypoints of all keyframes by as much as a readout is another than was found before."""
-    if readout_ms == world.readout_ms:
-        return
-    world.readout_ms = readout_ms
-    for keyframe in world.keyframes.values():
-        more_ms, keyframe.readout_ms = readout_ms - keyframe.readout_ms, readout_ms
-        if keyframe.twist.any():
-            features, depth = keyframe.features, world.median_depth(keyframe)
-            pixels = seen_at_once(features.pixels, keyframe.camera, keyframe.twist, depth, more_ms)
-            keyframe.features = features.at(pixels, keyframe.camera)
+    more_ms, world.readout_ms = readout_ms - world.readout_ms, readout_ms
+    for keyframe in world.keyframes.values() if more_ms else ():
+        features, depth = keyframe.features, world.median_depth(keyframe)
+        pixels = seen_at_once(features.pixels, keyframe.camera, keyframe.twist, depth, more_ms)
+        keyframe.features = features if pixels is features.pixels else features.at(pixels, keyframe.camera)

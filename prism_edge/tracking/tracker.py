@@ -306,7 +306,6 @@ class Tracker:
             features = self.shutter.without_map(features, camera)
             points = np.full(len(features), -1, np.int64)
         keyframe = LocalKeyframe(self._next_keyframe, index, stamp_ns, pose.copy(), camera, features, points)
-        keyframe.readout_ms = self.shutter.readout_ms
         self._next_keyframe += 1
         self.world.add_keyframe(keyframe)
         self.parts.add(keyframe.id)

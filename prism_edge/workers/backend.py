@@ -114,7 +114,8 @@ class BackendWorker:
             loops.finish()
             while loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
                 self._adjust()
-            if bent := not self._waiting and bool(self._shutter.look(ended=True)):
+            idle = not (self._waiting or self._bus.stopped.is_set())
+            if bent := idle and bool(self._shutter.look(ended=True)):
                 self._tell_whole()
         if not self._waiting:
             self._keeper.tidy(self._home_scale)

@@ -124,15 +124,19 @@ def test_of_crowded_keyframes_some_points_are_enough(monkeypatch):
     assert abs(few.ms - 20.0) < 3.5 * few.sigma_ms
 
 
-def test_a_part_that_grew_moved_as_much_faster():
-    world = world_of(20.0)
+def threefold(world: GlobalMap) -> GlobalMap:
+    """The same, after a loop has said how large it is."""
     for keyframe in world.keyframes.values():
         keyframe.world_from_camera = keyframe.world_from_camera.copy()
         keyframe.world_from_camera[:3, 3] *= 3.0
         keyframe.grown = 3.0
     for point in world.points.values():
         point.position = 3.0 * point.position
-    assert readout_of(world).ms == pytest.approx(readout_of(world_of(20.0)).ms, abs=0.1)
+    return world
+
+
+def test_a_part_that_grew_moved_as_much_faster():
+    assert readout_of(threefold(world_of(20.0))).ms == pytest.approx(readout_of(world_of(20.0)).ms, abs=0.1)
 
 
 def test_keyframes_whose_motion_nobody_knows_have_no_say():
@@ -179,7 +183,6 @@ def test_what_is_taken_out_is_not_found_again(camera):
     take_out(world, 20.0)
     take_out(world, 6.0)
     assert world.readout_ms == 26.0
-    assert {k.readout_ms for k in world.keyframes.values()} == {26.0}
     left = readout_of(world)
     # Each keypoint is moved as if it were as far away as most.
     assert abs(left.ms) < max(3.5 * left.sigma_ms, 2.0)
@@ -208,13 +211,7 @@ def test_no_more_is_taken_out_than_a_camera_can_have():
 
 
 def test_a_keyframe_of_a_part_that_grew_is_moved_as_much():
-    world, grown = world_of(26.0, keyframes=2), world_of(26.0, keyframes=2)
-    for keyframe in grown.keyframes.values():
-        keyframe.world_from_camera = keyframe.world_from_camera.copy()
-        keyframe.world_from_camera[:3, 3] *= 3.0
-        keyframe.grown = 3.0
-    for point in grown.points.values():
-        point.position = 3.0 * point.position
-    for made in (world, grown):
-        take_out(made, 26.0)
+    world, grown = world_of(26.0, keyframes=2), threefold(world_of(26.0, keyframes=2))
+    take_out(world, 26.0)
+    take_out(grown, 26.0)
     np.testing.assert_allclose(grown.keyframes[1].pixels, world.keyframes[1].pixels, atol=1e-9)

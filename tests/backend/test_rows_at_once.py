@@ -45,7 +45,7 @@ def test_what_knows_it_or_a_readout_that_is_said_is_left_alone(told):
 def test_without_a_motion_or_a_depth_its_pixels_stay(told, lacks, has):
     moved = message_at_once(replace(told, **{lacks: np.full_like(getattr(told, lacks), has)}), 26.0)
     assert moved.readout_ms == 26.0
-    assert moved.pixels is told.pixels
+    assert np.array_equal(moved.pixels, told.pixels)
 
 
 def test_a_map_takes_keyframes_in_by_the_readout_that_it_has_found(told):
@@ -53,7 +53,6 @@ def test_a_map_takes_keyframes_in_by_the_readout_that_it_has_found(told):
     world.absorb(replace(told, id=told.id + 1))
     world.readout_ms = 26.0
     added = world.absorb(told)
-    assert added.readout_ms == 26.0
     np.testing.assert_allclose(added.pixels, message_at_once(told, 26.0).pixels)
     np.testing.assert_allclose(added.features.pixels, added.pixels)
     assert not world.readout_said
@@ -66,7 +65,7 @@ def test_a_map_takes_keyframes_in_by_the_readout_that_it_has_found(told):
 def test_a_map_begins_with_what_one_before_it_has_shown(told, said, known):
     world = GlobalMap()
     added = world.absorb(replace(told, readout_ms=26.0, readout_said=said))
-    assert (world.readout_ms, added.readout_ms) == (known, 26.0)
+    assert world.readout_ms == known
     assert np.array_equal(added.pixels, told.pixels)
     later = world.absorb(replace(told, id=told.id + 1, readout_ms=0.0, readout_said=said))
-    assert later.readout_ms == known
+    assert np.array_equal(later.pixels, told.pixels) == said

@@ -16,7 +16,7 @@ from prism_edge.workers import backend as worker
 from prism_edge.workers import shutter_watch
 from prism_edge.workers.shutter_watch import FIRST, LAST, MOST_AT_END, ShutterWatch
 from tests.synthetic.messages import tick
-from tests.workers.backend_bench import CONFIG, LOCKSTEP, depth_of, gate_of, keyframes, scale_of
+from tests.workers.backend_bench import CONFIG, LOCKSTEP, depth_of, gate_of, hear, keyframes, scale_of
 from tests.workers.list_bus import ListBus
 
 NONE, SURE = Readout(1.0, 2.0, 20), Readout(0.1, 0.2, 60)
@@ -199,3 +199,15 @@ def test_in_lockstep_a_map_is_looked_at_with_its_keyframes(looks, monkeypatch):
     assert [round(u.readout_ms, 1) for u in updates] == [0.0, 25.2, 50.4, 50.4]
     assert [u.everything for u in updates][1:3] == [True, True]
     assert looks.at == [2, 3]
+
+
+def test_who_is_to_stop_does_not_begin_to_look(looks):
+    bus, (teller, told) = ListBus(), keyframes(3)
+    made = worker.BackendWorker(CONFIG, bus)
+    hear(made, bus, told, teller)
+    bus.stopped.set()
+    made._settle()
+    assert looks.at == []
+    bus.stopped.clear()
+    made._settle()
+    assert looks.at == [3]
