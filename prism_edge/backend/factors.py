@@ -124,6 +124,12 @@ class FactorFactory:
         noise = self._ray_noise(keyframe, keypoint, current_range)
         return gtsam.TriangulationFactorPoseCal3_S2(camera, _CENTRE, noise, point_key)
 
+    def nearly_held(self, pose_key: int, keyframe: GlobalKeyframe, distance: float) -> gtsam.NonlinearFactor:
+        """A pose as it is, give or take what moves the picture of things at a ``distance`` by a pixel."""
+        angle = self._config.pixel_sigma / keyframe.camera.fx
+        noise = gtsam.noiseModel.Diagonal.Sigmas(np.repeat([angle, angle * max(distance, _LEAST_RANGE)], 3))
+        return gtsam.PriorFactorPose3(pose_key, gtsam.Pose3(keyframe.world_from_camera), noise)
+
     def _pixel_noise(self, keyframe: GlobalKeyframe, keypoint: int) -> gtsam.noiseModel.Base:
         sigma = self._config.pixel_sigma * float(keyframe.sigmas[keypoint])
         return pixel_noise(sigma, self._config.huber_pixels)

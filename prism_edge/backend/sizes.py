@@ -45,13 +45,15 @@ def sizes(
     world: GlobalMap,
     keyframes: Iterable[int],
     points: Mapping[int, Iterable[int]],
-    least_parallax_deg: float = TRIANGULATED_DEG,
+    any_at_all: bool = False,
 ) -> list[Size]:
     """Of those keyframes, in the order they were made, whose depth tells near from far.
 
-    ``points`` are what each may speak of; what counts of them is what rays place, by ``least_parallax_deg``.
+    ``points`` are what each may speak of; what counts of them is what rays place. ``any_at_all``: all of them
+    count, and those keyframes too whose depth hardly tells near from far. They are as unsure as that makes
+    them, which is better than nothing where nothing else says how large a place is.
     """
-    found = (_size(world, world.keyframes[k], points.get(k, ()), least_parallax_deg) for k in keyframes)
+    found = (_size(world, world.keyframes[k], points.get(k, ()), any_at_all) for k in keyframes)
     return [size for size in found if size is not None]
 
 
@@ -128,10 +130,11 @@ def _credible(said: Array) -> NDArray[np.bool_]:
 
 
 def _size(
-    world: GlobalMap, keyframe: GlobalKeyframe, points: Iterable[int], least_parallax_deg: float
+    world: GlobalMap, keyframe: GlobalKeyframe, points: Iterable[int], any_at_all: bool
 ) -> Size | None:
     if keyframe.depths is None or keyframe.depth_units <= 0.0:
         return None
+    least_parallax_deg = 0.0 if any_at_all else TRIANGULATED_DEG
     firm = {
         p: keyframe.observed[p]
         for p in points
@@ -146,7 +149,7 @@ def _size(
     if front.sum() < MIN_ALIGNED:
         return None
     agreed = agreement(along_axis[front], metres[front])
-    if not agreed.informative:
+    if not (agreed.informative or any_at_all):
         return None
     ids = np.array(list(firm))[front]
     ranges = np.linalg.norm(offsets[front], axis=1)

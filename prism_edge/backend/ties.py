@@ -37,6 +37,21 @@ def untied(world: GlobalMap, held: list[int], free: list[int], points: list[int]
     return [k for k, is_tied in zip(members, tied.tolist(), strict=True) if not is_tied]
 
 
+def at_one_spot(world: GlobalMap, held: list[int]) -> bool:
+    """Whether even the ``held`` poses farthest apart don't place what the newest of them sees."""
+    centres = np.array([world.keyframes[k].world_from_camera[:3, 3] for k in held])
+    widest = np.linalg.norm(centres[:, None] - centres, axis=2).max()
+    return bool(widest < np.radians(PLACED_DEG) * median_range(world, max(held)))
+
+
+def median_range(world: GlobalMap, number: int) -> float:
+    """How far the points are that a keyframe sees, map units; 0 where it sees none."""
+    keyframe = world.keyframes[number]
+    places = np.array([world.points[p].position for p in keyframe.observed]).reshape(-1, 3)
+    ranges = np.linalg.norm(places - keyframe.world_from_camera[:3, 3], axis=1)
+    return float(np.median(ranges)) if len(ranges) else 0.0
+
+
 def _sight(world: GlobalMap, members: list[int], points: list[int]) -> tuple[NDArray[np.bool_], Array]:
     """Which members (columns) see which points (rows), and unit rays (rows, columns, 3)."""
     column = {k: i for i, k in enumerate(members)}

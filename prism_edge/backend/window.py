@@ -14,7 +14,7 @@ from prism_edge.backend.elimination import points_first, solver
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.sizes import astray, size_factors, sizes
-from prism_edge.backend.ties import untied
+from prism_edge.backend.ties import at_one_spot, median_range, untied
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
@@ -89,10 +89,7 @@ def apart(world: GlobalMap, free: list[int], ranked: list[int], most: int) -> li
     Where a camera has come by a hundred times those that share most all stand in one spot, from which no
     point can be placed. If there are too few others, the rest are again the first in rank.
     """
-    newest = world.keyframes[free[0]]
-    centre = newest.world_from_camera[:3, 3]
-    ranges = [float(np.linalg.norm(world.points[p].position - centre)) for p in newest.observed]
-    depth = float(np.median(ranges)) if ranges else 0.0
+    depth = median_range(world, free[0])
     taken = [world.keyframes[k].world_from_camera[:3, 3] for k in free]
     chosen: list[int] = []
     for k in ranked:
@@ -145,28 +142,34 @@ def assemble(
     for a point, else only where that is as good as a sensor's. A network flattens what it sees, and of the
     points that rays hardly place, which are the far ones, all would be drawn nearer, and the map shrink on
     its way. Keyframes whose size nothing ties to that of those held (ties.py) have a vote each on it
-    (sizes.py), and points that would give them quite another one are left to either side alone. At a point
-    whose rays differ by less than 3 degrees a ray is in place of the reprojection, which would say the same.
+    (sizes.py), and points that would give them quite another one are left to either side alone. Where those
+    held all stand at one spot, on which the camera turned, the little ways between them are noise and not a
+    measure: then only the first stays, and the others nearly. At a point whose rays differ by less than 3
+    degrees a ray is in place of the reprojection, which would say the same.
     """
     graph, values, observations, rays = gtsam.NonlinearFactorGraph(), gtsam.Values(), [], []
     factors = FactorFactory(config, units_per_metre)
     members = {k: (X(k), world.keyframes[k]) for k in window.free + window.held}
     scale_is_free = len(window.held) == 1
     measured = any(world.keyframes[k].depth_sigma > 0 for k in window.held)
-    # To a held pose that depth is a factor of there is no way but as a variable under a prior.
-    standing = {} if scale_is_free or measured else {k: world.keyframes[k] for k in window.held}
-    for k, (pose_key, keyframe) in members.items():
-        if k not in standing:
-            values.insert(pose_key, gtsam.Pose3(keyframe.world_from_camera))
-    for k in window.held:
-        if k not in standing:
-            graph.add(held(X(k), world.keyframes[k].world_from_camera))
     told: list[int] = []
     if use_depth and not scale_is_free:
         loose = untied(world, window.held, window.free, window.points)
         told = [k for k in loose if world.keyframes[k].depth_sigma == 0.0]
+    nearly = bool(told) and at_one_spot(world, window.held)
+    # To a held pose that depth is a factor of there is no way but as a variable under a prior.
+    standing = {} if scale_is_free or measured or nearly else {k: world.keyframes[k] for k in window.held}
+    for k, (pose_key, keyframe) in members.items():
+        if k not in standing:
+            values.insert(pose_key, gtsam.Pose3(keyframe.world_from_camera))
+    for k in window.held if not standing else ():
+        keyframe = world.keyframes[k]
+        if nearly and k != window.held[0]:
+            graph.add(factors.nearly_held(X(k), keyframe, median_range(world, k)))
+        else:
+            graph.add(held(X(k), keyframe.world_from_camera))
     log_units, shown = math.log(units_per_metre), set(window.points)
-    votes = sizes(world, told, {k: sorted(world.keyframes[k].observed.keys() & shown) for k in told}, 0.0)
+    votes = sizes(world, told, {k: sorted(world.keyframes[k].observed.keys() & shown) for k in told}, True)
     wrong = astray(world, set(told), votes, window.points, log_units)
     # What the new ground keeps alone is not to be held where the others have it.
     placed = placed_elsewhere(world, window) - {p for k, p in wrong if k not in told}
@@ -276,11 +279,12 @@ def solve(
                 break
     except RuntimeError:
         return None
-    poses = {k: result.atPose3(X(k)).matrix() for k in window.free}
+    found = {k: result.atPose3(X(k)).matrix() for k in members}
     points = {p: np.asarray(result.atPoint3(L(p))) for p in window.points}
-    if not all(np.isfinite(list(found.values())).all() for found in (poses, points)):
+    if not all(np.isfinite(list(places.values())).all() for places in (found, points)):
         return None
-    wrong = outliers(world, poses, points, problem.observations, config)
+    wrong = outliers(world, found, points, problem.observations, config)
+    poses = {k: found[k] for k in window.free}
     parallax = widest_parallax(world, points)
     return Solution(poses, points, parallax, wrong, iterations)
 

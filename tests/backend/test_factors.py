@@ -279,3 +279,15 @@ def test_the_camera_of_a_ray_is_a_camera_that_looks_along_it(pixel):
     assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(axes) == pytest.approx(1.0)
     assert axes[:, 2] == pytest.approx(direction / np.linalg.norm(direction))
+
+
+@pytest.mark.parametrize("distance", [0.5, 4.0])
+def test_a_pose_is_nearly_held_to_a_pixel_of_what_is_so_far_away(distance: float) -> None:
+    """A step aside and a turn that each move such a thing's picture by a pixel cost one sigma each."""
+    keyframe = keyframe_of(np.array([300.0, 200.0]), 0)
+    factor = FactorFactory(replace(CONFIG, pixel_sigma=2.0), 1.0).nearly_held(X(0), keyframe, distance)
+    aside, turn = 2.0 * distance / CAMERA.fx, 2.0 / CAMERA.fx
+    for twist in ([aside, 0, 0, 0, 0, 0], [0, 0, 0, 0, turn, 0]):
+        moved = POSE @ se3_exp(np.array(twist, float))
+        assert factor.error(values_of(moved, POINT)) == pytest.approx(0.5, rel=1e-3)
+    assert factor.error(values_of(POSE, POINT)) == pytest.approx(0.0, abs=1e-12)

@@ -221,11 +221,14 @@ def test_a_keyframe_of_which_nothing_is_known_says_nothing() -> None:
     for p in range(80):
         world.points[p].parallax_deg = 0.5
     assert sizes(world, [0], everything(world)) == []
+    assert len(sizes(world, [0], everything(world), any_at_all=True)) == 1
     far = two_rooms()  # a scene of several depths, of which the network knows none
     for p in range(40):
         far.points[p].position = far.points[p].position * 5.0
     far.keyframes[0].depths = constant()
     assert sizes(far, [0], everything(far)) == []
+    (vague,) = sizes(far, [0], everything(far), any_at_all=True)
+    assert vague.sigma > 1.0
     assert size_factors([]) == []
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
-from prism_edge.backend.ties import LEAST_PLACED, PLACED_DEG, untied
+from prism_edge.backend.ties import LEAST_PLACED, PLACED_DEG, at_one_spot, median_range, untied
 from tests.tracking.cloud import CAMERA, pose_at
 
 STEP = 0.1  # metres between keyframes that drive sideways, along x
@@ -96,3 +96,23 @@ def test_without_points_or_without_held_poses_all_are_loose_and_of_none_none():
 
 def test_the_order_is_that_of_the_free_ones():
     assert left(driving(8, [(4, 7)]), [0, 1], [7, 5, 6, 4]) == [7, 5, 6, 4]
+
+
+@pytest.mark.parametrize(("degrees", "together"), [(PLACED_DEG - 0.1, True), (PLACED_DEG + 0.1, False)])
+def test_poses_stand_at_one_spot_where_no_two_of_them_place_what_the_newest_sees(degrees, together):
+    world = driving(3, [(0, 2)])
+    for k, share in enumerate((0.0, 1.0, 0.4)):
+        world.keyframes[k].world_from_camera = pose_at(share * 4.0 * np.radians(degrees))
+    for point in world.points.values():
+        point.position = world.keyframes[2].world_from_camera[:3, 3] + (0.0, 0.0, 4.0)
+    assert at_one_spot(world, [0, 1, 2]) == together
+
+
+def test_the_median_range_is_of_a_keyframe_s_points_from_where_it_stands():
+    world = driving(2, [(0, 1)], each=3)
+    for p, z in enumerate((1.0, 2.0, 9.0)):
+        world.points[p].position = np.array([STEP, 0.0, z])
+    assert median_range(world, 1) == pytest.approx(2.0)
+    world.keyframes[0].observed.clear()
+    assert median_range(world, 0) == 0.0
+    assert not at_one_spot(world, [0]), "it sees nothing that could be placed or not"

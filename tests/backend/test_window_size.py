@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 import pytest
+from gtsam.symbol_shorthand import X
 
 from prism_edge.backend import window as module
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
-from prism_edge.backend.sizes import FEW, SHARE, Size, astray
-from prism_edge.backend.ties import untied
+from prism_edge.backend.sizes import FEW, SHARE, Size, astray, sizes
+from prism_edge.backend.ties import at_one_spot, median_range, untied
 from prism_edge.backend.window import Window, placed_elsewhere, solve
 from prism_edge.geometry.poses import inverse, scaled, transform
 from tests.backend.test_window import CONFIG, grown, world_of
@@ -48,6 +50,54 @@ def test_after_a_turn_on_the_spot_the_network_says_how_large_the_new_ground_is(f
     assert driven(solve(world, window, often, 1.0, use_depth=True)) == pytest.approx(1.0, abs=0.03)
     # In a map whose unit is half a metre all is twice as large.
     assert driven(solve(world, window, often, 2.0, use_depth=True)) == pytest.approx(2.0, abs=0.06)
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.5])
+def test_small_ways_between_poses_held_at_one_spot_are_no_measure(factor):
+    """Where a camera turns on the spot, a step aside and a turn back look as if it had not moved."""
+    world, window = turned_away(factor)
+    for k in window.held:
+        aside = 0.006 * factor * (k - 3.5)
+        turned_back = pose_at(aside, 0.0, 0.0, 0.0, -aside / median_range(world, k))
+        world.keyframes[k].world_from_camera = world.keyframes[k].world_from_camera @ turned_back
+    assert at_one_spot(world, window.held)
+    solution = solve(world, window, replace(CONFIG, iterations=100), 1.0, use_depth=True)
+    assert driven(solution) == pytest.approx(1.0, abs=0.03)  # were they held as firmly as others: 0.84, 1.37
+    assert set(solution.poses) == set(window.free)
+    assert solution.outliers == []
+
+
+def test_of_those_the_first_stays_and_the_others_nearly():
+    world, window = turned_away(1.0)
+    graph = module.assemble(world, window, CONFIG, 1.0, use_depth=True, use_rays=True).graph
+    factors = [graph.at(i) for i in range(graph.size())]
+    firm = {f.keys()[0]: f for f in factors if isinstance(f, gtsam.PriorFactorPose3)}
+    assert list(firm) == [X(k) for k in window.held]
+    spread = [f.noiseModel().sigmas().max() for f in firm.values()]
+    assert spread[0] < 1e-5
+    assert min(spread[1:]) > 1e-3
+    # Where nothing asks how large the ground is, nor where the way between those held can say it.
+    for held, use_depth in ((window.held, False), ([0, 11], True)):
+        free = [k for k in range(12) if k not in held]
+        still = module.assemble(world, Window(free, held, window.points), CONFIG, 1.0, use_depth, True)
+        assert set(still.standing) == set(held)
+
+
+def test_a_network_that_hardly_tells_near_from_far_says_more_than_nothing():
+    """As before a wall. Beside nothing else its images still have a size, if a vague one."""
+    world, window = turned_away(1.5)
+    rng = np.random.default_rng(0)
+    for k in window.free:
+        depths = world.keyframes[k].depths
+        told = depths > 0
+        depths[told] = np.median(depths[told]) * np.exp(rng.normal(0.0, 0.4, told.sum()))
+    shown = {k: sorted(world.keyframes[k].observed.keys() & set(window.points)) for k in window.free}
+    assert sizes(world, window.free, shown) == []
+    votes = sizes(world, window.free, shown, any_at_all=True)
+    assert [vote.keyframe for vote in votes] == window.free
+    assert all(0.8 < vote.sigma < 2.0 for vote in votes)
+    often = replace(CONFIG, iterations=100)
+    assert driven(solve(world, window, often, 1.0, use_depth=True)) == pytest.approx(1.0, abs=0.15)
 
 
 AWAY = 12  # a keyframe held elsewhere
