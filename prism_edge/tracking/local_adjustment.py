@@ -161,7 +161,7 @@ def gauss_newton(problem: Problem, at: Linear, damping: float, by_shared: Array 
         by_both = np.einsum("nki,nkj->nij", by_point, shared[own]).reshape(-1, 3 * known)
         flat = np.hstack([flat, _summed(point, by_both, points).reshape(3 * points, known)])
     inverted = np.linalg.inv(hessian)
-    solved = (inverted @ flat.reshape(points, 3, -1)).reshape(3 * points, rest.stop)
+    solved = (inverted @ flat.reshape(points, 3, rest.stop)).reshape(3 * points, rest.stop)
     reduced = camera - flat.T @ solved
     step = -np.linalg.solve(reduced, camera_pull - solved.T @ gradient.ravel())
     shifts = -np.einsum("nij,nj->ni", inverted, gradient) - (solved @ step).reshape(points, 3)

@@ -71,6 +71,15 @@ def test_what_was_displaced_comes_back(seed: int) -> None:
     assert np.abs(found[1] - points).max() < 1e-3
 
 
+def test_poses_alone_come_back_where_no_point_is_free() -> None:
+    problem, poses, points = scene()
+    start, _ = displaced(poses, points)
+    found = adjust(replace(problem, free_points=0), start, points)
+    assert found is not None
+    assert max(off(found[0], poses)) < 1e-6
+    assert np.array_equal(found[1], points)
+
+
 def test_what_is_held_stays() -> None:
     problem, poses, points = scene()
     start = displaced(poses, points)

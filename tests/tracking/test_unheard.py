@@ -173,6 +173,17 @@ def test_what_is_degenerate_does_no_harm(broken: str) -> None:
     assert np.isfinite(world.points.position).all()
 
 
+def test_keyframes_that_made_nothing_are_put_right_by_what_they_see() -> None:
+    """As in a turn so fast that no second one has seen yet what each of them made."""
+    world, _ = bent()
+    for keyframe in world.keyframes.values():
+        made = world.points.reference[world.points.rows(np.maximum(keyframe.points, 0))] >= HEARD
+        keyframe.points[(keyframe.points >= 0) & made] = -1
+    before = errors(world)
+    assert adjust_unheard(world, 3, 1.0, BY_POINTS)
+    assert max(errors(world)) < 0.2 * max(before)
+
+
 def test_the_last_frame_moves_with_its_surroundings() -> None:
     world, _ = bent()
     newest = world.newest()
