@@ -62,7 +62,7 @@ def test_small_ways_between_poses_held_at_one_spot_are_no_measure(factor):
         world.keyframes[k].world_from_camera = world.keyframes[k].world_from_camera @ turned_back
     assert at_one_spot(world, window.held)
     solution = solve(world, window, replace(CONFIG, iterations=100), 1.0, use_depth=True)
-    assert driven(solution) == pytest.approx(1.0, abs=0.03)  # were they held as firmly as others: 0.84, 1.37
+    assert driven(solution) == pytest.approx(1.0, abs=0.03)  # were they held as firmly as others: 0.83, 1.37
     assert set(solution.poses) == set(window.free)
     assert solution.outliers == []
 
@@ -84,7 +84,7 @@ def test_of_those_the_first_stays_and_the_others_nearly():
 
 
 def test_a_network_that_hardly_tells_near_from_far_says_more_than_nothing():
-    """As before a wall. Beside nothing else its images still have a size, if a vague one."""
+    """Beside nothing else its images still have a size, if a vague one."""
     world, window = turned_away(1.5)
     rng = np.random.default_rng(0)
     for k in window.free:
