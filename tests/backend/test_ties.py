@@ -105,6 +105,9 @@ def test_poses_stand_at_one_spot_where_no_two_of_them_place_what_the_newest_sees
         world.keyframes[k].world_from_camera = pose_at(share * 4.0 * np.radians(degrees))
     for point in world.points.values():
         point.position = world.keyframes[2].world_from_camera[:3, 3] + (0.0, 0.0, 4.0)
+    for k in (0, 1):  # what the others see doesn't count
+        world.points[k].position = np.array([0.0, 0.0, 1000.0])
+        world.keyframes[k].observed = {k: k}
     assert at_one_spot(world, [0, 1, 2]) == together
 
 

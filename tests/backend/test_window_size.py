@@ -52,19 +52,31 @@ def test_after_a_turn_on_the_spot_the_network_says_how_large_the_new_ground_is(f
     assert driven(solve(world, window, often, 2.0, use_depth=True)) == pytest.approx(2.0, abs=0.06)
 
 
-@pytest.mark.parametrize("factor", [0.6, 1.5])
-def test_small_ways_between_poses_held_at_one_spot_are_no_measure(factor):
-    """Where a camera turns on the spot, a step aside and a turn back look as if it had not moved."""
+def strayed(factor: float, step: float) -> tuple[GlobalMap, Window]:
+    """The same, its held poses a ``step`` aside of each other and turned back, as if nothing had moved."""
     world, window = turned_away(factor)
     for k in window.held:
-        aside = 0.006 * factor * (k - 3.5)
+        aside = step * factor * (k - 3.5)
         turned_back = pose_at(aside, 0.0, 0.0, 0.0, -aside / median_range(world, k))
         world.keyframes[k].world_from_camera = world.keyframes[k].world_from_camera @ turned_back
     assert at_one_spot(world, window.held)
+    return world, window
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.5])
+def test_small_ways_between_poses_held_at_one_spot_are_no_measure(factor):
+    world, window = strayed(factor, 0.006)
     solution = solve(world, window, replace(CONFIG, iterations=100), 1.0, use_depth=True)
     assert driven(solution) == pytest.approx(1.0, abs=0.03)  # were they held as firmly as others: 0.83, 1.37
     assert set(solution.poses) == set(window.free)
     assert solution.outliers == []
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.5])
+def test_what_they_see_is_judged_from_where_they_would_stand(factor):
+    """From where they are held in the map, a hundred right observations would be outliers."""
+    world, window = strayed(factor, 0.012)
+    assert solve(world, window, replace(CONFIG, iterations=100), 1.0, use_depth=True).outliers == []
 
 
 def test_of_those_the_first_stays_and_the_others_nearly():
@@ -76,11 +88,12 @@ def test_of_those_the_first_stays_and_the_others_nearly():
     spread = [f.noiseModel().sigmas().max() for f in firm.values()]
     assert spread[0] < 1e-5
     assert min(spread[1:]) > 1e-3
-    # Where nothing asks how large the ground is, nor where the way between those held can say it.
-    for held, use_depth in ((window.held, False), ([0, 11], True)):
-        free = [k for k in range(12) if k not in held]
-        still = module.assemble(world, Window(free, held, window.points), CONFIG, 1.0, use_depth, True)
-        assert set(still.standing) == set(held)
+    # Where nothing asks how large the ground is, nor where a way between those held can say it.
+    beside, _ = tied_by(world, window, 1, 1.0)
+    assert untied(world, beside.held, beside.free, beside.points) == beside.free
+    for case, use_depth in ((window, False), (beside, True)):
+        firmly = module.assemble(world, case, CONFIG, 1.0, use_depth, use_rays=True)
+        assert set(firmly.standing) == set(case.held)
 
 
 def test_a_network_that_hardly_tells_near_from_far_says_more_than_nothing():
