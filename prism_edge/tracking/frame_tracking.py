@@ -12,6 +12,7 @@ from prism_edge.tracking.baseline import best_parallax, unobserved_translation
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
+from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.pose_from_map import SEED_SIGMA, Centres, PoseFromMap
 from prism_edge.tracking.pose_refinement import PoseEstimate
@@ -44,6 +45,7 @@ class TrackedFrame:
     matched: int
     unobserved: float = 0.0  # standard deviation of the position beside the covariance, map units
     parallax_deg: float = 1.0  # that its best points were placed under (baseline.py)
+    expected: Prediction | None = None  # what the pose was solved with beside its points
 
     @classmethod
     def of_keyframe(cls, keyframe: LocalKeyframe, matched: int) -> TrackedFrame:
@@ -58,6 +60,7 @@ class FrameTracker:
     def __init__(self, scale_factors: Array, max_local_points: int, proven_after_s: float = 0.0) -> None:
         self._factors = scale_factors
         self.pose = PoseFromMap(scale_factors, proven_after_s)
+        self.expected: Prediction | None = None  # of the frame at hand
         self._most = max_local_points
         self._local_ids: Ids = np.zeros(0, np.int64)
 
@@ -67,7 +70,8 @@ class FrameTracker:
         Where keyframes stand close, a dozen of them reach back a second or two: what is older would be mapped
         a second time, and the map would drift within itself.
         """
-        ranked = sorted(world.votes(point_ids).items(), key=lambda item: (-item[1], -item[0]))
+        known = point_ids[world.points.known(point_ids)]
+        ranked = sorted(world.votes(known).items(), key=lambda item: (-item[1], -item[0]))
         rows = world.rows_seen_by([world.keyframes[k] for k, _ in ranked[:LOCAL_KEYFRAMES]], self._most)
         self._local_ids = world.points.ids[rows].copy()
 
@@ -130,6 +134,7 @@ class FrameTracker:
             len(rows),
             unobserved_translation(world, estimate.world_from_camera, rows),
             best_parallax(world.points, rows),
+            self.expected,
         )
 
     def placed_anew(self, world: LocalMap, frame: TrackedFrame, pose: Array, points: Ids) -> TrackedFrame:
@@ -143,7 +148,7 @@ class FrameTracker:
         return replace(
             frame, world_from_camera=pose, points=points, matched=len(keypoints),
             covariance=estimate.covariance, unobserved=unobserved,
-            parallax_deg=best_parallax(world.points, rows),
+            parallax_deg=best_parallax(world.points, rows), expected=None,
         )
 
     def seen_again(self, world: LocalMap, frame: TrackedFrame, features: Features) -> TrackedFrame:
@@ -273,5 +278,5 @@ class FrameTracker:
             return None
         rows = world.points.rows(points[keypoints])
         return self.pose.estimate(
-            world, camera, features, start, rows, keypoints, rounds, views
+            world, camera, features, start, rows, keypoints, rounds, views, self.expected
         ), keypoints

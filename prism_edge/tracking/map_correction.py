@@ -17,6 +17,7 @@ from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.mapping import depth_sigma, merge
+from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.pose_from_map import PoseFromMap
 from prism_edge.tracking.submaps import Parts
@@ -85,7 +86,7 @@ def take_over(
         if became:
             last.points = _renamed(last.points, became)
         start = _carried(motions.get(beside, np.eye(4)), last.world_from_camera)
-        last.world_from_camera = fit(world, last.camera, last.features, last.points, start, pose)
+        refit(world, last, start, pose)
     return bool(became)
 
 
@@ -272,6 +273,16 @@ def _make_way(world: LocalMap, taken: NDArray[np.int64]) -> dict[int, int]:
     return dict(world.changes.fused[known:])
 
 
+def refit(world: LocalMap, last: TrackedFrame, start: Array, pose: PoseFromMap) -> None:
+    """Place the last frame anew, from ``start`` (4, 4) on, where its surroundings have taken it."""
+    # A product of corrections drifts off the group, and inverse() squares what it is off by.
+    start = normalised(start)
+    if last.expected is not None:
+        last.expected = last.expected.carried(start @ inverse(last.world_from_camera))
+    seen = last.camera, last.features, last.points
+    last.world_from_camera = fit(world, *seen, start, pose, prediction=last.expected)
+
+
 def fit(
     world: LocalMap,
     camera: Camera,
@@ -280,6 +291,7 @@ def fit(
     start: Array,
     pose: PoseFromMap,
     usable: NDArray[np.bool_] | None = None,
+    prediction: Prediction | None = None,
 ) -> Array:
     """world_from_camera that fits the points of a view, or ``start`` where too few are ``usable``."""
     keypoints = np.flatnonzero(points >= 0)
@@ -291,5 +303,7 @@ def fit(
     start = normalised(start)
     if len(rows) < MIN_COMMON:
         return start
-    estimate = pose.estimate(world, camera, features, start, rows, keypoints)
+    estimate = pose.estimate(
+        world, camera, features, start, rows, keypoints, prediction=prediction
+    )
     return estimate.world_from_camera if estimate.inliers.sum() >= MIN_COMMON else start

@@ -11,6 +11,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.point_table import Ids, Index, PointTable
 from prism_edge.tracking.point_trust import trust
 from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
@@ -39,6 +40,7 @@ class PoseFromMap:
         keypoints: Index,
         rounds: tuple[int, int] = ROUNDS,
         views: Centres | None = None,
+        prediction: Prediction | None = None,
     ) -> PoseEstimate:
         """world_from_camera, from ``start`` on, by ``keypoints`` (n,) that show the points in ``rows``."""
         table = world.points
@@ -52,6 +54,7 @@ class PoseFromMap:
             trust(table, rows, world.newest().stamp_ns, self.proven_after_s),
             rounds=rounds[0],
             iterations=rounds[1],
+            prediction=prediction,
         )
 
 

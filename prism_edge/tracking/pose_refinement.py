@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, se3_exp
+from prism_edge.tracking.motion import Prediction
 
 CHI2_2D_95 = 5.991
 HUBER = np.sqrt(CHI2_2D_95)
@@ -25,7 +26,7 @@ class PoseEstimate:
 
     world_from_camera: Array  # (4, 4)
     inliers: NDArray[np.bool_]  # (n,)
-    information: Array  # (6, 6): translation first, camera frame
+    information: Array  # (6, 6): translation first, camera frame; the measurements' alone
 
     @property
     def covariance(self) -> Array:
@@ -43,14 +44,15 @@ def refine_pose(
     weights: Array | None = None,
     rounds: int = 3,
     iterations: int = 3,
+    prediction: Prediction | None = None,
 ) -> PoseEstimate:
     """Minimise the Huber reprojection error over the camera pose.
 
     points (n, 3) in the world; pixels (n, 2), ideal; sigmas (n,) in pixels. ``depth_error`` (n, 3) is
     the one-sigma error vector of a point along the ray it was first seen by (zero where it is well
     triangulated): its projection inflates the noise in that one direction, so that a point of doubtful
-    depth still fixes rotation. ``weights`` (n,) scale the information. Each round ends with a fresh
-    choice of inliers at the 95 % bound.
+    depth still fixes rotation. ``weights`` (n,) scale the information; ``prediction`` is one measurement
+    more. Each round ends with a fresh choice of inliers at the 95 % bound.
     """
     pose = world_from_camera.copy()
     n = len(points)
@@ -59,7 +61,8 @@ def refine_pose(
     share = np.ones(n) if weights is None else weights
     information, at = np.eye(6) * 1e-9, problem.linearise(pose)
     for _ in range(rounds):
-        pose, information, at = _descend(problem, pose, at, np.where(inliers, share, 0.0), iterations)
+        weighed = np.where(inliers, share, 0.0)
+        pose, information, at = _descend(problem, pose, at, weighed, iterations, prediction)
         chosen = at[2] < CHI2_2D_95
         settled = np.array_equal(chosen, inliers)
         inliers = chosen
@@ -79,14 +82,20 @@ def _inverse_information(information: Array) -> Array:
 
 
 def _descend(
-    problem: _Problem, pose: Array, at: Linearised, share: Array, iterations: int
+    problem: _Problem,
+    pose: Array,
+    at: Linearised,
+    share: Array,
+    iterations: int,
+    prediction: Prediction | None,
 ) -> tuple[Array, Array, Linearised]:
     """Levenberg-Marquardt on the Huber cost from a pose with the problem linearised ``at`` it.
 
-    Returns the best pose, its information (6, 6) and the problem there.
+    Returns the best pose, the measurements' information (6, 6) on it and the problem there.
     """
     best, best_cost, best_at, damping = pose, np.inf, at, 1e-6
-    kept_information, kept_gradient = np.eye(6), np.zeros(6)
+    kept_information = normal = np.eye(6)
+    kept_gradient, pull = np.zeros(6), None
     for step in range(iterations + 1):
         if step:
             at = problem.linearise(pose)
@@ -95,17 +104,23 @@ def _descend(
         clipped = np.minimum(root, HUBER)
         # A point behind the camera (chi2 of inf) costs like a gross outlier: hiding one must not look good.
         cost = float(share @ np.minimum(clipped * (2.0 * root - clipped), BEHIND))
+        if prediction is not None:
+            pull = prediction.pull(pose)
+            cost += pull[0]
         if cost < best_cost:
             settled = best_cost - cost < 1e-3 * cost
             weighted = (jacobian * (share * (clipped / root))).reshape(6, -1)
             kept_information = weighted @ jacobian.reshape(6, -1).T
             kept_gradient = weighted @ residual.ravel()
+            normal = kept_information
+            if pull is not None:
+                normal, kept_gradient = normal + pull[1], kept_gradient + pull[2]
             best, best_cost, best_at, damping = pose, cost, at, damping * 0.1
             if settled or step == iterations:
                 break
         else:
             damping = max(damping, 1e-6) * 100.0
-        damped = kept_information.copy()
+        damped = normal.copy()
         damped.flat[::7] += damping * damped.flat[::7] + 1e-9
         # OpenCV's takes a third of the time of numpy's for so few unknowns.
         _, twist = cv2.solve(damped, -kept_gradient[:, None])

@@ -110,8 +110,7 @@ class Relocaliser:
         before: TrackedFrame,
         enough: int,
     ) -> TrackedFrame | None:
-        ids = before.points[before.points >= 0]
-        frames.refresh_local_map(world, ids[world.points.known(ids)])
+        frames.refresh_local_map(world, before.points[before.points >= 0])
         frame = frames.track(world, camera, features, before.world_from_camera, before, enough // 2)
         return frame if frame is not None and frame.matched >= enough else None
 

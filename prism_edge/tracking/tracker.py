@@ -126,9 +126,9 @@ class Tracker:
                     log.info("the first keyframe could not be tracked: starting again")
                     self._restart(self._begins_at)
                 return nothing(INITIALISING)
-            self.motion.stop()
             if silent_s > self._config.lost_after_s and not self._lost:
                 self._lost, self._looked_ns, self._looking_at = True, 0, stamp_ns
+                self.motion.stop()
                 self.places.begin()
                 log.info("lost at frame %d", index)
             awaited = self.may_map and self._waiting is not None and self.first.awaits_answer
@@ -198,18 +198,19 @@ class Tracker:
         previous, frame, enough = self.last, None, self._config.min_matches
         if not (self.world.points.alive.any() and len(features) >= enough):
             return None
+        self._frames.expected = None
         if self._lost:
             return self.places.attempt(self.world, self._frames, camera, features, previous, enough, stamp_ns)
         raw, depth = features, self._at.depth
         if previous is not None:
             features = self.shutter.in_the_middle(raw, camera, self.motion.twist, depth)
             moving = self.motion.predict(previous.world_from_camera, stamp_ns)
+            if self.parts.size(self.world) > 1:  # one keyframe's points are all off together
+                self._frames.expected = self.motion.expect(previous.world_from_camera, stamp_ns, depth)
             frame = self._frames.track_after(self.world, camera, features, moving, previous, enough)
-        if misled(frame, previous, enough):
-            # Chance agrees with a few points: what most of the looks say is worth more.
+        if misled(frame, previous, enough):  # chance agrees with a few points: most of the looks know better
             found = recover(self.world, self._frames, camera, features, self._reference(), enough, self._seed)
-            frame = clearly_better(frame, found)
-            self._since_refresh = REFRESH_FRAMES  # the search has left other points at hand
+            frame, self._since_refresh = clearly_better(frame, found), REFRESH_FRAMES  # it chose other points
         if frame is None or frame.matched < enough:
             return None
         frame = look_again(
@@ -221,7 +222,8 @@ class Tracker:
     def _update_motion(self, frame: TrackedFrame, stamp_ns: int) -> None:
         frame.world_from_camera = normalised(frame.world_from_camera)
         frame.unobserved = self._baselines.without(frame.unobserved, self.parts.current)
-        self.motion.follow(self.last_pose(), frame.world_from_camera, stamp_ns)
+        pose, expected = frame.world_from_camera, frame.expected
+        self.motion.follow(self.last_pose(), pose, stamp_ns, frame.covariance, expected)
         self.last, self._seen_at = frame, stamp_ns
         self._since_refresh += 1
         if self._since_refresh >= REFRESH_FRAMES:
@@ -229,8 +231,7 @@ class Tracker:
 
     def _refresh(self, frame: TrackedFrame) -> None:
         self._since_refresh = 0
-        ids = frame.points[frame.points >= 0]
-        self._frames.refresh_local_map(self.world, ids[self.world.points.known(ids)])
+        self._frames.refresh_local_map(self.world, frame.points[frame.points >= 0])
 
     # -- keyframes ------------------------------------------------------------------------------
 

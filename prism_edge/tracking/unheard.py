@@ -16,7 +16,7 @@ from prism_edge.tracking.depth_alignment import agreement
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_adjustment import Problem, adjust
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
-from prism_edge.tracking.map_correction import fit
+from prism_edge.tracking.map_correction import refit
 from prism_edge.tracking.point_table import Index
 from prism_edge.tracking.pose_from_map import PoseFromMap, depth_error, reference_origins
 from prism_edge.tracking.triangulation import rays
@@ -59,7 +59,7 @@ def adjust_unheard(
     motion = _take_over(world, free, rows[:own], *found)
     if last is not None:
         start = motion @ last.world_from_camera
-        last.world_from_camera = fit(world, last.camera, last.features, last.points, start, pose)
+        refit(world, last, start, pose)
     return True
 
 

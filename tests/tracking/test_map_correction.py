@@ -14,9 +14,11 @@ from prism_edge.tracking.map_correction import (
     MIN_COMMON,
     apply_correction,
     fit,
+    refit,
     take_over,
 )
 from prism_edge.tracking.mapping import depth_sigma
+from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.pose_from_map import ENOUGH_TRIANGULATED
 from prism_edge.tracking.submaps import Parts
 from tests.synthetic.messages import map_update
@@ -374,3 +376,21 @@ def test_a_frame_goes_with_the_keyframe_whose_points_it_sees() -> None:
     last.points = np.full(len(points), -1, np.int64)  # with nothing to tell, with the newest
     take_over(world, Parts(), replace(update, poses=(MOTION @ MOTION @ POSES[5])[None]), last, BY_POINTS)
     assert last.world_from_camera == pytest.approx(MOTION @ POSES[0], abs=1e-9)
+
+
+def test_what_was_expected_of_a_frame_goes_with_its_surroundings() -> None:
+    """Placed anew by its points alone, one that shows little would jump with every correction."""
+    cloud = Cloud(500, seed=4)
+    world, shown = cloud.mapped(POSES[:2])
+    features, seen = cloud.view(POSES[1], noise_px=1.5)
+    points = np.where(features.pixels[:, 0] < 90.0, world.keyframes[1].points[: len(seen)], -1)
+    assert np.array_equal(seen, shown[1])
+    expected = Prediction(POSES[1].copy(), np.eye(6) * 1e7)
+    last = TrackedFrame(CAMERA, features, POSES[1].copy(), points, np.zeros((6, 6)), 99, expected=expected)
+    apply(world, 1, [0, 1], world.points.ids)
+    refit(world, last, MOTION @ POSES[1], BY_POINTS)
+    assert np.abs(se3_log(inverse(MOTION @ POSES[1]) @ last.world_from_camera)).max() < 0.002
+    assert last.expected.world_from_camera == pytest.approx(MOTION @ POSES[1])
+    last.expected = None
+    refit(world, last, last.world_from_camera, BY_POINTS)
+    assert np.abs(se3_log(inverse(MOTION @ POSES[1]) @ last.world_from_camera)).max() > 0.005

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, se3_exp, se3_log, transform
+from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
 from tests.tracking.cloud import CAMERA
 
@@ -217,3 +218,44 @@ def test_the_covariance_is_the_inverse_or_a_huge_variance_where_nothing_measures
         np.testing.assert_allclose(estimate.covariance, expected, rtol=1e-5, atol=1e-12)
     else:  # of rounding's size: at least it is said to be huge
         assert np.linalg.eigvalsh(estimate.covariance).max() > 1e6
+
+
+def strip(rng: np.random.Generator, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points (n, 3) at the image's left edge, all but one as far away as the next, and their pixels."""
+    depth = rng.uniform(2.0, 2.1, count)
+    local = np.column_stack([rng.uniform((-0.6, -0.45), (-0.5, 0.45), (count, 2)) * depth[:, None], depth])
+    return transform(TRUE, local), CAMERA.project(local)
+
+
+def test_a_prediction_is_weighed_against_the_points_by_what_both_know():
+    """A strip of points leaves some directions to the prediction; together they come to the weighted mean."""
+    rng = np.random.default_rng(7)
+    points, pixels = strip(rng, 30)
+    pixels = pixels + rng.normal(0, 0.3, pixels.shape)
+    alone = refine_pose(CAMERA, TRUE, points, pixels, np.ones(30), rounds=1, iterations=20)
+    off = np.array([4e-3, -3e-3, 2e-3, 2e-3, -1e-3, 1e-3])
+    prediction = Prediction(TRUE @ se3_exp(off), np.diag([4e4, 4e4, 4e4, 1e5, 1e5, 1e5]))
+    both = refine_pose(
+        CAMERA, TRUE, points, pixels, np.ones(30), rounds=1, iterations=20, prediction=prediction
+    )
+    at = error_of(alone.world_from_camera)
+    # Cauchy's weight at the solution, which is near the prediction where the points say little.
+    shift = se3_log(inverse(prediction.world_from_camera) @ both.world_from_camera)
+    let_go = prediction.information / (1.0 + shift @ prediction.information @ shift / 16.0)
+    expected = np.linalg.solve(alone.information + let_go, alone.information @ at + let_go @ off)
+    assert np.abs(at - off).max() > 5e-3
+    assert error_of(both.world_from_camera) == pytest.approx(expected, abs=3e-4)
+    # What it says of its certainty is what the points know.
+    assert both.information == pytest.approx(alone.information, rel=0.1, abs=0.02 * alone.information.max())
+
+
+def test_many_points_know_better_than_any_prediction():
+    rng = np.random.default_rng(8)
+    points, pixels = scene(rng, 300)
+    pixels = pixels + rng.normal(0, 0.5, pixels.shape)
+    alone = refine_pose(CAMERA, TRUE, points, pixels, np.ones(300))
+    far = Prediction(TRUE @ se3_exp(np.array([0.3, 0, 0.1, 0, 0.1, 0])), np.eye(6) * 1e6)
+    with_it = refine_pose(CAMERA, TRUE, points, pixels, np.ones(300), prediction=far)
+    moved = inverse(alone.world_from_camera) @ with_it.world_from_camera
+    assert np.abs(se3_log(moved)).max() < 2e-4
+    assert np.array_equal(with_it.inliers, alone.inliers)

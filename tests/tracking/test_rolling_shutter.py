@@ -239,12 +239,13 @@ def test_what_was_known_of_the_motion_before_a_long_gap_shears_no_image_after_it
             tracker.map_keyframe()
             if keyframe is not None:
                 tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
-        tracker.process(index + 1, image.stamp_ns + 33_000_000, grey, source.camera)
+        for still in range(1, 7):  # until the tracker has seen that it stands
+            tracker.process(index + still, image.stamp_ns + 33_000_000 * still, grey, source.camera)
         assert tracker.last is not None
         pose = tracker.last.world_from_camera.copy()
         taken = tracker._extractor.extract(grey, source.camera)
         tracker.motion.twist = np.array([0, 0, 0, 0, 0.3, 0.0])
-        result = tracker.process(index + 2, image.stamp_ns + 1_033_000_000, grey, source.camera)
+        result = tracker.process(index + 7, image.stamp_ns + 1_200_000_000, grey, source.camera)
     assert result.world_from_camera is not None
     assert np.array_equal(tracker.last.features.pixels, taken.pixels)
     off = inverse(pose) @ result.world_from_camera
