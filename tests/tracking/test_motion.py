@@ -160,12 +160,24 @@ def test_nothing_is_expected_where_nothing_is_known() -> None:
     assert unsure.expect(after, 2 * DT_NS, DEPTH) is None
 
 
-def test_a_frame_that_was_placed_without_it_begins_anew() -> None:
+@pytest.mark.parametrize("by", [None, Prediction(START, np.eye(6))])
+def test_a_frame_that_was_placed_without_it_begins_anew(by: Prediction | None) -> None:
+    """Or by what was expected of another frame."""
     motion, after = begun(np.eye(6) * 1e-6, np.array([0.1, 0, 0, 0, 0, 0]))
     motion.expect(after, 2 * DT_NS, DEPTH)
     rate = np.array([-0.3, 0.0, 0.2, 0.0, 0.5, 0.0])
-    motion.follow(after, after @ se3_exp(rate * DT), 2 * DT_NS, np.eye(6) * 1e-6, None)
+    motion.follow(after, after @ se3_exp(rate * DT), 2 * DT_NS, np.eye(6) * 1e-6, by)
     assert motion.twist == pytest.approx(rate, abs=1e-9)
+
+
+def test_before_a_far_scene_a_camera_may_be_a_fast_one() -> None:
+    motion, after = begun(np.eye(6) * 1e-12, np.full(6, 0.1))
+    near, far = (motion.expect(after, 2 * DT_NS, depth) for depth in (DEPTH, 10.0 * DEPTH))
+    assert near is not None
+    assert far is not None
+    less = np.diag(np.linalg.inv(far.information)) / np.diag(np.linalg.inv(near.information))
+    assert np.all(less[:3] > 10.0)
+    assert less[3:] == pytest.approx(np.ones(3))
 
 
 def test_how_a_camera_speeds_up_is_learned() -> None:

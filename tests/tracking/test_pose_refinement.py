@@ -235,8 +235,9 @@ def test_a_prediction_is_weighed_against_the_points_by_what_both_know():
     alone = refine_pose(CAMERA, TRUE, points, pixels, np.ones(30), rounds=1, iterations=20)
     off = np.array([4e-3, -3e-3, 2e-3, 2e-3, -1e-3, 1e-3])
     prediction = Prediction(TRUE @ se3_exp(off), np.diag([4e4, 4e4, 4e4, 1e5, 1e5, 1e5]))
-    both = refine_pose(
-        CAMERA, TRUE, points, pixels, np.ones(30), rounds=1, iterations=20, prediction=prediction
+    both, from_there = (
+        refine_pose(CAMERA, start, points, pixels, np.ones(30), None, None, 1, 20, prediction)
+        for start in (TRUE, alone.world_from_camera)
     )
     at = error_of(alone.world_from_camera)
     # Cauchy's weight at the solution, which is near the prediction where the points say little.
@@ -245,6 +246,8 @@ def test_a_prediction_is_weighed_against_the_points_by_what_both_know():
     expected = np.linalg.solve(alone.information + let_go, alone.information @ at + let_go @ off)
     assert np.abs(at - off).max() > 5e-3
     assert error_of(both.world_from_camera) == pytest.approx(expected, abs=3e-4)
+    # From where the points alone would have it every step is a worse one for them.
+    assert error_of(from_there.world_from_camera) == pytest.approx(expected, abs=3e-4)
     # What it says of its certainty is what the points know.
     assert both.information == pytest.approx(alone.information, rel=0.1, abs=0.02 * alone.information.max())
 
