@@ -138,7 +138,11 @@ class FrameTracker:
         )
 
     def placed_anew(self, world: LocalMap, frame: TrackedFrame, pose: Array, points: Ids) -> TrackedFrame:
-        """The frame at a pose that was found otherwise, as sure as all its ``points`` make it just there."""
+        """The frame at a pose that was found otherwise, as sure as all its ``points`` make it just there.
+
+        What was expected of the frame counts no more.
+        """
+        self.expected = None
         keypoints = np.flatnonzero(points >= 0)
         rows = world.points.rows(points[keypoints])
         estimate = self.pose.estimate(

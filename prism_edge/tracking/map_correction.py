@@ -275,7 +275,6 @@ def _make_way(world: LocalMap, taken: NDArray[np.int64]) -> dict[int, int]:
 
 def refit(world: LocalMap, last: TrackedFrame, start: Array, pose: PoseFromMap) -> None:
     """Place the last frame anew, from ``start`` (4, 4) on, where its surroundings have taken it."""
-    # A product of corrections drifts off the group, and inverse() squares what it is off by.
     start = normalised(start)
     if last.expected is not None:
         last.expected = last.expected.carried(start @ inverse(last.world_from_camera))
@@ -303,7 +302,5 @@ def fit(
     start = normalised(start)
     if len(rows) < MIN_COMMON:
         return start
-    estimate = pose.estimate(
-        world, camera, features, start, rows, keypoints, prediction=prediction
-    )
+    estimate = pose.estimate(world, camera, features, start, rows, keypoints, prediction=prediction)
     return estimate.world_from_camera if estimate.inliers.sum() >= MIN_COMMON else start

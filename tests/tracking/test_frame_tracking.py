@@ -296,3 +296,4 @@ def test_a_frame_that_shows_little_is_placed_by_what_was_expected_too(scene):
     assert np.median(both) < 0.5 * np.median(alone)
     anew = tracker.placed_anew(world, frame, TRUE, frame.points)
     assert anew.expected is None
+    assert tracker.expected is None, "nor is it solved with once more, its rows seen at once"
