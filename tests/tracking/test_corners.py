@@ -59,24 +59,28 @@ def test_it_says_what_opencv_s_harris_measure_says():
     assert np.mean(ours == harris) > 0.95
 
 
-@settings(max_examples=100, deadline=None)
-@given(st.integers(0, 2**32 - 1))
-def test_it_is_harris_measure_of_sobel_s_gradients_at_25_places(seed):
-    image = np.random.default_rng(seed).integers(0, 255, (SIDE, SIDE), dtype=np.uint8)
-    image[:, SIDE // 2 :] //= 1 + seed % 9  # some of them are edges
-    gx, gy = (cv2.Sobel(image, cv2.CV_64F, *axes).astype(int) for axes in ((1, 0), (0, 1)))
-    at = REACH + np.array([-3, -2, 0, 2, 3])
-    gx, gy = gx[np.ix_(at, at)], gy[np.ix_(at, at)]
-    tensor = np.array([[np.sum(gx * gx), np.sum(gx * gy)], [np.sum(gx * gy), np.sum(gy * gy)]], float)
-    measure = np.linalg.det(tensor) / np.trace(tensor) ** 2
-    assert bool(are_corners(image[None])[0]) == (measure > 0.04) or abs(measure - 0.04) < 1e-5
-
-
-def test_turned_upside_down_and_mirrored_it_stays_what_it_was():
+def worn_edges() -> np.ndarray:
+    """Patches of upright edges, from clean ones to such that hardly are any."""
     rng = np.random.default_rng(1)
     edge = 60.0 + 100.0 * (np.arange(SIDE) > SIDE // 2) * np.ones((500, SIDE, 1))
     patches = np.round(edge + rng.normal(0.0, rng.uniform(0.0, 40.0, (500, 1, 1)), edge.shape))
-    patches = np.clip(patches, 0, 255).astype(np.uint8)
+    return np.clip(patches, 0, 255).astype(np.uint8)
+
+
+def test_it_is_harris_measure_of_sobels_gradients_at_25_places():
+    at = REACH + np.array([-3, -2, 0, 2, 3])
+    measures = []
+    for patch in worn_edges():
+        gx, gy = (cv2.Sobel(patch, cv2.CV_64F, *axes)[np.ix_(at, at)].ravel() for axes in ((1, 0), (0, 1)))
+        tensor = np.array([[gx @ gx, gx @ gy], [gx @ gy, gy @ gy]])
+        measures.append(np.linalg.det(tensor) / np.trace(tensor) ** 2)
+    is_clear = np.abs(np.array(measures) - 0.04) > 1e-6
+    assert np.sum(is_clear) > 490
+    assert np.array_equal(are_corners(worn_edges())[is_clear], np.array(measures)[is_clear] > 0.04)
+
+
+def test_turned_upside_down_and_mirrored_it_stays_what_it_was():
+    patches = worn_edges()
     answers = are_corners(patches)
     assert 0.1 < answers.mean() < 0.9
     for other in (patches[:, ::-1], patches[:, :, ::-1], patches.transpose(0, 2, 1)):
