@@ -7,45 +7,43 @@ turned the camera by a degree a frame.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array
 
-SAMPLES, STEP = 5, 1.5  # of the gradient, a side; pixels between them
+Index = NDArray[np.intp]
+
+SAMPLES, STEP = 5, 1.5  # a side; pixels of the keypoint's own level: its window is 7 x 7
+MARGIN = 4  # of those pixels: what a keypoint must be away from the border
 FLATTEST = 0.04  # Harris' k: one eigenvalue of the structure tensor is a twentieth of the other
-_SMOOTH, _CHANGE = (1.0, 2.0, 1.0), (-1.0, 0.0, 1.0)  # Sobel's, across and along
-_AT = np.rint(STEP * (np.arange(SAMPLES) - SAMPLES // 2)).astype(int)
-REACH = int(_AT[-1]) + 1  # pixels that a patch has on each side of its keypoint
-SIDE = 2 * REACH + 1
 
 
-def are_corners(patches: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Whether images change both ways about their middles, by Harris' measure (1988).
+def are_corners(
+    grey: NDArray[np.uint8], pixels: NDArray[np.float32], octaves: Index, factors: Array
+) -> NDArray[np.bool_]:
+    """Whether the image changes both ways about keypoints (n, 2), by Harris' measure (1988).
 
-    ``patches`` (n, SIDE, SIDE) are what the keypoints' own levels of the pyramid show about them.
+    ``factors`` has each octave's scale; keypoints are at least MARGIN pixels of their octave inside.
     """
-    # One product for all gradients: those of whole images take several times as long.
-    gradients = patches.reshape(len(patches), SIDE * SIDE).astype(np.float32) @ _SOBEL
-    gx, gy = gradients[:, : SAMPLES * SAMPLES], gradients[:, SAMPLES * SAMPLES :]
+    along_x, along_y = cv2.spatialGradient(grey)
+    width = grey.shape[1]
+    nearest = np.rint(pixels).astype(np.intp)
+    at = _window(width, tuple(factors)).take(octaves, axis=0)
+    at += (nearest[:, 1] * width + nearest[:, 0])[:, None]
+    gx, gy = along_x.ravel().take(at).astype(np.float32), along_y.ravel().take(at).astype(np.float32)
     xx, yy, xy = (np.einsum("ij,ij->i", a, b) for a, b in ((gx, gx), (gy, gy), (gx, gy)))
     corners: NDArray[np.bool_] = xx * yy - xy * xy > FLATTEST * (xx + yy) ** 2
     return corners
 
 
-def _sobel() -> NDArray[np.float32]:
-    """What a patch's pixels count in its gradients, along x and along y: (SIDE^2, 2 SAMPLES^2)."""
-    smooth, change = _placed(_SMOOTH), _placed(_CHANGE)
-    # (axis; row and column of a sample; row and column of a pixel)
-    both = np.stack([np.einsum("ay,bx->abyx", *way) for way in ((smooth, change), (change, smooth))])
-    return np.ascontiguousarray(both.reshape(-1, SIDE * SIDE).T.astype(np.float32))
-
-
-def _placed(kernel: tuple[float, ...]) -> Array:
-    """A kernel of three about each sample along a patch's side: (SAMPLES, SIDE)."""
-    placed = np.zeros((SAMPLES, SIDE))
-    placed[np.arange(SAMPLES)[:, None], REACH + _AT[:, None] + (-1, 0, 1)] = kernel
-    return placed
-
-
-_SOBEL = _sobel()
+@lru_cache(maxsize=8)
+def _window(width: int, factors: tuple[float, ...]) -> Index:
+    """Offsets (octaves, SAMPLES^2) of a window's pixels in an image's memory."""
+    steps = STEP * (np.arange(SAMPLES) - (SAMPLES - 1) / 2)
+    offsets = np.rint(np.outer(factors, steps)).astype(np.intp)
+    grid: Index = offsets[:, :, None] * width + offsets[:, None, :]
+    return grid.reshape(len(factors), -1)

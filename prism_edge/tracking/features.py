@@ -11,7 +11,7 @@ from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.field_of_view import has_ideal_pixel
 from prism_edge.geometry.poses import Array
-from prism_edge.tracking.corners import REACH, are_corners
+from prism_edge.tracking.corners import are_corners
 from prism_edge.tracking.orb_pyramid import OrbPyramid
 from prism_edge.tracking.spreading import spread
 
@@ -98,7 +98,7 @@ class OrbExtractor:
         if (grey.shape[1], grey.shape[0]) != self._size:
             self._fit((grey.shape[1], grey.shape[0]))
         pixels, octaves, strength = self._orb.detect(grey)
-        corners = np.flatnonzero(are_corners(self._orb.patches(REACH)))
+        corners = np.flatnonzero(are_corners(grey, pixels, octaves, self.scale_factors))
         chosen = corners[spread(pixels[corners], strength[corners], grey.shape, self._wanted, self._least)]
         # Only what is kept is described: in the order of levels, and then back in that of its worth.
         by_level = np.argsort(chosen)

@@ -20,7 +20,7 @@ Grey: TypeAlias = NDArray[np.uint8]
 Index = NDArray[np.intp]
 
 PATCH = 31  # pixels of a level that a descriptor looks at
-BORDER = 19  # pixels that a keypoint is away from its level's
+BORDER = 19  # what a keypoint is away from its level's: more than corners.py's margin
 MASK_MARGIN = 8  # pixels of a level: half a descriptor's patch may show what is masked, no more
 HIGHEST_THRESHOLD = 25  # of FAST
 ENOUGH = 0.95  # of what is wanted; from there on weaker corners would only be thrown away
@@ -56,7 +56,6 @@ class OrbPyramid:
         self._masks: list[Grey | None] = [None] * len(factors)
         self._images: list[Grey] = []
         self._found: list[Sequence[cv2.KeyPoint]] = []
-        self._at: list[NDArray[np.float32]] = []  # (n, 2), whole pixels of the level
 
     def limit(self, most: int, few: int) -> None:
         """Share ``most`` corners out, each level as many for its length as any other.
@@ -88,24 +87,11 @@ class OrbPyramid:
         if sum(counts) < self._few:
             counts = self._search([_smoothed(image) for image in self._images], self._dimmest)
         levels = np.repeat(np.arange(len(counts)), counts)
-        self._at = [_pixels(found) for found in self._found]
-        pixels = np.concatenate(self._at) * self._enlarged[levels, None]
+        pixels = np.concatenate([_pixels(found) for found in self._found])
+        pixels *= self._enlarged[levels, None]
         strengths = map(_response, chain.from_iterable(self._found))
         self._adapt(at_first)  # step by step: it may have been one blurred image
         return pixels, levels, np.fromiter(strengths, np.float64, len(pixels))
-
-    def patches(self, reach: int) -> Grey:
-        """What surrounds all that :meth:`detect` last found: (n, side, side), ``reach`` < BORDER each way."""
-        side = 2 * reach + 1
-        around = []
-        for image, at in zip(self._images, self._at, strict=True):
-            height, width = image.shape
-            # Every window of the image, without a copy: (rows, columns, side, side).
-            shape, strides = (height - 2 * reach, width - 2 * reach, side, side), image.strides * 2
-            windows: Grey = np.ndarray(shape, np.uint8, image, strides=strides)
-            x, y = at.T.astype(np.intp) - reach
-            around.append(windows[y, x])
-        return np.concatenate(around)
 
     def describe(self, chosen: Index) -> NDArray[np.uint8]:
         """Descriptors (n, 32) of some of what :meth:`detect` last found, by its index, ascending."""
@@ -129,7 +115,7 @@ class OrbPyramid:
 
     def _scaled(self, grey: Grey) -> list[Grey]:
         """The image at each level; the first always, a later one only where a keypoint has room."""
-        images: list[Grey] = [np.ascontiguousarray(grey)]
+        images = [grey]
         for factor in self._factors[1:]:
             size = round(grey.shape[1] / factor), round(grey.shape[0] / factor)
             if min(size) <= 2 * BORDER:

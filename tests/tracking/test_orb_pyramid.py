@@ -53,32 +53,6 @@ def test_only_the_chosen_are_described_each_as_among_all():
     assert pyramid.describe(few[:0]).shape == (0, 32)
 
 
-def test_patches_are_what_each_levels_image_shows_about_its_corners():
-    image = np.random.default_rng(1).integers(0, 255, (120, 160), dtype=np.uint8)
-    pyramid = OrbPyramid(np.array([1.0, 2.0, 4.0]), 10, 100_000)
-    pixels, levels, _ = pyramid.detect(image)
-    around = pyramid.patches(BORDER - 1)
-    assert around.shape == (len(pixels), 2 * BORDER - 1, 2 * BORDER - 1)
-    scaled = level_images(image)
-    reached = np.zeros((3, 2, 2), bool)
-    for (x, y), level, mine in zip(pixels, levels, around, strict=True):
-        x, y, shown = int(x / 2**level), int(y / 2**level), scaled[level]
-        assert np.array_equal(mine, shown[y - BORDER + 1 : y + BORDER, x - BORDER + 1 : x + BORDER])
-        height, width = shown.shape
-        reached[level] |= [[x == BORDER, x == width - 1 - BORDER], [y == BORDER, y == height - 1 - BORDER]]
-    assert reached[0].all(), "some lie as near to the border as any can"
-
-
-def test_patches_of_a_part_of_a_larger_image_and_of_one_without_corners():
-    image = blocks(1)
-    whole, part = OrbPyramid(FACTORS, 10, 500), OrbPyramid(FACTORS, 10, 500)
-    whole.detect(image[40:440, 60:600].copy())
-    part.detect(image[40:440, 60:600])
-    assert np.array_equal(part.patches(4), whole.patches(4))
-    part.detect(np.full((480, 640), 90, np.uint8))
-    assert part.patches(4).shape == (0, 9, 9)
-
-
 def test_every_level_has_its_share_of_the_strongest():
     image = blocks(3)
     everything, some = OrbPyramid(FACTORS, 10, 100_000), OrbPyramid(FACTORS, 10, 400)
