@@ -49,12 +49,16 @@ def test_keyframes_come_as_the_camera_moves(whole):
 def test_keyframes_say_how_the_camera_moved(whole):
     truth, keyframes = footage().poses, list(whole.tracker.world.keyframes.values())
     assert not keyframes[0].twist.any(), "nothing tells of the first"
+    is_moving = []
     for keyframe in keyframes[1:]:
         true = se3_log(inverse(truth[keyframe.index - 1]) @ truth[keyframe.index]) * RATE_HZ
         off = keyframe.twist - true
         # A pose of so small an image is half a centimetre off, thirty times a second.
-        assert np.linalg.norm(off[:3]) < 0.25 < np.linalg.norm(true[:3])
-        assert np.linalg.norm(off[3:]) < 0.07 < np.linalg.norm(true[3:])
+        assert np.linalg.norm(off[:3]) < 0.25
+        assert np.linalg.norm(off[3:]) < 0.07
+        is_moving.append(np.linalg.norm(true[:3]) > 0.25 and np.linalg.norm(true[3:]) > 0.07)
+    # Which of them the camera rests at is a matter of where keyframes are made.
+    assert sum(is_moving) >= 3, "a twist of nothing would be off by as much"
 
 
 def test_a_frame_hangs_on_its_keyframe(whole):
