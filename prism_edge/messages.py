@@ -318,6 +318,8 @@ class MapSnapshot:
     base_from_camera: F64 = field(  # as in Keyframe, of this map
         default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
     )
+    camera: F64 = optional("float64", -1)  # the newest keyframe's, with the lens that was found
+    readout_ms: float = 0.0  # as in MapUpdate
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,7 @@ def metrics(
         "path_m": None if truth is None else path_length(_stamps(recording), truth),
         "layout": played.layout,
         "camera": played.camera,
+        "camera_found": _found(snapshot, played),
         "images": played.images,
         "files": played.files,
         "cpu_ms_per_frame": _cpu(usage, processed),
@@ -112,6 +113,18 @@ def metrics(
         "config": dataclasses.asdict(config),
     }
     return {key: _finite(value) for key, value in report.items()}
+
+
+def _found(snapshot: MapSnapshot | None, played: Played) -> dict[str, float | None]:
+    """What the map was straightened by, besides what is said of the camera; None: nothing was."""
+    if snapshot is None or not len(snapshot.camera):
+        return {"k1": None, "readout_ms": None}
+    said, now = (played.camera or {}).get("distortion"), snapshot.camera[6:].tolist()
+    k1 = now[0] if now else 0.0
+    return {
+        "k1": k1 if k1 != (said[0] if said else 0.0) else None,
+        "readout_ms": snapshot.readout_ms or None,
+    }
 
 
 def _consistency(nees: Nees, scale_ratio: Any, recording: Recording) -> dict[str, Any]:

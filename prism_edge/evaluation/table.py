@@ -67,10 +67,18 @@ def show(metrics: dict[str, Any], out: Path) -> None:
         named = "" if file in (None, metrics["truth"]) else f" ({file})"  # carried over, where it is BONN's
         console.print(f"scored against {metrics['truth']}{named}", highlight=False, soft_wrap=True)
     if metrics["camera"]:
-        console.print(f"camera: {metrics['camera']['origin']}", highlight=False, soft_wrap=True)
+        found = _found(metrics["camera_found"])
+        console.print(f"camera: {metrics['camera']['origin']}{found}", highlight=False, soft_wrap=True)
     for warning in metrics["warnings"]:
         console.print(f"warning: {warning}", highlight=False, soft_wrap=True)
     console.print(f"written to {out}", highlight=False, soft_wrap=True)
+
+
+def _found(of_camera: dict[str, float | None]) -> str:
+    """What the map says of its camera, in words that follow the camera's name."""
+    said = {"k1": "k1 {:.4f}", "readout_ms": "rows read over {:.1f} ms"}
+    words = [text.format(of_camera[name]) for name, text in said.items() if of_camera[name] is not None]
+    return f"; found in the map: {', '.join(words)}" if words else ""
 
 
 def _number(value: float | None, factor: float = 1.0, unit: str = "") -> str:

@@ -32,4 +32,6 @@ def snapshot(mapper: Mapper, settled: bool, log_scale: float) -> MapSnapshot:
         loop_poses=np.array([loop.candidate_from_query for loop in loops]).reshape(-1, 4, 4),
         loop_inliers=np.array([loop.inliers for loop in loops], np.int64),
         base_from_camera=mapper.mount,
+        camera=np.zeros(0) if world.camera is None else world.camera.to_array(),
+        readout_ms=world.readout_ms,
     )

@@ -227,6 +227,27 @@ def test_a_guessed_camera_is_said(capsys: pytest.CaptureFixture[str], tmp_path: 
     assert report(played=Played(camera))["warnings"] == []
 
 
+def test_what_the_map_says_of_its_camera_is_told(capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
+    ids, six = np.zeros(1, np.int64), [640.0, 480.0, 525.0, 525.0, 319.5, 239.5]
+    nothing = {"k1": None, "readout_ms": None}
+    for file, now, readout_ms, found, words in (
+        ((), (), 0.0, nothing, "camera: camera.yaml\n"),
+        ((0.1, -0.2, 0.0, 0.0), (0.1, -0.2, 0.0, 0.0), -9.0, nothing | {"readout_ms": -9.0}, "over -9.0 ms"),
+        ((), (-0.0203, 0.0, 0.0, 0.0), 0.0, nothing | {"k1": -0.0203}, "; found in the map: k1 -0.0203\n"),
+        (None, (0.03,), 25.2, {"k1": 0.03, "readout_ms": 25.2}, ": k1 0.0300, rows read over 25.2 ms"),
+        ((-0.1,), (), 0.0, nothing | {"k1": 0.0}, ": k1 0.0000\n"),
+    ):
+        said, camera = {"origin": "camera.yaml", "distortion": file}, np.array([*six, *now])
+        map_of_it = MapSnapshot(0, 4, True, 0.0, ids, np.eye(4)[None], ids, camera=camera)
+        snapshot = replace(map_of_it, readout_ms=readout_ms)
+        told = report(played=Played(said), snapshot=snapshot)
+        assert told["camera_found"] == found
+        assert told["camera"]["origin"] == "camera.yaml"
+        show(told, tmp_path)
+        assert words in capsys.readouterr().out
+    assert report(snapshot=None)["camera_found"] == nothing
+
+
 @pytest.mark.parametrize("name", ["try[office]", "to[/x", ":fire:"])
 def test_a_path_is_shown_as_it_is(name: str, capsys: pytest.CaptureFixture[str], tmp_path: Any) -> None:
     show(report(), tmp_path / name)

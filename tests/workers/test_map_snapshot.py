@@ -6,10 +6,11 @@ import numpy as np
 
 from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
+from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import HOME
 from prism_edge.workers.map_snapshot import snapshot
-from tests.backend.world import chain, poses_of
+from tests.backend.world import CAMERA, chain, poses_of
 from tests.tracking.cloud import pose_at
 
 
@@ -35,3 +36,17 @@ def test_what_was_culled_is_counted_and_what_nothing_has_joined_is_named() -> No
     for k, pose in zip(shown.keyframes.tolist(), shown.poses, strict=True):
         assert np.abs(inverse(before[k]) @ pose - np.eye(4)).max() < 1e-9
     assert (shown.settled, shown.log_scale) == (True, 0.2)
+
+
+def test_what_was_found_of_the_camera_is_shown() -> None:
+    mapper = Mapper(BackendConfig(), use_depth=False)
+    chain([pose_at(0.3 * i) for i in range(4)], 0, mapper.world)
+    shown = snapshot(mapper, True, 0.0)
+    assert np.array_equal(shown.camera, CAMERA.to_array())
+    assert shown.readout_ms == 0.0
+    lens = Camera.from_array(PINHOLE, CAMERA.bent(-0.02).to_array())
+    mapper.world.take_lens(lens)
+    mapper.world.readout_ms = 25.2
+    shown = snapshot(mapper, True, 0.0)
+    assert np.array_equal(shown.camera, lens.to_array())
+    assert shown.readout_ms == 25.2
