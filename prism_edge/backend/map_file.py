@@ -50,13 +50,19 @@ Info = dict[str, Any]
 
 
 def pack(info: Info, arrays: Arrays) -> bytes:
-    """Plain values (JSON) and arrays (int64, float64, float32 or uint8) as the bytes of a file."""
+    """Plain values (JSON) and arrays (int64, float64, float32 or uint8) as the bytes of a file.
+
+    Raises MapError for a value that no file can have: one that is not finite, or a header that is too long.
+    """
     shapes, parts = [], []
     for name, array in arrays.items():
         data = np.asarray(array, array.dtype.newbyteorder("<"), order="C")
         shapes.append([name, data.dtype.str, list(data.shape)])
         parts += [data.tobytes(), bytes(-data.nbytes % 8)]
-    header = json.dumps({"info": info, "arrays": shapes}, allow_nan=False).encode()
+    try:
+        header = json.dumps({"info": info, "arrays": shapes}, allow_nan=False).encode()
+    except ValueError as error:
+        raise MapError(f"the map's header can't be written: {error}") from None
     if len(header) > LARGEST_HEADER:
         raise MapError(f"the map's header would take {len(header)} of {LARGEST_HEADER} bytes")
     parts = [header, bytes(-len(header) % 8), *parts]

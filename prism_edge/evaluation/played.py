@@ -19,6 +19,7 @@ from prism_edge.sources.listing import Listing
 from prism_edge.sources.open import AUTO, find_listing
 from prism_edge.sources.sim import is_simulated
 from prism_edge.sources.truth import truth_file
+from prism_edge.sources.video import CUT_SHORT
 from prism_edge.workers.shutter_watch import SUBJECT
 
 _NUMBERS = ("model", "width", "height", "fx", "fy", "cx", "cy", "distortion", "readout_ms")
@@ -34,14 +35,18 @@ class Played:
     guessed: bool = False  # the camera
     images: str | None = None  # of a folder: images_of()
     files: dict[str, str] | None = None  # digests_of() what its figures hang on
-    doubts: tuple[str, ...] = ()  # of the camera, which its images raise
+    doubts: tuple[str, ...] = ()  # of the camera, which its images raise; and of a video's end
 
     def after(self, log: Path) -> Played:
-        """The same with what a daemon's ``log`` says of a camera: one that nobody calibrated, its shutter."""
+        """The same with what a daemon's ``log`` says of its camera and its video's end.
+
+        A camera may be one that nobody calibrated, or have a shutter that is not as it is said to be.
+        """
         text = ""
         with contextlib.suppress(OSError):
             text = log.read_text(errors="replace")
-        doubts = re.findall(rf" WARNING +backend: ({SUBJECT}: .*)$", text, re.M)
+        subjects = rf"backend: (?={SUBJECT}: )|source: (?=.*{CUT_SHORT}$)"
+        doubts = re.findall(rf" WARNING +(?:{subjects})(.*)$", text, re.M)
         told = replace(self, doubts=tuple(doubts))
         if self.camera is None or self.camera["origin"] != AUTO:
             return told

@@ -7,6 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from prism_edge.sources import kitti
+from prism_edge.sources.image_file import SUFFIXES
 from prism_edge.sources.listing import natural_order
 
 _NAMED = 4  # sequences; more than a few are no line any more
@@ -52,6 +53,9 @@ def guess(folder: Path) -> str:
             return f"is no sequence but holds {len(below)}; {_name(below, folder)}"
         if videos := sorted(filter(_is_video, folder.iterdir()), key=natural_order):
             return f"is no video but holds {len(videos)}; {_name(videos, folder)}"
+        if pictures := sorted(filter(_has_pictures, folder.iterdir()), key=natural_order):
+            lack = "has no rgb.txt, TUM's list of its images" if _of_tum(folder) else "is no sequence"
+            return f"{lack}, but images further down; {_name(pictures, folder)}"
     return ""
 
 
@@ -63,6 +67,18 @@ def _name(found: list[Path], folder: Path) -> str:
 
 def _is_video(file: Path) -> bool:
     return file.suffix.lower() in _VIDEOS and not file.name.startswith(".")
+
+
+def _has_pictures(folder: Path) -> bool:
+    """Whether images lie in a folder, other than of depth."""
+    with suppress(OSError):
+        names = (path.name.lower() for path in folder.iterdir()) if folder.is_dir() else ()
+        return "depth" not in folder.name.lower() and any(name.endswith(SUFFIXES) for name in names)
+    return False
+
+
+def _of_tum(folder: Path) -> bool:
+    return any((folder / name).is_file() for name in ("groundtruth.txt", "depth.txt"))
 
 
 def _sequences(folders: Iterable[Path]) -> list[Path]:

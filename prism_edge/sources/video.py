@@ -13,6 +13,7 @@ from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import check_camera_size
+from prism_edge.sources.mp4_index import lacks_index
 from prism_edge.sources.stamps import usual_period_ns
 
 log = logging.getLogger("prism_edge.sources")
@@ -20,6 +21,13 @@ log = logging.getLogger("prism_edge.sources")
 # What is wrong with a file is said by us, in one line: FFmpeg and OpenCV would add theirs on stderr.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # read when the first file is opened
 _QUIET = cv2.utils.logging.LOG_LEVEL_ERROR
+
+NO_VIDEO = "is no video that can be read (and no folder of images)"
+NO_INDEX = (
+    "has no index (moov): it was cut off while it was being recorded or copied; record it as .mkv, which "
+    "can be read as far as it goes, or have the index made anew by a tool for that"
+)
+CUT_SHORT = "it is damaged or was cut short"
 
 # OpenCV says the same of a packet that can't be decoded as of the end, but of the end again and at once.
 _ENDED = 100  # times in a row
@@ -104,7 +112,7 @@ class Video(Source):
         file = os.path.abspath(self._path)
         capture = cv2.VideoCapture(file, cv2.CAP_FFMPEG, [cv2.CAP_PROP_N_THREADS, 1])
         if not capture.isOpened():
-            raise SourceError(f"{self._path} is no video that can be read (and no folder of images)")
+            raise SourceError(f"{self._path} {NO_INDEX if lacks_index(self._path) else NO_VIDEO}")
         capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)  # intrinsics belong to frames as stored
         turn = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
         if turn and not self._known:
@@ -154,7 +162,7 @@ class Video(Source):
         reached_ns = self._last_stamp_ns + self.period_ns
         if 0 < reached_ns < _EARLY * self._said_ns and not self._warned:
             self._warned = True
-            words = "%s ends after %.1f s and should last %.1f s: it is damaged or was cut short"
+            words = f"%s ends after %.1f s and should last %.1f s: {CUT_SHORT}"
             log.warning(words, self._path, reached_ns / 1e9, self._said_ns / 1e9)
 
     def _stamp_ns(self) -> int:

@@ -6,6 +6,7 @@ import logging
 import math
 import os
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -126,23 +127,19 @@ class MapKeeper:
 
         Where no record can be added now, the next base will have them.
         """
-        if (journal := self._open_journal) is not None:
-            self._append(journal, self._record(number, scale))
+        self._append(lambda: self._record(number, scale))
 
     def note_solved(self, update: MapUpdate, scale: KnownScale) -> None:
         """A window's result is in the map, and told; the next base would have it."""
-        if (journal := self._open_journal) is not None:
-            self._append(journal, map_file.pack(scale.info, solved_arrays(update)))
+        self._append(lambda: map_file.pack(scale.info, solved_arrays(update)))
 
-    @property
-    def _open_journal(self) -> Journal | None:
-        """The journal, where a record would go on from what it holds."""
+    def _append(self, record: Callable[[], bytes]) -> None:
+        """One record more, where the journal is open and a record would go on from what it holds."""
         journal = self._journal
-        return journal if journal is not None and journal.is_open and not self._overhauled else None
-
-    def _append(self, journal: Journal, record: bytes) -> None:
+        if journal is None or not journal.is_open or self._overhauled:
+            return
         try:
-            journal.append(record)
+            journal.append(record())
         except MapError as error:
             self._say(error)
 

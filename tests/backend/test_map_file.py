@@ -95,7 +95,7 @@ def test_a_header_as_long_as_may_be_is_written_and_read_and_no_longer_one(
 
 
 def test_what_could_not_be_read_again_is_not_written() -> None:
-    with pytest.raises(ValueError, match="not JSON compliant"):
+    with pytest.raises(MapError, match="not JSON compliant"):
         map_file.pack({"log_scale": float("nan")}, {})
 
 

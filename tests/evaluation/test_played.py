@@ -123,6 +123,19 @@ def test_a_rolling_shutter_that_its_images_show_is_a_doubt_of_its_camera(tmp_pat
     assert Played().after(log).doubts == ()
 
 
+def test_a_video_that_was_cut_short_is_doubted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    film = tiny.write_video(tmp_path / "film.avi", count=20)
+    tiny.truncate(film, 0.5)
+    with open_source(SourceConfig(uri=str(film))) as source:
+        while source.read():
+            pass
+    (said,) = caplog.messages
+    log = tmp_path / "daemon.log"
+    log.write_text(f"09:18:17.166 INFO    source: ready\n09:18:19.077 WARNING source: {said}\n")
+    assert Played().after(log).doubts == (said,)
+    assert "should last 1.0 s" in said
+
+
 def test_videos_and_simulated_worlds_have_no_file_of_truth(tmp_path: Path) -> None:
     video = of(tiny.write_video(tmp_path / "film.avi"))
     assert (video.layout, video.truth_file, video.images) == ("video file", None, None)

@@ -97,8 +97,30 @@ def test_a_folder_around_videos_names_them(tmp_path: Path) -> None:
     assert refusal(tmp_path).endswith("is no video but holds 1; name it: walk.MP4")
 
 
+def test_a_folder_around_images_names_where_they_are(tmp_path: Path) -> None:
+    for name in ("left", "depth_left", "notes"):
+        tiny.write_images(tmp_path / name)
+    for file in (tmp_path / "notes").iterdir():
+        file.rename(file.with_suffix(".txt"))
+    assert refusal(tmp_path).endswith("is no sequence, but images further down; name it: left")
+    tiny.write_images(tmp_path / "right")
+    assert refusal(tmp_path).endswith("name one of them: left, right")
+
+
+@pytest.mark.parametrize("kept", ["groundtruth.txt", "depth.txt"])
+def test_tum_without_its_list_says_so(tmp_path: Path, kept: str) -> None:
+    tiny.write_tum(tmp_path)
+    for name in ("rgb.txt", "groundtruth.txt"):
+        (tmp_path / name).unlink()
+    (tmp_path / kept).write_text("# none\n")
+    said = refusal(tmp_path)
+    assert said.endswith("has no rgb.txt, TUM's list of its images, but images further down; name it: rgb")
+    assert find_listing(tmp_path / "rgb").stamped, "their names are stamps"
+
+
 def test_of_other_folders_nothing_is_said(tmp_path: Path) -> None:
-    tiny.write_images(tmp_path / "rgb")
+    (tmp_path / "notes").mkdir()
+    (tmp_path / "notes" / "first.txt").write_text("nothing")
     assert guess(tmp_path) == ""
     message = refusal(tmp_path)
     assert "no known kind" in message

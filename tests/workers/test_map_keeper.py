@@ -103,6 +103,23 @@ def test_a_full_disk_costs_the_journal_alone_and_health_says_so(
     assert (reply.ok, reply.said) == (False, "can't write base: No space left on device")
 
 
+def test_a_number_that_no_file_can_have_costs_the_journal_alone(tmp_path: Path) -> None:
+    teller, told = keyframes(4)
+    bus = ListBus("keyframe")
+    bus.run_directory = tmp_path
+    made = worker.BackendWorker(CONFIG, bus)
+    for late, message in enumerate(told):
+        if late == 2:
+            made._mapper.world.keyframes[1].depth_sigma = np.nan
+            made._keeper.note_late(1, KnownScale(0.25))
+            assert "JSON" in bus.pulse.values["journal"]
+        bus.give("depth", depth_of(message, teller))
+        bus.give("gate", gate_of(message))
+        bus.give("keyframe", message)
+        made._realtime()
+    assert list(made._mapper.world.keyframes) == [0, 1, 2, 3]
+
+
 def test_a_disk_that_is_full_for_a_while_is_tried_again_ever_less_often(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
