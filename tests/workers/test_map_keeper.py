@@ -110,8 +110,7 @@ def test_a_number_that_no_file_can_have_costs_the_journal_alone(tmp_path: Path) 
     made = worker.BackendWorker(CONFIG, bus)
     for late, message in enumerate(told):
         if late == 2:
-            made._mapper.world.keyframes[1].depth_sigma = np.nan
-            made._keeper.note_late(1, KnownScale(0.25))
+            made._keeper.note_late(1, KnownScale(np.nan))
             assert "JSON" in bus.pulse.values["journal"]
         bus.give("depth", depth_of(message, teller))
         bus.give("gate", gate_of(message))
