@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import time
-from collections import deque
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +18,6 @@ from prism_edge.messages import (
     HOME,
     Acknowledged,
     Depth,
-    Gate,
     Keyframe,
     MapLoaded,
     MapSnapshot,
@@ -29,6 +27,7 @@ from prism_edge.messages import (
     WholeMap,
 )
 from prism_edge.processes import peers_of
+from prism_edge.workers.arrivals import Arrivals
 from prism_edge.workers.handover import Handover
 from prism_edge.workers.loaded_map import LoadedMap
 from prism_edge.workers.map_health import show_map
@@ -42,8 +41,6 @@ _LOOK_S = 0.05
 _SOLVE_S, _ADJUST_S = 20.0, 60.0  # gtsam may try a step of a global adjustment a dozen times
 _ASK_S = 2.0
 _PATIENCE_S = 30.0  # lockstep: a keyframe or depth that takes longer isn't coming
-# Real time: how long a keyframe waits for its depth and gate before its window is solved without.
-_DEPTH_WAIT_S = 0.25
 _LOCKSTEP_STEPS = 3  # of a global adjustment with each keyframe, so that its end comes a fixed number later
 
 
@@ -67,14 +64,10 @@ class BackendWorker:
         self._desk = bus.commands({"save_map": self._save_map, "load_map": self._load_map})
         self._whole = Handover()
         self._shutter = ShutterWatch(self._mapper, bus.pulse, config.backend.shutter)
-        self._waiting: deque[tuple[float, Keyframe]] = deque()
+        self._arrivals = Arrivals(self._peers, self._use_depth)
         self._unsolved: Keyframe | None = None  # absorbed for who asked for the map
-        self._early: dict[int, Depth] = {}
         self._late: int | None = None  # the newest keyframe whose descriptor came after it was looked at
         self._home_scale, self._log_scale = KnownScale(), 0.0  # of the map's first part; where the camera is
-        self._scaled: set[int] = set()
-        self._gated: dict[int, Gate] = {}
-        self._gone = -1  # the newest keyframe of a map that another has taken the place of
         self._settled, self._adjusting_since_ns = False, 0
         recovered = self._keeper.recover()
         if recovered is not None:
@@ -101,7 +94,7 @@ class BackendWorker:
             worked = self._realtime() if self._ticks is None else self._lockstep()
             ending = ending or bool(self._ends.drain())
             # The last keyframe may still be under way when the end is: one quiet look more.
-            if ending and not worked and not self._waiting and not self._settled:
+            if ending and not worked and not self._arrivals and not self._settled:
                 self._receive(4 * _LOOK_S)
                 if self._late is None:
                     self._settle()
@@ -112,12 +105,12 @@ class BackendWorker:
         loops, bent = self._mapper.loops, True
         while bent:
             loops.finish()
-            while loops.unfinished and not self._waiting and not self._bus.stopped.is_set():
+            while loops.unfinished and not self._arrivals and not self._bus.stopped.is_set():
                 self._adjust()
-            idle = not (self._waiting or self._bus.stopped.is_set())
+            idle = not (self._arrivals or self._bus.stopped.is_set())
             if bent := idle and bool(self._shutter.look(ended=True)):
                 self._tell_whole()
-        if not self._waiting:
+        if not self._arrivals:
             self._keeper.tidy(self._home_scale)
             self._settled = True
             self._snapshot = self._take_snapshot()
@@ -145,12 +138,7 @@ class BackendWorker:
         """
         self._receive(0.0 if self._mapper.loops.adjusting else _LOOK_S)
         newest, self._unsolved = self._unsolved, None
-        while self._waiting:
-            arrived, keyframe = self._waiting[0]
-            missing = self._use_depth and not {keyframe.id} <= self._early.keys() & self._gated.keys()
-            if missing and time.monotonic() - arrived < _DEPTH_WAIT_S:
-                break
-            self._waiting.popleft()
+        while (keyframe := self._arrivals.next(patient=True)) is not None:
             self._absorb(keyframe)
             newest = keyframe
         late = self._late
@@ -170,9 +158,9 @@ class BackendWorker:
             self._hear_of_new_maps()
         for keyframe in ([first] if first is not None else []) + self._keyframes.drain():
             if keyframe.epoch >= self._mapper.epoch:
-                self._waiting.append((time.monotonic(), keyframe))
-            else:  # of a map that is gone
-                self._gone = max(self._gone, keyframe.id)
+                self._arrivals.keyframe(keyframe)
+            else:
+                self._arrivals.is_gone(keyframe)
                 self._loaded.remind(self._home_scale)
         late = set()
         for depth in self._depths.drain():
@@ -180,14 +168,14 @@ class BackendWorker:
                 if self._take_late(depth):
                     late.add(depth.keyframe)
             elif depth.keyframe >= 0:  # else a probe's, which is for the tracker
-                self._early[depth.keyframe] = depth
+                self._arrivals.depth(depth)
         for gate in self._gates.drain():
-            self._gated[gate.keyframe] = gate
+            self._arrivals.gate(gate)
             self._mapper.add_gate(gate)
             if gate.epoch == self._mapper.epoch and gate.keyframe in self._mapper.world.keyframes:
                 late.add(gate.keyframe)
         for scale in self._scales.drain():
-            self._scaled.add(scale.keyframe)
+            self._arrivals.scale(scale.keyframe)
             # A scale process that knows nothing yet takes nothing from what is known here.
             numbers = scale.log_scale, scale.map_log_scale
             if scale.epoch == self._mapper.epoch and scale.metric and np.isfinite(numbers).all():
@@ -225,7 +213,7 @@ class BackendWorker:
         """A new map, of which nothing is there yet: nobody is to go on in the one before."""
         self._mapper.begin(epoch)
         self._home_scale, self._log_scale = KnownScale(), 0.0
-        self._waiting = deque((at, keyframe) for at, keyframe in self._waiting if keyframe.epoch >= epoch)
+        self._arrivals.begin(epoch)
         self._unsolved = self._late = None
         self._untold = False
         self._keeper.forget()
@@ -236,13 +224,9 @@ class BackendWorker:
             self._begin(keyframe.epoch)
         self._settled = False
         self._mapper.absorb(keyframe)
-        depth = self._early.pop(keyframe.id, None)
-        self._early = {k: kept for k, kept in self._early.items() if k > keyframe.id}
-        gate = self._gated.pop(keyframe.id, None)
+        depth, gate = self._arrivals.take(keyframe.id)
         if gate is not None:
             self._mapper.add_gate(gate)
-        self._gated = {k: kept for k, kept in self._gated.items() if k > keyframe.id}
-        self._scaled = {k for k in self._scaled if k > keyframe.id}
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
             self._mapper.add_depth(
                 keyframe, depth.depth, depth.image_to_depth, self._log_scale, depth.frame_sigma, depth.model
@@ -273,7 +257,7 @@ class BackendWorker:
             self._keeper.note_solved(update, self._home_scale)
             self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
         self._snapshot = self._take_snapshot()
-        show_map(self._bus.pulse.values, self._mapper.world, len(self._waiting))
+        show_map(self._bus.pulse.values, self._mapper.world, len(self._arrivals))
         self._bus.pulse.idle()
         return update
 
@@ -331,23 +315,16 @@ class BackendWorker:
         """Wait for the keyframe, its depth and its scale; the tracker waits for an update of each."""
         self._bus.pulse.working(f"waiting for keyframe {tick.keyframe}", _PATIENCE_S + 5.0)
         deadline = time.monotonic() + _PATIENCE_S
-        while not self._complete(tick.keyframe) and not self._bus.stopped.is_set():
+        while not self._arrivals.complete(tick.keyframe) and not self._bus.stopped.is_set():
             if time.monotonic() > deadline:
                 log.warning("keyframe %d is incomplete: going on with what there is", tick.keyframe)
                 break
             self._receive(0.01)
-        while self._waiting and self._waiting[0][1].id <= tick.keyframe:
-            _, keyframe = self._waiting.popleft()
+        while (keyframe := self._arrivals.until(tick.keyframe)) is not None:
             self._absorb(keyframe)
             if self._solve(keyframe) is None:
                 self._bus.publish("map_update", self._mapper.nothing(keyframe))
         self._rest()
-
-    def _complete(self, keyframe: int) -> bool:
-        here = any(waiting.id == keyframe for _, waiting in self._waiting)
-        has_depth = "depth" not in self._peers or keyframe in self._early
-        has_scale = "scale" not in self._peers or (keyframe in self._scaled and keyframe in self._gated)
-        return keyframe <= self._gone or (here and has_depth and has_scale)
 
     # -- commands -----------------------------------------------------------------------------------
 
@@ -364,8 +341,7 @@ class BackendWorker:
             self._log_scale = self._home_scale.log_scale
         finally:
             self._rest()
-        self._gone = max([self._gone, *(keyframe.id for _, keyframe in self._waiting)])
-        self._waiting.clear()
+        self._arrivals.give_up()
         self._unsolved = self._late = None
         self._snapshot = self._take_snapshot()
         self._loaded.tell(self._home_scale)
@@ -385,8 +361,7 @@ class BackendWorker:
         """
         if self._ticks is None:
             self._receive(0.0)
-            while self._waiting:
-                _, newest = self._waiting.popleft()
+            while (newest := self._arrivals.next(patient=False)) is not None:
                 self._absorb(newest)
                 self._unsolved = newest
         return self._keeper.whole(self._home_scale)

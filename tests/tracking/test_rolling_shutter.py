@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse, rotation_angle, se3_exp, transform
+from prism_edge.sources.base import Image
 from prism_edge.sources.sim import SimSource
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.features import Features
@@ -192,22 +194,28 @@ def test_a_tracker_goes_by_the_camera_of_the_image_whatever_lens_is_found(lens: 
     assert not np.array_equal(path(0.0, 40.0), path(0.0, 0.0))
 
 
+@cache
+def drawn(way: str) -> tuple[SimSource, list[Image]]:
+    """A simulated way that is read over 40 ms, and its images: drawing them takes longer than tracking."""
+    source = SimSource(f"sim:room?{way}&readout=40&noise=0.5&blur=0&frames=60")
+    source.open()
+    return source, [image for image in iter(source.read, None) if isinstance(image, Image)]
+
+
 def turn_errors(readout_ms: float, way: str = "seed=3&speed=1.2") -> Array:
-    """Errors (rad) of the turn over six frames of a simulated way that is read over 40 ms."""
+    """Errors (rad) of the turn over six frames of such a way."""
     tracker, estimated, true = Tracker(TrackingConfig(readout_ms=readout_ms)), [], []
-    with SimSource(f"sim:room?{way}&readout=40&noise=0.5&blur=0&frames=60") as source:
-        for index in range(source.frame_count):
-            image = source.read()
-            assert image is not None
-            grey = image.pixels.mean(axis=2).astype(np.uint8)
-            result = tracker.process(index, image.stamp_ns, grey, source.camera)
-            keyframe = tracker.maybe_keyframe()
-            tracker.map_keyframe()
-            if keyframe is not None:
-                tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
-            if result.world_from_camera is not None:
-                estimated.append(result.world_from_camera)
-                true.append(source.pose(index))
+    source, images = drawn(way)
+    for index, image in enumerate(images):
+        grey = image.pixels.mean(axis=2).astype(np.uint8)
+        result = tracker.process(index, image.stamp_ns, grey, source.camera)
+        keyframe = tracker.maybe_keyframe()
+        tracker.map_keyframe()
+        if keyframe is not None:
+            tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
+        if result.world_from_camera is not None:
+            estimated.append(result.world_from_camera)
+            true.append(source.pose(index))
     assert len(estimated) > 50
     pairs = zip(estimated[:-6], estimated[6:], true[:-6], true[6:], strict=True)
     return np.array([

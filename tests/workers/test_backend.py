@@ -13,6 +13,7 @@ from prism_edge.geometry.alignment import align
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import IDS_A_LIFE, EndOfStream, MapLoaded, MapSnapshot
+from prism_edge.workers import arrivals
 from prism_edge.workers import backend as worker
 from tests.backend.world import Teller
 from tests.workers.backend_bench import (
@@ -76,7 +77,7 @@ def test_real_time_does_not_wait_for_depth_that_does_not_come():
 
 
 def test_without_a_network_nothing_is_waited_for(monkeypatch):
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 1e6)
+    monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 1e6)
     bus, (_, told) = ListBus("keyframe"), keyframes(3)
     bus.give("keyframe", *told)
     run_realtime(bus, NO_DEPTH)
@@ -90,7 +91,7 @@ def test_ablating_the_lens_leaves_the_camera(ablate, looks):
 
 
 def test_health_shows_the_lens_of_the_map(monkeypatch):
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 0.0)
     bus, (_, told) = ListBus("keyframe"), keyframes(3)
     bent = Camera.from_array(told[0].camera_model, told[0].camera).bent(-0.02)
     bus.give("keyframe", *(replace(k, camera=bent.to_array()) for k in told))
@@ -99,7 +100,7 @@ def test_health_shows_the_lens_of_the_map(monkeypatch):
 
 
 def test_ablating_the_depth_factor_uses_no_depth(monkeypatch):
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 1e6)
+    monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 1e6)
     bus, (teller, told) = ListBus("keyframe"), keyframes(3)
     bus.give("depth", *(depth_of(k, teller) for k in told))
     bus.give("keyframe", *told)
@@ -314,25 +315,8 @@ def test_a_process_that_was_started_anew_numbers_on():
     assert bus.of("map_update")[0].sequence == IDS_A_LIFE + 1
 
 
-def test_what_is_kept_for_later_does_not_grow():
-    """Weeks of keyframes: depths that came early and scales are forgotten once their turn is over."""
-    teller, told = keyframes(12)
-    bus = ListBus("keyframe")
-    made = worker.BackendWorker(CONFIG, bus)
-    for keyframe in told:
-        bus.give("depth", depth_of(keyframe, teller))
-        bus.give("gate", gate_of(keyframe))
-        bus.give("log_scale", scale_of(keyframe))
-        bus.give("keyframe", keyframe)
-        made._realtime()
-    assert len(made._early) <= 1
-    assert len(made._scaled) <= 1
-    assert len(made._gated) <= 1
-    assert not made._waiting
-
-
 def test_depth_that_comes_after_its_keyframe_still_serves_the_map(monkeypatch):
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 0.0)
     bus, (teller, told) = ListBus("keyframe"), keyframes(4)
     made = worker.BackendWorker(CONFIG, bus)
     for keyframe in told:
@@ -352,7 +336,7 @@ def test_the_gates_weights_reach_the_keyframe_before_or_after_it(late, monkeypat
     made = worker.BackendWorker(CONFIG, bus)
     bus.give("depth", depth_of(told[0], teller))
     if late:
-        monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+        monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 0.0)
     else:
         bus.give("gate", gate_of(told[0], 0.25))
     bus.give("keyframe", told[0])
@@ -397,4 +381,4 @@ def test_a_keyframe_of_a_map_that_is_gone_is_passed_over():
     hear(made, bus, late, old)
     assert made._mapper.epoch == 2
     assert list(made._mapper.world.keyframes) == [0, 1, 2]
-    assert not made._waiting
+    assert len(made._arrivals) == 0

@@ -10,6 +10,7 @@ import pytest
 
 from prism_edge.config import Config
 from prism_edge.messages import Depth, EndOfStream, Keyframe
+from prism_edge.workers import arrivals
 from prism_edge.workers import backend as worker
 from tests.backend.ring import Ring, position_error
 from tests.synthetic.messages import depth_of, tick
@@ -87,7 +88,7 @@ def late_ring(lag: int, count: int = 43) -> tuple[ListBus, worker.BackendWorker]
 
 @pytest.mark.parametrize("lag", [0, 3])
 def test_a_place_is_recognised_by_a_descriptor_that_comes_late(lag, monkeypatch):
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 0.0)
     bus, made = late_ring(lag)
     loops, updates = made._mapper.loops, bus.of("map_update")
     assert loops.accepted
@@ -102,7 +103,7 @@ def test_a_place_is_recognised_by_a_descriptor_that_comes_late(lag, monkeypatch)
 
 
 def test_the_end_waits_for_a_look_at_a_place_that_came_late(monkeypatch):
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 0.0)
     bus, made = late_ring(42, count=43)
     assert not made._mapper.loops.accepted
     bus.give("end", EndOfStream(43, 43, 0, 0, 42))

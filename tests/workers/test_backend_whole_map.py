@@ -9,6 +9,7 @@ import pytest
 
 from prism_edge.backend.journal import Journal
 from prism_edge.messages import Epoch, WholeMap
+from prism_edge.workers import arrivals
 from prism_edge.workers import backend as worker
 from tests.workers.backend_bench import CONFIG, depth_of, hear, keyframes
 from tests.workers.list_bus import ListBus
@@ -30,7 +31,7 @@ def asked_while_busy(bus: ListBus, made: worker.BackendWorker) -> WholeMap | Non
 def test_what_a_tracker_said_last_is_in_the_map_that_the_next_one_gets(waits: str, monkeypatch) -> None:
     """Its points' culling, told later, would be undone by the next one, who has never heard of it."""
     if waits == "for its depth":
-        monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 1e6)
+        monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 1e6)
     bus, (teller, told) = ListBus("keyframe"), keyframes(5)
     made = worker.BackendWorker(CONFIG, bus)
     hear(made, bus, told[:3], teller)

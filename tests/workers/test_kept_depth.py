@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from prism_edge.messages import IDS_A_LIFE, Keyframe
-from prism_edge.workers import backend as worker
+from prism_edge.workers import arrivals
 from prism_edge.workers.backend import BackendWorker
 from tests.backend.world import Teller
 from tests.workers.backend_bench import CONFIG, depth_of, gate_of, keyframes
@@ -80,7 +80,7 @@ def test_of_two_networks_the_later_s_metres_count(tmp_path: Path, monkeypatch: p
     assert all(units(made).values())
     tell(told[3], "second 1 (ba9876543210)")
     assert [u > 0.0 for u in units(made).values()] == [False, False, False, True]
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 0.0)
     bus.give("keyframe", told[4])
     made._realtime()
     bus.give("depth", depth_of(told[4], teller, model="third 1 (001122334455)"))  # comes late
@@ -91,7 +91,7 @@ def test_of_two_networks_the_later_s_metres_count(tmp_path: Path, monkeypatch: p
 def test_what_comes_after_its_keyframe_is_in_the_journal_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 0.0)
     teller, told = keyframes(6)
     told[5] = replace(told[5], culled_keyframes=np.array([2]))
     made, bus = backend(tmp_path, 0)
@@ -131,7 +131,7 @@ def test_what_comes_after_its_keyframe_is_in_the_journal_too(
 def test_a_map_that_is_to_be_written_as_a_whole_needs_no_record_of_what_is_late(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(worker, "_DEPTH_WAIT_S", 0.0)
+    monkeypatch.setattr(arrivals, "DEPTH_WAIT_S", 0.0)
     teller, told = keyframes(4)
     made, bus = backend(tmp_path, 0)
     for keyframe in told[:3]:

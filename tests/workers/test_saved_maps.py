@@ -73,7 +73,8 @@ class TestSaving:
         bus.give("keyframe", told[5])
         bus.give("keyframe", replace(told[5], epoch=loaded.epoch))
         for _ in range(3):
-            made._waiting = type(made._waiting)((0.0, k) for _, k in made._waiting)  # waited long enough
+            waiting = made._arrivals._waiting
+            made._arrivals._waiting = type(waiting)((0.0, k) for _, k in waiting)  # waited long enough
             made._realtime()
         assert snapshot(bus).keyframes.tolist() == [0, 1, 2, 3, 4, 5]
 
