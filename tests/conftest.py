@@ -19,6 +19,7 @@ settings.register_profile("explore", max_examples=1000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fixed"))
 
 CHECKOUT = Path(__file__).resolve().parents[1]
+WORLDS = "tests/sources/sim/"  # whose files share worlds that take seconds to build
 DAEMONS = {"bus", "cli", "deploy", "end_to_end", "live", "supervisor", "workers"}  # folders that start many
 
 
@@ -30,6 +31,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class ByFile(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             file = nodeid.partition("::")[0]
+            if file.startswith(WORLDS):
+                return WORLDS
             return file if DAEMONS.isdisjoint(Path(file).parts) else "daemons"
 
     return ByFile(config, log)

@@ -19,6 +19,7 @@ from prism_edge.sources.sim import SimSource
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.orb_pyramid import Grey
 from prism_edge.tracking.rolling_shutter import RollingShutter, see_at_once
 from prism_edge.tracking.tracker import Tracker
 from tests.synthetic.drawing import SLACK
@@ -26,6 +27,16 @@ from tests.synthetic.messages import map_update
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)
 READOUT_MS, DEPTH = 26.0, 2.0
+FAST = "sim:room?seed=3&speed=1.2&readout=40&width=320&height=240&frames=14"
+
+
+@cache
+def drawn(world: str) -> tuple[SimSource, list[tuple[int, Grey]]]:
+    """A simulated world, stamps and images: drawing row by row takes longer than tracking."""
+    source = SimSource(world)
+    source.open()
+    images = [image for image in iter(source.read, None) if isinstance(image, Image)]
+    return source, [(image.stamp_ns, image.pixels.mean(axis=2).astype(np.uint8)) for image in images]
 
 
 def features(pixels: Array) -> Features:
@@ -173,20 +184,17 @@ def test_a_tracker_goes_by_the_camera_of_the_image_whatever_lens_is_found(lens: 
 
     def path(set_ms: float, camera_ms: float) -> Array:
         tracker = Tracker(TrackingConfig(readout_ms=set_ms))
-        with SimSource("sim:room?seed=3&speed=1.2&readout=40&width=320&height=240&frames=14") as source:
-            camera = replace(source.camera, readout_ms=camera_ms)
-            for index in range(source.frame_count):
-                image = source.read()
-                assert image is not None
-                grey = image.pixels.mean(axis=2).astype(np.uint8)
-                result = tracker.process(index, image.stamp_ns, grey, camera)
-                keyframe = tracker.maybe_keyframe()
-                tracker.map_keyframe()
-                if keyframe is not None:
-                    tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
-                if index == 6 and lens:
-                    found = Camera.from_array(PINHOLE, camera.bent(lens).to_array())
-                    tracker.apply_update(map_update(0, camera=found.to_array()))
+        source, images = drawn(FAST)
+        camera = replace(source.camera, readout_ms=camera_ms)
+        for index, (stamp_ns, grey) in enumerate(images):
+            result = tracker.process(index, stamp_ns, grey, camera)
+            keyframe = tracker.maybe_keyframe()
+            tracker.map_keyframe()
+            if keyframe is not None:
+                tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
+            if index == 6 and lens:
+                found = Camera.from_array(PINHOLE, camera.bent(lens).to_array())
+                tracker.apply_update(map_update(0, camera=found.to_array()))
         assert result.world_from_camera is not None
         return result.world_from_camera
 
@@ -194,21 +202,12 @@ def test_a_tracker_goes_by_the_camera_of_the_image_whatever_lens_is_found(lens: 
     assert not np.array_equal(path(0.0, 40.0), path(0.0, 0.0))
 
 
-@cache
-def drawn(way: str) -> tuple[SimSource, list[Image]]:
-    """A simulated way that is read over 40 ms, and its images: drawing them takes longer than tracking."""
-    source = SimSource(f"sim:room?{way}&readout=40&noise=0.5&blur=0&frames=60")
-    source.open()
-    return source, [image for image in iter(source.read, None) if isinstance(image, Image)]
-
-
 def turn_errors(readout_ms: float, way: str = "seed=3&speed=1.2") -> Array:
     """Errors (rad) of the turn over six frames of such a way."""
     tracker, estimated, true = Tracker(TrackingConfig(readout_ms=readout_ms)), [], []
-    source, images = drawn(way)
-    for index, image in enumerate(images):
-        grey = image.pixels.mean(axis=2).astype(np.uint8)
-        result = tracker.process(index, image.stamp_ns, grey, source.camera)
+    source, images = drawn(f"sim:room?{way}&readout=40&noise=0.5&blur=0&frames=60")
+    for index, (stamp_ns, grey) in enumerate(images):
+        result = tracker.process(index, stamp_ns, grey, source.camera)
         keyframe = tracker.maybe_keyframe()
         tracker.map_keyframe()
         if keyframe is not None:
@@ -314,30 +313,27 @@ def test_a_tracker_takes_a_readout_out_that_the_backend_has_found(monkeypatch: p
         return taken[-1]
 
     monkeypatch.setattr(tracker._extractor, "extract", noted)
-    with SimSource("sim:room?seed=3&speed=1.2&readout=40&width=320&height=240&frames=14") as source:
-        for index in range(source.frame_count):
-            image = source.read()
-            assert image is not None
-            grey = image.pixels.mean(axis=2).astype(np.uint8)
-            tracker.process(index, image.stamp_ns, grey, source.camera)
-            keyframe = tracker.maybe_keyframe()
-            tracker.map_keyframe()
-            if keyframe is not None:
-                tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
-                message = keyframe_message(tracker, keyframe)
-                assert (message.readout_ms, message.readout_said) == (40.0 if index > 6 else 0.0, False)
-                told.append(message.readout_ms)
-            if index == 1:
-                assert tracker.last is not None
-                assert tracker.last.features is taken[-1]
-            if index == 6:
-                tracker.apply_update(map_update(0, readout_ms=40.0))
+    source, images = drawn(FAST)
+    for index, (stamp_ns, grey) in enumerate(images):
+        tracker.process(index, stamp_ns, grey, source.camera)
+        keyframe = tracker.maybe_keyframe()
+        tracker.map_keyframe()
+        if keyframe is not None:
+            tracker.add_depth(keyframe.id, source.depth(index), np.array([1.0, 0.0, 1.0, 0.0]), 0.01)
+            message = keyframe_message(tracker, keyframe)
+            assert (message.readout_ms, message.readout_said) == (40.0 if index > 6 else 0.0, False)
+            told.append(message.readout_ms)
+        if index == 1:
+            assert tracker.last is not None
+            assert tracker.last.features is taken[-1]
+        if index == 6:
+            tracker.apply_update(map_update(0, readout_ms=40.0))
     assert tracker.last is not None
     assert len(tracker.last.features) == len(taken[-1])
     assert np.abs(tracker.last.features.pixels - taken[-1].pixels).max() > 1.0
     assert set(told) == {0.0, 40.0}
     tracker.reset()
-    tracker.process(index + 1, image.stamp_ns + 33_000_000, grey, source.camera)
+    tracker.process(index + 1, stamp_ns + 33_000_000, grey, source.camera)
     assert tracker.shutter.readout_ms == 40.0, "another map is by the same camera"
 
 
