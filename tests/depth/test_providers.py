@@ -9,8 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import onnxruntime
 import pytest
+from onnx import TensorProto, helper, numpy_helper
 
 from prism_edge.config import DepthConfig
 from prism_edge.depth import providers
@@ -241,6 +243,20 @@ def test_session_options_are_the_configured_ones():
     default = providers.session_options(DepthConfig())
     assert (default.intra_op_num_threads, default.enable_cpu_mem_arena) == (1, True)
     assert default.get_session_config_entry("session.intra_op.allow_spinning") == "0"
+
+
+def test_int8_products_do_not_overflow_whatever_the_cpu():
+    """Two products of bytes are more than the 16 bits that x86 without VNNI has for their sum."""
+    weights = numpy_helper.from_array(np.full((64, 8), 127, np.int8), "weights")
+    node = helper.make_node("MatMulInteger", ["image", "weights"], ["sums"])
+    image = helper.make_tensor_value_info("image", TensorProto.UINT8, [4, 64])
+    sums = helper.make_tensor_value_info("sums", TensorProto.INT32, [4, 8])
+    graph = helper.make_graph([node], "sums", [image], [sums], [weights])
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    options = providers.session_options(DepthConfig())
+    session = Real(model.SerializeToString(), options, providers=[CPU])
+    (found,) = session.run(None, {"image": np.full((4, 64), 255, np.uint8)})
+    assert (found == 64 * 255 * 127).all()
 
 
 def test_an_onnxruntime_that_can_not_count_nodes_is_used_all_the_same(network, monkeypatch):
