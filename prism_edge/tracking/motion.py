@@ -17,6 +17,7 @@ import numpy as np
 from prism_edge.geometry.poses import Array, adjoint, inverse, se3_exp, se3_log
 
 LONGEST_S = 0.6  # between two frames that still say how fast the camera is
+CHI2_6D_999 = 22.46
 LETS_GO = 4.0  # sigmas beyond which a prediction counts for less the farther it is
 # Density of the acceleration's noise, translation and rotation: a share of the depth's square (1/s^3), and
 # rad^2/s^3. At the least so much: a robot that seems to stand may start, and would outrun its prediction.
@@ -40,6 +41,11 @@ class Prediction:
     def carried(self, motion: Array) -> Prediction:
         """The same in a world that was moved by ``motion`` (4, 4), a rigid one."""
         return Prediction(motion @ self.world_from_camera, self.information)
+
+    def rules_out(self, pose: Array) -> bool:
+        """Whether the camera can't be at a pose, 999 times in a thousand."""
+        off = se3_log(self._camera_from_world @ pose)
+        return float(off @ self.information @ off) > CHI2_6D_999
 
     def pull(self, pose: Array) -> tuple[float, Array, Array]:
         """What it has against a pose: cost, and by the pose's right-hand twist information and gradient."""

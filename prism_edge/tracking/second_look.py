@@ -38,9 +38,9 @@ def look_again(
 
     Tracking looks for points where it expects them, so a few that agree with a wrong motion lead it on, away
     from all others. But looks alone also follow what moves: points that have stood their time in one place
-    (point_trust.py) are believed, where a pose can rest on them. The way between the two has its length from
-    the keyframe's points, and its uncertainty from those that are kept. A map of one keyframe is the affair
-    of :func:`~prism_edge.tracking.first_map.begin_structure`.
+    (point_trust.py) are believed, where a pose can rest on them; and no camera jumps. The way between the
+    two has its length from the keyframe's points, and its uncertainty from those that are kept. A map of one
+    keyframe is the affair of :func:`~prism_edge.tracking.first_map.begin_structure`.
     """
     if frame.matched >= WEAK_MATCHES or parts.size(world) < 2:
         return frame
@@ -58,6 +58,8 @@ def look_again(
     points[now[good]] = ids[good]
     log.debug("%d corners contradict the motion of %d points", views.good.sum(), frame.matched)
     pose = keyframe.world_from_camera @ views.first_from_second
+    if frame.expected is not None and frame.expected.rules_out(pose):
+        return frame  # somebody who crosses the picture is what most corners are of
     return frames.placed_anew(world, frame, pose, points)
 
 

@@ -228,6 +228,14 @@ def test_what_is_farther_than_both_could_err_lets_go() -> None:
     assert pulls[0] < pulls[1] > pulls[2] > 10.0 * pulls[3]
 
 
+def test_places_that_a_prediction_rules_out_are_those_of_a_thousandth_of_its_draws() -> None:
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(6, 6)) * 0.02
+    expected = Prediction(START, np.linalg.inv(root @ root.T))
+    out = [expected.rules_out(START @ se3_exp(root @ draw)) for draw in rng.normal(size=(20_000, 6))]
+    assert np.mean(out) == pytest.approx(1e-3, abs=6e-4)
+
+
 def test_a_prediction_goes_along_with_its_world() -> None:
     moved = se3_exp(np.array([3.0, -1.0, 2.0, 0.5, -0.7, 0.2]))
     expected, pose = Prediction(START, np.diag(np.arange(1.0, 7.0))), START @ se3_exp(np.full(6, 0.05))

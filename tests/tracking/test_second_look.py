@@ -12,6 +12,7 @@ from prism_edge.tracking.features import Features, OrbExtractor
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import NO_POINT
 from prism_edge.tracking.matching import match_corners
+from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.second_look import MIN_POINTS, WEAK_MATCHES, look_again, two_views
 from tests.tracking.film_run import BLACK, CONFIG, Run
 from tests.tracking.footage import footage
@@ -122,6 +123,20 @@ def test_the_motions_that_looks_find_are_good_for_going_on():
     angle, way = np.median(errors, axis=0)
     assert angle < np.radians(0.5)
     assert way < 0.15
+
+
+@pytest.mark.parametrize(("metres", "degrees", "is_moved"), [(0.02, 1.0, False), (0.2, 6.0, True)])
+def test_a_camera_is_not_taken_where_it_can_not_have_gone(
+    run: Run, metres: float, degrees: float, is_moved: bool
+) -> None:
+    """The looks' place is 12 cm and 4 degrees from where the frame was expected, and found."""
+    wrong = weak_frame(run, TURN_FOR_A_WAY)
+    sigmas = np.repeat((metres, np.radians(degrees)), 3)
+    expected = Prediction(wrong.world_from_camera, np.diag(sigmas**-2.0))
+    expecting = replace(wrong, expected=expected)
+    looked = look(run, expecting)
+    assert (looked is not expecting) == is_moved
+    assert (looked.expected is expected) != is_moved, "what looks have placed rests on them alone"
 
 
 def test_a_motion_that_agrees_is_left_as_it_is(run):
