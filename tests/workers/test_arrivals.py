@@ -11,7 +11,7 @@ from prism_edge.messages import Keyframe
 from prism_edge.workers import arrivals
 from prism_edge.workers import backend as worker
 from prism_edge.workers.arrivals import Arrivals
-from tests.workers.backend_bench import CONFIG, depth_of, gate_of, keyframes, scale_of
+from tests.workers.backend_bench import CONFIG, depth_of, gate_of, hear, keyframes
 from tests.workers.list_bus import ListBus
 
 ALL = {"depth", "scale"}
@@ -110,12 +110,7 @@ def test_what_is_kept_for_later_does_not_grow() -> None:
     teller, told = keyframes(12)
     bus = ListBus("keyframe")
     made = worker.BackendWorker(CONFIG, bus)
-    for keyframe in told:
-        bus.give("depth", depth_of(keyframe, teller))
-        bus.give("gate", gate_of(keyframe))
-        bus.give("log_scale", scale_of(keyframe))
-        bus.give("keyframe", keyframe)
-        made._realtime()
+    hear(made, bus, told, teller)
     kept = made._arrivals
     assert max(map(len, (kept._depths, kept._scales, kept._gates))) <= 1
     assert len(kept) == 0
