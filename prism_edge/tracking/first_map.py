@@ -22,6 +22,7 @@ log = logging.getLogger("prism_edge.tracking")
 CAN_WAIT_MATCHES = 100
 MISLED = 2  # times as many match by their looks as tracking finds
 APART = np.radians(60.0)  # between two ways that the matches allow: which is true is not decided yet
+LEAST_SHARE = 0.65  # of the corners fit two views that unseat the network; what moves has fewer agree
 TURNED = np.radians(1.0)  # so near to where a turn alone takes it a corner says nothing against the turn
 
 
@@ -38,8 +39,9 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
 
     Corners are matched by their looks alone: what tracking found, it found where wrong depths led it. Where
     the network's depths contradict the matches (outdoors, say), the two views' structure takes their place
-    and ``frame`` is moved. Where they would allow both ways, a camera waits for more parallax, unless it is
-    about to lose the first view.
+    and ``frame`` is moved, if most corners fit that: past a camera that stands, what moves looks like its
+    motion. Where they would allow both ways, a camera waits for more parallax, unless it is about to lose
+    the first view.
     """
     table = world.points
     before, now = match_corners(first.features, frame.features)
@@ -48,7 +50,7 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
     if views is None:
         wait = can_wait or _is_misled(first, frame, before, now)
         return SecondView.TOO_NEAR if wait else SecondView.AGREES
-    if not views.contradicts:
+    if not views.contradicts or views.good.mean() < LEAST_SHARE:
         wait = can_wait and _is_apart(first, frame, views.first_from_second)
         return SecondView.TOO_NEAR if wait else SecondView.AGREES
     log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)

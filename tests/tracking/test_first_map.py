@@ -197,6 +197,26 @@ def test_two_ways_that_the_matches_allow_wait_for_more_parallax(monkeypatch, asi
     assert begin_structure(world, world.newest(), frame, seed=0) is said
 
 
+@pytest.mark.parametrize(("moving", "unseated"), [(0.2, True), (0.5, False)])
+def test_two_views_unseat_the_network_only_where_most_corners_fit_them(moving, unseated):
+    """Two objects that cross the picture, each its own way, fit a wrong motion as wrong depths do."""
+    cloud, second = Cloud(2000), pose_at(0.5, 0.1, 0.0, 0.0, -0.05)
+    world, _ = cloud.mapped([pose_at()], parallax_deg=0.0)
+    table = world.points
+    table.position[:] *= (3.0 / table.position[:, 2])[:, None]
+    before = table.position.copy()
+    features, _ = cloud.view(second, noise_px=0.3)
+    across = np.argsort(features.pixels[:, 0])
+    objects = np.array_split(across[: int(moving * len(across))], 2)
+    for on_it, way in zip(objects, (30.0, -30.0), strict=True):
+        features.pixels[on_it] += (0.3 * way, way)
+    points = np.full(len(features), NO_POINT, np.int64)
+    frame = TrackedFrame(CAMERA, features, pose_at(0.2), points, np.zeros((6, 6)), 60)
+    said = begin_structure(world, world.newest(), frame, seed=0)
+    assert (said is SecondView.CONTRADICTS) == unseated
+    assert np.array_equal(table.position, before) != unseated
+
+
 def test_points_that_two_views_moved_are_told():
     """The backend has them where the network's depth put them, and must hear of it."""
     cloud, second = Cloud(2000), pose_at(0.5, 0.1, 0.0, 0.0, -0.05)
