@@ -15,6 +15,7 @@ from prism_edge.geometry.poses import Array
 from prism_edge.tracking.point_table import Index, PointTable
 
 LEAST_WEIGHT = 0.05
+PROVEN, MIN_PROVEN = 0.5, 6  # trust in a point; what a pose needs
 
 
 def trust(table: PointTable, rows: Index, now_ns: int, proven_after_s: float) -> Array:
@@ -25,3 +26,11 @@ def trust(table: PointTable, rows: Index, now_ns: int, proven_after_s: float) ->
     share = np.minimum(np.maximum(age, 0.0), 1.0)  # a third of np.clip's time
     gate = table.weight[rows]
     return np.maximum((gate + (1.0 - gate) * share) * share * share, LEAST_WEIGHT)
+
+
+def rests_on_proven(
+    table: PointTable, rows: Index, now_ns: int, proven_after_s: float, share: float = 0.0
+) -> bool:
+    """Whether enough points, and at least such a share of them, have stood their time to bear a pose."""
+    proven = np.sum(trust(table, rows, now_ns, proven_after_s) > PROVEN)
+    return bool(proven >= max(MIN_PROVEN, share * len(rows)))

@@ -9,15 +9,17 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
-from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import hamming
 from prism_edge.tracking.perspective_pose import perspective_pose
 from prism_edge.tracking.point_table import Ids
+from prism_edge.tracking.point_trust import rests_on_proven
 
 MAX_DISTANCE = 60
 MIN_INLIERS, PNP_PX = 15, 6.0
 SUDDEN = 0.5  # of the previous frame's matches
 CLEARLY = 1.1  # times as many
+PROVEN_SHARE = 0.25  # of the points; what keeps ahead of the camera for long comes to have some, too
 
 
 def match_keyframe(features: Features, keyframe: LocalKeyframe) -> tuple[Ids, Ids]:
@@ -57,16 +59,28 @@ def recover(
     least: int,
     seed: int,
 ) -> TrackedFrame | None:
-    """Look for the camera among the newest keyframes and those that shared points with them."""
+    """Look for the camera among the newest keyframes and those that shared points with them.
+
+    Looks alone follow what moves, too: a place where the camera can't have gone (``frames.expected``) is
+    believed only where points say so of which many have stood their time.
+    """
     for keyframe in [newest, *world.covisible(newest, 3)][:3]:
         pose = locate(world, camera, features, keyframe, seed)
         if pose is None:
             continue
         frames.refresh_local_map(world, keyframe.points[keyframe.observed()])
         frame = frames.track(world, camera, features, pose, None, least)
-        if frame is not None and frame.matched >= least:
+        if frame is not None and frame.matched >= least and not _made_up(world, frames, frame):
             return frame
     return None
+
+
+def _made_up(world: LocalMap, frames: FrameTracker, frame: TrackedFrame) -> bool:
+    if frame.expected is None or not frame.expected.rules_out(frame.world_from_camera):
+        return False
+    rows = world.points.rows(frame.points[frame.points != NO_POINT])
+    now_ns, proven_after_s = world.newest().stamp_ns, frames.pose.proven_after_s
+    return not rests_on_proven(world.points, rows, now_ns, proven_after_s, PROVEN_SHARE)
 
 
 def misled(frame: TrackedFrame | None, previous: TrackedFrame | None, least: int) -> bool:

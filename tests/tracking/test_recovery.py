@@ -11,6 +11,7 @@ from prism_edge.geometry.poses import inverse, rotation_angle, se3_log
 from prism_edge.sources.sim import SimSource
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
+from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.recovery import clearly_better, locate, match_keyframe, misled, recover
 from prism_edge.tracking.tracker import Tracker
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
@@ -102,6 +103,28 @@ def test_points_that_fix_no_pose_give_none(map_and_cloud, place):
     world.points.position[:] = place
     pose = locate(world, CAMERA, features, world.keyframes[0], seed=0)
     assert pose is None
+
+
+@pytest.mark.parametrize(
+    ("expected_at", "proven", "found"),
+    [(0.0, 0.0, False), (0.0, 0.15, False), (0.0, 0.4, True), (0.3, 0.0, True), (None, 0.0, True)],
+    ids=["young points", "a few old ones", "many old ones", "where it may have gone", "nothing expected"],
+)
+def test_where_the_camera_cannot_have_gone_only_points_that_have_stood_say_it_is(expected_at, proven, found):
+    """What moves in front of it looks like its map, too."""
+    cloud, true = Cloud(400, seed=0), pose_at(0.3)
+    world, _ = cloud.mapped([np.eye(4)])
+    table, now_ns = world.points, 10_000_000_000
+    world.newest().stamp_ns = now_ns
+    old = np.random.default_rng(0).random(len(table)) < proven
+    table.born_ns[:] = np.where(old, 0, now_ns - 100_000_000)
+    frames = FrameTracker(FACTORS, 5000, proven_after_s=1.5)
+    if expected_at is not None:
+        frames.expected = Prediction(pose_at(expected_at), np.eye(6) * 1e4)  # a centimetre
+    frame = recover(world, frames, CAMERA, cloud.view(true, noise_px=0.3)[0], world.newest(), 25, 0)
+    assert (frame is not None) == found
+    if frame is not None:
+        assert np.abs(se3_log(inverse(true) @ frame.world_from_camera)).max() < 0.02
 
 
 def _placed(matched):
