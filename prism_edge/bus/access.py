@@ -18,6 +18,7 @@ from prism_edge.processes import PROCESSES
 from prism_edge.topics import COMMANDS, TOPICS
 
 SECURE = ("tls", "quic")
+_OURS = ("tcp", "unixsock-stream")  # how our own processes are told from the network: see _HERE
 _HEAR = {"ingress": ["declare_subscriber", "query"], "egress": ["put", "reply", "declare_queryable"]}
 _SAY = {"ingress": ["put", "reply", "declare_queryable"], "egress": ["declare_subscriber", "query"]}
 _SEE_TOKENS = {
@@ -59,6 +60,11 @@ def check_settings(network: NetworkConfig, bus: str) -> None:
         check_endpoint(network.endpoint, "network.endpoint")
         if collide(bus, network.endpoint):
             raise ConfigError(f"network.endpoint: the bus has its port already ({bus}): take another")
+        if protocol_of(bus) not in _OURS:  # what no rule allows: heartbeats too would be refused
+            raise ConfigError(
+                f"bus.endpoint: {bus}: beside network.endpoint the robot's own processes link by "
+                f"{' or '.join(f'{protocol}/' for protocol in _OURS)} alone"
+            )
     secure = protocol_of(network.endpoint) in SECURE
     if network.operators and not secure:
         raise ConfigError("network.operators: only a tls/ network.endpoint asks for certificates")
@@ -97,8 +103,8 @@ _PUBLIC = "prism/*/*"
 
 # Loopback by TCP, as our own processes link: a TLS client on this host is as good as its certificate.
 _HERE: list[dict[str, Any]] = [
-    {"id": "here", "interfaces": ["lo"], "link_protocols": ["tcp"]},
-    {"id": "here by socket", "link_protocols": ["unixsock-stream"]},
+    {"id": "here", "interfaces": ["lo"], "link_protocols": [_OURS[0]]},
+    {"id": "here by socket", "link_protocols": [_OURS[1]]},
 ]
 
 

@@ -26,26 +26,35 @@ _PATIENCE_US = 50_000
 _BATCHES = 16  # that wait to be sent, of each priority: the most that Zenoh allows
 
 
+# How long one who asks and doesn't read the answers holds up all that the listener passes on, heartbeats too,
+# before its link is cut. Zenoh's own 5 s are the watchdog's: all processes would be taken for dead.
+_ASKER_US = 500_000
 # How long a session on another host tries to reach the listener before it gives up.
 _REACH_MS = 5_000
 
 
 def open_session(
-    config: BusConfig, listen: bool, client: bool = False, network: NetworkConfig | None = None
+    config: BusConfig,
+    listen: bool,
+    client: bool = False,
+    network: NetworkConfig | None = None,
+    lossless: bool = False,
 ) -> Any:
     """A Zenoh session that listens on the endpoint, or that connects to it and to those who do so too.
 
     On the listener's host it opens at once and goes on trying; on another host it is a client of the
     listener, because the direct links stay on the host. ``client``: be one here too, which is linked once
     this returns, for a question and no more. ``network``: its endpoint is listened on too, and its
-    certificates are shown. Raises BusError if the endpoint is malformed,
-    can't be listened on or, from another host, is not reached in time.
+    certificates are shown. ``lossless``: lockstep, where who is behind is waited for. Raises BusError if the
+    endpoint is malformed, can't be listened on or, from another host, is not reached in time.
     """
     endpoint, network = check_endpoint(config.endpoint), network or NetworkConfig()
     if listen:
         both = [endpoint, network.endpoint] if network.endpoint else [endpoint]
         links: dict[str, Any] = {"mode": "peer", "listen/endpoints": both, "connect/endpoints": []}
         links["scouting/gossip/autoconnect"] = {"peer": []}  # they come to us
+        if not lossless:
+            links["transport/link/tx/queue/congestion_control/block/wait_before_close"] = _ASKER_US
     elif on_this_host(endpoint) and not client:
         links = {
             "mode": "peer",

@@ -66,8 +66,9 @@ class Bus:
         of a key, BusError for an endpoint that is malformed or in use.
         """
         keys.check_robot_name(config.robot)
-        session = open_session(config.bus, listen, network=config.network)
-        return cls(session, config.robot, process, config.is_lockstep)
+        lossless = config.is_lockstep
+        session = open_session(config.bus, listen, network=config.network, lossless=lossless)
+        return cls(session, config.robot, process, lossless)
 
     def __enter__(self) -> Bus:
         return self

@@ -303,6 +303,15 @@ def test_settings_that_can_not_be_are_named(network: NetworkConfig, words: str) 
         check_network(network, BUS)
 
 
+@pytest.mark.parametrize("protocol", ["ws", "tls", "quic"])
+def test_beside_a_network_the_bus_is_by_what_the_rules_know(protocol: str) -> None:
+    """Else its own processes' heartbeats would be refused in silence."""
+    bus = f"{protocol}/127.0.0.1:7449"
+    with pytest.raises(ConfigError, match=f"bus.endpoint: {bus}: .*tcp/ or unixsock-stream/"):
+        check_network(NetworkConfig(endpoint="tcp/0.0.0.0:7448"), bus)
+    check_network(NetworkConfig(), bus)
+
+
 def test_a_malformed_endpoint_of_the_network_is_named() -> None:
     with pytest.raises(BusError, match=r"network\.endpoint"):
         check_network(NetworkConfig(endpoint="nonsense"), BUS)
