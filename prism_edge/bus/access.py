@@ -159,7 +159,7 @@ def _of_process(process: str) -> list[dict[str, Any]]:
         _rule(f"{process} is listened to", _SAY["egress"], listened, ["egress"]),
         *_rules(f"{process} hears", _HEAR, [f"prism/*/{key}" for key in hears]),
         *_rules(f"{process} says", _SAY, [f"prism/*/{key}" for key in says]),
-        *_rules(f"{process} sees", _SEE_TOKENS, ["prism/*/internal/ready/*"]),
+        *_rules(f"{process} sees", _SEE_TOKENS, ["prism/*/internal/ready/*", "prism/*/internal/run/*"]),
         *_rules(f"{process} is", _HOLD_TOKENS, tokens),
     ]
 

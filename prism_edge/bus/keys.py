@@ -53,6 +53,11 @@ def ready_key(robot: str, process: str) -> str:
     return f"prism/{robot}/internal/ready/{process}"
 
 
+def run_key(robot: str, run: str) -> str:
+    """The liveliness token that says which run of the robot's daemon this is; ``*`` for any."""
+    return f"prism/{robot}/internal/run/{run}"
+
+
 def protocol_of(endpoint: str) -> str:
     """What an endpoint begins with, such as ``tcp``."""
     return endpoint.partition("/")[0]

@@ -14,6 +14,7 @@ from typing import Any
 import zenoh
 
 from prism_edge.bus import codec, keys
+from prism_edge.bus.another_run import AnotherRun
 from prism_edge.bus.answer import Answer
 from prism_edge.bus.commands import CommandDesk, Handler, Reply, send
 from prism_edge.bus.inbox import Inbox
@@ -50,6 +51,7 @@ class Bus:
         self._inboxes: list[Inbox] = []
         self._desks: list[CommandDesk] = []
         self._presence: Presence | None = None
+        self._another_run: AnotherRun | None = None
         self._tokens = [session.liveliness().declare_token(keys.alive_key(robot, process))]
         self._closed = False
         for name, topic in TOPICS.items():
@@ -68,7 +70,11 @@ class Bus:
         keys.check_robot_name(config.robot)
         lossless = config.is_lockstep
         session = open_session(config.bus, listen, network=config.network, lossless=lossless)
-        return cls(session, config.robot, process, lossless)
+        bus = cls(session, config.robot, process, lossless)
+        if listen:  # who listens is the run
+            run = keys.run_key(config.robot, str(session.zid()))
+            bus._tokens.append(session.liveliness().declare_token(run))
+        return bus
 
     def __enter__(self) -> Bus:
         return self
@@ -176,6 +182,12 @@ class Bus:
         except zenoh.ZError:  # closed meanwhile
             return False
 
+    def on_another_run(self, begins: Callable[[], None]) -> None:
+        """Have ``begins`` called, in a thread of its own, once the robot has begun another run than this."""
+        with self._lock:
+            if not self._closed:
+                self._another_run = AnotherRun(self._session, self.robot, begins)
+
     def await_ready(self, processes: Iterable[str], timeout_s: float) -> set[str]:
         """Waits until these processes are ready *and linked to this one*; returns those still missing.
 
@@ -203,6 +215,8 @@ class Bus:
             desk.close()
         if self._presence is not None:
             self._presence.close()
+        if self._another_run is not None:
+            self._another_run.close()
         for declared in (*self._tokens, *self._publishers.values()):
             declared.undeclare()
         self._session.close()

@@ -102,7 +102,8 @@ class DepthWorker:
         if image is None:
             return False
         told = self._told
-        if told is not None and (told.keyframe, told.epoch) == (image.keyframe, image.epoch):
+        asked = image.keyframe, image.epoch, image.stamp_ns
+        if told is not None and (told.keyframe, told.epoch, told.stamp_ns) == asked:
             self._bus.publish("depth", told)  # asked again while a slow network was at it, or it went astray
             return True
         passed_over = image.keyframe - self._last - 1

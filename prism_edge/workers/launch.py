@@ -76,6 +76,18 @@ def say_when_linked(bus: Bus, endpoint: str, log: logging.Logger) -> None:
     log.info("on the bus at %s", endpoint)
 
 
+def watch_for_another_run(bus: Bus) -> threading.Event:
+    """Stop the bus once the robot has begun another run, which the event then says."""
+    another = threading.Event()
+
+    def begins() -> None:
+        another.set()
+        bus.stopped.set()
+
+    bus.on_another_run(begins)
+    return another
+
+
 def run_worker(process: Process, config_file: str, parent: int | None = None, life: int = 0) -> int:
     """Run ``process`` until it is told to stop; returns the exit code.
 
@@ -106,15 +118,21 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
         main = importlib.import_module(process.module).main
         if "cv2" in sys.modules:  # else the environment sees to it
             sys.modules["cv2"].setNumThreads(1)
-        with Bus.open(config, process.name) as bus:
-            if parent is None:  # by hand: without a listener it waits, which would look like nothing
-                told = bus, config.bus.endpoint, log
-                threading.Thread(target=say_when_linked, args=told, name="linked", daemon=True).start()
-            bus.begin_life(None if parent is None else life)
-            bus.run_directory = Path(config_file).resolve().parent if parent is not None else None
-            signals.also(bus.stopped)
-            keep_trimmed(bus.stopped)
-            main(config, bus)
+        another: threading.Event | None = None
+        while another is None or (another.is_set() and not signals.stopped.is_set()):
+            if another is not None:
+                log.info("the robot has begun another run: beginning anew")
+            another = threading.Event()
+            with Bus.open(config, process.name) as bus:
+                if parent is None:  # by hand: without a listener it waits, which would look like nothing
+                    told = bus, config.bus.endpoint, log
+                    threading.Thread(target=say_when_linked, args=told, name="linked", daemon=True).start()
+                    another = watch_for_another_run(bus)
+                bus.begin_life(None if parent is None else life)
+                bus.run_directory = Path(config_file).resolve().parent if parent is not None else None
+                signals.also(bus.stopped)
+                keep_trimmed(bus.stopped)
+                main(config, bus)
         if not signals.stopped.is_set():
             log.error("ended without being told to")
         return 0

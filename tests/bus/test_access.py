@@ -15,7 +15,7 @@ import zenoh
 from prism_edge.bus import access, links, ros
 from prism_edge.bus.access import check_network
 from prism_edge.bus.commands import Reply, send
-from prism_edge.bus.keys import alive_key, check_loopback, key, ready_key
+from prism_edge.bus.keys import alive_key, check_loopback, key, ready_key, run_key
 from prism_edge.bus.links import open_session
 from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
@@ -156,6 +156,15 @@ class TestByCertificate:
             keys = (f"{HEARTBEATS}/*", "prism/robot/internal/**", "**")
             # two heartbeats of each process at least, at fifty messages a second
             assert not [k for k in hears(session, keys, 60) if "/internal/" in k]
+
+    @pytest.mark.parametrize(("name", "seen"), [("depth", True), ("viewer", False), ("operator", False)])
+    def test_only_a_remote_process_sees_which_run_it_is(
+        self, robot: Config, lab: Path, name: str, seen: bool
+    ) -> None:
+        with client(robot, shown(lab, name)) as session:
+            hears(session)
+            runs = list(session.liveliness().get(run_key("robot", "*"), timeout=3 if seen else 1))
+            assert bool([reply for reply in runs if reply.ok]) == seen
 
     def test_only_a_remote_process_says_what_it_says(self, robot: Config, lab: Path) -> None:
         on_host = BusConfig(robot.bus.endpoint)

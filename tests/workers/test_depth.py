@@ -133,13 +133,15 @@ def test_the_newest_keyframe_wins_and_those_passed_over_are_counted(tiny: str):
 def test_a_picture_that_is_shown_again_gets_the_answer_that_it_got(tiny: str):
     """The network does not work for it once more: a slow one was at it when the tracker asked again."""
     bus, config = live(tiny)
-    bus.give("keyframe_image", picture(3), picture(3), replace(picture(3), epoch=3), picture(4))
+    later = replace(picture(4), stamp_ns=picture(4).stamp_ns + 1)
+    bus.give("keyframe_image", picture(3), picture(3), replace(picture(3), epoch=3), picture(4), later)
     main(config, bus)
-    first, again, elsewhere, _ = bus.of("depth")
+    first, again, elsewhere, fourth, of_another_run = bus.of("depth")
+    assert of_another_run.stamp_ns == fourth.stamp_ns + 1
     assert (again.keyframe, again.epoch, again.inference_ms) == (3, 2, first.inference_ms)
     assert np.array_equal(again.depth, first.depth)
     assert elsewhere.epoch == 3
-    assert bus.pulse.values["keyframes"] == "3"
+    assert bus.pulse.values["keyframes"] == "4"
 
 
 def test_a_grey_picture_is_answered_too(tiny: str):

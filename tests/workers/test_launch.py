@@ -23,6 +23,7 @@ from prism_edge.processes import PROCESSES
 from prism_edge.workers.launch import say_when_linked
 from tests.sources.tiny_datasets import write_tum
 from tests.synthetic.network import write_tiny_network
+from tests.waiting import until
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 DEADLINE_S = 60.0
@@ -149,6 +150,28 @@ def test_by_hand_it_says_that_nobody_listens_and_when_somebody_does(
             saying.join(DEADLINE_S)
             say_when_linked(bus, config.bus.endpoint, log)  # at once, where there is a link
     assert caplog.messages[1:] == [f"on the bus at {config.bus.endpoint}"] * 2
+
+
+def test_by_hand_it_begins_anew_with_the_robots_next_run(config: Config, tmp_path: Path) -> None:
+    """It outlives the robot's daemon, which numbers its next run's keyframes from 0 again."""
+    file, log = tmp_path / "effective.yaml", tmp_path / "log"
+    config = replace(config, bus=replace(config.bus, retry_ms=50))
+    file.write_text(dump(config))
+    words = "depth: the robot has begun another run: beginning anew"
+    with log.open("w") as stderr:
+        process = subprocess.Popen(command("depth", file), cwd=CHECKOUT, stderr=stderr)
+        try:
+            for run in range(3):
+                with Bus.open(config, "supervisor", listen=True) as bus:
+                    until(lambda run=run: log.read_text().count(words) == run, f"run {run}", DEADLINE_S)
+                    assert bus.await_ready(["depth"], DEADLINE_S) == set()
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(DEADLINE_S) == 0
+            assert log.read_text().count("runs on CPUExecutionProvider") == 3
+            assert "without being told" not in log.read_text()
+        finally:
+            process.kill()
+            process.wait()
 
 
 def test_a_life_s_numbers_last_for_months() -> None:
