@@ -10,6 +10,7 @@ are all new, as in a part of the scene that has just come into view, the weights
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.point_table import Index, PointTable
@@ -28,9 +29,7 @@ def trust(table: PointTable, rows: Index, now_ns: int, proven_after_s: float) ->
     return np.maximum((gate + (1.0 - gate) * share) * share * share, LEAST_WEIGHT)
 
 
-def rests_on_proven(
-    table: PointTable, rows: Index, now_ns: int, proven_after_s: float, share: float = 0.0
-) -> bool:
-    """Whether enough points, and at least such a share of them, have stood their time to bear a pose."""
-    proven = np.sum(trust(table, rows, now_ns, proven_after_s) > PROVEN)
-    return bool(proven >= max(MIN_PROVEN, share * len(rows)))
+def proven(table: PointTable, rows: Index, now_ns: int, proven_after_s: float) -> NDArray[np.bool_]:
+    """Which points (n,) have stood their time."""
+    mask: NDArray[np.bool_] = trust(table, rows, now_ns, proven_after_s) > PROVEN
+    return mask

@@ -13,7 +13,8 @@ from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import hamming
 from prism_edge.tracking.perspective_pose import perspective_pose
 from prism_edge.tracking.point_table import Ids
-from prism_edge.tracking.point_trust import rests_on_proven
+from prism_edge.tracking.point_trust import MIN_PROVEN, proven
+from prism_edge.tracking.projection import project
 
 MAX_DISTANCE = 60
 MIN_INLIERS, PNP_PX = 15, 6.0
@@ -62,7 +63,7 @@ def recover(
     """Look for the camera among the newest keyframes and those that shared points with them.
 
     Looks alone follow what moves, too: a place where the camera can't have gone (``frames.expected``) is
-    believed only where points say so of which many have stood their time.
+    believed only where many of the points have stood their time, and are not where they were expected.
     """
     for keyframe in [newest, *world.covisible(newest, 3)][:3]:
         pose = locate(world, camera, features, keyframe, seed)
@@ -76,11 +77,15 @@ def recover(
 
 
 def _made_up(world: LocalMap, frames: FrameTracker, frame: TrackedFrame) -> bool:
-    if frame.expected is None or not frame.expected.rules_out(frame.world_from_camera):
+    expected = frame.expected
+    if expected is None or not expected.rules_out(frame.world_from_camera):
         return False
-    rows = world.points.rows(frame.points[frame.points != NO_POINT])
-    now_ns, proven_after_s = world.newest().stamp_ns, frames.pose.proven_after_s
-    return not rests_on_proven(world.points, rows, now_ns, proven_after_s, PROVEN_SHARE)
+    table, keypoints = world.points, np.flatnonzero(frame.points != NO_POINT)
+    rows = table.rows(frame.points[keypoints])
+    there, _ = project(frame.camera, expected.world_from_camera, table.position[rows])
+    elsewhere = np.hypot(*(frame.features.pixels[keypoints] - there).T) > PNP_PX
+    old = proven(table, rows, world.newest().stamp_ns, frames.pose.proven_after_s)
+    return int(np.sum(old & elsewhere)) < max(MIN_PROVEN, PROVEN_SHARE * len(rows))
 
 
 def misled(frame: TrackedFrame | None, previous: TrackedFrame | None, least: int) -> bool:

@@ -12,7 +12,7 @@ from prism_edge.tracking.initialisation import TwoViews, reconstruct
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import Index, match_corners
 from prism_edge.tracking.point_table import Ids
-from prism_edge.tracking.point_trust import rests_on_proven
+from prism_edge.tracking.point_trust import MIN_PROVEN, proven
 from prism_edge.tracking.submaps import Parts
 
 log = logging.getLogger("prism_edge.tracking")
@@ -44,7 +44,7 @@ def look_again(
     if frame.matched >= WEAK_MATCHES or parts.size(world) < 2:
         return frame
     rows = world.points.rows(frame.points[frame.points != NO_POINT])
-    if rests_on_proven(world.points, rows, world.newest().stamp_ns, proven_after_s):
+    if proven(world.points, rows, world.newest().stamp_ns, proven_after_s).sum() >= MIN_PROVEN:
         return frame
     before, now = match_corners(keyframe.features, frame.features)
     if len(before) < MISLED * frame.matched:

@@ -127,6 +127,27 @@ def test_where_the_camera_cannot_have_gone_only_points_that_have_stood_say_it_is
         assert np.abs(se3_log(inverse(true) @ frame.world_from_camera)).max() < 0.02
 
 
+@pytest.mark.parametrize("far", [0.0, 0.4])
+def test_old_points_that_are_where_they_were_expected_do_not_bear_it_out(far):
+    """Far ones go with what moves near the camera, as they would with any way of its own."""
+    cloud, true = Cloud(400, seed=0), pose_at(0.3)
+    is_far = np.random.default_rng(0).random(400) < far
+    cloud.positions[is_far] *= 50.0
+    world, _ = cloud.mapped([np.eye(4)])
+    table, now_ns = world.points, 10_000_000_000
+    world.newest().stamp_ns = now_ns
+    away = table.position[:, 2] > 20.0
+    old = away if far else np.random.default_rng(1).random(len(table)) < 0.4
+    table.born_ns[:] = np.where(old, 0, now_ns - 100_000_000)
+    frames = FrameTracker(FACTORS, 5000, proven_after_s=1.5)
+    frames.expected = Prediction(np.eye(4), np.eye(6) * 1e4)
+    features = cloud.view(true, noise_px=0.3)[0]
+    assert old.mean() > 0.3
+    assert (recover(world, frames, CAMERA, features, world.newest(), 25, 0) is None) == bool(far)
+    frames.expected = None
+    assert recover(world, frames, CAMERA, features, world.newest(), 25, 0) is not None
+
+
 def _placed(matched):
     return TrackedFrame.of_keyframe(Cloud(40, seed=0).mapped([np.eye(4)])[0].keyframes[0], matched)
 
