@@ -15,12 +15,14 @@ from typing import TYPE_CHECKING, Any
 from prism_edge.cli.settings import (
     BUNDLED,
     FREE_PORT,
+    a_name,
     a_path,
     add_common,
     add_order,
     config_from,
     endpoint_given,
     find_networks,
+    is_set,
     source_given,
     with_network,
 )
@@ -58,6 +60,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     parser.add_argument(
         "--model",
         metavar="MODEL",
+        type=a_name,
         help=f"depth network: ONNX file, known name or nested:RELATIVE,METRIC (default: {BUNDLED})",
     )
     add_order(parser)
@@ -66,13 +69,17 @@ def add_parser(subparsers: Any, help_line: str) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play, show, sum up; returns the exit code. Raises PrismError."""
+    from prism_edge.config import SourceConfig
     from prism_edge.evaluation.run import on_free_endpoint
     from prism_edge.sources.address import shown_address
     from prism_edge.sources.sim import is_simulated
 
     config = config_from(args)
-    if not (source_given(args) or is_simulated(config.source.uri)):  # a robot's own file names its camera
-        config = with_network(replace(config, source=replace(config.source, uri=SOURCE)))
+    if source_given(args) or not is_simulated(config.source.uri):  # a robot's own file is of its camera
+        uri, plain = config.source.uri if source_given(args) else SOURCE, SourceConfig()
+        unset = (key for key in ("camera", "mask", "rate_hz") if not is_set(args, f"source.{key}"))
+        source = replace(config.source, uri=uri, **{key: getattr(plain, key) for key in unset})
+        config = with_network(replace(config, source=source))
     if not is_simulated(config.source.uri):
         shown = shown_address(config.source.uri)
         raise SourceError(f"{shown}: the demo plays simulated worlds; use `prism-edge eval`")

@@ -50,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
     check_writable(out, args.overwrite)
     if out.suffix.lower() != ".png":
         raise ConfigError(f"{out}: a mask is a PNG file, which keeps its black black")
-    source, parts = open_source(SourceConfig(uri=args.source), calibrated=False), OwnParts()
+    config = SourceConfig(uri=args.source, rate_hz=rate_hz(args.source))
+    source, parts = open_source(config, calibrated=False), OwnParts()
     with source:
         print(f"looking for what never moves in {source.name}", flush=True)
         width, height = _watch(source, parts)
@@ -74,6 +75,22 @@ def run(args: argparse.Namespace) -> int:
     print(f"{100.0 * own.mean():.1f} % of the image never moves ({_where(own)})")
     print(f"mask: {out}")
     return 0
+
+
+def rate_hz(uri: str) -> float:
+    """For images that nothing says the time of, the rate at which few are all looked at; 0 for others."""
+    from prism_edge.named_path import named_path
+    from prism_edge.sources.base import DEFAULT_RATE_HZ
+    from prism_edge.sources.open import find_listing
+    from prism_edge.sources.own_parts import APART_NS
+
+    path = named_path(uri)
+    if not path.is_dir():
+        return 0.0
+    listing = find_listing(path)
+    usual = round(APART_NS * 1e-9 * DEFAULT_RATE_HZ)  # images from one that is looked at to the next
+    apart = min(max(len(listing.files) // ENOUGH, 1), usual)
+    return 0.0 if listing.stamped else apart / (APART_NS * 1e-9)
 
 
 def _watch(source: Source, parts: Any) -> tuple[int, int]:

@@ -30,6 +30,13 @@ def a_path(name: str) -> Path:
     return Path(name)
 
 
+def a_name(name: str) -> str:
+    """An option's text. ArgumentTypeError for an empty one, as of a variable that isn't set."""
+    if not name:
+        raise argparse.ArgumentTypeError("expected a name, got an empty one")
+    return name
+
+
 def whole_above_zero(text: str) -> int:
     """An option's number of things. Raises ArgumentTypeError, which ends with exit code 2."""
     if not (text.isascii() and text.isdigit() and 0 < int(text) < 2**31):
@@ -92,15 +99,22 @@ def add_playing(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model",
         metavar="MODEL",
+        type=a_name,
         help="depth network: ONNX file, known name, nested:RELATIVE,METRIC, "
         f"{SENSOR} (an RGB-D recording's or a simulated world's own depth: not monocular) or {NO_NETWORK} "
         f"(default: {BUNDLED} for simulated worlds, else {NO_NETWORK})",
     )
     parser.add_argument(
-        "--camera", metavar="FILE", help="camera file (YAML or ROS camera_info); auto: as the network sees it"
+        "--camera",
+        metavar="FILE",
+        type=a_name,
+        help="camera file (YAML or ROS camera_info); auto: as the network sees it",
     )
     parser.add_argument(
-        "--mask", metavar="FILE", help="image, black where the camera sees its own robot (`prism-edge mask`)"
+        "--mask",
+        metavar="FILE",
+        type=a_name,
+        help="image, black where the camera sees its own robot (`prism-edge mask`)",
     )
     add_order(parser)
 
@@ -140,15 +154,16 @@ def config_from(args: argparse.Namespace) -> Config:
 
 def endpoint_given(args: argparse.Namespace) -> bool:
     """Whether the command line names an endpoint, be it the default one."""
-    return args.endpoint is not None or _is_set(args, "bus.endpoint")
+    return args.endpoint is not None or is_set(args, "bus.endpoint")
 
 
 def source_given(args: argparse.Namespace) -> bool:
     """Whether the command line names what is to be played."""
-    return args.source is not None or _is_set(args, "source.uri")
+    return args.source is not None or is_set(args, "source.uri")
 
 
-def _is_set(args: argparse.Namespace, key: str) -> bool:
+def is_set(args: argparse.Namespace, key: str) -> bool:
+    """Whether --set gives a value to the configuration's ``key``."""
     return any(setting.partition("=")[0].strip() == key for setting in args.set)
 
 

@@ -35,7 +35,7 @@ _INFO_REQUIRED = ("width", "height", "distortion_model", "d", "k")
 _INFO_KEYS = {*_INFO_REQUIRED, "header", "r", "p", "binning_x", "binning_y", "roi"}
 _ROI_KEYS = {"x_offset", "y_offset", "height", "width", "do_rectify"}
 _CAPITALS = ("D", "K", "R", "P")
-_MATRIX_KEYS = {"rows", "cols", "data", "dt"}
+_MATRIX_KEYS = {"rows", "cols", "sizes", "data", "dt"}
 _DECIMAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 # ROS's name -> our model, and how many coefficients go with it
 _ROS_MODELS = {
@@ -76,7 +76,7 @@ def _decimal(loader: _Loader, node: yaml.ScalarNode) -> float:
     return float(text) if set(text) & set(".eE") else int(text)
 
 
-for _tag in ("map", "opencv-matrix"):
+for _tag in ("map", "opencv-matrix", "opencv-nd-matrix"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _mapping)
 for _tag in ("int", "float"):
     _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _decimal)
@@ -140,9 +140,14 @@ def _ros(tree: dict[Any, Any]) -> Camera:
     fisheye = tree.get("fisheye_model", 0)
     if fisheye not in (0, 1):
         raise ConfigError(f"fisheye_model: expected 0 or 1, found {fisheye!r}")
-    model, counts, name = _ros_model(tree, "equidistant" if fisheye else "plumb_bob")
     fx, fy, cx, cy = _intrinsics("camera_matrix.data", _matrix(tree, "camera_matrix"))
-    distortion = _matrix(tree, "distortion_coefficients")
+    distortion, default = _matrix(tree, "distortion_coefficients"), "equidistant"
+    if not fisheye:  # OpenCV's own files name no model: it is by how many of the coefficients are used
+        if "distortion_model" not in tree:
+            unused = (n for n in (5, 8) if len(distortion) > n and not any(distortion[n:]))
+            distortion = distortion[: next(unused, None)]
+        default = "plumb_bob" if len(distortion) <= 5 else "rational_polynomial"
+    model, counts, name = _ros_model(tree, default)
     distortion = counted("distortion_coefficients.data", distortion, counts, name)
     width, height = (size_of(key, tree[key]) for key in ("image_width", "image_height"))
     return Camera(width, height, fx, fy, cx, cy, model, distortion)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Set
 from pathlib import Path
@@ -10,7 +11,7 @@ from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import SUFFIXES
 from prism_edge.sources.known_cameras import by_full_name
 from prism_edge.sources.listing import Listing, files_in
-from prism_edge.sources.stamps import at_rate, from_names
+from prism_edge.sources.stamps import at_rate, decimals, from_names
 
 COVERAGE = ".coverage.png"  # what calibrate calls its picture, in the place of its camera file's .yaml
 MASK = "mask.png"  # what `prism-edge mask` writes where nobody says otherwise
@@ -32,6 +33,8 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     named = from_names([path.stem for path in images])
     if named:  # 0.9 s is later than 0.88 s, though 9 comes before 88
         named, images = zip(*sorted(zip(named, images, strict=True)), strict=True)
+    elif numbers := decimals([path.stem for path in images]):  # with what is called otherwise behind them
+        images = tuple(sorted(images, key=lambda path: numbers.get(path.stem, math.inf)))
     stamps = named or tuple(at_rate(i, rate_hz or DEFAULT_RATE_HZ) for i in range(len(images)))
     return Listing("folder of images", images, stamps, lambda: by_full_name(folder), bool(named))
 

@@ -46,8 +46,8 @@ def files_in(folder: Path) -> list[Path]:
         raise SourceError(f"{folder} can't be read ({error.strerror})") from None
 
 
-def lines_of(path: Path) -> list[tuple[int, list[str]]]:
-    """(line number, words) of a text table without its blank lines and # comments.
+def lines_of(path: Path, comments: bool = True) -> list[tuple[int, list[str]]]:
+    """(line number, words) of a text table without its blank lines and, where it may have them, # comments.
 
     Raises SourceError where the file can't be read or is no text.
     """
@@ -57,5 +57,6 @@ def lines_of(path: Path) -> list[tuple[int, list[str]]]:
         raise SourceError(f"{path} can't be read ({error.strerror})") from None
     except UnicodeDecodeError:
         raise SourceError(f"{path} is no text file") from None
-    rows = ((number, line.split("#", 1)[0].split()) for number, line in enumerate(text.splitlines(), 1))
+    lines = (line.split("#", 1)[0] if comments else line for line in text.splitlines())
+    rows = ((number, line.split()) for number, line in enumerate(lines, 1))
     return [(number, words) for number, words in rows if words]

@@ -27,7 +27,9 @@ def read_mask(path: Path) -> Shown:
     except OSError as error:
         raise ConfigError(f"mask {path} can't be read ({error.strerror})") from None
     try:
-        pixels = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE) if len(data) else None
+        # As images are: whatever a camera notes about how it was held.
+        flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+        pixels = cv2.imdecode(data, flags) if len(data) else None
     except cv2.error:
         pixels = None
     if pixels is None:

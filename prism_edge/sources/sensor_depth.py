@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import F32
+from prism_edge.sources.known_cameras import SEVEN_SCENES, seven_scenes
 from prism_edge.sources.listing import Listing
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.tum import read_list
@@ -29,13 +30,15 @@ class SensorDepth:
     """Depth of each colour image of a TUM RGB-D (BONN) or 7-Scenes folder.
 
     The pixels are the depth camera's: registered to colour in TUM and BONN folders, not in 7-Scenes
-    ones. Raises SourceError where the folder holds no depth.
+    ones, nor where files are called alike and the camera is theirs, for want of another. Raises SourceError
+    where the folder holds no depth.
     """
 
     def __init__(self, folder: Path) -> None:
         listing = find_listing(folder)
         self._units = _TUM_UNITS
-        self._apart = listing.layout == "7-Scenes"
+        self._alike = listing.layout == "7-Scenes"
+        self._apart = self._alike and seven_scenes(folder) is SEVEN_SCENES
         if listing.layout == "TUM RGB-D" and (folder / "depth.txt").is_file():
             self._files = _nearest(listing, folder)
         elif listing.layout == "7-Scenes":
@@ -54,7 +57,8 @@ class SensorDepth:
     def in_colour(self, index: int, camera: Camera) -> F32 | None:
         """As :meth:`read`, but of the pixels of ``camera``, the colour camera, whatever the image's size."""
         depth = self.read(index)
-        return seen_by_colour(depth, camera) if depth is not None and self._apart else depth
+        apart = self._apart or (self._alike and _pinhole(camera) == _pinhole(SEVEN_SCENES[1]))
+        return seen_by_colour(depth, camera) if depth is not None and apart else depth
 
     def file(self, index: int) -> Path | None:
         """The depth image of colour image ``index``; None where there is none within 20 ms."""
@@ -71,6 +75,10 @@ class SensorDepth:
             return None
         raw[raw == _NO_RETURN] = 0
         return raw.astype(np.float32) / np.float32(self._units)
+
+
+def _pinhole(camera: Camera) -> tuple[float, ...]:
+    return camera.fx, camera.fy, camera.cx, camera.cy
 
 
 def image_to_depth(depth: F32, camera: Camera) -> NDArray[np.float64]:

@@ -13,7 +13,8 @@ _NS = Decimal(10**9)
 _LIMIT = Decimal(2**63 - 1)
 _LEAST_NS = 1_000_000  # between images that are named by their stamps
 _NANOSECONDS = re.compile(r"[0-9]{17,19}")
-_SECONDS = re.compile(r"[0-9]{10}\.[0-9]{1,9}")
+_SECONDS = re.compile(r"[0-9]{10}(\.[0-9]{1,9})?")
+_DECIMAL = re.compile(r"[0-9]+(\.[0-9]+)?")
 _ROS_NS = 2**31 * 10**9  # builtin_interfaces/Time has 32 bits for seconds: until January 2038
 
 
@@ -47,14 +48,14 @@ def write_seconds(stamp_ns: int) -> str:
 def from_names(names: Sequence[str]) -> tuple[int, ...] | None:
     """The stamps (ns) that images are named by, as EuRoC's and TUM's are; None where their names are no such.
 
-    Whole nanoseconds of 17 to 19 digits, all alike, or seconds since 1970 with a point in them
+    Whole nanoseconds of 17 to 19 digits, all alike, or seconds since 1970, at least one with a point in it
     (1305031102.175304, trailing zeros left out or not). No two are the same, and usually they are a
     millisecond apart and more: today's microseconds have 16 digits, and counters with zeros in front go up
     by less.
     """
     if len(names) < 2:
         return None
-    if all(map(_SECONDS.fullmatch, names)):
+    if all(map(_SECONDS.fullmatch, names)) and any("." in name for name in names):
         stamps = tuple(map(parse_seconds, names))
     elif all(map(_NANOSECONDS.fullmatch, names)) and len({len(name) for name in names}) == 1:
         stamps = tuple(map(int, names))
@@ -63,6 +64,18 @@ def from_names(names: Sequence[str]) -> tuple[int, ...] | None:
     in_order = sorted(stamps)
     once = all(b > a for a, b in pairwise(in_order)) and fits_ros(in_order[-1])
     return stamps if once and usual_period_ns(in_order, 0) >= _LEAST_NS else None
+
+
+def decimals(names: Sequence[str]) -> dict[str, Decimal]:
+    """The names that are decimal numbers with fewer digits where zeros would end them (0.1, 0.15, 0.2, 1.0).
+
+    Empty where there are none, or where they may be counters (1.9, 1.10, 1.11).
+    """
+    found = {name: Decimal(name) for name in names if _DECIMAL.fullmatch(name)}
+    fractions = [name.partition(".")[2] for name in found]
+    lengths = {len(fraction) for fraction in fractions}
+    counted = any(len(fraction) > 1 and fraction.endswith("0") for fraction in fractions)
+    return {} if counted or len(lengths) < 2 or len(set(found.values())) < len(found) else found
 
 
 def at_rate(index: int, rate_hz: float) -> int:

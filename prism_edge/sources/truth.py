@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -25,6 +26,7 @@ log = logging.getLogger("prism_edge.sources")
 
 # A rotation written with few digits is off by less than this.
 _ROTATION_TOLERANCE = 0.01
+_NO_NUMBER = re.compile(r"[-+]?1\.#(IND|INF|QNAN|SNAN)[0-9]*")  # how Windows' programs wrote what is none
 _AS_IT_IS = "its groundtruth.txt is taken for the camera's poses, not the markers'"
 
 
@@ -90,7 +92,8 @@ def _seven_scenes(pairs: Iterable[tuple[int, Path]]) -> list[tuple[int, Array]]:
     rows = []
     for stamp_ns, path in pairs:
         if path.is_file():
-            words = [word for _, line in lines_of(path) for word in line]
+            lines = lines_of(path, comments=False)
+            words = ["nan" if _NO_NUMBER.fullmatch(word) else word for _, line in lines for word in line]
             numbers = _numbers(words, 16, str(path), finite=False)
             if np.all(np.isfinite(numbers)):
                 rows.append((stamp_ns, _pose(numbers[:12], str(path))))

@@ -61,6 +61,22 @@ def test_it_plays_the_configuration_s_world_where_that_has_one(
     assert asked == [(played, BUNDLED)]
 
 
+@pytest.mark.parametrize("arguments", [[], ["sim:loop"]])
+def test_a_robots_camera_and_mask_are_not_the_simulated_ones(arguments, tmp_path, monkeypatch) -> None:
+    asked = []
+
+    def play(config: Config, out: object) -> None:
+        asked.append(config.source)
+        raise EvaluationError("far enough")
+
+    monkeypatch.setattr(demo, "play", play)
+    file = tmp_path / "robot.yaml"
+    theirs = "uri: 'v4l2:/dev/video0', camera: c.yaml, mask: m.png, rate_hz: 15, frames: 90"
+    file.write_text(f"source: {{{theirs}}}\n")
+    main(["demo", *arguments, "--config", str(file), "--out", str(tmp_path / "out")])
+    assert asked == [SourceConfig(uri=arguments[0] if arguments else demo.SOURCE, frames=90)]
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

@@ -181,6 +181,18 @@ def test_an_empty_name_is_not_the_folder_one_stands_in(
     assert f"{words[-1]}: expected a file or folder, got an empty name" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("command", ["run", "eval"])
+@pytest.mark.parametrize("option", ["--model", "--camera", "--mask"])
+def test_an_empty_name_is_not_the_same_as_none(
+    command: str, option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Else the robot would be looked at as if it were the world, and nobody be told."""
+    with pytest.raises(SystemExit) as ended:
+        main([command, "sim:room", option, ""])
+    assert ended.value.code == 2
+    assert f"{option}: expected a name, got an empty one" in capsys.readouterr().err
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 @pytest.mark.parametrize("option", ["--explain", "--robot=r2"])
 def test_output_on_a_full_disk_is_one_line(option: str) -> None:

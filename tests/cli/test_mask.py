@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from prism_edge.cli.main import main
+from prism_edge.cli.mask import rate_hz
 from prism_edge.sources.mask import mask_for
 from tests.synthetic.scene import block_texture
 
@@ -31,6 +32,24 @@ def film(folder: Path, count: int, own: bool = True, sways: float = 1.0) -> Path
         lines.append(f"{0.5 * i:.6f} rgb/{i}.png\n")
     (folder / "rgb.txt").write_text("".join(lines))
     return folder
+
+
+@pytest.mark.parametrize(("images", "hz"), [(40, 10 / 3), (150, 10 / 3), (600, 50 / 3), (5000, 30.0)])
+def test_of_images_that_nothing_says_the_time_of_few_are_all_looked_at(
+    images: int, hz: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for i in range(images):
+        (tmp_path / f"{i}.png").touch()
+    assert rate_hz(str(tmp_path)) == pytest.approx(hz)
+    (tmp_path / "rgb.txt").write_text("".join(f"{i}.5 {i}.png\n" for i in range(images)))
+    assert rate_hz(str(tmp_path)) == 0.0
+    assert rate_hz("v4l2:/dev/video0") == rate_hz("sim:room") == 0.0
+
+
+def test_few_images_without_stamps_are_enough(tmp_path: Path) -> None:
+    recording = film(tmp_path / "film", 40) / "rgb"
+    assert mask(recording, "--out", tmp_path / "mask.png") == 0
+    assert mask_for(tmp_path / "mask.png", 320, 240)[-58:].mean() < 0.02
 
 
 def mask(*words: object) -> int:

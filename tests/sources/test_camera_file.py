@@ -121,6 +121,36 @@ def test_what_opencv_writes_is_read(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("written", "read"),
+    [
+        ((0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6), (0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6)),
+        ((0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6, *[0.0] * 6), (0.1, 0.2, 0.0, 0.0, 0.3, 0.4, 0.5, 0.6)),
+        ((0.1, 0.2, 0.0, 0.0, 0.3, *[0.0] * 9), (0.1, 0.2, 0.0, 0.0, 0.3)),
+        ((0.1, 0.2, 0.0, 0.0), (0.1, 0.2, 0.0, 0.0)),
+    ],
+)
+@pytest.mark.parametrize("tag", ["!!opencv-matrix", "!!opencv-nd-matrix"])
+def test_opencvs_lens_is_by_how_many_coefficients_are_used(
+    tag: str, written: tuple[float, ...], read: tuple[float, ...]
+) -> None:
+    size = f"rows: 1\n  cols: {len(written)}" if tag == "!!opencv-matrix" else f"sizes: [{len(written)}]"
+    text = (
+        "image_width: 640\nimage_height: 480\n"
+        "camera_matrix: !!opencv-matrix\n  rows: 3\n  cols: 3\n  dt: d\n"
+        "  data: [520, 0, 318, 0, 521, 241, 0, 0, 1]\n"
+        f"distortion_coefficients: {tag}\n  {size}\n  dt: d\n  data: {list(written)}\n"
+    )
+    assert parse_camera(text).distortion == read
+
+
+def test_an_opencv_lens_that_is_no_known_one_is_refused() -> None:
+    text = ROS.replace("distortion_model: plumb_bob\n", "")
+    assert text != ROS
+    with pytest.raises(ConfigError, match="rational_polynomial takes 8, not 12"):
+        parse_camera(text.replace("1.76187114e-05, 0]", "0, 0, 1, 2, 3, 4, 5, 6, 7]"))
+
+
 @pytest.mark.parametrize("fisheye", [0, 1])
 def test_what_opencvs_calibration_sample_writes_is_read(tmp_path: Path, fisheye: int) -> None:
     path = tmp_path / "out_camera_data.yml"

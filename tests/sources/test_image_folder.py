@@ -12,6 +12,7 @@ from sources.opening import all_of, opened
 
 from prism_edge.config import SourceConfig
 from prism_edge.sources import Image, open_source
+from prism_edge.sources.open import find_listing
 
 
 def test_a_folder_of_images_is_in_natural_order(tmp_path: Path) -> None:
@@ -71,6 +72,34 @@ def test_names_that_are_seconds_are_stamps(tmp_path: Path, caplog: pytest.LogCap
         assert isinstance(item, Image)
         assert (item.pixels == tiny.picture(i)).all()
     assert not caplog.records
+
+
+def test_a_second_whose_point_was_left_out_too_is_a_stamp(tmp_path: Path) -> None:
+    for i, name in enumerate(("1548266469.9", "1548266469.95", "1548266470", "1548266470.05")):
+        tiny.write_image(tmp_path / f"{name}.png", tiny.picture(i))
+    (tmp_path / "camera.yaml").write_text(tiny.CAMERA)
+    items = all_of(opened(tmp_path))
+    after_ms = [(item.stamp_ns - 1548266469_900000000) / 1e6 for item in items]
+    assert after_ms == [0.0, 50.0, 100.0, 150.0]
+    for i, item in enumerate(items):
+        assert isinstance(item, Image)
+        assert (item.pixels == tiny.picture(i)).all()
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ["0.1", "0.15", "0.2", "0.25", "1.0", "9.95", "10.0"],  # simulated time
+        ["1548266469.85", "1548266469.88333", "1548266469.9", "preview"],  # stamps beside a stranger
+        ["1.9", "1.10", "1.11"],  # the second scene's tenth image
+        ["1.1", "1.9", "1.10"],  # the same number twice
+        ["2", "10", "100"],
+    ],
+)
+def test_decimals_in_names_are_played_in_the_order_of_time(tmp_path: Path, names: list[str]) -> None:
+    for name in names:
+        tiny.write_image(tmp_path / f"{name}.png", tiny.picture(0))
+    assert [path.stem for path in find_listing(tmp_path).files] == names
 
 
 @pytest.mark.parametrize(

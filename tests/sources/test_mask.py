@@ -31,6 +31,26 @@ def test_black_is_hidden_and_white_is_shown(colour: bool, tmp_path: Path) -> Non
     assert np.count_nonzero(~shown) == 10 * 40 + 1
 
 
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_it_is_as_stored_whatever_its_file_says_of_how_the_camera_was_held(
+    orientation: int, tmp_path: Path
+) -> None:
+    """As images are: a frame that was painted over keeps what its camera noted."""
+    pixels = np.full((40, 60), 255, np.uint8)
+    pixels[25:] = 0
+    data = cv2.imencode(".jpg", pixels)[1].tobytes()
+    tiff = b"MM\0*\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0" + bytes([orientation]) + b"\0\0" + bytes(4)
+    exif = b"Exif\0\0" + tiff
+    path = tmp_path / "mask.jpg"
+    path.write_bytes(data[:2] + b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif + data[2:])
+    turned = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
+    assert turned is not None
+    assert turned.shape != pixels.shape or turned[0, 0] < 128, "it does say so"
+    shown = mask_for(path, 60, 40)
+    assert shown[:20].all()
+    assert not shown[30:].any()
+
+
 def test_a_mask_is_for_images_of_its_size(tmp_path: Path) -> None:
     mask = write(tmp_path / "mask.png", np.full((40, 60), 255, np.uint8))
     with pytest.raises(ConfigError, match=r"mask\.png is 60x40, but the camera's images are 40x60"):

@@ -13,7 +13,9 @@ import pytest
 from sources import tiny_datasets as tiny
 
 from prism_edge.errors import ConfigError, SourceError
+from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import so3_exp
+from prism_edge.sources.known_cameras import SEVEN_SCENES
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.sensor_depth import SensorDepth
 from prism_edge.sources.truth import read_truth, truth_file
@@ -68,6 +70,11 @@ def test_seven_scenes_leaves_out_what_was_not_tracked(tmp_path: Path) -> None:
     folder = tiny.write_seven_scenes(tmp_path)
     (folder / "frame-000001.pose.txt").write_text("nan nan nan nan\n" * 4)
     (folder / "frame-000003.pose.txt").unlink()
+    truth = read_truth(str(folder))
+    assert truth is not None
+    assert truth[0].tolist() == [0, 66666667]
+    # As Windows' programs write what is no number, or no finite one.
+    (folder / "frame-000001.pose.txt").write_text("-1.#IND 1.#QNAN -1.#INF000 1.#INF\n" * 4)
     truth = read_truth(str(folder))
     assert truth is not None
     assert truth[0].tolist() == [0, 66666667]
@@ -285,6 +292,24 @@ def test_tum_depth_is_paired_by_time_and_in_metres(tmp_path: Path) -> None:
     assert paired is not None
     assert paired[5, 5] == 1.0
     assert sensor.read(99) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "own", "apart"),
+    [("redkitchen", False, True), ("redkitchen", True, True), ("flat", False, True), ("flat", True, False)],
+)
+def test_another_recorder_s_depth_is_taken_as_registered(
+    tmp_path: Path, name: str, own: bool, apart: bool
+) -> None:
+    """Where its files are called as 7-Scenes' are, but its camera is none of theirs."""
+    folder = tiny.write_seven_scenes(tmp_path / name, count=1)
+    raw = np.where(np.arange(64) < 32, 1000, 3000).astype(np.uint16)
+    assert cv2.imwrite(str(folder / "frame-000000.depth.png"), np.tile(raw, (48, 1)))
+    camera = Camera(640, 480, 580.0, 580.0, 320.0, 240.0) if own else SEVEN_SCENES[1]
+    sensor = SensorDepth(folder)
+    seen = sensor.in_colour(0, camera)
+    assert seen is not None
+    assert (not np.array_equal(seen, sensor.read(0))) == apart
 
 
 def test_seven_scenes_depth(tmp_path: Path) -> None:
