@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
@@ -14,6 +15,7 @@ from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import match_projected
 from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.point_table import Ids, Index
+from prism_edge.tracking.point_trust import proven
 from prism_edge.tracking.pose_from_map import SEED_SIGMA, Centres, PoseFromMap
 from prism_edge.tracking.pose_refinement import PoseEstimate
 from prism_edge.tracking.projection import expected_octaves, project
@@ -61,6 +63,7 @@ class FrameTracker:
         self._factors = scale_factors
         self.pose = PoseFromMap(scale_factors, proven_after_s)
         self.expected: Prediction | None = None  # of the frame at hand
+        self.taken_ns = 0  # when that was
         self._most = max_local_points
         self._local_ids: Ids = np.zeros(0, np.int64)
 
@@ -137,6 +140,10 @@ class FrameTracker:
             self.expected,
         )
 
+    def proven(self, world: LocalMap, rows: Index) -> NDArray[np.bool_]:
+        """Which points (n,) have stood their time, for the frame at hand."""
+        return proven(world.points, rows, self.pose.now(world, self.taken_ns), self.pose.proven_after_s)
+
     def placed_anew(self, world: LocalMap, frame: TrackedFrame, pose: Array, points: Ids) -> TrackedFrame:
         """The frame at a pose that was found otherwise, as sure as all its ``points`` make it just there.
 
@@ -146,7 +153,7 @@ class FrameTracker:
         keypoints = np.flatnonzero(points >= 0)
         rows = world.points.rows(points[keypoints])
         estimate = self.pose.estimate(
-            world, frame.camera, frame.features, pose, rows, keypoints, rounds=(1, 0)
+            world, frame.camera, frame.features, pose, rows, keypoints, (1, 0), taken_ns=self.taken_ns
         )
         unobserved = unobserved_translation(world, pose, rows)
         return replace(
@@ -282,5 +289,5 @@ class FrameTracker:
             return None
         rows = world.points.rows(points[keypoints])
         return self.pose.estimate(
-            world, camera, features, start, rows, keypoints, rounds, views, self.expected
+            world, camera, features, start, rows, keypoints, rounds, views, self.expected, self.taken_ns
         ), keypoints

@@ -30,6 +30,15 @@ class PoseFromMap:
     scale_factors: Array  # (levels,) of the pyramid
     proven_after_s: float = 0.0
 
+    def now(self, world: LocalMap, taken_ns: int) -> int:
+        """Until when points have grown old, in a view that was taken at a time (ns).
+
+        To the newest keyframe: on a drive what is near, and tells the way, is never old, and is not to count
+        for less than that. But a camera that stands makes none, and what it watches grows old all the same,
+        ``proven_after_s`` later.
+        """
+        return max(world.newest().stamp_ns, taken_ns - round(1e9 * self.proven_after_s))
+
     def estimate(
         self,
         world: LocalMap,
@@ -41,8 +50,12 @@ class PoseFromMap:
         rounds: tuple[int, int] = ROUNDS,
         views: Centres | None = None,
         prediction: Prediction | None = None,
+        taken_ns: int = 0,
     ) -> PoseEstimate:
-        """world_from_camera, from ``start`` on, by ``keypoints`` (n,) that show the points in ``rows``."""
+        """world_from_camera, from ``start`` on, by ``keypoints`` (n,) that show the points in ``rows``.
+
+        ``taken_ns``: when the view was, for :meth:`now`.
+        """
         table = world.points
         return refine_pose(
             camera,
@@ -51,7 +64,7 @@ class PoseFromMap:
             features.pixels.take(keypoints, axis=0),
             self.scale_factors[features.octaves[keypoints]],
             shared_depth_error(world, rows, views),
-            trust(table, rows, world.newest().stamp_ns, self.proven_after_s),
+            trust(table, rows, self.now(world, taken_ns), self.proven_after_s),
             rounds=rounds[0],
             iterations=rounds[1],
             prediction=prediction,

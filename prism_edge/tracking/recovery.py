@@ -13,7 +13,7 @@ from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import hamming
 from prism_edge.tracking.perspective_pose import perspective_pose
 from prism_edge.tracking.point_table import Ids
-from prism_edge.tracking.point_trust import MIN_PROVEN, proven
+from prism_edge.tracking.point_trust import MIN_PROVEN
 from prism_edge.tracking.projection import project
 
 MAX_DISTANCE = 60
@@ -84,8 +84,7 @@ def _made_up(world: LocalMap, frames: FrameTracker, frame: TrackedFrame) -> bool
     rows = table.rows(frame.points[keypoints])
     there, _ = project(frame.camera, expected.world_from_camera, table.position[rows])
     elsewhere = np.hypot(*(frame.features.pixels[keypoints] - there).T) > PNP_PX
-    old = proven(table, rows, world.newest().stamp_ns, frames.pose.proven_after_s)
-    return int(np.sum(old & elsewhere)) < max(MIN_PROVEN, PROVEN_SHARE * len(rows))
+    return int(np.sum(frames.proven(world, rows) & elsewhere)) < max(MIN_PROVEN, PROVEN_SHARE * len(rows))
 
 
 def misled(frame: TrackedFrame | None, previous: TrackedFrame | None, least: int) -> bool:

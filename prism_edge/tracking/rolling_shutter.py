@@ -13,7 +13,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
-from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.motion import LONGEST_S
 from prism_edge.tracking.triangulation import rays
 from prism_edge.tracking.turn_between import turn_between
@@ -96,10 +96,22 @@ class RollingShutter:
         return self.in_the_middle(features, camera, twist, 1.0)
 
 
-def see_at_once(world: LocalMap, readout_ms: float) -> None:
-    """Move the keypoints of all keyframes by as much as a readout is another than was found before."""
+def see_at_once(
+    world: LocalMap, readout_ms: float, last: TrackedFrame | None, twist: Array, depth: float
+) -> None:
+    """Move all keyframes' keypoints by as much as a readout is another than was found before.
+
+    And those of the ``last`` frame, by its ``twist`` and ``depth``: it is held against the others.
+    """
     more_ms, world.readout_ms = readout_ms - world.readout_ms, readout_ms
-    for keyframe in world.keyframes.values() if more_ms else ():
-        features, depth = keyframe.features, world.median_depth(keyframe)
-        pixels = seen_at_once(features.pixels, keyframe.camera, keyframe.twist, depth, more_ms)
-        keyframe.features = features if pixels is features.pixels else features.at(pixels, keyframe.camera)
+    if not more_ms:
+        return
+    for keyframe in world.keyframes.values():
+        keyframe.features = _moved(keyframe, keyframe.twist, world.median_depth(keyframe), more_ms)
+    if last is not None:
+        last.features = _moved(last, twist, depth, more_ms)
+
+
+def _moved(view: LocalKeyframe | TrackedFrame, twist: Array, depth: float, more_ms: float) -> Features:
+    pixels = seen_at_once(view.features.pixels, view.camera, twist, depth, more_ms)
+    return view.features if pixels is view.features.pixels else view.features.at(pixels, view.camera)

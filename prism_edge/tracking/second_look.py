@@ -12,7 +12,7 @@ from prism_edge.tracking.initialisation import TwoViews, reconstruct
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.matching import Index, match_corners
 from prism_edge.tracking.point_table import Ids
-from prism_edge.tracking.point_trust import MIN_PROVEN, proven
+from prism_edge.tracking.point_trust import MIN_PROVEN
 from prism_edge.tracking.submaps import Parts
 
 log = logging.getLogger("prism_edge.tracking")
@@ -28,7 +28,6 @@ def look_again(
     frames: FrameTracker,
     frame: TrackedFrame,
     keyframe: LocalKeyframe,
-    proven_after_s: float,
     seed: int,
 ) -> TrackedFrame:
     """The frame as it is, or placed beside a keyframe by what looks alike where that contradicts it.
@@ -44,7 +43,7 @@ def look_again(
     if frame.matched >= WEAK_MATCHES or parts.size(world) < 2:
         return frame
     rows = world.points.rows(frame.points[frame.points != NO_POINT])
-    if proven(world.points, rows, world.newest().stamp_ns, proven_after_s).sum() >= MIN_PROVEN:
+    if frames.proven(world, rows).sum() >= MIN_PROVEN:
         return frame
     before, now = match_corners(keyframe.features, frame.features)
     if len(before) < MISLED * frame.matched:

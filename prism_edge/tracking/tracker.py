@@ -198,7 +198,7 @@ class Tracker:
         previous, frame, enough = self.last, None, self._config.min_matches
         if not (self.world.points.alive.any() and len(features) >= enough):
             return None
-        self._frames.expected = None
+        self._frames.expected, self._frames.taken_ns = None, stamp_ns
         if self._lost:
             return self.places.attempt(self.world, self._frames, camera, features, previous, enough, stamp_ns)
         raw, depth = features, self._at.depth
@@ -213,9 +213,7 @@ class Tracker:
             frame, self._since_refresh = clearly_better(frame, found), REFRESH_FRAMES  # it chose other points
         if frame is None or frame.matched < enough:
             return None
-        frame = look_again(
-            self.world, self.parts, self._frames, frame, self._reference(), self.proven_after_s, self._seed
-        )
+        frame = look_again(self.world, self.parts, self._frames, frame, self._reference(), self._seed)
         twist = self.motion.since(self.last_pose(), frame.world_from_camera, stamp_ns)
         return self.shutter.placed(self.world, self._frames, frame, raw, twist, depth)
 
@@ -363,7 +361,7 @@ class Tracker:
         if len(update.camera):
             self._lens = Camera.from_array(PINHOLE, update.camera)
             see_through(self._lens, [*self.world.keyframes.values(), *([self.last] if self.last else [])])
-        see_at_once(self.world, update.readout_ms)
+        see_at_once(self.world, update.readout_ms, self.last, self.motion.twist, self._at.depth)
         if take_over(self.world, self.parts, update, self.last, self._frames.pose) and self.last is not None:
             self._refresh(self.last)
 

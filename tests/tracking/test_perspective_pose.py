@@ -29,6 +29,21 @@ def test_the_camera_is_where_most_points_say_and_again_by_the_same_seed() -> Non
     assert np.array_equal(*found)
 
 
+def test_it_is_found_mostly_where_seven_of_ten_matches_are_wrong() -> None:
+    """A lost camera's matches are by looks alone."""
+    positions, pixels = seen(wrong=0, noise_px=1.0)
+    right, found = len(pixels) * 3 // 10, 0
+    for trial in range(20):
+        rng = np.random.default_rng(trial)
+        mixed = pixels.copy()
+        wrong = rng.permutation(len(pixels))[right:]
+        mixed[wrong] = rng.uniform((0, 0), (640, 480), (len(wrong), 2))
+        cv2.setRNGSeed(trial)
+        pose = perspective_pose(positions, mixed, CAMERA.matrix, 6.0, 0.99, 15)
+        found += pose is not None and bool(np.abs(se3_log(inverse(TRUE) @ pose)).max() < 0.1)
+    assert found >= 14
+
+
 def test_too_few_that_agree_are_no_pose() -> None:
     positions, pixels = seen(wrong=0)
     assert perspective_pose(positions, pixels, CAMERA.matrix, 4.0, 0.99, len(pixels) + 1) is None

@@ -79,3 +79,13 @@ def test_the_backends_weights_reach_the_points_that_are_still_there():
     np.testing.assert_allclose(world.points.weight[rows], [0.2, 0.7], rtol=1e-6)
     world.weigh(ids, np.zeros(0, np.float32))
     np.testing.assert_allclose(world.points.weight[rows], [0.2, 0.7], rtol=1e-6)
+
+
+def test_what_a_camera_that_stands_has_watched_for_long_has_stood():
+    world, _ = Cloud(200, seed=0).mapped([np.eye(4)])
+    rows, frames = np.arange(len(world.points)), FrameTracker(FACTORS, 5000, proven_after_s=1.5)
+    for taken_ns, stood in ((0, False), (2 * SECOND, False), (3 * SECOND, True), (0, False)):
+        frames.taken_ns = taken_ns
+        assert np.all(frames.proven(world, rows) == stood), taken_ns
+    world.newest().stamp_ns = 3 * SECOND  # of a frame from before the newest keyframe
+    assert frames.proven(world, rows).all()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prism_edge.tracking.point_trust import LEAST_WEIGHT
 from prism_edge.tracking.pose_from_map import (
     ENOUGH_TRIANGULATED,
     SHARED_SEED_ERROR,
@@ -61,6 +62,22 @@ def test_points_that_were_just_made_count_less_than_those_that_have_stood():
         off.append(np.linalg.norm((found.world_from_camera - pose_at(0.3))[:3, 3]))
         assert found.inliers[~young].all()
     assert off[1] < 0.5 * off[0]
+
+
+def test_points_grow_old_before_a_camera_that_stands_and_makes_no_keyframe():
+    """They were made with the newest keyframe, and have been seen in place for as long as it is old."""
+    cloud = Cloud(300, seed=4)
+    world, _ = cloud.mapped([pose_at()], sigma=0.0)
+    view, table = world.keyframes[0], world.points
+    keypoints = view.observed()
+    rows = table.rows(view.points[keypoints])
+    pose, told = PoseFromMap(FACTORS, proven_after_s=1.0), []
+    for taken_s in (0.0, 1.0, 1.5, 2.0, 60.0):
+        taken_ns = round(1e9 * taken_s)
+        found = pose.estimate(world, CAMERA, view.features, pose_at(), rows, keypoints, taken_ns=taken_ns)
+        told.append(np.trace(found.information))
+    expected = np.array([LEAST_WEIGHT, LEAST_WEIGHT, 0.25, 1.0, 1.0])
+    assert told == pytest.approx(told[-1] * expected)
 
 
 def test_a_pixel_of_a_higher_level_says_as_much_less_as_it_is_larger():

@@ -18,6 +18,7 @@ from prism_edge.sources.base import Image
 from prism_edge.sources.sim import SimSource
 from prism_edge.tracking.announcement import keyframe_message
 from prism_edge.tracking.features import Features
+from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.orb_pyramid import Grey
 from prism_edge.tracking.rolling_shutter import RollingShutter, see_at_once
@@ -287,20 +288,37 @@ def test_keyframes_are_seen_at_once_as_far_as_a_readout_is_another_than_before()
     world, true = local_world(twist, 0.026)
     raw = world.keyframes[0].features.pixels
     for readout_ms in (16.0, 26.0):
-        see_at_once(world, readout_ms)
+        see_at_once(world, readout_ms, None, np.zeros(6), 0.0)
         assert world.readout_ms == readout_ms
     seen = world.keyframes[0].features
     assert np.abs(seen.pixels - true).max() < 0.02 + 0.05 * np.abs(raw - true).max()
-    see_at_once(world, 26.0)
+    see_at_once(world, 26.0, None, np.zeros(6), 0.0)
     assert world.keyframes[0].features is seen, "no news"
-    see_at_once(world, 0.0)
+    see_at_once(world, 0.0, None, np.zeros(6), 0.0)
     assert np.abs(world.keyframes[0].features.pixels - raw).max() < 0.05 * np.abs(raw - true).max()
+
+
+def test_the_last_frame_is_seen_at_once_with_the_keyframes() -> None:
+    """Else it would be held against them where it never was, and the step stay in `odom`."""
+    twist = np.array([0.4, 0.1, -0.2, 0.1, 0.5, 0.2])
+    world, true = local_world(twist, 0.026)
+    keyframe = world.keyframes[0]
+    raw, depth = keyframe.features, world.median_depth(keyframe)
+    frame = TrackedFrame.of_keyframe(keyframe, len(raw))
+    see_at_once(world, 26.0, frame, twist, depth)
+    assert np.array_equal(frame.features.pixels, keyframe.features.pixels)
+    assert np.abs(frame.features.pixels - true).max() < 0.02 + 0.05 * np.abs(raw.pixels - true).max()
+    seen = frame.features
+    see_at_once(world, 26.0, frame, twist, depth)
+    assert frame.features is seen, "no news"
+    see_at_once(world, 0.0, frame, np.zeros(6), depth)
+    assert frame.features is seen, "a motion that nobody knows"
 
 
 def test_a_keyframe_whose_motion_nobody_knows_stays_as_it_was_taken() -> None:
     world, _ = local_world(np.zeros(6), 0.026)
     before = world.keyframes[0].features
-    see_at_once(world, 26.0)
+    see_at_once(world, 26.0, None, np.zeros(6), 0.0)
     assert world.keyframes[0].features is before
 
 
@@ -328,6 +346,8 @@ def test_a_tracker_takes_a_readout_out_that_the_backend_has_found(monkeypatch: p
             assert tracker.last.features is taken[-1]
         if index == 6:
             tracker.apply_update(map_update(0, readout_ms=40.0))
+            assert tracker.last is not None
+            assert tracker.last.features is not taken[-1], "the last frame's keypoints are moved, too"
     assert tracker.last is not None
     assert len(tracker.last.features) == len(taken[-1])
     assert np.abs(tracker.last.features.pixels - taken[-1].pixels).max() > 1.0

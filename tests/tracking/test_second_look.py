@@ -41,7 +41,7 @@ def weak_frame(run: Run, error: np.ndarray, matched: int = 30) -> TrackedFrame:
 def look(run: Run, frame: TrackedFrame) -> TrackedFrame:
     world, parts = run.tracker.world, run.tracker.parts
     frames = run.tracker._frames
-    return look_again(world, parts, frames, frame, parts.newest(world), proven_after_s=1.5, seed=0)
+    return look_again(world, parts, frames, frame, parts.newest(world), seed=0)
 
 
 def off(run: Run, frame: TrackedFrame) -> tuple[float, float]:
