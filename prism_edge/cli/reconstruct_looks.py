@@ -51,7 +51,8 @@ def gather(
 
     Raises SourceError where the recording is not the map's, and ModelError.
     """
-    source = open_source(replace(config.source, loop=False), calibrated=False)
+    # The camera is the map's: a robot's own file names one, which a simulated world would refuse.
+    source = open_source(replace(config.source, loop=False, camera=""), calibrated=False)
     if source.live:
         raise SourceError(f"{source.name} is a camera, which has no past: give the recording of the map")
     depth = depth_for(config, mount)

@@ -57,7 +57,7 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
     path = named_path(config.uri)
     source: Source
     if is_simulated(config.uri):
-        if config.camera and (calibrated or config.camera == AUTO):
+        if config.camera:
             raise ConfigError("a simulated camera is set in its address (width, height, focal), not a file")
         source = SimSource(config.uri)
     elif is_live(config.uri):

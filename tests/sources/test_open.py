@@ -14,7 +14,6 @@ from sources.opening import all_of, opened, refusal
 from prism_edge.config import SourceConfig
 from prism_edge.errors import ConfigError, SourceError
 from prism_edge.sources import Image, Unreadable, open_source
-from prism_edge.sources.open import AUTO
 
 
 def test_tum(tmp_path: Path) -> None:
@@ -294,16 +293,6 @@ def test_nothing_recognised_lists_what_would_be(tmp_path: Path) -> None:
             assert layout in str(error)
     with pytest.raises(SourceError, match="no source given"):
         open_source(SourceConfig())
-
-
-def test_a_simulated_world_has_its_own_camera_unless_nobody_asks_for_it(tmp_path: Path) -> None:
-    for camera in ("camera.yaml", AUTO):
-        with pytest.raises(ConfigError, match="a simulated camera is set in its address"):
-            open_source(SourceConfig(uri="sim:room", camera=camera))
-    # As where a robot's configuration is at hand, and the camera is a map's.
-    assert open_source(SourceConfig(uri="sim:room", camera="camera.yaml"), calibrated=False)
-    with pytest.raises(ConfigError, match="a simulated camera is set in its address"):
-        open_source(SourceConfig(uri="sim:room", camera=AUTO), calibrated=False)
 
 
 @pytest.mark.parametrize("suffix", ["png", "jpg"])
