@@ -28,7 +28,7 @@ _BATCHES = 16  # that wait to be sent, of each priority: the most that Zenoh all
 
 # How long one who asks and doesn't read the answers holds up all that the listener passes on, heartbeats too,
 # before its link is cut. Zenoh's own 5 s are the watchdog's: all processes would be taken for dead.
-_ASKER_US = 500_000
+_ASKER_US = 1_500_000
 # How long a session on another host tries to reach the listener before it gives up.
 _REACH_MS = 5_000
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from prism_edge.cli.settings import (
     BUNDLED,
     RECORDING_HELP,
+    a_name,
     a_path,
     add_configuration,
     config_from,
@@ -47,12 +48,16 @@ def add_parser(subparsers: Any, help_line: str) -> None:
     parser.add_argument(
         "--model",
         metavar="MODEL",
+        type=a_name,
         help="depth network, as `run` takes it; one without metres, or of several views, too "
         f"(default: depth.model, {BUNDLED} for simulated worlds)",
     )
     parser.add_argument("--out", metavar="FILE", type=a_path, required=True, help="PLY file to write")
     parser.add_argument(
-        "--mask", metavar="FILE", help="image, black where the camera sees its own robot (as for `run`)"
+        "--mask",
+        metavar="FILE",
+        type=a_name,
+        help="image, black where the camera sees its own robot (as for `run`)"
     )
     parser.add_argument(
         "--voxel", metavar="METRES", type=_length, default=VOXEL, help=f"a point for each (default: {VOXEL})"

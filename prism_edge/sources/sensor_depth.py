@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import cv2
@@ -26,17 +27,22 @@ DEPTH_CAMERA = (585.0, 585.0, 320.0, 240.0)
 COLOUR_IN_DEPTH = np.array([0.025, 0.005, 0.0])
 
 
+log = logging.getLogger("prism_edge.sources")
+
+
 class SensorDepth:
     """Depth of each colour image of a TUM RGB-D (BONN) or 7-Scenes folder.
 
-    The pixels are the depth camera's: registered to colour in TUM and BONN folders, not in 7-Scenes
-    ones, nor where files are called alike and the camera is theirs, for want of another. Raises SourceError
-    where the folder holds no depth.
+    The pixels are the depth camera's: registered to colour in TUM and BONN folders, not in 7-Scenes ones.
+    Other recorders name their files as 7-Scenes does: where no folder's name speaks for it, and the camera
+    isn't its own, depth is taken as registered, which is said once. Raises SourceError where the folder
+    holds no depth.
     """
 
     def __init__(self, folder: Path) -> None:
         listing = find_listing(folder)
         self._units = _TUM_UNITS
+        self._said = False
         self._alike = listing.layout == "7-Scenes"
         self._apart = self._alike and seven_scenes(folder) is SEVEN_SCENES
         if listing.layout == "TUM RGB-D" and (folder / "depth.txt").is_file():
@@ -58,6 +64,9 @@ class SensorDepth:
         """As :meth:`read`, but of the pixels of ``camera``, the colour camera, whatever the image's size."""
         depth = self.read(index)
         apart = self._apart or (self._alike and _pinhole(camera) == _pinhole(SEVEN_SCENES[1]))
+        if self._alike and not (apart or self._said):
+            self._said = True
+            log.warning("depth is taken as registered to colour: no folder is called as 7-Scenes' are")
         return seen_by_colour(depth, camera) if depth is not None and apart else depth
 
     def file(self, index: int) -> Path | None:

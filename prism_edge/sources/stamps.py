@@ -67,15 +67,16 @@ def from_names(names: Sequence[str]) -> tuple[int, ...] | None:
 
 
 def decimals(names: Sequence[str]) -> dict[str, Decimal]:
-    """The names that are decimal numbers with fewer digits where zeros would end them (0.1, 0.15, 0.2, 1.0).
+    """The names that are decimal numbers with fewer digits where zeros would end them (0.05, 0.1, 0.15, 1.0).
 
-    Empty where there are none, or where they may be counters (1.9, 1.10, 1.11).
+    Empty where there are none, or where they may be counters (1.9, 1.11): no counter has .05 beside .1.
     """
     found = {name: Decimal(name) for name in names if _DECIMAL.fullmatch(name)}
     fractions = [name.partition(".")[2] for name in found]
     lengths = {len(fraction) for fraction in fractions}
     counted = any(len(fraction) > 1 and fraction.endswith("0") for fraction in fractions)
-    return {} if counted or len(lengths) < 2 or len(set(found.values())) < len(found) else found
+    surely = any(len(fraction) > 1 and fraction.startswith("0") for fraction in fractions)
+    return {} if counted or not surely or len(lengths) < 2 or len(set(found.values())) < len(found) else found
 
 
 def at_rate(index: int, rate_hz: float) -> int:

@@ -48,6 +48,7 @@ class TrackedFrame:
     unobserved: float = 0.0  # standard deviation of the position beside the covariance, map units
     parallax_deg: float = 1.0  # that its best points were placed under (baseline.py)
     expected: Prediction | None = None  # what the pose was solved with beside its points
+    taken_ns: int = 0  # stamp; 0: not later than the newest keyframe's
 
     @classmethod
     def of_keyframe(cls, keyframe: LocalKeyframe, matched: int) -> TrackedFrame:
@@ -138,6 +139,7 @@ class FrameTracker:
             unobserved_translation(world, estimate.world_from_camera, rows),
             best_parallax(world.points, rows),
             self.expected,
+            self.taken_ns,
         )
 
     def proven(self, world: LocalMap, rows: Index) -> NDArray[np.bool_]:

@@ -279,7 +279,9 @@ def refit(world: LocalMap, last: TrackedFrame, start: Array, pose: PoseFromMap) 
     if last.expected is not None:
         last.expected = last.expected.carried(start @ inverse(last.world_from_camera))
     seen = last.camera, last.features, last.points
-    last.world_from_camera = fit(world, *seen, start, pose, prediction=last.expected)
+    last.world_from_camera = fit(
+        world, *seen, start, pose, prediction=last.expected, taken_ns=last.taken_ns
+    )
 
 
 def fit(
@@ -291,6 +293,7 @@ def fit(
     pose: PoseFromMap,
     usable: NDArray[np.bool_] | None = None,
     prediction: Prediction | None = None,
+    taken_ns: int = 0,
 ) -> Array:
     """world_from_camera that fits the points of a view, or ``start`` where too few are ``usable``."""
     keypoints = np.flatnonzero(points >= 0)
@@ -302,5 +305,7 @@ def fit(
     start = normalised(start)
     if len(rows) < MIN_COMMON:
         return start
-    estimate = pose.estimate(world, camera, features, start, rows, keypoints, prediction=prediction)
+    estimate = pose.estimate(
+        world, camera, features, start, rows, keypoints, prediction=prediction, taken_ns=taken_ns
+    )
     return estimate.world_from_camera if estimate.inliers.sum() >= MIN_COMMON else start

@@ -27,7 +27,7 @@ def perspective_pose(
             iterationsCount=TRIES,
             reprojectionError=within_px,
             confidence=confidence,
-            flags=cv2.SOLVEPNP_AP3P,  # a draw of four: at a quarter of inliers 200 hold a right one
+            flags=cv2.SOLVEPNP_AP3P,  # draws of four: most of them wrong, 200 still hold a right one
         )
     except cv2.error:
         return None  # degenerate points: all on one spot, say

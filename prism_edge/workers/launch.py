@@ -16,7 +16,7 @@ from setproctitle import setproctitle
 
 from prism_edge.config import Config
 from prism_edge.config_file import load
-from prism_edge.errors import UNEXPECTED, PrismError, say
+from prism_edge.errors import UNEXPECTED, BusError, PrismError, say
 from prism_edge.processes import Process
 from prism_edge.workers.heap import bound_heap, keep_trimmed
 from prism_edge.workers.journald_log import JournalHandler, stderr_is_the_journal
@@ -76,6 +76,24 @@ def say_when_linked(bus: Bus, endpoint: str, log: logging.Logger) -> None:
     log.info("on the bus at %s", endpoint)
 
 
+def joined(config: Config, name: str, signals: StopSignals, is_again: bool) -> Bus | None:
+    """The bus; None where it was told to stop meanwhile.
+
+    Once there was a run of the robot's (``is_again``), from another host, too, the next is waited for. Raises
+    as :meth:`Bus.open` does.
+    """
+    from prism_edge.bus.session import Bus
+
+    while True:
+        try:
+            return Bus.open(config, name)
+        except BusError:
+            if not is_again:
+                raise
+        if signals.stopped.wait(_LINKED_S):
+            return None
+
+
 def watch_for_another_run(bus: Bus) -> threading.Event:
     """Stop the bus once the robot has begun another run, which the event then says."""
     another = threading.Event()
@@ -113,8 +131,6 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
         log_as_configured(process.name, config)
         os.nice(process.nice)
         # Imported late, as each worker stands on libraries that the others need not load.
-        from prism_edge.bus.session import Bus
-
         main = importlib.import_module(process.module).main
         if "cv2" in sys.modules:  # else the environment sees to it
             sys.modules["cv2"].setNumThreads(1)
@@ -122,8 +138,11 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
         while another is None or (another.is_set() and not signals.stopped.is_set()):
             if another is not None:
                 log.info("the robot has begun another run: beginning anew")
+            bus_of_run = joined(config, process.name, signals, is_again=another is not None)
+            if bus_of_run is None:
+                break
             another = threading.Event()
-            with Bus.open(config, process.name) as bus:
+            with bus_of_run as bus:
                 if parent is None:  # by hand: without a listener it waits, which would look like nothing
                     told = bus, config.bus.endpoint, log
                     threading.Thread(target=say_when_linked, args=told, name="linked", daemon=True).start()
@@ -132,7 +151,12 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
                 bus.run_directory = Path(config_file).resolve().parent if parent is not None else None
                 signals.also(bus.stopped)
                 keep_trimmed(bus.stopped)
-                main(config, bus)
+                try:
+                    main(config, bus)
+                except Exception as error:
+                    if not another.is_set() or signals.stopped.is_set():
+                        raise
+                    log.info("the last run's work ended with %s: %s", type(error).__name__, error)
         if not signals.stopped.is_set():
             log.error("ended without being told to")
         return 0

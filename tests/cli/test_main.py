@@ -181,8 +181,11 @@ def test_an_empty_name_is_not_the_folder_one_stands_in(
     assert f"{words[-1]}: expected a file or folder, got an empty name" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("command", ["run", "eval"])
-@pytest.mark.parametrize("option", ["--model", "--camera", "--mask"])
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [(c, o) for c in ("run", "eval") for o in ("--model", "--camera", "--mask")]
+    + [("demo", "--model"), ("reconstruct", "--model")],
+)
 def test_an_empty_name_is_not_the_same_as_none(
     command: str, option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -89,8 +89,10 @@ def test_a_second_whose_point_was_left_out_too_is_a_stamp(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     "names",
     [
-        ["0.1", "0.15", "0.2", "0.25", "1.0", "9.95", "10.0"],  # simulated time
-        ["1548266469.85", "1548266469.88333", "1548266469.9", "preview"],  # stamps beside a stranger
+        ["0.05", "0.1", "0.15", "0.2", "0.25", "1.0", "9.95", "10.0"],  # simulated time
+        ["1548266469.88333", "1548266469.9", "1548266470.01666", "preview"],  # stamps beside a stranger
+        ["1.1", "1.6", "1.11", "1.16", "1.21"],  # every fifth image of a scene
+        ["1.8", "1.9", "1.11"],
         ["1.9", "1.10", "1.11"],  # the second scene's tenth image
         ["1.1", "1.9", "1.10"],  # the same number twice
         ["2", "10", "100"],

@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from prism_edge.tracking.frame_tracking import TrackedFrame
+from prism_edge.tracking.map_correction import refit
+from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.point_trust import LEAST_WEIGHT
 from prism_edge.tracking.pose_from_map import (
     ENOUGH_TRIANGULATED,
@@ -78,6 +81,21 @@ def test_points_grow_old_before_a_camera_that_stands_and_makes_no_keyframe():
         told.append(np.trace(found.information))
     expected = np.array([LEAST_WEIGHT, LEAST_WEIGHT, 0.25, 1.0, 1.0])
     assert told == pytest.approx(told[-1] * expected)
+
+
+def test_a_frame_that_is_placed_anew_counts_its_points_as_old_as_when_it_was_tracked():
+    """Against what was expected of it, by which a few young points are outweighed."""
+    cloud = Cloud(300, seed=4)
+    world, _ = cloud.mapped([pose_at()], sigma=0.0)
+    view, aside = world.keyframes[0], pose_at(0.02)
+    off = []
+    for taken_ns in (0, 60_000_000_000):
+        expected = Prediction(aside.copy(), np.eye(6) * 1e6)
+        frame = TrackedFrame.of_keyframe(view, 300)
+        frame.expected, frame.taken_ns = expected, taken_ns
+        refit(world, frame, pose_at(), PoseFromMap(FACTORS, proven_after_s=1.0))
+        off.append(np.linalg.norm(frame.world_from_camera[:3, 3]))
+    assert off[1] < 0.5 * off[0]
 
 
 def test_a_pixel_of_a_higher_level_says_as_much_less_as_it_is_larger():

@@ -11,6 +11,7 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,9 +19,10 @@ from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
 from prism_edge.config_file import dump
+from prism_edge.errors import BusError
 from prism_edge.messages import IDS_A_LIFE, LARGEST_ID
 from prism_edge.processes import PROCESSES
-from prism_edge.workers.launch import say_when_linked
+from prism_edge.workers.launch import joined, say_when_linked
 from tests.sources.tiny_datasets import write_tum
 from tests.synthetic.network import write_tiny_network
 from tests.waiting import until
@@ -172,6 +174,56 @@ def test_by_hand_it_begins_anew_with_the_robots_next_run(config: Config, tmp_pat
         finally:
             process.kill()
             process.wait()
+
+
+def test_what_the_last_run_brought_it_to_does_not_end_it(config: Config, tmp_path: Path) -> None:
+    """As where a message of the next run was at it before it knew that this is another."""
+    file, told = tmp_path / "config.yaml", tmp_path / "told"
+    file.write_text(dump(replace(config, bus=replace(config.bus, retry_ms=50))))
+    say = "import sys; from prism_edge.processes import PROCESSES\n"
+    say += "from prism_edge.workers import launch, scale\n"
+    say += "def main(config, bus):\n"
+    say += "    with open(sys.argv[2], 'a') as told: told.write('begun ')\n"
+    say += "    bus.pulse.ready(); bus.stopped.wait(60.0); raise KeyError(16)\n"
+    say += "scale.main = main\n"
+    say += "sys.exit(launch.run_worker(PROCESSES['scale'], sys.argv[1]))"
+    line = [sys.executable, "-c", say, str(file), str(told)]
+    process = subprocess.Popen(line, cwd=CHECKOUT, stderr=subprocess.PIPE, text=True)
+    try:
+        for lives in ("begun ", "begun begun "):
+            with Bus.open(config, "supervisor", listen=True) as bus:
+                until(lambda lives=lives: told.exists() and told.read_text() == lives, lives, DEADLINE_S)
+                assert bus.await_ready(["scale"], DEADLINE_S) == set()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(DEADLINE_S) == 70, "an error of this run is one"
+    finally:
+        process.kill()
+        _, said = process.communicate()
+    assert told.read_text() == "begun begun "
+    assert "the last run's work ended with KeyError: 16" in said
+
+
+def test_a_run_that_is_down_is_waited_for_once_there_was_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """From another host the bus is only opened where somebody listens."""
+    answers: list[object] = []
+
+    def opened(config: Config, name: str) -> object:
+        answer = answers.pop(0)
+        if answer is None:
+            raise BusError("nobody answers")
+        return answer
+
+    monkeypatch.setattr(Bus, "open", opened)
+    monkeypatch.setattr("prism_edge.workers.launch._LINKED_S", 0.01)
+    signals = SimpleNamespace(stopped=threading.Event())
+    answers[:] = [None, None, "a bus"]
+    assert joined(Config(), "depth", signals, is_again=True) == "a bus"
+    answers[:] = [None]
+    with pytest.raises(BusError, match="nobody answers"):
+        joined(Config(), "depth", signals, is_again=False)
+    signals.stopped.set()
+    answers[:] = [None]
+    assert joined(Config(), "depth", signals, is_again=True) is None
 
 
 def test_a_life_s_numbers_last_for_months() -> None:
