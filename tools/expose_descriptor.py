@@ -32,7 +32,7 @@ from prism_edge.depth.agreement import depth_output
 from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import ModelCard
 from prism_edge.depth.inner_tensor import GEM, GEM_FLOOR, GEM_POWER, GRID, MAX, POOLINGS, TOKEN, halves
-from prism_edge.depth.providers import WHOLE_PRODUCTS
+from prism_edge.depth.providers import ask_for_whole_products
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import FAILING_FILE, ModelError, PrismError, first_line, in_words
 
@@ -281,7 +281,7 @@ def _compare(source: Path, out: Path, card: ModelCard) -> None:
     for path, outputs in ((source, [card.depth_output]), (out, [card.depth_output, OUTPUT])):
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 4
-        options.add_session_config_entry(*WHOLE_PRODUCTS)
+        ask_for_whole_products(options)
         try:
             session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
             name = card.input_name or session.get_inputs()[0].name

@@ -53,8 +53,8 @@ _AROUND = (
 _DATA_FOLDER = "session.model_external_initializers_file_folder_path"
 _FORMAT = ("session.load_model_format", "ONNX")  # else content or ending may make another of what was vetted
 _ERRORS = 3  # of what belongs to no session: a line that names the library which is missing is worth having
-# Else sums of int8 products overflow on x86 without VNNI. There it costs a tenth of the time, elsewhere none.
-WHOLE_PRODUCTS = ("session.x64quantprecision", "1")
+_WHOLE_PRODUCTS = ("session.x64quantprecision", "1")
+_WHOLE_SINCE = (1, 30)  # before, onnxruntime ends the process at a MatMulInteger without zero points
 _QUIET = 4  # onnxruntime's severity "fatal": errors come as exceptions, once, and warnings are harmless
 
 
@@ -233,12 +233,23 @@ def _preload() -> None:
             log.debug("%s", line)
 
 
+def ask_for_whole_products(options: Any) -> bool:
+    """Else sums of int8 products overflow on x86 without VNNI; whether this onnxruntime may be asked.
+
+    There it costs a tenth of the time, elsewhere none.
+    """
+    may_be = tuple(map(int, re.findall(r"[0-9]+", onnxruntime.__version__)[:2])) >= _WHOLE_SINCE
+    if may_be:
+        options.add_session_config_entry(*_WHOLE_PRODUCTS)
+    return may_be
+
+
 def session_options(config: DepthConfig) -> Any:
     """The session options that the configuration sets."""
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _QUIET
     options.add_session_config_entry(*_FORMAT)
-    options.add_session_config_entry(*WHOLE_PRODUCTS)
+    ask_for_whole_products(options)
     options.intra_op_num_threads = config.threads
     options.inter_op_num_threads = 1
     options.enable_cpu_mem_arena = config.arena

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from prism_edge.depth.inner_tensor import TOKEN, pool
-from prism_edge.depth.providers import WHOLE_PRODUCTS
+from prism_edge.depth.providers import ask_for_whole_products
 from prism_edge.errors import ModelError, first_line
 from tools.export_da3.convert import FP16, FP32, INT8
 from tools.export_da3.nested import SKY_LIMIT
@@ -52,7 +52,7 @@ def compare(
     """Runs the file on each of ``inputs``. Raises ModelError where it doesn't run or a shape is another."""
     options = onnxruntime.SessionOptions()
     options.log_severity_level = 3
-    options.add_session_config_entry(*WHOLE_PRODUCTS)  # as the daemon will run it
+    ask_for_whole_products(options)  # as the daemon will run it
     try:
         session = onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
         names = [output.name for output in session.get_outputs()]
