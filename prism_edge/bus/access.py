@@ -18,7 +18,6 @@ from prism_edge.processes import PROCESSES
 from prism_edge.topics import COMMANDS, TOPICS
 
 SECURE = ("tls", "quic")
-_OURS = ("tcp", "unixsock-stream")  # how our own processes are told from the network: see _HERE
 _HEAR = {"ingress": ["declare_subscriber", "query"], "egress": ["put", "reply", "declare_queryable"]}
 _SAY = {"ingress": ["put", "reply", "declare_queryable"], "egress": ["declare_subscriber", "query"]}
 _SEE_TOKENS = {
@@ -103,9 +102,11 @@ _PUBLIC = "prism/*/*"
 
 # Loopback by TCP, as our own processes link: a TLS client on this host is as good as its certificate.
 _HERE: list[dict[str, Any]] = [
-    {"id": "here", "interfaces": ["lo"], "link_protocols": [_OURS[0]]},
-    {"id": "here by socket", "link_protocols": [_OURS[1]]},
+    {"id": "here", "interfaces": ["lo"], "link_protocols": ["tcp"]},
+    {"id": "here by socket", "link_protocols": ["unixsock-stream"]},
 ]
+
+_OURS = [protocol for subject in _HERE for protocol in subject["link_protocols"]]
 
 
 def access_control(network: NetworkConfig, listener: bool) -> dict[str, Any]:

@@ -57,7 +57,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
         "--mask",
         metavar="FILE",
         type=a_name,
-        help="image, black where the camera sees its own robot (as for `run`)"
+        help="image, black where the camera sees its own robot (as for `run`)",
     )
     parser.add_argument(
         "--voxel", metavar="METRES", type=_length, default=VOXEL, help=f"a point for each (default: {VOXEL})"

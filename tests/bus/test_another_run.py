@@ -2,43 +2,12 @@
 
 from __future__ import annotations
 
-import queue
 import threading
-from types import SimpleNamespace
 
 import pytest
-import zenoh
 
 from prism_edge.bus.another_run import AnotherRun
-
-
-class Session:
-    """As much of a Zenoh session as liveliness takes: tokens of runs, as the test says."""
-
-    def __init__(self):
-        self._tokens = queue.Queue()
-        self.handler = self
-
-    def liveliness(self):
-        return self
-
-    def declare_subscriber(self, key, channel, history):
-        assert key == "prism/robot/internal/run/*"
-        assert history  # the run that is there already
-        return self
-
-    def recv(self):
-        token = self._tokens.get()
-        if token is None:
-            raise zenoh.ZError("undeclared")
-        return token
-
-    def undeclare(self):
-        self._tokens.put(None)
-
-    def says(self, run, there):
-        kind = zenoh.SampleKind.PUT if there else zenoh.SampleKind.DELETE
-        self._tokens.put(SimpleNamespace(key_expr=f"prism/robot/internal/run/{run}", kind=kind))
+from tests.bus.tokens import Session
 
 
 @pytest.mark.parametrize(
@@ -55,7 +24,7 @@ class Session:
     ids=["nobody", "one", "gone", "a link that was away", "the next", "an end told late", "once"],
 )
 def test_another_run_is_told_of_once(tokens, times):
-    session, told = Session(), []
+    session, told = Session("prism/robot/internal/run"), []
     watch = AnotherRun(session, "robot", lambda: told.append(threading.current_thread().name))
     for run, there in tokens:
         session.says(run, there)

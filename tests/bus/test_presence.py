@@ -2,55 +2,22 @@
 
 from __future__ import annotations
 
-import queue
 import threading
 import time
 from collections.abc import Iterator
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import zenoh
 
 from prism_edge.bus.presence import Presence
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
-
-
-class Session:
-    """As much of a Zenoh session as liveliness takes; counts subscriptions."""
-
-    def __init__(self) -> None:
-        self.subscriptions = 0
-        self._tokens: queue.Queue[Any] = queue.Queue()
-        self.handler = self
-
-    def liveliness(self) -> Session:
-        return self
-
-    def declare_subscriber(self, key: str, channel: object, history: bool) -> Session:
-        assert key == "prism/robot/internal/ready/*"
-        assert history  # those that were ready before
-        self.subscriptions += 1
-        return self
-
-    def recv(self) -> Any:
-        token = self._tokens.get()
-        if token is None:
-            raise zenoh.ZError("undeclared")
-        return token
-
-    def undeclare(self) -> None:
-        self._tokens.put(None)
-
-    def says(self, name: str, ready: bool) -> None:
-        kind = zenoh.SampleKind.PUT if ready else zenoh.SampleKind.DELETE
-        self._tokens.put(SimpleNamespace(key_expr=f"prism/robot/internal/ready/{name}", kind=kind))
+from tests.bus.tokens import Session
 
 
 @pytest.fixture
 def session() -> Session:
-    return Session()
+    return Session("prism/robot/internal/ready")
 
 
 @pytest.fixture
