@@ -16,10 +16,9 @@ from prism_edge.scale.gate import Floats
 from prism_edge.scale.gate_keyframes import KeyframeGate
 from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
 from prism_edge.scale.parts import PartScales
+from prism_edge.scale.sample_trust import ShutGate, sample_trust
 from prism_edge.scale.samples import samples_of
 from prism_edge.scale.spread import USUAL_BIAS
-
-LEAST_TRUST = 0.05  # of a sample's weight: points of which nothing good is known still say something
 
 
 class ScaleEstimator:
@@ -40,6 +39,7 @@ class ScaleEstimator:
         self._network = ""  # whose depth the map's unit was learned from
         self._says_spread = False  # whether the source of depth has told its own frame_sigma
         self._gate = KeyframeGate(gate or GateConfig(), "dsug" not in ablate)
+        self._shut = ShutGate()
         self._parts = PartScales(config, self._kalman)
         self.accepted = self.rejected = 0  # observations since this epoch began; refused are outliers
 
@@ -51,7 +51,7 @@ class ScaleEstimator:
     @property
     def doubt(self) -> str:
         """Why metres may be worth little, here before elsewhere in the map, in words; empty for nothing."""
-        return self._filter.doubt or self._most_lost.doubt
+        return self._filter.doubt or self._most_lost.doubt or self._shut.doubt
 
     def hear(self, keyframe: Keyframe) -> None:
         """A keyframe has come, whose depth may come later or never: where the map has it counts even so.
@@ -90,8 +90,9 @@ class ScaleEstimator:
         if depth is not None and depth.valid and camera is not None:
             gated = self._gate.assess(keyframe, depth, camera, scale.log_scale)
             if gated is not None:
+                self._shut.see(gated.weights)
                 weights, uncertainty = gated.weights.astype(np.float32), gated.uncertainty.astype(np.float32)
-            observation = self._observe(keyframe, depth, camera, weights * _relative_trust(keyframe))
+            observation = self._observe(keyframe, depth, camera, sample_trust(keyframe, weights))
             if observation is not None:
                 accepted = scale.update(observation)
                 self.accepted += accepted
@@ -143,6 +144,7 @@ class ScaleEstimator:
         """A map of whose unit nothing is known."""
         self._epoch = epoch
         self._parts = PartScales(self._config, self._kalman)
+        self._shut = ShutGate()
         self.accepted = self.rejected = 0
         self._network = ""
         self._gate.forget()
@@ -219,11 +221,3 @@ def _camera_of(keyframe: Keyframe) -> Camera | None:
         return Camera.from_array(keyframe.camera_model, keyframe.camera)
     except ConfigError:
         return None
-
-
-def _relative_trust(keyframe: Keyframe) -> F32:
-    """What the tracker thinks of each keypoint's point, the best as 1; all alike where it says nothing."""
-    trust = np.nan_to_num(keyframe.trust, nan=0.0, posinf=0.0, neginf=0.0)
-    if len(trust) != len(keyframe.pixels) or not (trust > 0).any():
-        return np.ones(len(keyframe.pixels), np.float32)
-    return np.asarray(np.maximum(trust / trust.max(), LEAST_TRUST), np.float32)

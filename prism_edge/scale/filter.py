@@ -33,6 +33,7 @@ REOPEN_AFTER = (5, 30)
 _LEAST_VARIANCE = 1e-12  # float32 depths know no better; keeps the update from dividing 0 by 0
 _OF_X, _OF_BOTH = np.array([1.0, 0.0]), np.ones(2)  # what is observed of the state: x, or x + f
 _LATE_S = 300.0  # the longest that a depth may come late by: a queue's worth of keyframes
+_LONGEST_WALK_S = 3600.0  # between two keyframes, that scale is thought to have walked for
 _MAX_LOG = 20.0  # e^20 metres a unit: beyond any map
 
 
@@ -142,7 +143,9 @@ class ScaleFilter:
         c = self._config
         phi = self.correlation(elapsed)
         transition = np.diag([1.0, phi])
-        walk = min(c.drift_per_sqrt_m**2 * metres + c.drift_per_sqrt_s**2 * elapsed, _MAX_LOG**2)
+        # A clock that was set forward by years is no reason to forget a scale.
+        waited = min(elapsed, _LONGEST_WALK_S)
+        walk = min(c.drift_per_sqrt_m**2 * metres + c.drift_per_sqrt_s**2 * waited, _MAX_LOG**2)
         noise = np.diag([walk, c.frame_sigma**2 * (1.0 - phi * phi)])
         self._state = transition @ self._state
         self._covariance = transition @ self._covariance @ transition + noise

@@ -347,3 +347,14 @@ def test_a_belief_that_falls_to_a_small_contradiction_is_open_however_small(off)
     assert answers == [True] * 20 + [False] * 19 + [True]
     assert scale.log_scale == pytest.approx(off, abs=0.005)
     assert 0.005 < scale.sigma < 0.05
+
+
+@pytest.mark.parametrize("years", [0.1, 56.0])
+def test_a_clock_that_is_set_forward_makes_it_forget_little(years):
+    config = ScaleConfig()
+    scale = played(np.arange(200) * 0.4, np.full(200, 0.3), config)
+    before, sigma = scale.log_scale, scale.sigma
+    scale.predict(80.0 + years * 365.25 * 86400.0, 0.0)
+    assert scale.sigma < math.hypot(sigma, 0.0301)  # an hour's walk
+    scale.update(seen(-0.3, config=config))
+    assert abs(scale.log_scale - before) < 0.05
