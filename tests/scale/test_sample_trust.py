@@ -1,4 +1,4 @@
-"""What weighs in the least squares where the gate is shut, and scale under figures that are another network's."""
+"""What weighs in the least squares where the gate is shut, as by figures that are another network's."""
 
 from dataclasses import replace
 
