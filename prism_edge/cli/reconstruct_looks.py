@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -23,11 +23,11 @@ from prism_edge.reconstruction.look import Look, look
 from prism_edge.reconstruction.same_picture import is_picture_of
 from prism_edge.reconstruction.viewpoints import Viewpoint
 from prism_edge.sources import Image, Source, Unreadable, open_source
-from prism_edge.sources.mask import mask_for
+from prism_edge.sources.mask import Shown, mask_for
 from prism_edge.tracking.features import OrbExtractor
 
 NO_PICTURE = "of whose time the recording has no picture"
-OTHER_PICTURE = "of whose time the recording's picture is another: the map is of several recordings"
+OTHER_PICTURE = "of whose time the recording's picture is another: the map may be of several recordings"
 UNREADABLE = "whose picture can't be read"
 NO_DEPTH = "of which the network gives no depth"
 NO_FIT = "where the map has too few points, or they contradict the network's depth"
@@ -60,7 +60,7 @@ def gather(
     mask = cache(lambda width, height: mask_for(named_path(config.source.mask), width, height))
     if config.source.mask and len({_size(view) for view in seen}) == 1:
         mask(*_size(seen[0]))  # said before the first depth; of several sizes the recording has one
-    pictures = Pictures(config, seen, gathered.without)
+    pictures = Pictures(config, seen, gathered.without, mask if config.source.mask else None)
     with source:
         for taken, answer in depth.answers(pictures.of(source, progress)):
             metres = answer.depth if answer.valid else None
@@ -72,11 +72,11 @@ def gather(
             if metres is None:
                 gathered.without[NO_FIT if answer.valid else NO_DEPTH] += 1
                 continue
-            if config.source.mask:
-                shown = mask(*_size(taken.viewpoint))
+            shown = mask(*_size(taken.viewpoint)) if config.source.mask else None
+            if shown is not None:
                 metres = np.where(shown_in(shown, metres.shape, answer.image_to_depth), metres, np.float32(0))
             seen_so = taken.viewpoint, taken.rgb, metres, answer.confidence, answer.image_to_depth
-            gathered.looks[taken.viewpoint.keyframe] = look(*seen_so, width)
+            gathered.looks[taken.viewpoint.keyframe] = look(*seen_so, width, shown)
     if not pictures.found:
         raise SourceError(f"{source.name} has no picture of any keyframe: is it the recording of this map?")
     return gathered
@@ -85,9 +85,17 @@ def gather(
 class Pictures:
     """The keyframes' pictures; those that have none are counted in ``without``."""
 
-    def __init__(self, config: Config, seen: Sequence[Viewpoint], without: Counter[str]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        seen: Sequence[Viewpoint],
+        without: Counter[str],
+        mask: Callable[[int, int], Shown] | None = None,
+    ) -> None:
+        """``mask`` gives what of images (width, height) shows the world."""
         self.found = 0
-        self._extractor = OrbExtractor(config.tracking)
+        self._tracking, self._mask = config.tracking, mask
+        self._extractors: dict[tuple[int, int], OrbExtractor] = {}
         self._seen, self._without = seen, without
 
     def of(self, source: Source, progress: Progress) -> Iterator[Taken]:
@@ -125,7 +133,12 @@ class Pictures:
         yield Taken(view, item.index, cv2.cvtColor(item.pixels, code))
 
     def _shows(self, view: Viewpoint, grey: U8) -> bool:
-        return is_picture_of(self._extractor.extract(grey, view.camera), view.features)
+        extractor = self._extractors.get(_size(view))
+        if extractor is None:
+            extractor = self._extractors[_size(view)] = OrbExtractor(self._tracking)
+            if self._mask is not None:
+                extractor.look_only_at(self._mask(*_size(view)))
+        return is_picture_of(extractor.extract(grey, view.camera), view.features)
 
     def _check_size(self, source: Source, item: Image, view: Viewpoint) -> None:
         height, width = item.pixels.shape[:2]

@@ -10,7 +10,7 @@ import numpy as np
 
 from prism_edge.reconstruction.cloud import Cloud, Voxels, lay
 from prism_edge.reconstruction.consensus import consensus
-from prism_edge.reconstruction.look import Look
+from prism_edge.reconstruction.look import Look, surface
 from prism_edge.reconstruction.sweep import corrected, sweep, with_baseline
 from prism_edge.scale.gate import GateParameters
 
@@ -62,8 +62,10 @@ def reconstruct(
         progress("agreeing", done, len(looks))
         others = [looks[j] for j in near[keyframe][:MOST_BESIDE]]
         found = consensus(look, others, TOLERANCE, options.gate)
-        chosen = found.kept(options.agreeing) & (found.depth <= options.farthest)
-        laid, lost = lay(voxels, look.with_depth(found.depth).view, chosen, look.colours)
+        view, chosen = look.with_depth(found.depth).view, found.kept(options.agreeing)
+        if math.isfinite(options.farthest):
+            chosen &= np.linalg.norm(surface(view), axis=2) <= options.farthest
+        laid, lost = lay(voxels, view, chosen, look.colours)
         kept, beyond = kept + laid, beyond + lost
     progress("agreeing", len(looks), len(looks))
     return Reconstruction(voxels.cloud(), kept / pixels, beyond, sure)

@@ -34,12 +34,18 @@ class Look:
 
 
 def look(
-    viewpoint: Viewpoint, rgb: U8, depth: F32, confidence: F32, image_to_depth: Array, width: int
+    viewpoint: Viewpoint,
+    rgb: U8,
+    depth: F32,
+    confidence: F32,
+    image_to_depth: Array,
+    width: int,
+    shown: NDArray[np.bool_] | None = None,
 ) -> Look:
     """Lay picture (height, width, 3), depth and confidence (h, w) of a keyframe out at ``width`` pixels.
 
     ``confidence`` is (0, 0) where there is none; ``image_to_depth`` (4,) is of raw pixels. A picture that is
-    narrower stays as it is.
+    narrower stays as it is. Where ``shown`` (height, width) is False, and beside it, there is no depth.
     """
     taken = viewpoint.camera
     small = _small(taken, width)
@@ -53,11 +59,15 @@ def look(
         colours = cv2.remap(colours, *places, cv2.INTER_LINEAR)
     a, b, c, d = image_to_depth
     at = raw * (a, c) + (b, d)
+    there = between_four(depth, *_places(at, small))
+    if shown is not None:  # a network's pixel may be wider than what is hidden
+        world = cv2.remap(shown.astype(np.float32), *_places(raw, small), cv2.INTER_LINEAR)
+        there = np.where(world > _WHOLE, there, np.float32(0))
     view = DepthView(
         viewpoint.keyframe,
         viewpoint.map_from_camera,
         small,
-        between_four(depth, *_places(at, small)),
+        there,
         np.array([1.0, 0.0, 1.0, 0.0]),
         _resampled(_settled(confidence), *_places(at, small)) if confidence.size else confidence,
         1.0,

@@ -56,17 +56,22 @@ def true_map(
     mount: np.ndarray = MOUNT,
     twice: bool = False,
     other: Camera | None = None,
+    shown: np.ndarray | None = None,
 ) -> bytes:
     """Keyframes where they are, and points of the surfaces that they see, wherever they are seen.
 
     ``twice``: a second recording, with the same stamps, went the way back in the map, by ``other``.
+    ``shown``: keyframes have corners there alone.
     """
     renderer = Renderer(furnished_room(SEED), CAMERA)
     first = hand_held_path(FRAMES, RATE_HZ)[0]
     way = path() + (path()[::-1] if twice else [])
     drawn = [renderer.draw(first @ pose) for pose in way]
     draw = [depth for _, depth in drawn]
-    found = [OrbExtractor(TrackingConfig()).extract(luma, CAMERA) for luma, _ in drawn]
+    extractor = OrbExtractor(TrackingConfig())
+    if shown is not None:
+        extractor.look_only_at(shown)
+    found = [extractor.extract(luma, CAMERA) for luma, _ in drawn]
     unit, rng = np.exp(-LOG_SCALE), np.random.default_rng(0)
     places: list[np.ndarray] = []
     for pose, depth in zip(way, draw, strict=True):

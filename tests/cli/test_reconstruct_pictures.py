@@ -124,6 +124,21 @@ def test_what_the_mask_hides_is_not_in_the_cloud(call: Call, tmp_path: Path) -> 
     assert call("--overwrite", "--mask", tmp_path / "small.png") == 3
 
 
+def test_a_map_that_was_made_with_a_mask_knows_its_pictures(
+    call: Call, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All that is seen of corners beside the mask is of no keyframe."""
+    mask = np.full((240, 320), 255, np.uint8)
+    mask[60:] = 0
+    cv2.imwrite(str(tmp_path / "mask.png"), mask)
+    (tmp_path / "part.prismmap").write_bytes(true_map(shown=mask > 0))
+    masked = ("--agree", 1, "--mask", tmp_path / "mask.png")
+    assert call("--no-pictures", "--width", 160, *masked, map=tmp_path / "part.prismmap") == 0
+    heard = capsys.readouterr()
+    assert "8 of 8 keyframes" in heard.out
+    assert "left out" not in heard.err
+
+
 def test_a_video_s_stamps_are_those_of_the_pictures_that_were_read(
     call: Call, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -41,7 +41,7 @@ def test_what_is_farther_than_asked_is_left_out() -> None:
     centres = np.array([look.view.world_from_camera[:3, 3] for look in looks().values()])
     nearest = np.linalg.norm(made.cloud.points[:, None] - centres, axis=2).min(axis=1)
     assert len(made.cloud.points) > 1000
-    assert nearest.max() < 2.0 * 1.4  # along a ray to the corner of the picture
+    assert 1.9 < nearest.max() < 2.03  # along a ray to the corner of the picture, too, but for a voxel
 
 
 def test_nothing_gives_nothing() -> None:

@@ -85,6 +85,22 @@ def test_what_a_confidence_is_doesnt_change_on_the_way(masked: bool) -> None:
     assert np.isnan(right).any() == masked
 
 
+@pytest.mark.parametrize("name", CAMERAS)
+@pytest.mark.parametrize("wide", [4, 11])
+def test_what_is_hidden_has_no_depth_however_coarse_the_network_s_map_is(name: str, wide: int) -> None:
+    camera, tenth = CAMERAS[name], np.array([0.1, -0.45, 0.1, -0.45])
+    shown = np.ones((480, 640), bool)
+    shown[:, 301 : 301 + wide] = False
+    depth, rgb = np.full((48, 64), 3.0, np.float32), np.zeros((480, 640, 3), np.uint8)
+    rgb[~shown] = 255
+    made = look(viewpoint(camera), rgb, depth, NONE, tenth, 320, shown)
+    whole = look(viewpoint(camera), rgb, depth, NONE, tenth, 320)
+    assert not (made.view.depth[made.grey > 130] > 0).any()
+    assert (whole.view.depth[made.grey > 130] > 0).any()
+    beside = (made.view.depth == 0) & (whole.view.depth > 0)
+    assert beside.sum(axis=1).max() <= wide // 2 + 3, "and little beside it"
+
+
 def test_holes_stay_holes() -> None:
     camera = CAMERAS["ideal"]
     depth = np.full((240, 320), 3.0, np.float32)

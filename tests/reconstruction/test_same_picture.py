@@ -37,6 +37,26 @@ def test_a_picture_is_its_own_with_noise_and_other_numbers_of_corners(frame: int
     assert is_picture_of(corners(luma), corners(luma, features=500, max_features=500))
 
 
+def part(of: Features, rows: np.ndarray) -> Features:
+    chosen = of.pixels[rows], of.octaves[rows], of.descriptors[rows]
+    return Features.build(*chosen, CAMERA.width, CAMERA.height)
+
+
+@pytest.mark.parametrize("frame", [0, 40, 100])
+def test_a_keyframe_may_have_a_few_of_the_corners_that_are_found_now(frame: int) -> None:
+    """Of a run that kept few, or saw a quarter of the image alone."""
+    luma = drawn(frame)
+    now, few = corners(noisy(luma)), corners(luma, features=120, max_features=120)
+    assert len(few) < 0.25 * len(now)
+    assert is_picture_of(now, few)
+    whole = corners(luma)
+    quarter = part(whole, np.flatnonzero((whole.pixels < (160, 120)).all(axis=1)))
+    assert is_picture_of(now, quarter)
+    for other in (drawn(frame, seed=4), drawn((frame + 60) % 120)):
+        assert not is_picture_of(corners(other), few)
+        assert not is_picture_of(corners(other), quarter)
+
+
 @pytest.mark.parametrize("frame", [0, 40, 100])
 def test_another_is_not(frame: int) -> None:
     mine = corners(drawn(frame))
