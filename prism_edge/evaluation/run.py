@@ -5,9 +5,8 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
-import sys
 import time
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ from prism_edge.bus.keys import check_endpoint, check_robot_name
 from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import WITHOUT_NETWORK, BusConfig, Config, SourceConfig
-from prism_edge.config_file import dump
-from prism_edge.errors import ConfigError, EvaluationError
+from prism_edge.errors import ConfigError, EvaluationError, say
 from prism_edge.evaluation.daemon import SUPERVISOR, Daemon
 from prism_edge.evaluation.files import digests_of, files_of
 from prism_edge.evaluation.metrics import metrics
@@ -25,6 +23,7 @@ from prism_edge.evaluation.progress import Progress
 from prism_edge.evaluation.recorder import Recorder
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import Meter, Usage
+from prism_edge.evaluation.results import CONFIG, FILES, LOG, MAP, PATHS, Results, results_in
 from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
 from prism_edge.messages import MapSnapshot, WholeMap
 from prism_edge.processes import processes_for
@@ -41,9 +40,6 @@ _LOOK_S = 0.1
 _LAST_FRAME_S = 10.0  # for the last frames to be tracked once the source has ended
 _MAP_S = 20.0  # for all of the map, a large one's hundreds of megabytes too
 _SILENCE_S = 120.0  # without any frame: the run is given up
-PATHS = ("live.tum", "final.tum")
-MAP = "map.prismmap"
-FILES = (*PATHS, "truth.tum", MAP, "metrics.json", "effective.yaml", "daemon.log")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,23 +92,27 @@ def evaluate(
             raise EvaluationError(f"{file} would be overwritten by the run's own: name another folder for it")
     true_path = _truth(config, truth)
     made_of = dataclasses.replace(made_of, files=digests_of(named))
-    config = _prepared(config if keep_endpoint else on_free_endpoint(config), out, kept, further)
-    if not config.depth.network and not quiet:
-        print(f"prism-edge: warning: depth {WITHOUT_NETWORK}", file=sys.stderr)
-    heard = _run(config, out, settle_s, Progress(frame_count, quiet), command)
+    config = as_it_runs(config if keep_endpoint else on_free_endpoint(config))
+    results = Results(out, kept, further)
+    with results:
+        results.prepare(config)
+        if not config.depth.network and not quiet:
+            say(f"prism-edge: warning: depth {WITHOUT_NETWORK}")
+        heard = _run(config, out, settle_s, Progress(frame_count, quiet), command, results)
+        results.begin()
 
     live = heard.recording.live()
     final, missing = Trajectory.of([]), 0
     if heard.snapshot is not None:
         # The map's world frame is the first camera's, and `map` begins where base_link was then.
         final, missing = heard.recording.final(heard.snapshot, heard.snapshot.base_from_camera)
-    with _results_in(out):
+    with results_in(out):
         write_tum(out / "live.tum", live)
         write_tum(out / "final.tum", final)
         if heard.map is not None:
-            _put_map(out, heard.map.data.tobytes())
+            results.put_map(heard.map.data.tobytes())
         elif heard.snapshot is not None and len(heard.snapshot.points):
-            print(f"prism-edge: warning: the map did not come in {_MAP_S:.0f} s: no {MAP}", file=sys.stderr)
+            say(f"prism-edge: warning: the map did not come in {_MAP_S:.0f} s: no {MAP}")
         if true_path is not None and (out / "truth.tum").resolve() not in kept:
             write_tum(out / "truth.tum", true_path)
     report = metrics(
@@ -127,9 +127,9 @@ def evaluate(
         final_missing=missing,
         truth=true_path,
         truth_name=str(truth) if truth else "the sequence's own",
-        played=made_of.after(out / "daemon.log"),
+        played=made_of.after(out / LOG),
     )
-    with _results_in(out):
+    with results_in(out):
         (out / "metrics.json").write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
     if report["violations"]:
         raise EvaluationError(f"the run is void: {'; '.join(report['violations'])}")
@@ -168,56 +168,51 @@ def on_free_endpoint(config: Config) -> Config:
     return dataclasses.replace(config, bus=dataclasses.replace(config.bus, endpoint=free_endpoint()))
 
 
-def _prepared(
-    config: Config, out: Path, kept: Container[Path] = (), further: Sequence[str] = ()
-) -> Config:
-    """The configuration as it runs, written to ``out``, from which an earlier run's files are removed.
-
-    Files ``kept`` are named by their resolved paths.
-    """
+def as_it_runs(config: Config) -> Config:
+    """The configuration with what an evaluation sets by itself. Raises ConfigError."""
     source = dataclasses.replace(config.source, wait_s=max(config.source.wait_s, _WAIT_S))
-    config = dataclasses.replace(config, source=source)
     check_robot_name(config.robot)
     check_endpoint(config.bus.endpoint)
-    with _results_in(out):
-        out.mkdir(parents=True, exist_ok=True)
-        for file in (out / name for name in (*FILES, *further)):
-            if file.resolve() not in kept:
-                file.unlink(missing_ok=True)
-        (out / "effective.yaml").write_text(dump(config))
-    return config
-
-
-@contextlib.contextmanager
-def _results_in(out: Path) -> Iterator[None]:
-    """An error of writing names the folder, which that of a full disk does not."""
-    try:
-        yield
-    except OSError as error:
-        raise OSError(error.errno, f"{error.strerror}: can't write results there", str(out)) from None
+    return dataclasses.replace(config, source=source)
 
 
 def _run(
-    config: Config, out: Path, settle_s: float, progress: Progress, command: Sequence[str]
+    config: Config,
+    out: Path,
+    settle_s: float,
+    progress: Progress,
+    command: Sequence[str],
+    results: Results,
 ) -> Heard:
-    with contextlib.ExitStack() as stack:
-        daemon = stack.enter_context(
-            Daemon(out / "effective.yaml", out / "daemon.log", config.supervisor.stop_s, command)
-        )
-        bus = stack.enter_context(Bus.open(config, "eval"))
-        recorder = Recorder(bus, config.frames)
-        bus.pulse.ready()
-        stack.enter_context(progress)
-        meter = Meter(daemon.pid, "supervisor")
-        ready_s = _listen(config, daemon, recorder, meter, progress)
-        progress.say("waiting for the last optimisation")
-        snapshot = _settled(bus, daemon, settle_s)
-        whole = bus.ask("whole_map", _MAP_S) if snapshot is not None else None
-        return Heard(recorder.close(), snapshot, whole, meter.usage, ready_s)
+    recorder: Recorder | None = None
+    try:
+        with contextlib.ExitStack() as stack:
+            daemon = stack.enter_context(
+                Daemon(out / CONFIG, out / LOG, config.supervisor.stop_s, command)
+            )
+            bus = stack.enter_context(Bus.open(config, "eval"))
+            recorder = Recorder(bus, config.frames)
+            bus.pulse.ready()
+            stack.enter_context(progress)
+            meter = Meter(daemon.pid, "supervisor")
+            ready_s = _listen(config, daemon, recorder, meter, progress, results)
+            progress.say("waiting for the last optimisation")
+            snapshot = _settled(bus, daemon, settle_s)
+            whole = bus.ask("whole_map", _MAP_S) if snapshot is not None else None
+            return Heard(recorder.close(), snapshot, whole, meter.usage, ready_s)
+    except BaseException:  # of Ctrl-C and SIGTERM, too
+        if recorder is not None and results.begun:
+            results.keep_until_here(recorder.close().live())
+        raise
 
 
 def _listen(
-    config: Config, daemon: Daemon, recorder: Recorder, meter: Meter, progress: Progress
+    config: Config,
+    daemon: Daemon,
+    recorder: Recorder,
+    meter: Meter,
+    progress: Progress,
+    results: Results,
 ) -> float | None:
     """Follows the run until its last frame has been tracked; seconds from start to ready (None: never)."""
     awaited = {process.name for process in processes_for(config)}
@@ -238,6 +233,7 @@ def _listen(
         now = time.monotonic()
         if not begun and (not awaited or recorder.frames):
             begun = True
+            results.begin()
             meter.begin()
         if begun and now >= next_sample_s:
             next_sample_s = now + _SAMPLE_S
@@ -266,16 +262,6 @@ def _settled(bus: Bus, daemon: Daemon, settle_s: float) -> MapSnapshot | None:
             return latest
         daemon.check()
         time.sleep(_LOOK_S)
-
-
-def _put_map(out: Path, data: bytes) -> None:
-    """All of it or nothing, a full disk included. Raises OSError."""
-    new = out / f".{MAP}"
-    try:
-        new.write_bytes(data)
-        new.replace(out / MAP)
-    finally:
-        new.unlink(missing_ok=True)
 
 
 def _truth(config: Config, file: Path | None) -> Trajectory | None:

@@ -69,7 +69,11 @@ def paired(estimate: Trajectory, truth: Trajectory) -> tuple[Trajectory, Traject
 
     evo's shorter list leads. Dense truth of a part of the run is such a one, and has several poses within the
     tolerance of each frame: the frame would count with each, and be judged against where it was 10 ms off.
+    And sparse truth that goes on after the run would be the longer one, to be counted with several frames.
     """
+    if len(estimate):
+        first, last = estimate.stamps[0] - TOGETHER_NS, estimate.stamps[-1] + TOGETHER_NS
+        truth = truth.at((truth.stamps >= first) & (truth.stamps <= last))
     mine, his = associate(estimate, truth)
     if len(truth) > len(estimate) or not len(mine):
         return mine, his
@@ -115,7 +119,11 @@ def rows_apart(stamps: NDArray[np.int64], delta_s: float) -> tuple[NDArray[np.in
     if len(stamps) < 2:
         return nobody, nobody
     delta = round(delta_s * NS)
-    slack = min(max(int(np.median(np.diff(stamps))) // 2, 1), delta // 4)
+    steps = np.diff(stamps)
+    steps = steps[steps > 0]  # a true pose may count with two frames
+    if not len(steps):
+        return nobody, nobody
+    slack = min(max(int(np.median(steps)) // 2, 1), delta // 4)
     ends = nearest_rows(stamps, stamps + delta)
     rows = np.arange(len(stamps))
     starts = np.flatnonzero((ends > rows) & (np.abs(stamps[ends] - stamps - delta) <= slack))

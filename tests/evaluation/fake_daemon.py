@@ -44,6 +44,7 @@ def play(scenario: str, config: Config, bus: Bus, worker: int, stopped: threadin
     ended = False
 
     def snapshot() -> MapSnapshot:
+        print("asked for its map", flush=True)
         settled = ended and scenario != "unsettled"
         ids = np.array([0, 4], dtype=np.int64)
         # The map's world is the first camera's; half its unit is a metre.

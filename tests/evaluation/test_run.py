@@ -272,17 +272,39 @@ def test_a_run_without_a_network_says_that_no_pose_will_come(
         assert ("warning: depth has no network" in capsys.readouterr().err) == said
 
 
-@pytest.mark.parametrize("further", [(), ("path.png",)])
-def test_results_of_an_earlier_run_do_not_survive_a_failing_one(
-    further: tuple[str, ...], tiny_sequence: Path, tmp_path: Path
-) -> None:
-    """Nor what was made of them; what is somebody else's stays."""
-    for name in ("metrics.json", "path.png"):
-        (tmp_path / name).write_text("{}")
+EARLIER = ("live.tum", "map.prismmap", "metrics.json", "path.png")
+
+
+def with_earlier_results(folder: Path) -> Path:
+    for name in EARLIER:
+        (folder / name).write_text("earlier")
+    (folder / "effective.yaml").write_text("robot: earlier\n")
+    return folder
+
+
+def test_what_never_begins_costs_no_results_of_an_earlier_run(tiny_sequence: Path, tmp_path: Path) -> None:
+    with_earlier_results(tmp_path)
     with pytest.raises(DaemonError):
-        run("refuses", tiny_sequence, tmp_path, further=further)
-    left = {"effective.yaml", "daemon.log", "path.png"} - set(further)
+        run("refuses", tiny_sequence, tmp_path, further=("path.png",))
+    assert all((tmp_path / name).read_text() == "earlier" for name in EARLIER)
+    assert (tmp_path / "effective.yaml").read_text() == "robot: earlier\n", "whose results lie beside it"
+    assert "no such file" in (tmp_path / "daemon.log").read_text(), "what was said last is there"
+
+
+@pytest.mark.parametrize("further", [(), ("path.png",)])
+def test_results_of_an_earlier_run_do_not_survive_one_that_fails_on_its_way(
+    further: tuple[str, ...], tiny_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Nor what was made of them; what is somebody else's stays, and so do the poses that had come."""
+    with_earlier_results(tmp_path)
+    with pytest.raises(DaemonError, match="out of luck"):
+        run("dies", tiny_sequence, tmp_path, further=further)
+    left = {"effective.yaml", "daemon.log", "live.tum", "path.png"} - set(further)
     assert {file.name for file in tmp_path.iterdir()} == left
+    assert load(tmp_path / "effective.yaml").source.uri == str(tiny_sequence)
+    came = read_tum(tmp_path / "live.tum")
+    assert 1 <= len(came) <= 5
+    assert f"its {len(came)} poses are in {tmp_path / 'live.tum'}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -301,11 +323,14 @@ sys.exit(main(["eval", {str(tiny_sequence)!r}, "--model", "prism_nano", "--out",
     evaluation = subprocess.Popen([sys.executable, "-c", code], cwd=ROOT, stderr=subprocess.PIPE, text=True)
     started = psutil.Process(evaluation.pid)
     until(lambda: _listening(started), "the pretended daemon has a child")
+    log = tmp_path / "daemon.log"
+    until(lambda: log.exists() and "asked for its map" in log.read_text(), "all frames have been played")
     family = started.children(recursive=True)
     os.kill(evaluation.pid, number)
     _, errors = evaluation.communicate(timeout=30)
     assert evaluation.returncode == (130 if number == signal.SIGINT else 128 + number)
     assert "Traceback" not in errors
+    assert len(read_tum(tmp_path / "live.tum")) == 21, "what has come is kept"
     assert psutil.wait_procs(family, timeout=10)[1] == []
 
 

@@ -16,6 +16,7 @@ from prism_edge.errors import BusError, ConfigError, EvaluationError
 from prism_edge.evaluation import run as evaluation
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import Usage
+from prism_edge.evaluation.results import FILES
 from prism_edge.evaluation.run import Heard, evaluate
 from prism_edge.evaluation.trajectory import NS
 from prism_edge.messages import MapSnapshot, WholeMap
@@ -56,7 +57,7 @@ def test_the_map_lies_beside_what_it_was_scored_by(
     assert json.loads((tmp_path / "metrics.json").read_text()) == report
     assert asked["first_stamp_ns"] == 100 * NS
     assert asked["truth_name"] == "the sequence's own"
-    assert {file.name for file in tmp_path.iterdir()} == {*evaluation.FILES} - {"daemon.log"}
+    assert {file.name for file in tmp_path.iterdir()} == {*FILES} - {"daemon.log"}
 
 
 @pytest.mark.parametrize(("points", "said"), [(3, True), (0, False)])

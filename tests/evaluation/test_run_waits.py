@@ -72,15 +72,16 @@ def listen(clock: Clock, frames: Callable[[float], int], beats: list[Heartbeat])
     )
     quiet: Any = SimpleNamespace(at=lambda frames: None)
     recorder: Any = Recorder()
-    return evaluation._listen(Config(), daemon, recorder, meter, quiet), " ".join(done)
+    results: Any = SimpleNamespace(begin=lambda: done.append("room"))
+    return evaluation._listen(Config(), daemon, recorder, meter, quiet, results), " ".join(done)
 
 
 def test_a_daemon_is_ready_from_when_the_last_process_was_not_from_when_it_said_so(clock: Clock) -> None:
-    assert listen(clock, lambda s: int(s), heartbeats()) == (2.0, "begin end")
+    assert listen(clock, lambda s: int(s), heartbeats()) == (2.0, "room begin end")
 
 
 def test_what_is_never_ready_is_measured_from_the_first_frame_all_the_same(clock: Clock) -> None:
-    assert listen(clock, lambda s: int(s), heartbeats(but="backend")) == (None, "begin end")
+    assert listen(clock, lambda s: int(s), heartbeats(but="backend")) == (None, "room begin end")
 
 
 def test_last_frames_that_were_lost_are_not_waited_for_for_good(clock: Clock) -> None:

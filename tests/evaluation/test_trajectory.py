@@ -23,6 +23,7 @@ from prism_edge.evaluation.trajectory import (
     paired,
     path_length,
     read_tum,
+    rows_apart,
     tum_line,
     write_tum,
 )
@@ -170,12 +171,32 @@ def test_dense_truth_of_a_part_of_the_run_counts_each_pose_once() -> None:
 def test_pairs_are_evos_but_for_those_that_share_a_frame(first_ms: np.ndarray, second_ms: np.ndarray) -> None:
     frames = random_trajectory(first_ms * 1_000_000)
     truth = random_trajectory(second_ms * 1_000_000 + 300_000)
-    evos = list(zip(*(t.stamps.tolist() for t in associate(frames, truth)), strict=True))
+    beside = (truth.stamps >= frames.stamps[0] - 10**7) & (truth.stamps <= frames.stamps[-1] + 10**7)
+    evos = list(zip(*(t.stamps.tolist() for t in associate(frames, truth.at(beside))), strict=True))
     ours = list(zip(*(t.stamps.tolist() for t in paired(frames, truth)), strict=True))
     assert set(ours) <= set(evos)
     assert [mine for mine, _ in ours] == sorted({mine for mine, _ in evos})
     for mine, his in ours:
         assert abs(his - mine) == min(abs(t - s) for s, t in evos if s == mine)
+
+
+@pytest.mark.parametrize("count", [301, 3000])
+def test_truth_that_goes_on_after_the_run_changes_no_pair(count: int) -> None:
+    """A run of ten seconds at 120 Hz, and a tracker that gives 30 Hz, of the run or of far more."""
+    frames = random_trajectory(np.arange(1201) * NS // 120)
+    truth = random_trajectory(np.arange(count) * NS // 30 + 200_000)
+    mine, his = paired(frames, truth)
+    assert mine.stamps.tolist() == frames.stamps[::4].tolist()
+    assert his.stamps.tolist() == truth.stamps[:301].tolist()
+
+
+def test_rows_a_second_apart_are_found_where_stamps_come_twice() -> None:
+    stamps = np.arange(31) * NS // 10 + np.random.default_rng(0).integers(0, 300_000, 31)
+    starts, ends = rows_apart(np.repeat(stamps, 3), 1.0)
+    assert set((starts // 3).tolist()) == set(range(21))
+    assert (ends // 3 - starts // 3).tolist() == [10] * len(ends)
+    for few in (np.zeros(5, np.int64), np.zeros(1, np.int64)):
+        assert [len(rows) for rows in rows_apart(few, 1.0)] == [0, 0]
 
 
 def test_nothing_pairs_with_nothing() -> None:

@@ -7,7 +7,6 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -27,16 +26,16 @@ from prism_edge.sources.truth import read_truth
 def metrics_of(words: Sequence[str]) -> dict[str, Any]:
     """Settings, versions, camera and truth as metrics.json has them, with whatever `eval` sets by itself."""
     args = build_parser("eval").parse_args(list(words))
-    with TemporaryDirectory() as out:
-        config = run._prepared(run.on_free_endpoint(effective(args)), Path(out))
+    config = run.as_it_runs(run.on_free_endpoint(effective(args)))
     made_of, own = Played(), None
     with contextlib.suppress(PrismError):
         made_of = played(config.source, open_source(config.source), args.truth)
         own = "the sequence's own" if read_truth(config.source.uri) else None
+    known = made_of.truth_file
     return {
         "camera": json.loads(json.dumps(made_of.camera)),
         "images": made_of.images,
-        "files": digests_of(files_of(config, args.truth or Path(made_of.truth_file or out))),
+        "files": digests_of(files_of(config, args.truth or (Path(known) if known else None))),
         "truth_file": made_of.truth_file if args.truth or own else None,
         "config": json.loads(json.dumps(asdict(config))),
         "versions": versions(),
