@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from prism_edge.calibration import fisheye
 from prism_edge.calibration.board import Board, View
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import FISHEYE, Camera
@@ -43,14 +44,12 @@ def project(points: Array, rotation: Array, translation: Array, camera: Camera) 
 
     Its columns: rotation vector, translation, fx fy cx cy, distortion.
     """
-    distortion, points = np.array(camera.distortion), points.reshape(-1, 1, 3)
     if camera.model == FISHEYE:
-        pixels, slopes = cv2.fisheye.projectPoints(points, rotation, translation, camera.matrix, distortion)
-        order = [8, 9, 10, 11, 12, 13, 0, 1, 2, 3, 4, 5, 6, 7]
-    else:
-        pixels, slopes = cv2.projectPoints(points, rotation, translation, camera.matrix, distortion)
-        order = list(range(10 + len(distortion)))
-    return pixels.reshape(-1, 2), slopes[:, order]
+        pixels, slopes = fisheye.project(points, rotation, translation, camera)
+        return pixels, slopes.reshape(2 * len(points), -1)
+    distortion, points = np.array(camera.distortion), points.reshape(-1, 1, 3)
+    pixels, slopes = cv2.projectPoints(points, rotation, translation, camera.matrix, distortion)
+    return pixels.reshape(-1, 2), slopes[:, : 10 + len(distortion)]
 
 
 def residuals(board: Board, views: Sequence[View], fit: Fit) -> list[Array]:
