@@ -290,7 +290,9 @@ class SupervisorConfig:
 class StateConfig:
     """What is kept from run to run (docs/OPERATIONS.md)."""
 
-    directory: str = text("", "folder of maps and journal; empty: systemd's, or ~/.local/state/prism-edge")
+    directory: str = text(
+        "", "folder of maps and journal; empty: systemd's, or ~/.local/state/prism-edge (maps alone)"
+    )
     journal: bool = field(
         default=True, metadata={"help": "a backend that was started again recovers its map from a journal"}
     )

@@ -253,7 +253,7 @@ def check_disk(least_mb: int = LEAST_DISK_MB) -> Iterator[Finding]:
 def check_folders(config: Config) -> Iterator[Finding]:
     """Whether the daemon could write the files of a run, and what it keeps between runs."""
     from prism_edge.supervisor.run_directory import default_parent
-    from prism_edge.workers.state_directory import state_directory
+    from prism_edge.workers.state_directory import kept_journal, state_directory
 
     try:
         run = default_parent()
@@ -268,7 +268,8 @@ def check_folders(config: Config) -> Iterator[Finding]:
     except MapError as error:
         yield replace(otherwise, found=str(error))
         return
-    yield _writable(kept, "maps and journal", otherwise)
+    what = "maps and journal" if kept_journal(config.state) else "maps"
+    yield _writable(kept, what, otherwise)
 
 
 def _writable(folder: Path, what: str, otherwise: Finding) -> Finding:

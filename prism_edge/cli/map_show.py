@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Callable, Sequence
 
 from prism_edge.backend.map_file import Info
 from prism_edge.cli.map_opened import Opened
+from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import quaternion_from_rotation
 from prism_edge.sources.stamps import write_seconds
 
@@ -20,7 +22,7 @@ def described(found: Opened) -> list[str]:
     when = f"{write_seconds(min(stamps))} to {write_seconds(max(stamps))} s" if stamps else "not said"
     when += f" (not said of {len(keyframes) - len(stamps)})" if 0 < len(stamps) < len(keyframes) else ""
     seen_by = [k.camera for k in keyframes.values()]
-    cameras = Counter(f"{camera.model} {camera.width}x{camera.height}" for camera in seen_by)
+    cameras = Counter(map(_named(seen_by), seen_by))
     shutter = f"; rows read over {found.world.readout_ms:.1f} ms, as found" if found.world.readout_ms else ""
     metres = math.exp(found.scale.log_scale)
     sigma = math.hypot(found.scale.sigma, found.scale.bias_sigma)
@@ -44,6 +46,18 @@ def described(found: Opened) -> list[str]:
         "mount": f"base_from_camera_xyz [{seat}], _xyzw [{turn}]" + (f" ({found.odd})" if found.odd else ""),
     }
     return [f"{name:<11}{value}" for name, value in lines.items()]
+
+
+def _named(cameras: Sequence[Camera]) -> Callable[[Camera], str]:
+    """By what cameras are told apart: their focal lengths, too, where there are several of one size."""
+    sizes = Counter((camera.model, camera.width, camera.height) for camera in set(cameras))
+
+    def name(camera: Camera) -> str:
+        size = camera.model, camera.width, camera.height
+        focal = f", focal length {camera.fx:.1f} and {camera.fy:.1f} pixels" if sizes[size] > 1 else ""
+        return f"{camera.model} {camera.width}x{camera.height}{focal}"
+
+    return name
 
 
 def _word(info: Info, name: str) -> str:

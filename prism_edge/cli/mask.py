@@ -68,12 +68,13 @@ def run(args: argparse.Namespace) -> int:
         )
     own = cv2.resize(found.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
     print(f"{parts.taken} images of a moving camera looked at")
-    if not own.any():
-        print("nothing stays as it is: this camera needs no mask")
-        return 0
     put_whole(out, cv2.imencode(".png", np.where(own, 0, 255).astype(np.uint8))[1].tobytes())
-    print(f"{100.0 * own.mean():.1f} % of the image never moves ({_where(own)})")
-    print(f"mask: {out}")
+    if own.any():
+        print(f"{100.0 * own.mean():.1f} % of the image never moves ({_where(own)})")
+        print(f"mask: {out}")
+    else:  # written all the same: an earlier robot's may lie there, or a script go on to use it
+        print("nothing stays as it is: this camera needs no mask")
+        print(f"mask: {out} (hides nothing)")
     return 0
 
 

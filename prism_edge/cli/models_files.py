@@ -189,7 +189,7 @@ def _digests_of_name(name: str) -> tuple[str, bool]:
     if entry and place and entry.is_pinned:
         files, folder = entry.files, place.parent
     if not files:
-        return ("none is known" if entry else "not at hand"), True
+        return ("none is known" if entry and not entry.is_pinned else "not at hand"), True
     wrong = _wrong(folder, files)
     if wrong:
         return wrong, False

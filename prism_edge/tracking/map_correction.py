@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import LONGEST_READOUT_MS, PINHOLE, Camera
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
-from prism_edge.messages import MapUpdate
+from prism_edge.messages import HOME, MapUpdate
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
@@ -80,7 +80,9 @@ def take_over(
     became = join(world, update)
     if update.loop_query >= 0:
         if parts.merge(update.loop_query, update.loop_candidate, update.loop_units):
-            log.info("the part of keyframe %d has its place in the map", update.loop_query)
+            at_home = parts.of(update.loop_query) == HOME
+            where = "has its place in the map" if at_home else "is joined to another, whose place isn't known"
+            log.info("the part of keyframe %d %s", update.loop_query, where)
         world.look_anew()  # a part, or one end of the map, was turned and scaled: it is seen from elsewhere
     if last is not None:
         if became:

@@ -67,3 +67,9 @@ def test_a_file_that_can_not_be_looked_for_is_a_row_beside_the_others(capsys):
     shown = capsys.readouterr().out
     assert "can't be read (File name too long)" in shown.replace("\n", " ")
     assert "on CPUExecutionProvider" in rows(shown)["prism_nano"][1]
+
+
+def test_a_known_network_that_is_not_here_is_not_said_to_have_no_digest(capsys):
+    assert main(["models", "verify", FASTDEPTH]) == 5
+    cells = rows(capsys.readouterr().out)[FASTDEPTH]
+    assert cells[0] == "not at hand", "nor that none is known: `pull` quotes it"

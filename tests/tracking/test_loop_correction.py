@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import transform
-from prism_edge.messages import MapUpdate
+from prism_edge.messages import HOME, MapUpdate
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.map_correction import (
     _renamed,
@@ -189,3 +189,18 @@ def test_after_a_loop_points_are_as_seen_from_where_the_keyframes_are_now():
     offset = newest.world_from_camera[:3, 3] - table.position[rows]
     assert table.distance[rows] == pytest.approx(np.linalg.norm(offset, axis=1))
     assert table.direction[rows] == pytest.approx(offset / np.linalg.norm(offset, axis=1)[:, None])
+
+
+@pytest.mark.parametrize(
+    ("older", "said"),
+    [(HOME, "has its place in the map"), (1, "is joined to another, whose place isn't known")],
+)
+def test_only_a_part_that_is_joined_to_what_has_a_place_is_said_to_have_one(
+    older: int, said: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    world, _ = Cloud(400, seed=0).mapped(POSES)
+    parts = Parts.given({4: 4, 5: 4} | ({1: 1, 2: 1} if older != HOME else {}))
+    with caplog.at_level("INFO", "prism_edge.tracking"):
+        take_over(world, parts, map_update(5, loop_query=4, loop_candidate=1), None, BY_POINTS)
+    assert parts.of(4) == older
+    assert [record.getMessage() for record in caplog.records] == [f"the part of keyframe 4 {said}"]

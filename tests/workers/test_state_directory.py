@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from prism_edge.config import StateConfig
+from prism_edge.cli.checks import check_folders
+from prism_edge.config import Config, StateConfig
 from prism_edge.errors import MapError
 from prism_edge.workers import state_directory
 
@@ -30,6 +31,22 @@ def test_where_state_is_kept(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     assert state_directory.state_directory(config) == Path(expected)
+
+
+@pytest.mark.parametrize("given", ["", "/a"])
+@pytest.mark.parametrize("directory", ["", "/c"])
+@pytest.mark.parametrize("wanted", [True, False])
+def test_a_journal_is_kept_where_state_was_given_a_folder(
+    given: str, directory: str, wanted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the configuration or systemd, not in a user's own; `doctor` says which."""
+    monkeypatch.setenv("STATE_DIRECTORY", given)
+    monkeypatch.setenv("HOME", "/h")
+    config = StateConfig(directory=directory, journal=wanted)
+    kept = state_directory.kept_journal(config)
+    assert kept == (Path(directory or given) / "journal" if wanted and (directory or given) else None)
+    said = list(check_folders(Config(state=config)))[1].found
+    assert said.startswith("maps and journal can" if kept else "maps can")
 
 
 @pytest.mark.parametrize("name", ["lab.prismmap", ".lab", "../lab", "a/b", "", "x" * 65])
