@@ -4,7 +4,7 @@ from __future__ import annotations
 
 _LATE_NS = 1_000_000_000
 _CAUGHT_UP_NS = 300_000_000
-_AT_ONCE_NS = 10_000_000  # a packet that was there already takes no longer, on a busy machine either
+AT_ONCE_NS = 10_000_000  # a packet that was there already takes no longer, on a busy machine either
 _QUEUED, _AWAITED = 5, 50  # packets in a row: that wait for us, that we wait for
 
 
@@ -22,7 +22,7 @@ class Backlog:
     def leaves_out(self, late_ns: int, waited_ns: int, is_key: bool) -> bool:
         """Whether to pass over a packet that came ``late_ns`` after the least time it can take, and for which
         we waited ``waited_ns``."""
-        at_once = waited_ns < _AT_ONCE_NS
+        at_once = waited_ns < AT_ONCE_NS
         self._late_ns = late_ns
         self._queued = self._queued + 1 if at_once else 0
         self._awaited = 0 if at_once else self._awaited + 1

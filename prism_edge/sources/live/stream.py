@@ -20,7 +20,7 @@ from prism_edge.sources.address import parse_options, shown_parts
 from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.image_file import decode
 from prism_edge.sources.live.arrival_clock import ArrivalClock
-from prism_edge.sources.live.backlog import Backlog
+from prism_edge.sources.live.backlog import AT_ONCE_NS, Backlog
 from prism_edge.sources.live.damage import WAITING, Damage
 from prism_edge.sources.live.driver import CameraLostError, Grab
 
@@ -132,10 +132,11 @@ class StreamConnection:
                 return self._undecoded(bytes(packet), arrival_ns)
             if packet.pts is not None:
                 stamp_ns = _ns(packet.pts, packet.time_base)
-                self._clock.observe(stamp_ns, arrival_ns)
+                waited_ns = arrival_ns - asked_ns
+                self._clock.observe(stamp_ns, arrival_ns, waited_ns >= AT_ONCE_NS)
                 late_ns = arrival_ns - self._clock.host_ns(stamp_ns)
-                leaves_out = self._backlog.leaves_out(late_ns, arrival_ns - asked_ns, packet.is_keyframe)
-                if self._backlog.misled and not self._misled:
+                leaves_out = self._backlog.leaves_out(late_ns, waited_ns, packet.is_keyframe)
+                if (self._backlog.misled or self._clock.is_slow) and not self._misled:
                     self._distrust(stamp_ns, arrival_ns)
                 if leaves_out:
                     self._left_out += 1

@@ -35,6 +35,56 @@ def test_jitter_goes_and_the_least_delay_stays(drift: float) -> None:
     assert np.abs(np.diff(late)).max() < 3.0
 
 
+@pytest.mark.parametrize("counted", [-1e-3, -3e-3, -1e-2, -2e-2, -3e-2])
+def test_a_sender_whose_stamps_run_slower_than_time_is_found(counted: float) -> None:
+    """An encoder that counts 30 images to a second, of a camera that takes 29.97 to 29.1 of them."""
+    rng, clock, arrived, found_s = np.random.default_rng(3), ArrivalClock(), 0, None
+    early = []
+    for k in range(3600):
+        true = 1000 * S + k * S // 30
+        arrived = max(arrived, true + round((5.0 + rng.exponential(10.0)) * MS))
+        stamp = round((true - 1000 * S) * (1 + counted))
+        clock.observe(stamp, arrived, awaited=k % 7 != 3)  # now and then two come together
+        if clock.is_slow:
+            found_s = found_s or k / 30
+        elif found_s is None:
+            early.append((true - clock.host_ns(stamp)) / MS)
+    assert found_s is not None
+    assert found_s < 30.0 + 0.1 / -counted
+    assert max(early) < 25.0 + 5000.0 * -counted, "what the clocks part by in five seconds, beyond the bound"
+
+
+@pytest.mark.parametrize("drift", [-100e-6, 0.0, 100e-6])
+@pytest.mark.parametrize("jitter_ms", [0.0, 20.0, 60.0])
+def test_drifting_clocks_and_busy_networks_are_no_slow_sender(drift: float, jitter_ms: float) -> None:
+    rng, clock, arrived = np.random.default_rng(5), ArrivalClock(), 0
+    for k in range(12 * 600):  # ten minutes at 12 Hz
+        true = k * S // 12
+        congested = 40.0 if k // 240 % 3 == 1 else 0.0  # for twenty seconds of each minute
+        arrived = max(arrived, true + round((5.0 + congested + rng.exponential(jitter_ms)) * MS))
+        clock.observe(round(true * (1 + drift)), arrived)
+        assert not clock.is_slow
+
+
+def test_a_step_of_the_sender_s_is_forgotten_in_seconds() -> None:
+    clock = ArrivalClock()
+    for k in range(600):
+        stamp, arrival = k * 33 * MS - (400 * MS if k >= 300 else 0), k * 33 * MS + 5 * MS
+        clock.observe(stamp, arrival)
+        if k >= 300 + 160:
+            assert clock.host_ns(stamp) == arrival
+    assert not clock.is_slow
+
+
+def test_a_decoder_that_falls_behind_is_no_slow_sender() -> None:
+    """What waits for us is taken up later and later, and was there in time."""
+    clock = ArrivalClock()
+    for k in range(800):
+        clock.observe(k * 33 * MS, round(k * 34.0 * MS) + MS, awaited=False)
+    assert not clock.is_slow
+    assert clock.host_ns(799 * 33 * MS) == 799 * 33 * MS + MS
+
+
 def test_a_stall_dates_back_what_waited_in_it() -> None:
     clock = ArrivalClock()
     for k in range(30):
