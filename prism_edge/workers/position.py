@@ -5,10 +5,22 @@ from __future__ import annotations
 import contextlib
 import os
 import struct
+from dataclasses import astuple, dataclass
 from pathlib import Path
 
+from prism_edge.sources.live.wall_clock import since_boot_ns
+
 NAME = "position"  # in a run's folder
-_RECORD = struct.Struct("<qq")  # index and stamp (ns) of the last image; so small a write is done or not
+_RECORD = struct.Struct("<qqq")  # a Sent; so small a write is done or not
+
+
+@dataclass(frozen=True)
+class Sent:
+    """An image that went out: number, stamp, and when it was taken, since the computer's start (ns)."""
+
+    index: int
+    stamp_ns: int
+    since_boot_ns: int
 
 
 class Position:
@@ -22,16 +34,43 @@ class Position:
                 flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
                 self._file = os.open(folder / NAME, flags, 0o600)
 
-    def note(self, index: int, stamp_ns: int) -> None:
+    def note(self, sent: Sent) -> None:
         """An image has gone out."""
         if self._file is not None:
             with contextlib.suppress(OSError):
-                os.pwrite(self._file, _RECORD.pack(index, stamp_ns), 0)
+                os.pwrite(self._file, _RECORD.pack(*astuple(sent)), 0)
 
-    def read(self) -> tuple[int, int] | None:
-        """Index and stamp (ns) of the last, whichever life sent it; None where there is none."""
+    def read(self) -> Sent | None:
+        """The last, whichever life sent it; None where there is none."""
         with contextlib.suppress(OSError, struct.error):
             if self._file is not None:
-                index, stamp_ns = _RECORD.unpack(os.pread(self._file, _RECORD.size, 0))
-                return index, stamp_ns
+                return Sent(*_RECORD.unpack(os.pread(self._file, _RECORD.size, 0)))
         return None
+
+
+@dataclass(frozen=True)
+class Before:
+    """What a live source's lives before this one sent: its numbers and stamps go on from there."""
+
+    index: int
+    stamp_ns: int
+    ahead_ns: int | None  # of the stamps, of the time since the computer's start; None where nobody knows
+
+    @classmethod
+    def of(cls, tracked: tuple[int, int] | None, sent: Sent | None) -> Before | None:
+        """By index and stamp (ns) of the last image ``tracked``, and the last ``sent``."""
+        ends = [end for end in (tracked, None if sent is None else (sent.index, sent.stamp_ns)) if end]
+        if not ends:
+            return None
+        ahead_ns = None if sent is None else sent.stamp_ns - sent.since_boot_ns
+        return cls(max(index for index, _ in ends), max(stamp_ns for _, stamp_ns in ends), ahead_ns)
+
+    def shift_ns(self, stamp_ns: int, captured_ns: int, period_ns: int) -> int:
+        """What the first image's stamp, and all after it, are to be moved by.
+
+        To the wall clock as it stood when the run began: set meanwhile, it would make the time that the
+        source was away hours, or nothing. In no case back behind what has been sent.
+        """
+        known = 0 if self.ahead_ns is None else self.ahead_ns + since_boot_ns(captured_ns) - stamp_ns
+        least = self.stamp_ns + period_ns - stamp_ns
+        return max(known, least) if self.ahead_ns is not None else max(0, least)

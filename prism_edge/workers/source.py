@@ -22,13 +22,14 @@ from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_sou
 from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.live.open import check_mode
+from prism_edge.sources.live.wall_clock import since_boot_ns
 from prism_edge.sources.mask import mask_for
 from prism_edge.sources.open import AUTO
 from prism_edge.sources.own_parts_watch import OwnPartsWatch
 from prism_edge.sources.schedule import GAP, CatchingUp, Schedule
 from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.pause import Pause
-from prism_edge.workers.position import Position
+from prism_edge.workers.position import Before, Position, Sent
 
 log = logging.getLogger("prism_edge.source")
 
@@ -119,13 +120,16 @@ class SourceWorker:
 
     def _last(self) -> tuple[int, int] | None:
         """Index and stamp (ns) of the last image that was tracked, or went out if the tracker died too."""
-        tracked = self._bus.ask("tracked", _LAST_S)
-        return self._position.read() if tracked is None else (tracked.index, tracked.stamp_ns)
+        tracked, sent = self._bus.ask("tracked", _LAST_S), self._position.read()
+        if tracked is not None:
+            return tracked.index, tracked.stamp_ns
+        return None if sent is None else (sent.index, sent.stamp_ns)
 
     def _play_live(self) -> None:
         """A camera: what it takes goes out at once; while it is away we say so, and wait for it."""
-        last = self._last() if self._bus.life else None
-        first_index, shift_ns = (0, 0) if last is None else (last[0] + 1, -1)
+        before = Before.of(self._last(), self._position.read()) if self._bus.life else None
+        first_index = 0 if before is None else before.index + 1
+        shift_ns = 0 if before is None else None
         seen = 0
         while not self._bus.stopped.is_set():
             item = self._read()
@@ -141,10 +145,10 @@ class SourceWorker:
             for _ in range(item.index - seen):  # taken by the camera, and replaced by a newer one
                 self._checks.late()
             seen = item.index + 1
-            if shift_ns < 0 and last is not None:  # a clock that was set back must not set the stamps back
-                shift_ns = max(0, last[1] + self._source.period_ns - item.stamp_ns)
             captured_ns = (isinstance(item, Image) and item.captured_monotonic_ns) or time.monotonic_ns()
-            index, stamp_ns = first_index + item.index, item.stamp_ns + shift_ns
+            if shift_ns is None and before is not None:
+                shift_ns = before.shift_ns(item.stamp_ns, captured_ns, self._source.period_ns)
+            index, stamp_ns = first_index + item.index, item.stamp_ns + (shift_ns or 0)
             self._pass_on(replace(item, index=index, stamp_ns=stamp_ns), captured_ns)
 
     def _play_lockstep(self, gatekeeper: Gatekeeper) -> None:
@@ -265,7 +269,7 @@ class SourceWorker:
             readout_ms=math.nan if readout_ms is None else readout_ms,
         )
         self._bus.publish("frame", frame)
-        self._position.note(frame.index, frame.stamp_ns)
+        self._position.note(Sent(frame.index, frame.stamp_ns, since_boot_ns(captured_ns)))
         true_pose = self._source.true_pose(item.index)
         if true_pose is not None:
             from prism_edge.bus import ros  # slow to load, and recordings have no need of it
@@ -340,7 +344,12 @@ def main(config: Config, bus: Bus) -> None:
         from prism_edge.workers.uncalibrated import estimated_camera  # brings onnxruntime along
 
         bus.pulse.working("estimating the camera", _ESTIMATING_S)
-        source.camera_origin, source.camera = estimated_camera(config, bus.stopped)
+        try:
+            source.camera_origin, source.camera = estimated_camera(config, bus.stopped)
+        except SourceError:
+            if bus.stopped.is_set():  # before there was an image
+                return
+            raise
         bus.pulse.working("opening the source", _OPENING_S)
     if isinstance(source, LiveCamera):
         source.stopped = bus.stopped

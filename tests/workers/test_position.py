@@ -6,18 +6,18 @@ from pathlib import Path
 
 import pytest
 
-from prism_edge.workers.position import NAME, Position
+from prism_edge.workers.position import NAME, Position, Sent
 
 
 def test_the_last_is_found_by_the_next_life(tmp_path: Path) -> None:
     first = Position(tmp_path)
     assert first.read() is None
-    first.note(10**12, -5)
-    first.note(7, 2**62)
-    assert Position(tmp_path).read() == (7, 2**62)
+    first.note(Sent(10**12, -5, 3))
+    first.note(Sent(7, 2**62, 2**61))
+    assert Position(tmp_path).read() == Sent(7, 2**62, 2**61)
 
 
-@pytest.mark.parametrize("content", [b"", b"half"])
+@pytest.mark.parametrize("content", [b"", b"half", bytes(16)])
 def test_what_is_none_is_no_position(content: bytes, tmp_path: Path) -> None:
     (tmp_path / NAME).write_bytes(content)
     assert Position(tmp_path).read() is None
@@ -28,6 +28,6 @@ def test_where_nothing_can_be_kept_nothing_is(tmp_path: Path) -> None:
     (tmp_path / NAME).symlink_to(tmp_path / "other")  # never written through
     for folder in (None, tmp_path / "gone", tmp_path):
         position = Position(folder)
-        position.note(1, 2)
+        position.note(Sent(1, 2, 3))
         assert position.read() is None
     assert (tmp_path / "other").read_text() == "mine"

@@ -13,7 +13,8 @@ from sources.live.bench import CAMERA, QUICK, Bench, steady
 
 from prism_edge.config import Config, SourceConfig
 from prism_edge.errors import ConfigError
-from prism_edge.messages import Tracked
+from prism_edge.messages import Frame, Tracked
+from prism_edge.sources.live import wall_clock
 from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.live.driver import CameraLostError, Grab
 from prism_edge.workers import source as source_worker
@@ -103,6 +104,37 @@ def test_a_source_started_again_goes_on_counting_even_if_the_clock_was_set_back(
     assert frames[0].stamp_ns > future_ns
     steps = {frame.stamp_ns - frame.captured_monotonic_ns for frame in frames}
     assert len(steps) == 1
+
+
+@pytest.mark.parametrize("set_by_s", [0, 36_000, -5, -3600])
+@pytest.mark.parametrize("tracker_died", [False, True])
+def test_a_clock_that_was_set_while_a_source_was_away_moves_no_stamp(
+    set_by_s: int, tracker_died: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Hours that a stamp leaps are a way nobody knows; and a gap that becomes a period, one of 27 m/s."""
+
+    def life(number: int, tracked: Tracked | None) -> list[Frame]:
+        def work(bus: Recorder) -> None:
+            bus.life, bus.run_directory = number, tmp_path
+            bus.ask = lambda topic, timeout_s=1.0: tracked if topic == "tracked" else None  # type: ignore[attr-defined]
+            working(Bench(steady))(bus)
+
+        with running(work) as bus:
+            frames = [bus.next()[1] for _ in range(5)]
+        while not bus.published.empty():  # what went out before it had stopped
+            frames.append(bus.next()[1])
+        return [frame for frame in frames if isinstance(frame, Frame)]
+
+    before = life(0, None)
+    last = before[-1]
+    now = time.time_ns
+    monkeypatch.setattr(wall_clock.time, "time_ns", lambda: now() + set_by_s * 10**9)
+    tracked = Tracked(last.index - 2, last.stamp_ns - 10**9, 0, "ok", True, -1, 3, np.eye(4))
+    after = life(1, None if tracker_died else tracked)
+    assert after[0].index > last.index, "no number comes twice"
+    true_gap_ns = after[0].captured_monotonic_ns - last.captured_monotonic_ns
+    assert after[0].stamp_ns - last.stamp_ns == pytest.approx(true_gap_ns, abs=2e6)
+    assert len({frame.stamp_ns - frame.captured_monotonic_ns for frame in after}) == 1
 
 
 def test_being_stopped_ends_the_wait_for_a_camera(tmp_path: Path) -> None:

@@ -135,7 +135,7 @@ def test_started_again_beside_a_tracker_that_was_too_it_goes_on_where_it_was(
         bus.next()
     went_out = Position(tmp_path).read()
     assert went_out is not None
-    index, stamp_ns = went_out
+    index, stamp_ns = went_out.index, went_out.stamp_ns
     with running(work(1)) as bus:
         first = bus.next()[1]
     assert first.index > index if live else first.index == index + 1

@@ -16,8 +16,11 @@ from prism_edge.geometry.mount import looking
 from prism_edge.sources import open_source
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.workers import uncalibrated
+from prism_edge.workers.source import main
 from prism_edge.workers.uncalibrated import estimated_camera, median_camera
 from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
+from tests.waiting import until
+from tests.workers.source_bench import running
 
 MATRIX = [60.0, 0.0, 159.5, 0.0, 80.0, 119.5, 0.0, 0.0, 1.0]  # at the network's 320 x 240
 
@@ -101,6 +104,18 @@ def test_the_error_of_a_network_camera_holds_no_password(tmp_path: Path, monkeyp
     with pytest.raises(SourceError, match="rtsp://cam/live") as error:
         estimated_camera(address, threading.Event())
     assert "secret" not in str(error.value)
+
+
+def test_being_stopped_ends_the_wait_for_a_camera_that_is_to_be_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """It would go on for `absent_s`, past all that a stop may take; and is no error then."""
+    path = network(tmp_path / "net.onnx")
+    begun = config(Path(), str(path))
+    absent = SourceConfig(f"v4l2:{tmp_path}/video0", "auto", absent_s=45.0)
+    with running(lambda bus: main(replace(begun, source=absent), bus)) as bus:  # type: ignore[arg-type]
+        until(lambda: "estimating the camera" in bus.budgets)
+    assert "ready" not in bus.states
 
 
 def test_auto_goes_before_a_camera_file_beside_the_images(tiny_sequence: Path):

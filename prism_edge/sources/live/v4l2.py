@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import logging
 import time
 from dataclasses import replace
 from typing import Any
@@ -18,6 +19,8 @@ from prism_edge.sources.live.v4l2_device import Device, Mode
 from prism_edge.sources.live.v4l2_kernel import Kernel
 from prism_edge.sources.live.v4l2_pixels import to_image
 from prism_edge.sources.live.v4l2_settings import Options, check, choose_mode, set_controls
+
+log = logging.getLogger("prism_edge.sources")
 
 SCHEME = "v4l2:"
 
@@ -81,6 +84,8 @@ class V4l2Driver:
         self.name = f"camera {self.path} ({device.card}, {mode.pixels} {mode.width}x{mode.height})"
         if mode.rate_hz:
             self.period_ns = round(1e9 / mode.rate_hz)
+        if mode.interlaced:
+            log.warning("%s is interlaced: rows of two times are in an image, and tear what moves", self.name)
         return connection
 
 

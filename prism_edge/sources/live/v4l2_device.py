@@ -25,6 +25,7 @@ class Mode:
     pixels: str  # YUYV
     stride: int  # bytes a row, 0 where compressed
     rate_hz: float  # 0: it doesn't say
+    interlaced: bool = False
 
 
 class Device:
@@ -130,7 +131,10 @@ class Device:
             if error.errno not in _UNKNOWN:
                 raise CameraLostError(f"reading the rate back fails ({error.strerror})") from None
         pix = found.fmt.pix
-        return Mode(pix.width, pix.height, abi.fourcc_name(pix.pixelformat), pix.bytesperline, rate_hz)
+        named = abi.fourcc_name(pix.pixelformat)
+        return Mode(
+            pix.width, pix.height, named, pix.bytesperline, rate_hz, pix.field in abi.INTERLACED
+        )
 
     def control_range(self, control: int) -> tuple[int, int] | None:
         """Least and greatest value of a control; None where the camera has it not, or doesn't tell."""

@@ -30,6 +30,11 @@ class WallClock:
         return monotonic_ns + self._ahead_ns
 
 
+def since_boot_ns(monotonic_ns: int) -> int:
+    """A moment on the clock that goes on while the computer sleeps, and that nobody sets."""
+    return monotonic_ns + _slept_ns()
+
+
 def _slept_ns() -> int:
     """For how long the computer has slept since its start; 0 where no clock says so."""
     clock = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)

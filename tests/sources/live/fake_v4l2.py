@@ -50,6 +50,7 @@ class FakeCamera:
     stamp_shift_ns: int = 0
     frame: bytes = b""  # what a buffer holds; empty: grey noise in the format of now
     flags: int = 0
+    fields: int = abi.FIELD_NONE  # the order of an image's fields, whatever is asked for
     skip: int = 0  # images that the kernel lost before the next
     opened: int = 0
     closed: int = 0
@@ -155,7 +156,8 @@ class FakeCamera:
     def _g_fmt(self, found: abi.Format) -> None:
         width, height, name = self._pix
         stride = 0 if name == "MJPG" else width * 2
-        found.fmt.pix = abi.PixFormat(width, height, abi.fourcc(name), 1, stride, 2 * width * height)
+        size, code = 2 * width * height, abi.fourcc(name)
+        found.fmt.pix = abi.PixFormat(width, height, code, self.fields, stride, size)
 
     def _s_parm(self, asked: abi.StreamParm) -> None:
         wanted = asked.timeperframe.denominator / asked.timeperframe.numerator

@@ -52,6 +52,15 @@ def test_images_come_with_the_kernels_stamps() -> None:
     assert (fake.opened, fake.closed, fake.mapped) == (1, 1, 0)
 
 
+@pytest.mark.parametrize(("fields", "warned"), [(0, False), (1, False), (2, False), (4, True), (9, True)])
+def test_interlaced_images_are_warned_of(
+    fields: int, warned: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A grabber for analogue cameras gives what it has, whatever field order it is asked for."""
+    driver(FakeCamera(fields=fields), "width=64&height=48").connect().close()
+    assert ("is interlaced" in caplog.text) is warned
+
+
 @pytest.mark.parametrize(("flags", "shift_ns"), [(0, 0), (0x4000, 0), (0x2000, -10**13), (0x2000, 10**10)])
 def test_stamps_of_another_clock_are_not_believed(flags: int, shift_ns: int) -> None:
     fake = FakeCamera(stamp_flags=flags, stamp_shift_ns=shift_ns)
