@@ -139,8 +139,8 @@ class SourceWorker:
             self._pause.serve()
             if isinstance(item, Absent):
                 continue
-            if self._pause.on:
-                seen = item.index + 1
+            if self._pause.on:  # nor is there a number for what is held back: nobody has dropped it
+                first_index, seen = first_index - (item.index + 1 - seen), item.index + 1
                 continue
             for _ in range(item.index - seen):  # taken by the camera, and replaced by a newer one
                 self._checks.late()

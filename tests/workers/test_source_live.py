@@ -137,6 +137,22 @@ def test_a_clock_that_was_set_while_a_source_was_away_moves_no_stamp(
     assert len({frame.stamp_ns - frame.captured_monotonic_ns for frame in after}) == 1
 
 
+def test_images_that_a_pause_holds_back_are_no_dropped_ones() -> None:
+    """Numbers go on where they were: a gap would count as images that nobody could take."""
+    with running(working(Bench(steady))) as bus:
+        before = [bus.next()[1] for _ in range(3)][-1]
+        bus.desk.ask("pause", "on")
+        until(lambda: bus.pulse.values.get("warning") == "paused by command")
+        while not bus.published.empty():
+            before = bus.next()[1]
+        until(lambda: time.monotonic_ns() - before.captured_monotonic_ns > 100_000_000)  # a hundred of them
+        bus.desk.ask("pause", "off")
+        after = bus.next()[1]
+        skipped = int(bus.pulse.values["skipped"])
+    assert after.captured_monotonic_ns - before.captured_monotonic_ns > 100_000_000
+    assert 1 <= after.index - before.index <= 1 + skipped
+
+
 def test_being_stopped_ends_the_wait_for_a_camera(tmp_path: Path) -> None:
     file = tmp_path / "camera.yaml"
     file.write_text("width: 64\nheight: 48\nfx: 60\nfy: 60\ncx: 31.5\ncy: 23.5\n")
