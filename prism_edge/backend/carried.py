@@ -59,6 +59,13 @@ class Carried:
             self._links[rows, :, 3] += link[:3, 3]
             self._numbers[rows, 1] = anchor
 
+    def drop(self, gone: int) -> None:
+        """What hung on a keyframe has no place any more."""
+        kept = self.numbers[:, 1] != gone
+        numbers, links = self.numbers[kept], self._links[self._begin : self._end][kept]
+        self._end = self._begin + len(numbers)
+        self._numbers[self._begin : self._end], self._links[self._begin : self._end] = numbers, links
+
     def stretch(self, anchor: int, factor: float) -> None:
         """Lengths about a keyframe are so many times as long now, also to what hangs on it."""
         self._links[self._begin + np.flatnonzero(self.numbers[:, 1] == anchor), :, 3] *= factor

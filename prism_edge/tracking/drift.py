@@ -150,13 +150,15 @@ class Drift:
         if query is None or candidate is None:
             return
         front: Front = []
+        beside = _beside(world)
         self._spread(candidate, [query], log_scale, front)
         self._spread(query, [candidate], log_scale, front)
         while front:  # the surest first: no keyframe's surroundings are gone through twice
             metres2, number = heapq.heappop(front)
             surer = world.keyframes[number]
             if metres2 <= self._keyframes[number].metres2:  # else it has been made surer since
-                self._spread(surer, _near(world, surer), log_scale, front)
+                near = [world.keyframes[k] for k in sorted(beside[number])]
+                self._spread(surer, near, log_scale, front)
 
     def _spread(
         self, surer: LocalKeyframe, near: list[LocalKeyframe], log_scale: float, front: Front
@@ -228,6 +230,17 @@ class Drift:
 
 def _near(world: LocalMap, keyframe: LocalKeyframe) -> list[LocalKeyframe]:
     return [world.keyframes[k] for k in keyframe.neighbours if k in world.keyframes]
+
+
+def _beside(world: LocalMap) -> dict[int, set[int]]:
+    """Keyframes that see the same, both ways: a keyframe's own list has the newest ones, which lead back."""
+    beside: dict[int, set[int]] = {k: set() for k in world.keyframes}
+    for k, keyframe in world.keyframes.items():
+        for other in keyframe.neighbours:
+            if other in beside:
+                beside[k].add(other)
+                beside[other].add(k)
+    return beside
 
 
 def _least(walks: list[Walk]) -> Walk:

@@ -27,6 +27,9 @@ def test_it_does_what_a_dict_does(most: int, steps: list[tuple[int, int, bool]])
                 if anchor == one:
                     model[k] = (other, link(number) @ own, frame)
             carried.rehang(one, other, link(number))
+        elif other == 5:
+            model = {k: hung for k, hung in model.items() if hung[0] != one}
+            carried.drop(one)
         model[1000 + number] = (one, link(number + 1), 7 * number)
         carried.add(1000 + number, one, link(number + 1), 7 * number)
         while len(model) > most:

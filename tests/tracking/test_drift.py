@@ -96,6 +96,19 @@ def test_a_loop_makes_both_ends_and_what_is_around_them_surer(forward):
     assert world.drift_at(6).metres2 == pytest.approx(0.02**2)
 
 
+def test_a_loop_leads_on_where_keyframes_know_only_those_that_came_later():
+    """Ten newer ones have each been put before all that a keyframe had known of the way to it."""
+    drift = Drift(CONFIG)
+    world = World(drift)
+    for n, (x, z) in enumerate([(0, 0), (4, 0), (8, 0), (8, 4), (4, 4), (0, 4), (0, 1)]):
+        world.walk_to(n, pose_at(x, 0, z), [n - 1] if n else [])
+    for n, keyframe in world.keyframes.items():
+        keyframe.neighbours = [n + 1] if n < 6 else [5, 99]  # one of which has been culled
+    drift.close(world, SimpleNamespace(loop_query=6, loop_candidate=0), 0.0)
+    ways = [world.drift_at(n).metres2 / 0.02**2 for n in range(7)]
+    assert ways == pytest.approx([0, 4, 8, 12, 8, 4, 1])
+
+
 def test_a_shorter_way_that_turns_more_makes_no_keyframe_less_sure_of_its_turn():
     drift = Drift(CONFIG)
     world = World(drift)
