@@ -72,5 +72,4 @@ class Before:
         source was away hours, or nothing. In no case back behind what has been sent.
         """
         known = 0 if self.ahead_ns is None else self.ahead_ns + since_boot_ns(captured_ns) - stamp_ns
-        least = self.stamp_ns + period_ns - stamp_ns
-        return max(known, least) if self.ahead_ns is not None else max(0, least)
+        return max(known, self.stamp_ns + period_ns - stamp_ns)
