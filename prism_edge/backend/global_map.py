@@ -351,15 +351,16 @@ class GlobalMap:
         gone = self.keyframes.get(keyframe)
         if gone is None or len(self.keyframes) < 2:
             return
-        kin = [k for k, one in self.keyframes.items() if gone.part is None or one.part in (None, gone.part)]
-        beside = sorted(set(kin) - {keyframe}, key=lambda k: (abs(k - keyframe), k))
-        if beside := [k for k, _ in self.covisible(keyframe)] or beside:
-            link = inverse(self.keyframes[beside[0]].world_from_camera) @ gone.world_from_camera
-            # What hung on it hangs on its anchor now, so that no chain grows and any link can be forgotten.
-            self.carried.rehang(keyframe, beside[0], link)
-            self.carried.add(keyframe, beside[0], link, gone.index)
-        else:  # all of its part has gone, of which nobody knows where it lay
+        shared, others = self.covisible(keyframe), self.keyframes.keys() - {keyframe}
+        kin = (k for k in others if gone.part is None or self.keyframes[k].part in (None, gone.part))
+        anchor = shared[0][0] if shared else min(kin, key=lambda k: (abs(k - keyframe), k), default=None)
+        if anchor is None:  # all of its part has gone, of which nobody knows where it lay
             self.carried.drop(keyframe)
+        else:
+            link = inverse(self.keyframes[anchor].world_from_camera) @ gone.world_from_camera
+            # What hung on it hangs on its anchor now, so that no chain grows and any link can be forgotten.
+            self.carried.rehang(keyframe, anchor, link)
+            self.carried.add(keyframe, anchor, link, gone.index)
         for point in list(gone.observed):
             self.points[point].keyframes.discard(keyframe)
             if len(self.points[point].keyframes) < 2:

@@ -233,7 +233,7 @@ def _near(world: LocalMap, keyframe: LocalKeyframe) -> list[LocalKeyframe]:
 
 
 def _beside(world: LocalMap) -> dict[int, set[int]]:
-    """Keyframes that see the same, both ways: a keyframe's own list has the newest ones, which lead back."""
+    """Keyframes that see the same, both ways: a list of ten comes to hold newer ones alone."""
     beside: dict[int, set[int]] = {k: set() for k in world.keyframes}
     for k, keyframe in world.keyframes.items():
         for other in keyframe.neighbours:
