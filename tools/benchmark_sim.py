@@ -22,7 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.cli.settings import whole_above_zero
-from prism_edge.errors import PrismError
+from prism_edge.errors import PrismError, SourceError
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.sources.sim import SimSource
 
@@ -104,6 +104,8 @@ def simulated(uri: str, frames: int, pairs: int) -> None:
     """Measures one address."""
     source = SimSource(uri)
     before = time.process_time()
+    if source.frame_count < 2:
+        raise SourceError(f"{uri} has one frame; pairs of frames are compared")
     with source:
         opened = time.process_time() - before
         wall, cpu, slowest = speed(source, min(frames, source.frame_count))

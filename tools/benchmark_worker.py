@@ -36,7 +36,7 @@ from prism_edge.bus.inbox import Inbox
 from prism_edge.bus.pack import pack
 from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
-from prism_edge.cli.settings import whole_above_zero
+from prism_edge.cli.settings import seconds_above_zero, whole_above_zero
 from prism_edge.config import BusConfig, Config, DepthConfig
 from prism_edge.config_file import dump
 from prism_edge.depth import OnnxNetwork, locate, open_onnx
@@ -105,7 +105,9 @@ def main(arguments: list[str] | None = None) -> int:
         "--threads", type=whole_above_zero, default=1, metavar="N", help="of one inference (default 1)"
     )
     parser.add_argument("--runs", type=whole_above_zero, default=40, metavar="N", help="turns (default 40)")
-    parser.add_argument("--rest", type=float, default=10.0, metavar="S", help="seconds of rest (default 10)")
+    parser.add_argument(
+        "--rest", type=seconds_above_zero, default=10.0, metavar="S", help="seconds of rest (default 10)"
+    )
     args = parser.parse_args(arguments)
     try:
         report(args.model, args.threads, args.runs, args.rest)

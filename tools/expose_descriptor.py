@@ -23,8 +23,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import onnx
-from onnx import NodeProto, TensorProto, helper, numpy_helper
+
+try:
+    import onnx
+    from onnx import NodeProto, TensorProto, helper, numpy_helper
+except ImportError:
+    sys.exit("expose_descriptor: error: needs onnx; the extra dev has it")
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 

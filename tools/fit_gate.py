@@ -46,12 +46,12 @@ Keyframes = list[tuple[DepthView, Array]]
 
 def keyframes(folder: Path, network: DepthNetwork, every: int, poses: Path | None) -> Keyframes:
     """Depth views and their features' raw pixels, in metres of the given poses. Raises SourceError."""
-    truth = read_tum(poses) if poses else own_truth(str(folder))
-    if not len(truth):
-        raise SourceError(f"{folder} holds no true poses; give them with --poses FILE.tum")
     extractor = OrbExtractor(Config().tracking)
     made: Keyframes = []
     with open_source(SourceConfig(uri=str(folder))) as source:
+        truth = read_tum(poses) if poses else own_truth(str(folder))
+        if not len(truth):
+            raise SourceError(f"{folder} holds no true poses; give them with --poses FILE.tum")
         while (slot := source.peek()) is not None:
             if slot.index % every:
                 source.skip()

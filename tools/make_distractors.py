@@ -60,7 +60,7 @@ def write(recording: Recording, things: list[Distractor], contrast: float, out: 
             shutil.copyfile(out / f"masks/{i - 1:06d}.png", out / f"masks/{i:06d}.png")
             shares.append(shares[-1])
             earlier = recording.sensor_file(i - 1)
-            if depth_file is not None and earlier is not None:
+            if depth_file is not None and earlier is not None and depth_file != earlier:
                 original = out / recording.inside(earlier)
                 if original.is_file():
                     _copied(original, out / recording.inside(depth_file))

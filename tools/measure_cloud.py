@@ -7,6 +7,7 @@ camera). Its depth images, laid together from there, are the reference. The clou
 keyframes (rigidly; with --up-to-scale by a similarity, where a network's metres are known to be wrong), then
 by ICP, 20 cm and 5 cm, as the paper's appendix does. Printed are Chamfer distance, precision, recall and
 F-score at two distances, thickness of surfaces, points. Neither poses nor depth of FOLDER reach the cloud.
+Needs scipy (the extra dev).
 """
 
 from __future__ import annotations
@@ -22,7 +23,10 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from scipy.spatial import cKDTree
+try:
+    from scipy.spatial import cKDTree
+except ImportError:
+    sys.exit("measure_cloud: error: needs scipy; the extra dev has it")
 
 from prism_edge.cli.map_opened import opened
 from prism_edge.config import SourceConfig
@@ -34,7 +38,6 @@ from prism_edge.geometry.poses import from_rt, so3_exp, transform
 from prism_edge.reconstruction.cloud import Cloud, Voxels, lay
 from prism_edge.scale.gate import DepthView
 from prism_edge.sources import open_source
-from prism_edge.sources.open import find_listing
 from prism_edge.sources.sensor_depth import COLOUR_IN_DEPTH, SensorDepth, image_to_depth
 from prism_edge.sources.truth import read_truth
 from tools.true_poses import pose_of_image
@@ -109,7 +112,9 @@ def poses_of(folder: Path, file: Path | None) -> Trajectory:
     if own is None:
         raise EvaluationError(f"{folder} has no true poses: give --truth FILE.tum")
     stamps, poses = own
-    if find_listing(folder).layout == "7-Scenes":  # the depth camera's
+    with open_source(SourceConfig(uri=str(folder))) as source:
+        camera = source.camera
+    if SensorDepth(folder).is_apart(camera):  # 7-Scenes' poses are the depth camera's
         poses = poses @ from_rt(np.eye(3), COLOUR_IN_DEPTH)
     return Trajectory(stamps, poses)
 

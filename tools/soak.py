@@ -38,7 +38,7 @@ SLACK_MS = 2.0  # a difference that small is none
 GAP_S = 1.0  # the longest time without a pose
 SLOWEST = 100  # poses of which the report says when they came
 RATE = 30.0  # pictures a second
-LEAST_MIN = 0.5
+LEAST_MIN = 0.6  # four samples, between which three thirds are
 WANDER_CM, WANDER_DEG = 2.0, 0.5  # that the place of one and the same picture may move
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,6 +27,8 @@ _BITS = (8, 10, 12, 14, 16)  # that cameras have; most store them as they are in
 
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", 0xD9
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")  # what a scan holds (zero, restarts) is none
+_TIFFS = {b"II*\0": "<", b"MM\0*": ">"}  # how they begin, and which byte comes first
+_TIFF_ENTRY, _ORIENTATION = 12, 274  # bytes, and the tag (TIFF 6.0, sections 2 and 8)
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 
 
@@ -66,7 +69,7 @@ def _decoded(data: bytes) -> U8 | U16 | str:
     if data.startswith(_PNG_START) and data.rfind(_PNG_END) < 0:
         return "is a truncated PNG"
     try:
-        pixels = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
+        pixels = cv2.imdecode(np.frombuffer(as_stored(data), dtype=np.uint8), _FLAGS)
     except cv2.error:
         pixels = None
     if pixels is not None and pixels.dtype == np.int16:  # some TIFFs
@@ -74,6 +77,20 @@ def _decoded(data: bytes) -> U8 | U16 | str:
     if pixels is None or pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim not in (2, 3):
         return "is damaged, or no image"
     return pixels
+
+
+def as_stored(data: bytes) -> bytes:
+    """An encoded image as one that asks for no turn: OpenCV turns TIFFs whatever it is told."""
+    order = _TIFFS.get(data[:4])
+    if order is None:
+        return data
+    with contextlib.suppress(struct.error):
+        (start,) = struct.unpack_from(f"{order}I", data, 4)
+        (entries,) = struct.unpack_from(f"{order}H", data, start)
+        for at in range(start + 2, start + 2 + _TIFF_ENTRY * entries, _TIFF_ENTRY):
+            if struct.unpack_from(f"{order}H", data, at)[0] == _ORIENTATION:
+                return data[: at + 8] + struct.pack(f"{order}H", 1) + data[at + 10 :]
+    return data
 
 
 def _jpeg_ends(data: bytes) -> bool:

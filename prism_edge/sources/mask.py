@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from prism_edge.errors import ConfigError
 from prism_edge.named_path import refuse_pipe
+from prism_edge.sources.image_file import as_stored
 
 Shown = NDArray[np.bool_]  # (height, width): True where the world is seen
 
@@ -23,7 +24,7 @@ def read_mask(path: Path) -> Shown:
     """
     try:
         refuse_pipe(path)
-        data = np.frombuffer(path.read_bytes(), np.uint8)
+        data = np.frombuffer(as_stored(path.read_bytes()), np.uint8)
     except OSError as error:
         raise ConfigError(f"mask {path} can't be read ({error.strerror})") from None
     try:

@@ -62,12 +62,15 @@ class SensorDepth:
 
     def in_colour(self, index: int, camera: Camera) -> F32 | None:
         """As :meth:`read`, but of the pixels of ``camera``, the colour camera, whatever the image's size."""
-        depth = self.read(index)
-        apart = self._apart or (self._alike and _pinhole(camera) == _pinhole(SEVEN_SCENES[1]))
+        depth, apart = self.read(index), self.is_apart(camera)
         if self._alike and not (apart or self._said):
             self._said = True
             log.warning("depth is taken as registered to colour: no folder is called as 7-Scenes' are")
         return seen_by_colour(depth, camera) if depth is not None and apart else depth
+
+    def is_apart(self, camera: Camera) -> bool:
+        """Whether the images are of 7-Scenes' depth camera, and ``camera`` the colour camera beside it."""
+        return self._apart or (self._alike and _pinhole(camera) == _pinhole(SEVEN_SCENES[1]))
 
     def file(self, index: int) -> Path | None:
         """The depth image of colour image ``index``; None where there is none within 20 ms."""

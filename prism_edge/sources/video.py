@@ -13,7 +13,7 @@ from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import check_camera_size
-from prism_edge.sources.mp4_index import lacks_index
+from prism_edge.sources.mp4_index import lacks_index, shown_ns
 from prism_edge.sources.stamps import usual_period_ns
 
 log = logging.getLogger("prism_edge.sources")
@@ -77,6 +77,9 @@ class Video(Source):
         if 0.1 <= rate <= 1000.0:
             self.period_ns = round(1e9 / rate)
         self._said_ns = round(1e9 * count / rate) if count > 0 and rate > 0 else 0
+        shown = shown_ns(self._path)
+        if 0 < shown < self._said_ns:  # trimmed: what an edit list hides is counted, but not played
+            count, self._said_ns = round(count * shown / self._said_ns), shown
         codec = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=True).decode("latin-1")
         image = next((item for item in iter(self.read, None) if isinstance(item, Image)), None)
         if image is None:
@@ -100,8 +103,9 @@ class Video(Source):
         if self._shuffled:
             words = "%s has the stamps of frames as they are stored, not as shown: taken to run at %.4g Hz"
             log.warning(words, self._path, 1e9 / self.period_ns)
-        # Where the container says no rate FFmpeg guesses one, say 1000 Hz, and the number of frames by it.
-        self.frame_count = count if count > 0 and self.period_ns * rate < 2e9 else None
+        # Where the container doesn't count its frames FFmpeg goes by a rate, guessed at that, say 1000 Hz.
+        counted = shown > 0 or abs(self.period_ns * rate / 1e9 - 1.0) < _ALIKE
+        self.frame_count = count if count > 0 and counted else None
         self._known = True
 
     def _rewind(self) -> cv2.VideoCapture:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 import zlib
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from hypothesis import strategies as st
 from sources.tiny_datasets import picture
 
 from prism_edge.sources.image_file import as_8_bits, decode, read_image
+
+STARTS = [b"", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"BM", b"P6\n", b"II*\0", b"MM\0*\0\0\0\10"]
 
 
 def encoded(suffix: str, image: np.ndarray, *settings: int) -> bytes:
@@ -101,7 +104,7 @@ def test_a_png_damaged_in_the_middle_fails_its_checksum() -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.binary(max_size=200), st.sampled_from([b"", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"BM", b"P6\n"]))
+@given(st.binary(max_size=200), st.sampled_from(STARTS))
 def test_any_bytes_are_an_image_or_a_reason(data: bytes, start: bytes) -> None:
     result = decode(start + data)
     assert isinstance(result, str) or result.dtype == np.uint8
@@ -125,3 +128,26 @@ def test_signed_pixels_are_what_they_are_from_zero_up() -> None:
     grey = np.linspace(0, 32000, 64 * 48).reshape(48, 64).astype(np.int16)
     signed, plain = decode(encoded(".tiff", grey)), decode(encoded(".tiff", grey.astype(np.uint16)))
     np.testing.assert_array_equal(signed, plain)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_tiff_that_asks_to_be_turned_is_taken_as_it_is_stored(order: str, orientation: int) -> None:
+    image = picture(3, colour=False)
+    np.testing.assert_array_equal(decode(tiff(order, image, orientation)), image)
+
+
+def tiff(order: str, grey: np.ndarray, orientation: int) -> bytes:
+    """The least of an uncompressed TIFF (6.0, section 4): header, pixels, and nine entries of one value."""
+    (height, width), pixels = grey.shape, grey.tobytes()
+    tags = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 273: 8, 274: orientation, 278: height}
+    entries = [(tag, 4, 1, value) if tag == 273 else (tag, 3, 1, value) for tag, value in tags.items()]
+    entries.append((279, 4, 1, len(pixels)))
+    packed = [
+        struct.pack(f"{order}HHI", *entry[:3])
+        + (struct.pack(f"{order}I", entry[3]) if entry[1] == 4 else struct.pack(f"{order}HH", entry[3], 0))
+        for entry in entries
+    ]
+    start = b"II*\0" if order == "<" else b"MM\0*"
+    directory = struct.pack(f"{order}H", len(packed)) + b"".join(packed) + bytes(4)
+    return start + struct.pack(f"{order}I", 8 + len(pixels)) + pixels + directory

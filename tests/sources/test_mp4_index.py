@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from prism_edge.errors import ConfigError, SourceError
-from prism_edge.sources.mp4_index import lacks_index
+from prism_edge.sources.mp4_index import lacks_index, shown_ns
 from tests.sources import tiny_datasets as tiny
 from tests.sources.opening import opened
 
@@ -52,6 +52,32 @@ def test_a_film_without_its_index_is_known_by_its_boxes(
 
 def test_what_is_not_there_lacks_nothing(tmp_path: Path) -> None:
     assert not lacks_index(tmp_path / "none.mp4")
+    assert shown_ns(tmp_path / "none.mp4") == 0
+
+
+SHORT = struct.pack(">B11xII80x", 0, 600, 1500)
+LONG = struct.pack(">B19xIQ80x", 1, 90_000, 5 << 32)
+
+
+@pytest.mark.parametrize(
+    ("content", "seconds"),
+    [
+        (box(b"ftyp", FTYP) + box(b"moov", box(b"mvhd", SHORT)), 2.5),
+        (long_box(b"mdat", b"x") + box(b"moov", box(b"free") + box(b"mvhd", SHORT)), 2.5),
+        (box(b"moov", box(b"mvhd", LONG)), (5 << 32) / 90_000),
+        (box(b"ftyp", FTYP) + box(b"moov", box(b"trak")) + box(b"mvhd", SHORT), 0),
+        (box(b"moov", box(b"mvhd", SHORT[:19])), 0),
+        (box(b"moov", box(b"mvhd", b"\2" + SHORT[1:])), 0),
+        (box(b"moov", box(b"mvhd", struct.pack(">B11xII80x", 0, 0, 1500))), 0),
+        (box(b"moov", box(b"mvhd", struct.pack(">B11xII80x", 0, 600, 0xFFFFFFFF))), 0),
+        (b"RIFF\x10\0\0\0AVI LIST", 0),
+        (b"", 0),
+    ],
+)
+def test_how_long_a_film_is_shown(content: bytes, seconds: float, tmp_path: Path) -> None:
+    file = tmp_path / "clip.mp4"
+    file.write_bytes(content)
+    assert shown_ns(file) == round(1e9 * seconds)
 
 
 @given(st.binary(max_size=60))
@@ -59,6 +85,7 @@ def test_any_bytes_have_an_answer(tmp_path_factory: pytest.TempPathFactory, tail
     file = tmp_path_factory.getbasetemp() / "any.mp4"
     file.write_bytes(box(b"ftyp", FTYP) + tail)
     assert lacks_index(file) in (True, False)
+    assert shown_ns(file) == 0
     file.write_bytes(tail)
     assert lacks_index(file) is tail[4:8].startswith(b"ftyp")
 

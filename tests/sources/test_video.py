@@ -184,6 +184,33 @@ def test_a_recording_whose_stamps_begin_late_is_not_said_to_be_cut_short(
     assert "cut short" not in caplog.text
 
 
+def test_a_trimmed_film_is_as_long_as_it_is_shown(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    """Trimming without loss keeps what comes since the last key frame, and an edit list hides it."""
+    av = pytest.importorskip("av", reason="OpenCV can't write an edit list")
+    whole, path = tmp_path / "whole.mp4", tmp_path / "clip.mp4"
+    path.with_name("camera.yaml").write_text(tiny.CAMERA)
+    with av.open(str(whole), "w") as container:
+        stream = container.add_stream("libx264", rate=30, options={"g": "60"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for i in range(60):
+            frame = av.VideoFrame.from_ndarray(tiny.picture(i % 8), format="bgr24")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    with av.open(str(whole)) as long, av.open(str(path), "w") as container:
+        stream = container.add_stream_from_template(long.streams.video[0])
+        for packet in long.demux(long.streams.video[0]):
+            if packet.dts is not None:
+                before = round(Fraction(40, 30) / packet.time_base)
+                packet.pts, packet.dts, packet.stream = packet.pts - before, packet.dts - before, stream
+                container.mux(packet)
+    with opened(whole) as source:
+        assert source.frame_count == 60
+    with opened(path) as source:
+        assert source.frame_count == 20
+        assert len([item for item in iter(source.read, None) if item]) == 20
+    assert "cut short" not in caplog.text
+
+
 def test_a_stamp_that_goes_back_is_left_to_the_checks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

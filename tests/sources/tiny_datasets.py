@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 U8 = NDArray[np.uint8]
 CAMERA = "width: 64\nheight: 48\nfx: 60\nfy: 60\ncx: 31.5\ncy: 23.5\n"
+CAMERA_VGA = "width: 640\nheight: 480\nfx: 600\nfy: 600\ncx: 319.5\ncy: 239.5\n"
 
 
 def picture(seed: int, width: int = 64, height: int = 48, colour: bool = True) -> U8:

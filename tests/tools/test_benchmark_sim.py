@@ -42,3 +42,9 @@ def test_pictures_are_compared(tmp_path: Path, monkeypatch, capsys: pytest.Captu
     monkeypatch.setattr("sys.argv", ["benchmark_sim.py", "--video", str(tmp_path), "--pairs", "2"])
     benchmark_sim.main()
     assert str(tmp_path) in capsys.readouterr().out
+
+
+def test_one_frame_alone_makes_no_pair(monkeypatch) -> None:
+    monkeypatch.setattr("sys.argv", ["benchmark_sim.py", "sim:room?frames=1"])
+    with pytest.raises(SystemExit, match="has one frame"):
+        benchmark_sim.main()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 from tests.synthetic.network import TinyNetwork, write_tiny_network
 from tools import benchmark_worker
 
@@ -43,3 +45,9 @@ def test_what_is_no_network_is_one_line(tmp_path: Path, capsys):
     (tmp_path / "net.onnx").write_bytes(b"none")
     assert benchmark_worker.main([str(tmp_path / "net.onnx")]) == 5
     assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_rest_that_is_none_is_refused_before_anything_is_measured(capsys):
+    with pytest.raises(SystemExit):
+        benchmark_worker.main(["prism_nano", "--rest=-1"])
+    assert "--rest" in capsys.readouterr().err

@@ -59,6 +59,11 @@ def test_what_can_not_be_fitted_to_ends_in_one_line(more, tmp_path: Path, capsys
     assert error.count("\n") == 1
 
 
+def test_a_folder_that_is_not_there_is_what_is_said(tmp_path: Path, capsys):
+    assert fit_gate.main([str(tmp_path / "nowhere"), "--model", "prism_nano"]) != 0
+    assert "does not exist" in capsys.readouterr().err
+
+
 @pytest.mark.realdata
 def test_the_networks_card_is_what_it_prints(redkitchen: Path, fastdepth: Path, tmp_path: Path, capsys):
     for index in range(0, 120, 12):

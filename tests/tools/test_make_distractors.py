@@ -341,6 +341,37 @@ def test_depth_that_is_not_registered_is_where_the_colour_camera_sees_it(apart: 
     assert np.array_equal(apart.depth(0, 8), depth[::8, ::8])
 
 
+def test_depth_that_another_recorder_registered_is_where_the_colour_camera_has_it(tmp_path: Path):
+    """Files named as 7-Scenes' are, of a camera that isn't theirs: both ways pixel for pixel."""
+    folder = tiny.write_seven_scenes(tmp_path / "room" / "rec", count=2)
+    (folder / "camera.yaml").write_text(tiny.CAMERA_VGA)
+    raw = np.full((480, 640), 3000, np.uint16)
+    raw[200:280, 300:400] = 1000
+    for i in range(2):
+        assert cv2.imwrite(str(folder / f"frame-{i:06d}.depth.png"), raw)
+    recording = Recording(folder, None)
+    assert np.array_equal(recording.depth(0), raw / 1000.0)
+    shown = np.where(raw == 1000, 0.5, np.inf)
+    assert np.array_equal(recording.in_sensor(shown, raw.shape), shown)
+
+
+def test_a_repeated_frame_shares_the_depth_of_the_first(tmp_path: Path):
+    """Colour comes faster than depth, and the recorder repeats frames: one depth image for both."""
+    folder = tiny.write_tum(tmp_path / "tum", count=4)
+    rows = (folder / "rgb.txt").read_text().splitlines()
+    (at, first), (_, second), *others = (row.split() for row in rows if not row.startswith("#"))
+    shutil.copyfile(folder / first, folder / second)
+    stamps = [(at, first), (f"{float(at) + 0.016:.6f}", second), *others]
+    (folder / "rgb.txt").write_text("".join(f"{stamp} {name}\n" for stamp, name in stamps))
+    (folder / "depth").mkdir(exist_ok=True)
+    assert cv2.imwrite(str(folder / "depth" / "one.png"), np.full((48, 64), 15000, np.uint16))
+    (folder / "depth.txt").write_text(f"{float(at) + 0.008:.6f} depth/one.png\n")
+    recording, out = Recording(folder, None), tmp_path / "out"
+    assert recording.sensor_file(0) == recording.sensor_file(1) is not None
+    make_distractors.write(recording, [], 1.0, out)
+    assert (out / "depth" / "one.png").is_file()
+
+
 def test_an_object_is_in_the_sensors_image_where_the_sensor_sees_it(apart: Recording, tmp_path: Path):
     shown = np.full((480, 640), np.inf)
     shown[150:300, 250:330] = 2.0  # partly where the sensor sees the board

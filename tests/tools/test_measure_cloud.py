@@ -14,6 +14,7 @@ from prism_edge.geometry.ply import ply
 from prism_edge.geometry.poses import from_rt, inverse, so3_exp, transform
 from prism_edge.reconstruction.cloud import Cloud
 from tests.cli.mapped_room import FRAMES, MOUNT, write_room
+from tests.sources import tiny_datasets as tiny
 from tests.synthetic.scene import hand_held_path
 from tools.measure_cloud import main, poses_of, read_ply, reference, score
 
@@ -75,6 +76,14 @@ def test_seven_scenes_own_poses_are_those_of_the_depth_camera(tmp_path: Path) ->
     left, right = (seen.points[side, 2] for side in (seen.points[:, 0] < 0, seen.points[:, 0] > 0))
     assert np.median(left) == pytest.approx(2.0, abs=0.003)
     assert np.median(right) == pytest.approx(2.0, abs=0.003)
+
+
+def test_another_recorder_s_registered_depth_goes_with_the_poses_as_they_are(tmp_path: Path) -> None:
+    folder = tiny.write_seven_scenes(tmp_path / "room" / "rec", count=2)
+    (folder / "camera.yaml").write_text(tiny.CAMERA_VGA)
+    for i in range(2):
+        cv2.imwrite(f"{folder}/frame-{i:06d}.depth.png", np.full((480, 640), 3000, np.uint16))
+    assert poses_of(folder, None).poses[:, :3, 3].tolist() == [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0]]
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from prism_edge.geometry.poses import from_rt
+from tools.train_nano import measure
 from tools.train_nano.measure import Walk, recalls, revisits
 
 
@@ -45,3 +47,10 @@ def test_another_place_is_found_by_neither_rule_and_the_last_seconds_are_not_ask
 def test_without_descriptors_nothing_is_said_of_places() -> None:
     none = walk([0.0, 0.0, 0.0], np.ones((3, 3)).tolist(), np.zeros((3, 0)))
     assert recalls([none]) == ""
+
+
+def test_each_noughth_frame_is_refused(monkeypatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.argv", ["measure", "--every", "0"])
+    with pytest.raises(SystemExit):
+        measure.main()
+    assert "--every" in capsys.readouterr().err

@@ -18,7 +18,7 @@ def looped(pictures: int, rounds: int, motion: Array) -> list[tuple[float, Array
     return [((k * pictures + i) / RATE, moved[k] @ once[i]) for k in range(rounds) for i in range(pictures)]
 
 
-@pytest.mark.parametrize("minutes", ["0", "-1", "nan"])
+@pytest.mark.parametrize("minutes", ["0", "-1", "nan", "0.5"])
 def test_a_run_too_short_to_be_told_by_thirds_is_refused(minutes: str, capsys) -> None:
     with pytest.raises(SystemExit) as ended:
         main(["--minutes", minutes])

@@ -9,6 +9,7 @@ import pytest
 
 from prism_edge.geometry.poses import from_rt
 from prism_edge.sources.sim import SimSource
+from tools.train_nano import walks
 from tools.train_nano.pictures import Views
 from tools.train_nano.walks import pairs, render, render_walk
 
@@ -77,3 +78,12 @@ def test_too_few_worlds_for_a_batch_are_an_error_and_no_endless_search(tmp_path:
         Views(tmp_path).check_worlds()
     with pytest.raises(ValueError, match="here are 3"):
         Views(tmp_path).batch(16, 12, 0.85, 1, 5, 1)
+
+
+@pytest.mark.parametrize("more", [["--rooms=0", "--loops=0"], ["--rooms=-1"], ["--loops=few"]])
+def test_no_walks_at_all_are_refused(more: list[str], tmp_path: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr("sys.argv", ["walks", str(tmp_path), *more])
+    with pytest.raises(SystemExit) as ended:
+        walks.main()
+    assert ended.value.code == 2
+    assert "--loops" in capsys.readouterr().err

@@ -88,7 +88,7 @@ class Recording:
 
         The other way round than :meth:`depth`.
         """
-        if self.listing.layout == "7-Scenes":
+        if self._depth.is_apart(self.camera):
             return seen_by_sensor(shown, self.camera, shape)
         rows, columns = (nearest(np.arange(n), n, m) for n, m in zip(shape, shown.shape, strict=True))
         return shown[np.ix_(rows, columns)]

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from prism_edge.cli.settings import whole_above_zero
 from prism_edge.config import DepthConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.errors import PrismError
@@ -64,7 +65,9 @@ def main() -> int:
     )
     parser.add_argument("walks", metavar="SIM", nargs="*", default=WALKS)
     parser.add_argument("--model", default="prism_nano")
-    parser.add_argument("--every", type=int, default=10, metavar="N", help="take each N-th frame")
+    parser.add_argument(
+        "--every", type=whole_above_zero, default=10, metavar="N", help="take each N-th frame"
+    )
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     try:

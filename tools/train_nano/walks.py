@@ -20,6 +20,7 @@ from rich.progress import track
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from prism_edge.cli.settings import whole_above_zero
 from prism_edge.sources.sim import SimSource
 from tools.train_nano.render import HEIGHT, LOOP_VIEWS, ROOM_VIEWS, WIDTH, Files, kinds_of
 
@@ -38,12 +39,18 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("folder", type=Path)
-    parser.add_argument("--rooms", type=int, default=80, help="walks in one room (default 80)")
-    parser.add_argument("--loops", type=int, default=32, help="walks through eight rooms (default 32)")
+    parser.add_argument("--rooms", type=_some, default=80, help="walks in one room (default 80)")
+    parser.add_argument("--loops", type=_some, default=32, help="walks through eight rooms (default 32)")
     parser.add_argument("--first", type=int, default=FIRST_SEED, help="seed of the first walk")
     arguments = parser.parse_args()
+    if not arguments.rooms + arguments.loops:
+        parser.error("no walk is asked for: --rooms or --loops must be above 0")
     cv2.setNumThreads(1)
     render(arguments.folder, arguments.rooms, arguments.loops, arguments.first)
+
+
+def _some(text: str) -> int:
+    return 0 if text == "0" else whole_above_zero(text)
 
 
 def render(folder: Path, rooms: int, loops: int, first: int) -> None:
