@@ -84,7 +84,7 @@ class CommandDesk:
     def _serve(self, command: Command, query: Any) -> None:
         try:
             data = query.payload.to_bytes() if query.payload is not None else b""
-            argument = parse_query(command, data)
+            argument = parse_query(command, data, str(query.parameters))
             reply = self._handlers[command.name](argument)
         except PrismError as error:
             reply = Reply(False, str(error))
@@ -136,8 +136,15 @@ def send(session: Any, robot: str, command: Command, argument: str | None, timeo
     )
 
 
-def parse_query(command: Command, data: bytes) -> str:
-    """The argument in a query's payload. Raises BusError for anything that is no query for ``command``."""
+def parse_query(command: Command, data: bytes, parameters: str = "") -> str:
+    """The argument in a query's payload. Raises BusError for anything that is no query for ``command``.
+
+    So for ``parameters`` behind its key, but those that are Zenoh's own: `pause?off`, left unread, would do
+    the opposite.
+    """
+    own = [word for word in parameters.split(";") if word and not word.startswith("_")]
+    if own:
+        raise BusError(f"{command.name}: its argument goes into the payload, not behind the key")
     if len(data) > LARGEST_QUERY:
         raise BusError(f"{command.name}: a payload of {len(data)} bytes; {LARGEST_QUERY} are allowed")
     given = _json_object(data, command.name) if data else {}
@@ -146,7 +153,8 @@ def parse_query(command: Command, data: bytes) -> str:
         unknown = sorted(given)[0]
         raise BusError(f"{command.name}: unknown key {unknown!r:.40}; the one it takes is 'argument'")
     if not isinstance(argument, str):
-        raise BusError(f"{command.name}: needs its argument as text: {command.argument}")
+        words = f"needs its argument as text: {command.argument}" if command.argument else "takes no argument"
+        raise BusError(f"{command.name}: {words}")
     if argument and not command.argument:
         raise BusError(f"{command.name}: takes no argument, got {argument!r:.40}")
     return argument
@@ -179,9 +187,15 @@ def parse_reply(data: bytes) -> Reply:
 
 def _json_object(data: bytes, what: str) -> dict[str, Any]:
     try:
-        given = json.loads(data)
+        given = json.loads(data, object_pairs_hook=_without_repeats)
     except (ValueError, RecursionError):
         raise BusError(f"{what}: the payload is no JSON") from None
     if not isinstance(given, dict):
-        raise BusError(f"{what}: the payload is no JSON object")
+        raise BusError(f"{what}: the payload is no JSON object, or says a key twice")
     return given
+
+
+def _without_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any] | None:
+    """What these make; None where a key comes twice, of which nobody knows which is meant."""
+    made = dict(pairs)
+    return made if len(made) == len(pairs) else None

@@ -22,9 +22,13 @@ from prism_edge.bus.links import encoding, open_session, quality
 from prism_edge.bus.presence import Presence
 from prism_edge.bus.pulse import Pulse
 from prism_edge.config import Config
-from prism_edge.errors import BusError
+from prism_edge.errors import BusError, first_line
 from prism_edge.messages import IDS_A_LIFE
 from prism_edge.topics import COMMANDS, TOPICS, Topic
+
+# What leaving may take in real time, less than a worker has for it: Zenoh waits ten seconds for a receiver
+# that hangs. In lockstep nothing is to be lost for that.
+LEAVING_S = 1.0
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -217,10 +221,20 @@ class Bus:
             self._presence.close()
         if self._another_run is not None:
             self._another_run.close()
-        for declared in (*self._tokens, *self._publishers.values()):
-            declared.undeclare()
-        self._session.close()
+        leaving = threading.Thread(target=self._leave, name="leaving", daemon=True)
+        leaving.start()
+        leaving.join(None if self._lossless else LEAVING_S)
+        if leaving.is_alive():
+            log.warning("somebody on the bus does not read what he is sent: left without waiting for him")
         atexit.unregister(self.close)
+
+    def _leave(self) -> None:
+        try:
+            for declared in (*self._tokens, *self._publishers.values()):
+                declared.undeclare()
+            self._session.close()
+        except zenoh.ZError as error:
+            log.warning("left the bus: %s", first_line(error))
 
     def _announce(self) -> None:
         with self._lock:

@@ -103,7 +103,7 @@ class TrackerWorker:
         self._bus.pulse.ready()
         if self._lockstep:
             self._bus.await_ready(self._peers, PATIENCE_S)
-        self._show(LOST if self._tracker.initialised else INITIALISING, 0, time.time_ns())
+        self._show(self._so_far(), 0, time.time_ns())
         while not self._bus.stopped.is_set():
             # Loaded first: a command that waits beside it was most likely given once that had been done.
             self._maps.take_loaded(self._tracker, self._adopt_loaded, self._reset)
@@ -138,8 +138,7 @@ class TrackerWorker:
         self._last_index, self._now_ns = frame.index, frame.stamp_ns
         camera = self._camera.of(frame)
         if camera is None:
-            last = self._tracker.last_result
-            self._tick(frame, INITIALISING if last is None else last.odometry, published=False)
+            self._tick(frame, self._so_far(), published=False)
             return
         if self._unproven:
             self._prove(camera)
@@ -359,25 +358,27 @@ class TrackerWorker:
         self._localise_only, self._tracker.may_map = wanted, not wanted
         if wanted:
             self._tracker.give_up_waiting()  # its part could never grow
-        last = self._tracker.last_result
-        self._show_now(LOST if last is None else last.odometry)
+        self._show_now(self._so_far())
         return Reply(True, "the map stays as it is" if wanted else "the map is built on")
+
+    def _so_far(self) -> str:
+        last, lacking = self._tracker.last_result, LOST if self._tracker.initialised else INITIALISING
+        return lacking if last is None else last.odometry
 
     def _show_now(self, odometry: str) -> None:
         """What a command has changed, as it may be long until the next image: the camera may be paused."""
         self._show(odometry, 0, self._now_ns or time.time_ns())
 
     def _show(self, odometry: str, matched: int, stamp_ns: int) -> None:
-        world = self._tracker.world
+        tracker, kept = self._tracker, self._localise_only
         values = {
             "matched": matched,
-            "keyframes": len(world.keyframes),
-            "points": int(world.points.alive.sum()),
+            "keyframes": len(tracker.world.keyframes),
+            "points": int(tracker.world.points.alive.sum()),
             "scale_sigma": f"{self._scale.sigma:.4f}",
             "dropped": self._dropped,
         }
-        epoch, at_home = self._tracker.epoch, self._tracker.parts.at_home
-        self._status.show(epoch, odometry, at_home, self._localise_only, stamp_ns, values)
+        self._status.show(tracker.epoch, odometry, tracker.parts.at_home, kept, stamp_ns, values)
 
 
 def _tracking(config: Config) -> TrackingConfig:

@@ -187,7 +187,16 @@ def test_only_who_waited_says_how_long(config, session):
 
 
 @pytest.mark.parametrize(
-    "payload", [b"\xff\xfe", b"[", b"[1]", b'{"argument": 5}', b'{"other": "x"}', b"9" * (LARGEST_QUERY + 1)]
+    "payload",
+    [
+        b"\xff\xfe",
+        b"[",
+        b"[1]",
+        b'{"argument": 5}',
+        b'{"other": "x"}',
+        b'{"argument": "off", "argument": "on"}',
+        b"9" * (LARGEST_QUERY + 1),
+    ],
 )
 def test_what_is_no_query_is_refused_in_words(session, served, payload):
     (reply,) = session.get("prism/robot/command/pause", payload=payload, timeout=10)
@@ -213,9 +222,25 @@ def test_an_argument_that_has_no_default_is_asked_for():
     assert parse_query(NEEDS, b'{"argument": "lab"}') == "lab"
 
 
-def test_a_command_without_argument_takes_none():
+@pytest.mark.parametrize("given", [b'{"argument": "x"}', b'{"argument": null}'])
+def test_a_command_without_argument_takes_none(given):
     with pytest.raises(BusError, match="takes no argument"):
-        parse_query(INFO, b'{"argument": "x"}')
+        parse_query(INFO, given)
+
+
+@pytest.mark.parametrize("behind", ["argument=off", "off", "_time=[now(-1s)..];off"])
+def test_an_argument_behind_the_key_is_refused_and_not_passed_over(session, served, behind):
+    """Zenoh's own way to pass one: unread, `pause?off` would pause the robot."""
+    (reply,) = session.get(f"prism/robot/command/pause?{behind}", timeout=10)
+    answer = parse_reply(reply.ok.payload.to_bytes())
+    assert not answer.ok
+    assert "goes into the payload" in answer.said
+    assert served == []
+
+
+def test_what_zenoh_itself_puts_behind_a_key_is_no_argument(session, served):
+    (reply,) = session.get("prism/robot/command/pause?_anyke", timeout=10)
+    assert parse_reply(reply.ok.payload.to_bytes()).ok
 
 
 def test_switches_know_two_words():

@@ -14,7 +14,7 @@ import pytest
 import zenoh
 
 from prism_edge import messages as m
-from prism_edge.bus import links, ros
+from prism_edge.bus import links, ros, session
 from prism_edge.bus.codec import pack
 from prism_edge.bus.session import Bus
 from prism_edge.errors import BusError, ConfigError
@@ -250,6 +250,42 @@ def test_close_stops_the_waits_and_may_be_repeated(join):
     assert taken == [None]
     assert bus.stopped.is_set()
     bus.publish("tracked", tracked())  # the last words of a worker that is being stopped
+
+
+class Stuck:
+    """A session that waits for a receiver which hangs, as Zenoh's does for ten seconds, and then says so."""
+
+    def __init__(self, session, says):
+        self._session, self._says = session, says
+        self.goes_on = threading.Event()
+
+    def __getattr__(self, name):
+        return getattr(self._session, name)
+
+    def close(self):
+        assert self.goes_on.wait(60.0)
+        self._session.close()
+        if self._says:
+            raise zenoh.ZError("close operation timed out!")
+
+
+def test_leaving_waits_for_nobody_who_hangs(join, monkeypatch, caplog):
+    bus = join("tracker")
+    bus._session = Stuck(bus._session, says=False)
+    monkeypatch.setattr(session, "LEAVING_S", 0.01)
+    bus.close()
+    assert not bus._session.goes_on.is_set()
+    assert "does not read" in caplog.text
+    bus._session.goes_on.set()
+
+
+def test_lockstep_waits_for_whoever_reads_slowly(join, config, monkeypatch):
+    bus = Bus.open(replace(config, mode="lockstep"), "tracker")
+    bus._session = stuck = Stuck(bus._session, says=True)
+    monkeypatch.setattr(session, "LEAVING_S", 0.01)
+    threading.Timer(0.3, stuck.goes_on.set).start()
+    bus.close()  # what Zenoh says at the end of its patience is no error of the run's
+    assert stuck.goes_on.is_set()
 
 
 PROCESS = """

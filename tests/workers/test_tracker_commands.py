@@ -86,6 +86,7 @@ def test_there_must_be_a_map_to_localise_in(bus: ListBus) -> None:
         ([("localise_only", "on"), ("localise_only", "off")], "ok building", None),
         ([("reset", "")], "initialising building", 0),
         ([("localise_only", "on"), ("reset", "")], "initialising building", 0),
+        ([("reset", ""), ("localise_only", "off")], "initialising building", 0),
     ],
 )
 def test_status_follows_a_command_without_another_image(
