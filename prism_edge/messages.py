@@ -230,6 +230,7 @@ class Scale:
     points: int  # that it rests on
     accepted: bool
     bias_sigma: float = 0.0  # the network's, which is in sigma
+    lost_sigma: float = 0.0  # of a network that doesn't know what it sees, which is in sigma too
     local_sigma: float = 0.0  # how far the map's log scale here may be from log_scale, beyond sigma
     network: str = ""  # whose depth it was learned from
     metric: bool = True  # whether depth has fixed or met the map's unit; else log_scale is a guess
@@ -342,10 +343,11 @@ class MapLoaded:
 
     epoch: int
     log_scale: float
-    scale_sigma: float  # the network's bias left out
+    scale_sigma: float  # the network's bias, and how lost it was, left out
     bias_sigma: float = 0.0
     network: str = ""  # whose depth log_scale was learned from
     metric: bool = True  # whether anything is known of the unit; else log_scale is a guess
+    lost_sigma: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,23 +17,31 @@ UNKNOWN_SCALE_SIGMA = 0.3
 class KnownScale:
     """What is known of a map's unit: the logarithm of its metres, and its standard deviation.
 
-    The bias of the network that it was learned from is told apart: a scale filter goes on from the rest.
+    The bias of the network that it was learned from, and how lost that was (scale/spread.py), are told
+    apart: a scale filter goes on from the rest.
     """
 
     log_scale: float = 0.0
     sigma: float = UNKNOWN_SCALE_SIGMA
     bias_sigma: float = 0.0
+    lost_sigma: float = 0.0
     network: str = ""  # that it was learned from, as its depths name it
 
     @classmethod
     def of(cls, info: Info) -> KnownScale:
         """As a stored map says. Raises MapError where it says nothing that can be."""
-        told = {"bias_sigma": 0.0, "scale_by": "", **info}  # maps of earlier builds don't say
+        told = {"bias_sigma": 0.0, "lost_sigma": 0.0, "scale_by": "", **info}  # earlier builds' don't say
         network = told["scale_by"]
         if not isinstance(network, str):
             raise MapError("the map's scale_by is no network")
         log_scale = _number(told, "log_scale", -LARGEST_LOG_SCALE)
-        return cls(log_scale, _number(told, "scale_sigma", 0.0), _number(told, "bias_sigma", 0.0), network)
+        sigma, bias = _number(told, "scale_sigma", 0.0), _number(told, "bias_sigma", 0.0)
+        return cls(log_scale, sigma, bias, _number(told, "lost_sigma", 0.0), network)
+
+    @property
+    def whole_sigma(self) -> float:
+        """Standard deviation of the logarithm, with all that is told apart."""
+        return math.hypot(self.sigma, self.bias_sigma, self.lost_sigma)
 
     @property
     def is_known(self) -> bool:
@@ -43,7 +52,7 @@ class KnownScale:
     def info(self) -> Info:
         """For a stored map."""
         known = {"log_scale": self.log_scale, "scale_sigma": self.sigma, "bias_sigma": self.bias_sigma}
-        return {**known, "scale_by": self.network}
+        return {**known, "lost_sigma": self.lost_sigma, "scale_by": self.network}
 
 
 def _number(info: Info, name: str, least: float) -> float:

@@ -25,7 +25,7 @@ def described(found: Opened) -> list[str]:
     cameras = Counter(map(_named(seen_by), seen_by))
     shutter = f"; rows read over {found.world.readout_ms:.1f} ms, as found" if found.world.readout_ms else ""
     metres = math.exp(found.scale.log_scale)
-    sigma = math.hypot(found.scale.sigma, found.scale.bias_sigma)
+    sigma = found.scale.whole_sigma
     x, y, z = metric.extent
     seat = ", ".join(f"{v:.4f}" for v in metric.mount[:3, 3])
     turn = ", ".join(f"{v:.4f}" for v in quaternion_from_rotation(metric.mount[:3, :3]))

@@ -118,6 +118,7 @@ class ScaleEstimator:
             log_scale=here.steady.log_scale,
             map_log_scale=here.of_map.log_scale,
             sigma=math.hypot(scale.learned_sigma, self._bias_sigma, held, self._lost_sigma()),
+            lost_sigma=self._lost_sigma(),
             filter_sigma=scale.learned_sigma,
             bias_sigma=self._bias_sigma,
             local_sigma=here.local.sigma(self._network_sigma()),
@@ -132,13 +133,19 @@ class ScaleEstimator:
         return message, Gate(keyframe.id, keyframe.epoch, weights, uncertainty)
 
     def take_over(
-        self, epoch: int, log_scale: float, sigma: float, bias_sigma: float = 0.0, network: str = ""
+        self,
+        epoch: int,
+        log_scale: float,
+        sigma: float,
+        bias_sigma: float = 0.0,
+        network: str = "",
+        lost_sigma: float = 0.0,
     ) -> None:
-        """A map that was there is gone on with, as ``epoch``: its unit is known, to a network's bias."""
+        """A map that was there is gone on with, as ``epoch``: its unit is known, to its network's errors."""
         self.begin(epoch)
         self._network = network
         self._bias_sigma = bias_sigma or self._bias_sigma
-        self._parts.take_over(log_scale, sigma)
+        self._parts.take_over(log_scale, sigma, lost_sigma)
 
     def begin(self, epoch: int) -> None:
         """A map of whose unit nothing is known."""

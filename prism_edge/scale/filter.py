@@ -25,7 +25,7 @@ import numpy as np
 from prism_edge.config import ScaleConfig
 from prism_edge.geometry.poses import Array
 from prism_edge.scale.least_squares import Observation
-from prism_edge.scale.spread import FrameSpread
+from prism_edge.scale.spread import PRIOR_WEIGHT, FrameSpread
 
 # A belief that rests on n observations falls to as many that contradict it and agree with one another,
 # at least the first number of them and at most the second.
@@ -58,6 +58,7 @@ class ScaleFilter:
         self._travelled = 0.0
         self._thought = config.frame_sigma  # that the network at hand spreads
         self._spread = FrameSpread(self._thought)
+        self._told_lost = 0.0  # by who knew the unit before
         self._elapsed_s = 0.0  # since the last observation that the spread has
 
     @property
@@ -88,8 +89,13 @@ class ScaleFilter:
 
     @property
     def lost_sigma(self) -> float:
-        """What metres may be off by where this network doesn't know what it sees; 0 where it does."""
-        return self._spread.lost_sigma if self._kalman else 0.0
+        """What metres may be off by where this network doesn't know what it sees; 0 where it does.
+
+        What was known of that before counts for the less, the more has been seen since.
+        """
+        if not self._kalman:
+            return 0.0
+        return max(self._spread.lost_sigma, self._told_lost * PRIOR_WEIGHT / self._spread.weight)
 
     @property
     def doubt(self) -> str:
@@ -170,12 +176,13 @@ class ScaleFilter:
         self._unit_fixed = True
         self._elapsed_s = 0.0
 
-    def take_over(self, log_scale: float, sigma: float) -> None:
-        """Begin with what an earlier run knew of this map's unit."""
+    def take_over(self, log_scale: float, sigma: float, lost_sigma: float = 0.0) -> None:
+        """Begin with what an earlier run knew of this map's unit, and of how lost its network was."""
         known = min(max(sigma, 1e-3), _MAX_LOG)
         self._state = np.array([log_scale, 0.0])
         self._covariance = np.diag([known**2, self._config.frame_sigma**2])
         self._unit_fixed = self._taken_over = True
+        self._told_lost = lost_sigma
 
     def meet_another(self, bias_sigma: float, frame_sigma: float, config: ScaleConfig) -> None:
         """Another network has other metres, by ``bias_sigma`` of both and by how lost the one before may be.
@@ -185,7 +192,7 @@ class ScaleFilter:
         """
         known = math.hypot(self.learned_sigma, bias_sigma, self.lost_sigma)
         self._config, self._thought, self._spread = config, frame_sigma, FrameSpread(frame_sigma)
-        self._state[1] = 0.0
+        self._state[1], self._told_lost = 0.0, 0.0
         self._covariance = np.diag([(known / (self._learned or 1.0)) ** 2, self._config.frame_sigma**2])
 
     def widen(self, sigma: float) -> None:
@@ -211,6 +218,7 @@ class ScaleFilter:
         first.predict(last._time_s or 0.0, first._travelled)
         last._correct(_OF_X, first.log_scale - last.log_scale, first.sigma**2 + _LEAST_VARIANCE)
         last._spread = max(self._spread, came._spread, key=lambda spread: spread.weight)
+        last._told_lost = max(self._told_lost, came._told_lost)
         last.accepted = self.accepted + other.accepted
         last._support = self._support + other._support
         return last

@@ -57,10 +57,10 @@ class PartScales:
         """Whether a keyframe belongs to the part that was entered last."""
         return keyframe.part == self._part
 
-    def take_over(self, log_scale: float, sigma: float) -> None:
+    def take_over(self, log_scale: float, sigma: float, lost_sigma: float = 0.0) -> None:
         """What was known of the map's unit before, which is its first part's."""
         home = self._parts[HOME]
-        home.filter.take_over(log_scale, sigma)
+        home.filter.take_over(log_scale, sigma, lost_sigma)
         home.steady.log_scale = home.of_map.log_scale = log_scale
 
     def join(self, newer: int, older: int, log_unit: float, sigma: float, config: ScaleConfig) -> None:

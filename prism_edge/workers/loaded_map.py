@@ -31,5 +31,5 @@ class LoadedMap:
 
     def news(self, known: KnownScale) -> MapLoaded:
         """The message."""
-        told = known.log_scale, known.sigma, known.bias_sigma, known.network
-        return MapLoaded(self._mapper.epoch, *told, metric=known.is_known)
+        told = known.log_scale, known.sigma, known.bias_sigma, known.network, known.is_known
+        return MapLoaded(self._mapper.epoch, *told, known.lost_sigma)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 import time
 from collections.abc import Callable
@@ -218,8 +217,7 @@ class MapKeeper:
         if not mapper.world.points:
             return None
         data = np.frombuffer(self._packed(scale, True), np.uint8)
-        sigma = math.hypot(scale.sigma, scale.bias_sigma)
-        return WholeMap(mapper.epoch, mapper.sequence, scale.log_scale, sigma, data)
+        return WholeMap(mapper.epoch, mapper.sequence, scale.log_scale, scale.whole_sigma, data)
 
     def _begin_journal(self, journal: Journal, scale: KnownScale) -> None:
         self._bus.pulse.working("writing the journal", 30.0)

@@ -62,6 +62,7 @@ class ScaleWorker:
                 tick = self._ticks.take(_WAIT_S)
                 if tick is not None:
                     self._acknowledge(tick)
+                self._take_loaded()  # no keyframe may come any more
             if self._ends.drain():
                 self._bus.pulse.ended()
 
@@ -96,8 +97,7 @@ class ScaleWorker:
         for come in ([] if depth is None else [depth]) + self._depths.drain():
             if come.keyframe >= 0:  # else a probe's, which is for the tracker
                 self._waiting.add_depth(come)
-        for loaded in self._loaded.drain():
-            self._take_over(loaded)
+        self._take_loaded()
         keyframes = self._keyframes.drain()
         for keyframe in keyframes:
             self._stamp_ns = keyframe.stamp_ns
@@ -115,14 +115,19 @@ class ScaleWorker:
         if keyframes and silent and self._ticks is None and self._estimator.metric:
             self._grow(keyframes[-1])
 
+    def _take_loaded(self) -> None:
+        for loaded in self._loaded.drain():
+            self._take_over(loaded)
+
     def _take_over(self, loaded: MapLoaded) -> None:
         """Said at once: where the map is left as it is, no keyframe will."""
-        log_scale, sigma, bias_sigma = loaded.log_scale, loaded.scale_sigma, loaded.bias_sigma
+        log_scale, sigma = loaded.log_scale, loaded.scale_sigma
+        apart = {"bias_sigma": loaded.bias_sigma, "lost_sigma": loaded.lost_sigma}
         if loaded.metric:
-            self._estimator.take_over(loaded.epoch, log_scale, sigma, bias_sigma, loaded.network)
+            self._estimator.take_over(loaded.epoch, log_scale, sigma, network=loaded.network, **apart)
         else:
             self._estimator.begin(loaded.epoch)
-        known = log_scale, math.hypot(sigma, bias_sigma), sigma
+        known = log_scale, math.hypot(sigma, *apart.values()), sigma
         self._bus.publish("scale", ros.scale(self._stamp_ns, self._map_frame, *known, metric=loaded.metric))
 
     def _do_without_depth(self, keyframe_id: int) -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.config import ScaleConfig
 from prism_edge.messages import HOME, Scale
 from prism_edge.scale.estimator import ScaleEstimator
@@ -113,3 +114,33 @@ def test_of_two_parts_where_the_network_is_lost_the_one_here_is_spoken_of() -> N
         said.append(float(player.estimator.doubt.split("size by ")[1].split(" ")[0]))
     assert said[1] == pytest.approx(0.42, abs=0.02)
     assert said[0] == pytest.approx(0.3, abs=0.02)
+
+
+def test_who_goes_on_from_a_lost_network_s_metres_knows_it_until_the_network_shows_otherwise() -> None:
+    before = Player()
+    last = before.play(120, 0.6)[-1]
+    assert last.lost_sigma > 1.5
+    known = KnownScale(last.log_scale, last.known_to, last.bias_sigma, last.lost_sigma, last.network)
+    told = KnownScale.of(known.info)
+    after = Player(seed=1)
+    after.play(1, 0.1)
+    after.estimator.take_over(
+        0, told.log_scale, told.sigma, told.bias_sigma, told.network, told.lost_sigma
+    )
+    scales = after.play(400, 0.1)
+    assert scales[0].sigma == pytest.approx(last.sigma, rel=0.1)
+    assert all(math.isfinite(scale.sigma) for scale in scales)
+    assert scales[-1].lost_sigma < 0.2, "the images agree with one another again"
+    another = Player(seed=1)
+    another.estimator.take_over(0, told.log_scale, 0.05, 0.1, told.network, told.lost_sigma)
+    seen = another.play(2, 0.0, "another@0123456789ab", metres_per_unit=7.0)
+    assert seen[1].accepted, "whose metres are free to be others"
+    assert seen[1].lost_sigma == 0.0
+
+
+def test_a_part_that_joins_a_map_of_a_lost_network_s_metres_doesn_t_make_them_sure() -> None:
+    player = Player()
+    player.estimator.take_over(0, 0.0, 0.05, 0.1, "net@0123456789ab", lost_sigma=2.0)
+    player.play(2, 0.1)
+    player.play(10, 0.1, part=60)
+    assert player.play(1, 0.1, joined=(60, HOME))[-1].lost_sigma > 0.5

@@ -151,9 +151,9 @@ def test_who_asks_is_told_the_map_s_unit_once_it_is_known():
     asked = bus.answers["map_loaded"]
     assert asked() is None
     hear(made, bus, told, teller)
-    bus.give("log_scale", scale_of(told[2], 0.3, bias_sigma=0.07, network="exact"))
+    bus.give("log_scale", scale_of(told[2], 0.3, bias_sigma=0.07, lost_sigma=2.0, network="exact"))
     made._realtime()
-    assert asked() == MapLoaded(2, 0.3, 0.1, 0.07, "exact")
+    assert asked() == MapLoaded(2, 0.3, 0.1, 0.07, "exact", lost_sigma=2.0)
     again, new = keyframes(1, epoch=3, first=3)
     hear(made, bus, new, again)
     assert asked() is None, "nothing is known of the new map's"

@@ -45,14 +45,16 @@ def start(bus):
         assert not thread.is_alive()
 
 
-def test_a_loaded_map_s_scale_is_said_at_once(bus, start):
+@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+def test_a_loaded_map_s_scale_is_said_at_once(bus, start, mode):
     """A map that is only localised in makes no keyframes, whose scales would say it."""
-    bus.give("map_loaded", MapLoaded(1000, np.log(1.3), 0.03, 0.1))
-    start()
+    bus.give("map_loaded", MapLoaded(1000, np.log(1.3), 0.03, 0.1, lost_sigma=2.0))
+    start(mode)
     bus.wait_for("scale", 1)
     (said,) = bus.of("scale")
     assert said.scale == pytest.approx(1.3)
-    assert (said.sigma_log, said.filter_sigma_log) == (pytest.approx(np.hypot(0.03, 0.1)), 0.03)
+    whole = pytest.approx(np.linalg.norm([0.03, 0.1, 2.0]))
+    assert (said.sigma_log, said.filter_sigma_log) == (whole, 0.03)
     assert said.metric
     assert said.keyframe == -1
 
