@@ -19,6 +19,7 @@ from prism_edge.messages import Keyframe
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LEAST_SHARED
 from prism_edge.tracking.pose_refinement import refine_pose
+from prism_edge.tracking.rolling_shutter import found_readout
 
 MIN_COMMON = 15
 LONG_AGO = -(1 << 62)  # a stamp before all others, of what comes from a file
@@ -108,8 +109,9 @@ class GlobalMap:
         """
         if not (self.keyframes or message.readout_said):  # a map before this one has shown it
             self.readout_ms = message.readout_ms
-        message = message_at_once(self._in_own_lens(self._renamed(message)), self.readout_ms)
-        message = self._in_present_unit(message)
+        message = self._in_own_lens(self._renamed(message))
+        camera = Camera.from_array(message.camera_model, message.camera)
+        message = self._in_present_unit(message_at_once(message, found_readout(self, camera)))
         self.readout_said |= message.readout_said
         of_earlier, world_correction = self._corrections(message)
         told = message.new_points.tolist(), message.new_positions, message.new_by.tolist()
@@ -124,7 +126,6 @@ class GlobalMap:
             self._forget_point(point)
         self._observe_late(message)
         keypoints = np.flatnonzero(message.points >= 0)
-        camera = Camera.from_array(message.camera_model, message.camera)
         added = GlobalKeyframe(
             message.id,
             message.index,

@@ -7,6 +7,9 @@ the frame is placed by the motion that it had; where a map begins, by how corner
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any, Protocol
+
 import numpy as np
 
 from prism_edge.geometry.cameras import Camera
@@ -76,6 +79,11 @@ class RollingShutter:
             self._before, self._now = self._now, (stamp_ns, features)
 
     @property
+    def found_ms(self) -> float:
+        """What was found for the last frame's camera, where nobody says it: a next map may begin with it."""
+        return 0.0 if self.is_said else self.readout_ms
+
+    @property
     def may_begin(self) -> bool:
         """Whether a map may begin with this frame: not with the first of all, whose motion nothing tells."""
         return self._before is not None or not self.readout_ms
@@ -94,6 +102,26 @@ class RollingShutter:
         turn, twist = turn_between(camera, self._before[1], features), np.zeros(6)
         twist[3:] = 0.0 if turn is None else turn / elapsed_s
         return self.in_the_middle(features, camera, twist, 1.0)
+
+
+class Seen(Protocol):
+    """What a map of keyframes says of the cameras that made it."""
+
+    readout_ms: float
+
+    @property
+    def keyframes(self) -> Mapping[int, Any]:
+        """By their numbers; each has its ``camera``."""
+
+
+def found_readout(world: Seen, camera: Camera) -> float:
+    """The readout that was found in a map, ms, for a camera that may have made it; 0 for another.
+
+    It was found while one camera had made all of the map: that of its oldest keyframe.
+    """
+    if not (world.readout_ms and world.keyframes):
+        return world.readout_ms
+    return world.readout_ms if world.keyframes[min(world.keyframes)].camera.like(camera) else 0.0
 
 
 def see_at_once(

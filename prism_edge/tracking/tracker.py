@@ -33,7 +33,7 @@ from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.recovery import clearly_better, misled, recover
 from prism_edge.tracking.reference import Reference
 from prism_edge.tracking.relocalisation import Relocaliser
-from prism_edge.tracking.rolling_shutter import RollingShutter, see_at_once
+from prism_edge.tracking.rolling_shutter import RollingShutter, found_readout, see_at_once
 from prism_edge.tracking.second_look import look_again
 from prism_edge.tracking.seeding import seed_at_middle, seed_from_depth
 from prism_edge.tracking.submaps import Parts
@@ -88,7 +88,7 @@ class Tracker:
         """
         lens = self._lens if self._lens is not None and self._lens.like(camera) else camera
         features = self._extractor.extract(grey, lens)
-        self.shutter.saw(stamp_ns, features, camera.readout_ms, self.world.readout_ms)
+        self.shutter.saw(stamp_ns, features, camera.readout_ms, found_readout(self.world, lens))
         self._fresh = None  # an older frame that nobody judged
         follow = self._continue if self.world.keyframes else self._begin
         self._result = follow(index, stamp_ns, lens, features)
@@ -388,7 +388,7 @@ class Tracker:
 
     def _restart(self, at: Array) -> None:
         """Begin a new map, its first camera at a pose (4, 4) in metres."""
-        self.world, self._begins_at = LocalMap(self.world.readout_ms), at
+        self.world, self._begins_at = LocalMap(self.shutter.found_ms), at
         self.places, self.parts, self._baselines = Relocaliser(self._seed), Parts(), Baselines()
         self._lost = self.wants_probe = self.initialised = False
         self.epoch += 1

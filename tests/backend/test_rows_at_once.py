@@ -13,7 +13,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Keyframe
 from prism_edge.tracking.rolling_shutter import seen_at_once
 from tests.backend.world import Teller
-from tests.tracking.cloud import pose_at
+from tests.tracking.cloud import CAMERA, pose_at
 
 TWIST = np.array([0.2, 0.1, 0.0, 0.1, 0.4, -0.1])
 
@@ -69,3 +69,14 @@ def test_a_map_begins_with_what_one_before_it_has_shown(told, said, known):
     assert np.array_equal(added.pixels, told.pixels)
     later = world.absorb(replace(told, id=told.id + 1, readout_ms=0.0, readout_said=said))
     assert np.array_equal(later.pixels, told.pixels) == said
+
+
+def test_another_camera_s_rows_are_not_read_as_slowly_as_those_of_who_made_the_map(told):
+    world, other = GlobalMap(), replace(CAMERA, fx=1.5 * CAMERA.fx, fy=1.5 * CAMERA.fy)
+    world.absorb(told)
+    world.readout_ms = 26.0
+    for number in (1, 2):  # also once it has made keyframes itself
+        swapped = replace(told, id=told.id + number, camera=other.to_array(), camera_model=other.model)
+        assert np.array_equal(world.absorb(swapped).pixels, told.pixels)
+    its_own = world.absorb(replace(told, id=told.id + 3, camera=CAMERA.bent(0.01).to_array()))
+    assert not np.allclose(its_own.pixels, told.pixels, atol=0.5)

@@ -21,7 +21,9 @@ from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.orb_pyramid import Grey
-from prism_edge.tracking.rolling_shutter import RollingShutter, see_at_once
+from prism_edge.tracking.place_index import PlaceIndex
+from prism_edge.tracking.rolling_shutter import RollingShutter, found_readout, see_at_once
+from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.tracker import Tracker
 from tests.synthetic.drawing import SLACK
 from tests.synthetic.messages import map_update
@@ -266,9 +268,34 @@ def test_what_was_found_counts_where_nobody_says_anything() -> None:
     for said_ms, counts, said in ((None, 26.0, False), (0.0, 0.0, True), (-9.0, -9.0, True)):
         shutter.saw(0, found, said_ms, 26.0)
         assert (shutter.readout_ms, shutter.is_said) == (counts, said)
+        assert shutter.found_ms == (0.0 if said else counts)
     by_hand = RollingShutter(12.0)
     by_hand.saw(0, found, None, 26.0)
     assert (by_hand.readout_ms, by_hand.is_said) == (12.0, True)
+
+
+def test_what_was_found_is_of_the_camera_that_made_the_map() -> None:
+    """Not of one that is put in its place later, however much of the map that has made by then."""
+    world, _ = local_world(np.array([0, 0, 0, 0.1, 0.5, 0]), 0.0)
+    assert found_readout(world, CAMERA) == 0.0
+    world.readout_ms = 26.0
+    other = replace(CAMERA, width=2 * CAMERA.width)
+    world.keyframes[7] = replace(world.newest(), id=7, camera=other)
+    assert found_readout(world, CAMERA.bent(0.01)) == 26.0
+    assert found_readout(world, other) == 0.0
+    assert found_readout(LocalMap(26.0), other) == 26.0, "a map that has yet to begin, of the camera before"
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_a_camera_put_in_another_s_place_is_not_read_as_slowly(swapped: bool) -> None:
+    tracker, (world, _) = Tracker(TrackingConfig()), local_world(np.zeros(6), 0.0)
+    world.readout_ms = 26.0
+    tracker.adopt(world, PlaceIndex(), Parts(), 1, 0.0)
+    camera = replace(CAMERA, fx=1.5 * CAMERA.fx) if swapped else CAMERA
+    tracker.process(0, 0, np.zeros((camera.height, camera.width), np.uint8), camera)
+    assert tracker.shutter.readout_ms == (0.0 if swapped else 26.0)
+    tracker.reset()
+    assert tracker.world.readout_ms == tracker.shutter.readout_ms
 
 
 def local_world(twist: Array, readout_s: float) -> tuple[LocalMap, Array]:
