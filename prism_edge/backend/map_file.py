@@ -52,7 +52,7 @@ Info = dict[str, Any]
 def pack(info: Info, arrays: Arrays) -> bytes:
     """Plain values (JSON) and arrays (int64, float64, float32 or uint8) as the bytes of a file.
 
-    Raises MapError for a value that no file can have: one that is not finite, or a header that is too long.
+    Raises MapError for what no file can have: a value that is not finite, a header or a map too large.
     """
     shapes, parts = [], []
     for name, array in arrays.items():
@@ -67,6 +67,8 @@ def pack(info: Info, arrays: Arrays) -> bytes:
         raise MapError(f"the map's header would take {len(header)} of {LARGEST_HEADER} bytes")
     parts = [header, bytes(-len(header) % 8), *parts]
     length = _PREFIX.size + sum(map(len, parts)) + _DIGEST
+    if length > LARGEST_FILE:
+        raise MapError(f"the map would take {length} bytes; one has at most {LARGEST_FILE}")
     body = b"".join([_PREFIX.pack(MAGIC, VERSION, len(header), length), *parts])
     return body + hashlib.sha256(body).digest()
 

@@ -109,10 +109,13 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         rows.append(cameras[key])
     seen = np.full(sum(sizes), -1, np.int64)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+    positions = _stack((point.position for point in world.points.values()), (3,))
+    near = (np.abs(positions) < FARTHEST).all(axis=1).tolist()
+    # A star that ran off would make the whole map one that nobody reads.
+    far = {point for point, is_near in zip(world.points, near, strict=True) if not is_near}
     for start, k in zip(starts.tolist(), keyframes, strict=False):
         for point, keypoint in k.observed.items():
-            # A star that ran off would make the whole map one that nobody reads.
-            if np.abs(world.points[point].position).max() < FARTHEST:
+            if point not in far:
                 seen[start + keypoint] = point
     kept = np.unique(seen[seen >= 0]).tolist()
     places = [k.id for k in keyframes if k.id in index]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.evaluation.carried import carried
 from prism_edge.evaluation.trajectory import NS, Trajectory
 from prism_edge.geometry.poses import Array, scaled
 from prism_edge.messages import DEGRADED, LOST, OK, EndOfStream, MapSnapshot, Solved, Tracked
@@ -58,7 +59,7 @@ class Recording:
         return Trajectory.of((pose.stamp_ns, pose.map_from_camera) for pose in finite)
 
     def final(self, snapshot: MapSnapshot, map_from_world: Array) -> tuple[Trajectory, int]:
-        """Every tracked frame as the finished map has it, carried by its reference keyframe.
+        """Every tracked frame as the finished map has it (:mod:`~prism_edge.evaluation.carried`).
 
         So also those without a pose as they came, in parts of the map that a loop has joined since. In
         metres, map_from_camera: the snapshot's map units are multiplied by exp(log_scale), then brought
@@ -66,17 +67,18 @@ class Recording:
         to be left out because the map no longer holds their reference keyframe, or holds no numbers for it.
         """
         away, numbers = set(snapshot.away.tolist()), snapshot.keyframes.tolist()
-        keyframes = {k: pose for k, pose in zip(numbers, snapshot.poses, strict=True) if k not in away}
+        told = zip(numbers, snapshot.poses, strict=True)
+        keyframes = {k: pose for k, pose in told if k not in away and np.isfinite(pose).all()}
         grown = dict(zip(numbers, snapshot.grown.tolist(), strict=False))  # none where nobody says it
         factor = float(np.exp(snapshot.log_scale))
-        rows = []
-        for f in (*self.tracked, *self.apart):
-            unit = 1.0 if f.published else grown.get(f.reference, 1.0)  # it is told in the part's own of then
-            if f.reference in keyframes:
-                pose = keyframes[f.reference] @ scaled(f.reference_from_camera, unit)
-                rows.append((f.stamp_ns, map_from_world @ scaled(pose, factor)))
-        rows = [(stamp_ns, pose) for stamp_ns, pose in rows if np.isfinite(pose).all()]
-        final = Trajectory.of(rows)
+        held = [f for f in (*self.tracked, *self.apart) if f.reference in keyframes]
+        held.sort(key=lambda f: f.stamp_ns)
+        # One without a pose is told in the part's own unit of then.
+        units = [1.0 if f.published else grown.get(f.reference, 1.0) for f in held]
+        offsets = [scaled(f.reference_from_camera, unit) for f, unit in zip(held, units, strict=True)]
+        placed = [map_from_world @ scaled(pose, factor) for pose in carried(held, offsets, keyframes)]
+        rows = zip((f.stamp_ns for f in held), placed, strict=True)
+        final = Trajectory.of((stamp_ns, pose) for stamp_ns, pose in rows if np.isfinite(pose).all())
         stamps = set(final.stamps.tolist())
         return final, sum(f.stamp_ns not in stamps for f in self.tracked)
 

@@ -181,6 +181,16 @@ def test_no_map_is_written_whose_header_nobody_would_read() -> None:
         map_file.pack({"robot": "a" * map_file.LARGEST_HEADER}, ARRAYS)
 
 
+def test_no_map_is_written_that_would_be_refused_for_its_size(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(map_file, "LARGEST_FILE", len(GOOD))
+    assert map_file.pack(INFO, ARRAYS) == GOOD
+    monkeypatch.setattr(map_file, "LARGEST_FILE", len(GOOD) - 1)
+    with pytest.raises(MapError, match=f"would take {len(GOOD)} bytes"):
+        map_file.pack(INFO, ARRAYS)
+
+
 def test_bytes_that_no_array_claims_are_refused() -> None:
     with pytest.raises(MapError, match="too many"):
         map_file.unpack(crafted({"info": {}, "arrays": []}, bytes(8)))
