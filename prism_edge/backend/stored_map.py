@@ -110,7 +110,7 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
     seen = np.full(sum(sizes), -1, np.int64)
     starts = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     positions = _stack((point.position for point in world.points.values()), (3,))
-    near = (np.abs(positions) < FARTHEST).all(axis=1).tolist()
+    near: list[bool] = (np.abs(positions).max(axis=1, initial=0.0) < FARTHEST).tolist()
     # A star that ran off would make the whole map one that nobody reads.
     far = {point for point, is_near in zip(world.points, near, strict=True) if not is_near}
     for start, k in zip(starts.tolist(), keyframes, strict=False):

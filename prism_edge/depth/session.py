@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from pathlib import Path
 from typing import Any
@@ -38,6 +39,7 @@ log = logging.getLogger("prism_edge.depth")
 _LARGEST_DESCRIPTOR = 16_384
 _SURELY_NO_PROBABILITY = 1.001  # rounding makes a little more than 1 of one
 _SURELY_NOT_OPEN = 0.999
+SAME_ASPECT = 0.03  # of the logarithm: maps have whole pixels
 _DOUBTS = {
     PROBABILITY: "above 1, though its card says probability; is it percent, or open-ended (docs/MODELS.md)?",
     OPEN: "between 0 and 1, though its card says open; is it a probability (docs/MODELS.md)?",
@@ -221,7 +223,19 @@ class OnnxNetwork:
                 f"{self.path.name}: confidence is {answer.confidence.shape}, depth {answer.depth.shape}; "
                 "they must be of one size"
             )
+        height, width = answer.depth.shape
+        if are_swapped(width / height, self.card.input_width / self.card.input_height):
+            raise ModelError(
+                f"{self.path.name}: its depth is {width}x{height}, of an input of "
+                f"{self.card.input_width}x{self.card.input_height}: its axes are swapped "
+                "(docs/MODELS.md#exports-of-another-shape)"
+            )
         return ""
+
+
+def are_swapped(aspect: float, of_input: float) -> bool:
+    """Whether a map's width by its height is the input's height by its width, and that not a square."""
+    return abs(math.log(of_input)) > 2 * SAME_ASPECT and abs(math.log(aspect * of_input)) < SAME_ASPECT
 
 
 def _with_depth(prediction: Prediction, depth: NDArray[np.float32]) -> Prediction:

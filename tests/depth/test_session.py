@@ -339,3 +339,20 @@ def _graph(nodes, kind, shape, out_shape):
     image = helper.make_tensor_value_info("image", kind, shape)
     depth = helper.make_tensor_value_info("depth", TensorProto.FLOAT, out_shape)
     return helper.make_graph(nodes, "g", [image], [depth])
+
+
+@pytest.mark.parametrize(("size", "refused"), [((96, 72), True), ((72, 96), True), ((96, 96), False)])
+def test_depth_whose_axes_are_swapped_is_refused(tmp_path: Path, size, refused):
+    """Each pixel would have another one's depth."""
+    what = TinyNetwork(width=size[0], height=size[1])
+    graph = tiny_graph(what)
+    graph.node[-1].output[:] = ["upright"]
+    graph.node.append(helper.make_node("Transpose", ["upright"], ["depth"], perm=[0, 1, 3, 2]))
+    shape = graph.output[0].type.tensor_type.shape.dim
+    shape[2].dim_value, shape[3].dim_value = shape[3].dim_value, shape[2].dim_value
+    save(tmp_path / "turned.onnx", graph, what.card())
+    if refused:
+        with pytest.raises(ModelError, match="axes are swapped"):
+            OnnxNetwork(tmp_path / "turned.onnx")
+    else:
+        OnnxNetwork(tmp_path / "turned.onnx")
