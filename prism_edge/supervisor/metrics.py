@@ -81,7 +81,7 @@ class _Collector:
         level = GaugeMetricFamily(
             "prism_edge_level", "0 well, 1 warning, 2 error, 3 silent", labels=["process"]
         )
-        up = GaugeMetricFamily("prism_edge_up", "1 where the run is ready and nothing is in error")
+        up = GaugeMetricFamily("prism_edge_up", "1 where the run is ready and nothing is in error or silent")
         restarts = CounterMetricFamily("prism_edge_restarts", "starts after the first", labels=["process"])
         value = GaugeMetricFamily(
             "prism_edge_value", "each figure of health, under its name there", labels=["process", "name"]
