@@ -194,6 +194,9 @@ class Supervisor:
     def ended_well(self) -> None:
         """The run ends as it should: no other goes on in its map. Call before :meth:`stop`, or not at all."""
         self._ended_well = True
+        again = [name for name, watch in self._watches.items() if watch.restarts]
+        if again and self._config.is_lockstep:
+            log.warning("not the run that lockstep repeats: %s died and was started again", ", ".join(again))
 
     def stop(self) -> None:
         """End every process within ``supervisor.stop_s``, then close the bus and remove the run's files."""
