@@ -33,7 +33,9 @@ def introduce(world: LocalMap, keyframe: LocalKeyframe) -> None:
     neighbours = world.covisible(keyframe, NEIGHBOURS)
     keyframe.neighbours = [k.id for k in neighbours]
     for k in neighbours:
-        k.neighbours = [keyframe.id, *k.neighbours[: NEIGHBOURS - 1]]
+        # In a place that is known for long most of them come and go.
+        there = [n for n in k.neighbours if n in world.keyframes]
+        k.neighbours = [keyframe.id, *there[: NEIGHBOURS - 1]]
 
 
 def extending(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> Iterator[None]:
