@@ -2,6 +2,6 @@
 
 import sys
 
-from prism_edge.cli.main import main
+from prism_edge.cli.main import script
 
-sys.exit(main())
+sys.exit(script())

@@ -32,6 +32,7 @@ if str(ROOT) not in sys.path:  # run from a checkout
 from prism_edge.errors import PrismError, SourceError  # noqa: E402
 from prism_edge.evaluation.trajectory import write_tum  # noqa: E402
 from prism_edge.sources.bonn import holds_markers  # noqa: E402
+from prism_edge.sources.image_file import read_as_stored  # noqa: E402
 from tools.distractors.plan import MOST_COVERED, plan  # noqa: E402
 from tools.distractors.recording import Recording, empty  # noqa: E402
 from tools.distractors.solids import Distractor, draw, texture  # noqa: E402
@@ -51,7 +52,7 @@ def write(recording: Recording, things: list[Distractor], contrast: float, out: 
     for i, path in enumerate(recording.listing.files):
         target = place[path]
         target.parent.mkdir(parents=True, exist_ok=True)
-        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+        image = read_as_stored(path, cv2.IMREAD_COLOR)
         if image is None:
             raise SourceError(f"{path} can't be read")
         depth_file = recording.sensor_file(i)
@@ -97,7 +98,7 @@ def _copied(source: Path, target: Path) -> None:
 
 def _write_depth(recording: Recording, file: Path, shown: Array, out: Path) -> None:
     """The sensor's image with the objects in it, in its own pixels and unit; left out where it is none."""
-    raw = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.is_file() else None
+    raw = read_as_stored(file, cv2.IMREAD_UNCHANGED)
     if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
         print(f"make_distractors: warning: {file} is no depth image: left out", file=sys.stderr)
         return

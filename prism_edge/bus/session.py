@@ -13,11 +13,12 @@ from typing import Any
 
 import zenoh
 
-from prism_edge.bus import codec, keys
+from prism_edge.bus import codec, keys, leaving
 from prism_edge.bus.another_run import AnotherRun
 from prism_edge.bus.answer import Answer
 from prism_edge.bus.commands import CommandDesk, Handler, Reply, send
 from prism_edge.bus.inbox import Inbox
+from prism_edge.bus.leaving import leave
 from prism_edge.bus.links import encoding, open_session, quality
 from prism_edge.bus.presence import Presence
 from prism_edge.bus.pulse import Pulse
@@ -25,10 +26,6 @@ from prism_edge.config import Config
 from prism_edge.errors import BusError, first_line
 from prism_edge.messages import IDS_A_LIFE
 from prism_edge.topics import COMMANDS, TOPICS, Topic
-
-# What leaving may take in real time, less than a worker has for it: Zenoh waits ten seconds for a receiver
-# that hangs. In lockstep nothing is to be lost for that.
-LEAVING_S = 1.0
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -221,11 +218,8 @@ class Bus:
             self._presence.close()
         if self._another_run is not None:
             self._another_run.close()
-        leaving = threading.Thread(target=self._leave, name="leaving", daemon=True)
-        leaving.start()
-        leaving.join(None if self._lossless else LEAVING_S)
-        if leaving.is_alive():
-            log.warning("somebody on the bus does not read what he is sent: left without waiting for him")
+        # In lockstep nothing is to be lost for whoever reads slowly.
+        leave(self._leave, None if self._lossless else leaving.PATIENCE_S)
         atexit.unregister(self.close)
 
     def _leave(self) -> None:

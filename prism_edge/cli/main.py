@@ -8,6 +8,7 @@ import sys
 from typing import Any
 
 from prism_edge import __version__
+from prism_edge.bus.leaving import ended
 from prism_edge.cli.streams import drop_output, open_closed, print_anything
 from prism_edge.errors import report
 
@@ -100,5 +101,10 @@ def main(arguments: list[str] | None = None) -> int:
     return code
 
 
+def script() -> int:
+    """As :func:`main`, of a process that ends with it."""
+    return ended(main())
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(script())

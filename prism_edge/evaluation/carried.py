@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from prism_edge.geometry.poses import Array, from_rt, so3_exp, so3_log
 from prism_edge.messages import Tracked
 
@@ -18,9 +20,13 @@ def carried(
     """world_from_camera (4, 4) of frames in the order of their stamps.
 
     ``offsets`` are reference_from_camera (4, 4) in the units of ``keyframes``, which holds the finished
-    world_from_camera of each one's reference.
+    world_from_camera of each one's reference, or of the keyframe that it became.
     """
-    placed = [keyframes[f.reference] @ offset for f, offset in zip(frames, offsets, strict=True)]
+    # Of a keyframe's own frame the reference may be gone.
+    placed = [
+        keyframes[f.reference] @ offset if f.reference in keyframes else keyframes[f.keyframe]
+        for f, offset in zip(frames, offsets, strict=True)
+    ]
     first = 0  # frame since the last keyframe was made, or another became the reference
     for i, frame in enumerate(frames):
         if i and frame.reference != frames[i - 1].reference:
@@ -37,4 +43,7 @@ def carried(
             placed[j] = from_rt(led, placed[j][:3, 3] + share * moved)
         placed[i] = own
         first = i + 1
+    for i in range(1, len(frames)):  # a copy of an image is where the image is
+        if frames[i].reference == frames[i - 1].reference and np.array_equal(offsets[i], offsets[i - 1]):
+            placed[i] = placed[i - 1]
     return placed

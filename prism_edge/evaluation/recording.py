@@ -71,7 +71,7 @@ class Recording:
         keyframes = {k: pose for k, pose in told if k not in away and np.isfinite(pose).all()}
         grown = dict(zip(numbers, snapshot.grown.tolist(), strict=False))  # none where nobody says it
         factor = float(np.exp(snapshot.log_scale))
-        held = [f for f in (*self.tracked, *self.apart) if f.reference in keyframes]
+        held = [f for f in (*self.tracked, *self.apart) if {f.reference, f.keyframe} & keyframes.keys()]
         held.sort(key=lambda f: f.stamp_ns)
         # One without a pose is told in the part's own unit of then.
         units = [1.0 if f.published else grown.get(f.reference, 1.0) for f in held]

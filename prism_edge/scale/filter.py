@@ -30,6 +30,8 @@ from prism_edge.scale.spread import PRIOR_WEIGHT, FrameSpread
 # A belief that rests on n observations falls to as many that contradict it and agree with one another,
 # at least the first number of them and at most the second.
 REOPEN_AFTER = (5, 30)
+SAID_FROM = 0.5  # of lost_sigma that was only told
+TOLD = "metres are those of a network that did not know what it saw: worth little (docs/TROUBLESHOOTING.md)"
 _LEAST_VARIANCE = 1e-12  # float32 depths know no better; keeps the update from dividing 0 by 0
 _OF_X, _OF_BOTH = np.array([1.0, 0.0]), np.ones(2)  # what is observed of the state: x, or x + f
 _LATE_S = 300.0  # the longest that a depth may come late by: a queue's worth of keyframes
@@ -100,7 +102,7 @@ class ScaleFilter:
     @property
     def doubt(self) -> str:
         """What is to be said of that, in words; empty for nothing."""
-        return self._spread.doubt
+        return self._spread.doubt or (TOLD if self.lost_sigma > SAID_FROM else "")
 
     def expect(self, frame_sigma: float) -> None:
         """What the network at hand is thought to spread; heard before anything has been seen of it."""

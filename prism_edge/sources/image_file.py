@@ -8,6 +8,7 @@ import re
 import struct
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,8 +28,15 @@ _BITS = (8, 10, 12, 14, 16)  # that cameras have; most store them as they are in
 
 _JPEG_START, _JPEG_END = b"\xff\xd8\xff", 0xD9
 _JPEG_MARKER = re.compile(rb"\xff[^\x00\x01\xd0-\xd7\xff]")  # what a scan holds (zero, restarts) is none
-_TIFFS = {b"II*\0": "<", b"MM\0*": ">"}  # how they begin, and which byte comes first
-_TIFF_ENTRY, _ORIENTATION = 12, 274  # bytes, and the tag (TIFF 6.0, sections 2 and 8)
+# TIFF 6.0, section 2, and BigTIFF, by how they begin: byte order; where it is said where the first directory
+# is, and as what; as what how many entries that has; bytes of one, and before its value.
+_TIFFS = {
+    b"II*\0": ("<", 4, "I", "H", 12, 8),
+    b"MM\0*": (">", 4, "I", "H", 12, 8),
+    b"II+\0": ("<", 8, "Q", "Q", 20, 12),
+    b"MM\0+": (">", 8, "Q", "Q", 20, 12),
+}
+_ORIENTATION = 274
 _PNG_START, _PNG_END = b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"
 
 
@@ -81,16 +89,28 @@ def _decoded(data: bytes) -> U8 | U16 | str:
 
 def as_stored(data: bytes) -> bytes:
     """An encoded image as one that asks for no turn: OpenCV turns TIFFs whatever it is told."""
-    order = _TIFFS.get(data[:4])
-    if order is None:
+    layout = _TIFFS.get(data[:4])
+    if layout is None:
         return data
-    with contextlib.suppress(struct.error):
-        (start,) = struct.unpack_from(f"{order}I", data, 4)
-        (entries,) = struct.unpack_from(f"{order}H", data, start)
-        for at in range(start + 2, start + 2 + _TIFF_ENTRY * entries, _TIFF_ENTRY):
+    order, place, offset, length, entry, before = layout
+    with contextlib.suppress(struct.error, OverflowError):
+        (start,) = struct.unpack_from(f"{order}{offset}", data, place)
+        (entries,) = struct.unpack_from(f"{order}{length}", data, start)
+        start += struct.calcsize(f"={length}")
+        for at in range(start, min(start + entry * entries, len(data)), entry):
             if struct.unpack_from(f"{order}H", data, at)[0] == _ORIENTATION:
-                return data[: at + 8] + struct.pack(f"{order}H", 1) + data[at + 10 :]
+                value = at + before
+                return data[:value] + struct.pack(f"{order}H", 1) + data[value + 2 :]
     return data
+
+
+def read_as_stored(path: Path, flags: int) -> NDArray[Any] | None:
+    """As ``cv2.imread``, but never turned; None for what can't be read or is no image."""
+    try:
+        data = np.frombuffer(as_stored(path.read_bytes()), np.uint8)
+        return cv2.imdecode(data, flags | cv2.IMREAD_IGNORE_ORIENTATION) if len(data) else None
+    except (OSError, cv2.error):
+        return None
 
 
 def _jpeg_ends(data: bytes) -> bool:

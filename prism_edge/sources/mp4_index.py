@@ -16,6 +16,7 @@ _HEADER = struct.Struct(">I4s")
 _LONG = struct.Struct(">Q")
 _MOST_BOXES = 10_000  # of a fragmented recording there may be many, but its index comes first
 _LENGTHS = {0: struct.Struct(">12xII"), 1: struct.Struct(">20xIQ")}  # of mvhd's versions: timescale, duration
+_MVHD = 32  # bytes of it, at most, that say so
 _UNKNOWN = (0, 0xFFFFFFFF, 0xFFFFFFFFFFFFFFFF)  # durations that say nothing, as where fragments follow
 
 
@@ -44,9 +45,10 @@ def shown_ns(file: Path) -> int:
         start, end = 0, os.fstat(opened.fileno()).st_size
         for wanted in (b"moov", b"mvhd"):
             inside = (box for box in _boxes(opened, start, end) if box[0] == wanted)
-            _, start, end = next(inside, (b"", 0, 0))
+            _, start, its_end = next(inside, (b"", 0, 0))
+            end = min(its_end, end)  # whatever a damaged film says
         opened.seek(start)
-        scale, duration = _duration(opened.read(end - start))
+        scale, duration = _duration(opened.read(min(end - start, _MVHD)))
         return round(1e9 * duration / scale) if scale and duration not in _UNKNOWN else 0
     return 0
 

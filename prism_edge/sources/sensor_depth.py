@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import F32
+from prism_edge.sources.image_file import read_as_stored
 from prism_edge.sources.known_cameras import SEVEN_SCENES, seven_scenes
 from prism_edge.sources.listing import Listing
 from prism_edge.sources.open import find_listing
@@ -82,7 +83,7 @@ class SensorDepth:
         None where that image has no depth within 20 ms, or where its file can't be read.
         """
         path = self.file(index)
-        raw = None if path is None else cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        raw = None if path is None else read_as_stored(path, cv2.IMREAD_UNCHANGED)
         if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
             return None
         raw[raw == _NO_RETURN] = 0

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from prism_edge.bus.leaving import ended
 from prism_edge.config_file import load
 from prism_edge.errors import report
 from prism_edge.supervisor.supervise import supervise
@@ -26,4 +27,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended(main()))

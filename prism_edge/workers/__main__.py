@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
+from prism_edge.bus.leaving import ended
 from prism_edge.processes import PROCESSES
 from prism_edge.workers.launch import run_worker
 
@@ -21,4 +22,4 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(ended(main()))

@@ -14,7 +14,7 @@ import pytest
 import zenoh
 
 from prism_edge import messages as m
-from prism_edge.bus import links, ros, session
+from prism_edge.bus import leaving, links, ros
 from prism_edge.bus.codec import pack
 from prism_edge.bus.session import Bus
 from prism_edge.errors import BusError, ConfigError
@@ -272,7 +272,7 @@ class Stuck:
 def test_leaving_waits_for_nobody_who_hangs(join, monkeypatch, caplog):
     bus = join("tracker")
     bus._session = Stuck(bus._session, says=False)
-    monkeypatch.setattr(session, "LEAVING_S", 0.01)
+    monkeypatch.setattr(leaving, "PATIENCE_S", 0.01)
     bus.close()
     assert not bus._session.goes_on.is_set()
     assert "does not read" in caplog.text
@@ -282,7 +282,7 @@ def test_leaving_waits_for_nobody_who_hangs(join, monkeypatch, caplog):
 def test_lockstep_waits_for_whoever_reads_slowly(join, config, monkeypatch):
     bus = Bus.open(replace(config, mode="lockstep"), "tracker")
     bus._session = stuck = Stuck(bus._session, says=True)
-    monkeypatch.setattr(session, "LEAVING_S", 0.01)
+    monkeypatch.setattr(leaving, "PATIENCE_S", 0.01)
     threading.Timer(0.3, stuck.goes_on.set).start()
     bus.close()  # what Zenoh says at the end of its patience is no error of the run's
     assert stuck.goes_on.is_set()

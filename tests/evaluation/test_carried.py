@@ -62,3 +62,20 @@ def test_a_keyframe_that_the_map_no_longer_has_leads_nobody() -> None:
     placed = carried([tracked(0, 0), tracked(1), tracked(2, 9)], [np.eye(4), offset, offset], keyframes)
     for pose in placed[1:]:
         np.testing.assert_allclose(pose, keyframes[0] @ offset)
+
+
+def test_a_copy_of_an_image_is_where_the_image_is() -> None:
+    """Behind one that became a keyframe, and between two: a copy has its original's reference and place."""
+    keyframes, offset = {0: true_path(0), 1: true_path(30)}, se3_exp(np.full(6, 0.1))
+    frames = [tracked(0, 0), tracked(1), tracked(2), tracked(3, 1), tracked(4), tracked(5, reference=1)]
+    offsets = [np.eye(4), offset, offset, se3_exp(np.full(6, 0.2)), se3_exp(np.full(6, 0.2)), offset]
+    placed = carried(frames, offsets, keyframes)
+    assert np.array_equal(placed[1], placed[2])
+    assert np.array_equal(placed[3], placed[4])
+    assert np.array_equal(placed[3], keyframes[1])
+    assert not np.allclose(placed[5], placed[4], atol=1e-3)
+
+
+def test_a_keyframe_whose_own_reference_is_gone_is_where_the_map_has_it() -> None:
+    (pose,) = carried([tracked(3, 1, reference=7)], [se3_exp(np.full(6, 0.1))], {1: true_path(30)})
+    assert np.array_equal(pose, true_path(30))

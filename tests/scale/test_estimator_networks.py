@@ -127,8 +127,13 @@ def test_who_goes_on_from_a_lost_network_s_metres_knows_it_until_the_network_sho
     after.estimator.take_over(
         0, told.log_scale, told.sigma, told.bias_sigma, told.network, told.lost_sigma
     )
-    scales = after.play(400, 0.1)
+    scales, doubts = [], []
+    for _ in range(400):
+        scales += after.play(1, 0.1)
+        doubts.append(after.estimator.doubt)
     assert scales[0].sigma == pytest.approx(last.sigma, rel=0.1)
+    assert "did not know what it saw" in doubts[0]
+    assert doubts[-1] == ""
     assert all(math.isfinite(scale.sigma) for scale in scales)
     assert scales[-1].lost_sigma < 0.2, "the images agree with one another again"
     another = Player(seed=1)

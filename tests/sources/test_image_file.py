@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sources.tiny_datasets import picture
 
-from prism_edge.sources.image_file import as_8_bits, decode, read_image
+from prism_edge.sources.image_file import as_8_bits, decode, read_as_stored, read_image
 
-STARTS = [b"", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"BM", b"P6\n", b"II*\0", b"MM\0*\0\0\0\10"]
+STARTS = [b"", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"BM", b"P6\n", b"II*\0", b"MM\0*\0\0\0\10", b"II+\0"]
 
 
 def encoded(suffix: str, image: np.ndarray, *settings: int) -> bytes:
@@ -132,9 +132,22 @@ def test_signed_pixels_are_what_they_are_from_zero_up() -> None:
 
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("orientation", range(1, 9))
-def test_a_tiff_that_asks_to_be_turned_is_taken_as_it_is_stored(order: str, orientation: int) -> None:
+@pytest.mark.parametrize("big", [False, True])
+def test_a_tiff_that_asks_to_be_turned_is_taken_as_it_is_stored(
+    order: str, orientation: int, big: bool, tmp_path: Path
+) -> None:
     image = picture(3, colour=False)
-    np.testing.assert_array_equal(decode(tiff(order, image, orientation)), image)
+    data = (big_tiff if big else tiff)(order, image, orientation)
+    np.testing.assert_array_equal(decode(data), image)
+    (tmp_path / "depth.tif").write_bytes(data)
+    np.testing.assert_array_equal(read_as_stored(tmp_path / "depth.tif", cv2.IMREAD_UNCHANGED), image)
+
+
+def test_what_is_no_image_is_none_to_who_reads_it_as_stored(tmp_path: Path) -> None:
+    for content in (None, b"", b"II+\0" + b"\xff" * 20, b"none"):
+        if content is not None:
+            (tmp_path / "x.tif").write_bytes(content)
+        assert read_as_stored(tmp_path / "x.tif", cv2.IMREAD_UNCHANGED) is None
 
 
 def tiff(order: str, grey: np.ndarray, orientation: int) -> bytes:
@@ -151,3 +164,15 @@ def tiff(order: str, grey: np.ndarray, orientation: int) -> bytes:
     start = b"II*\0" if order == "<" else b"MM\0*"
     directory = struct.pack(f"{order}H", len(packed)) + b"".join(packed) + bytes(4)
     return start + struct.pack(f"{order}I", 8 + len(pixels)) + pixels + directory
+
+
+def big_tiff(order: str, grey: np.ndarray, orientation: int) -> bytes:
+    """The same as BigTIFF: eight bytes wherever it says a place or a number of things."""
+    (height, width), pixels = grey.shape, grey.tobytes()
+    tags = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 274: orientation, 278: height}
+    entries = [struct.pack(f"{order}HHQH6x", tag, 3, 1, value) for tag, value in tags.items()]
+    entries.append(struct.pack(f"{order}HHQQ", 273, 16, 1, 16))
+    entries.append(struct.pack(f"{order}HHQQ", 279, 16, 1, len(pixels)))
+    entries.sort(key=lambda entry: struct.unpack_from(f"{order}H", entry))
+    start = (b"II" if order == "<" else b"MM") + struct.pack(f"{order}HHHQ", 43, 8, 0, 16 + len(pixels))
+    return start + pixels + struct.pack(f"{order}Q", len(entries)) + b"".join(entries) + bytes(8)

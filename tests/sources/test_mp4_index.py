@@ -70,6 +70,9 @@ LONG = struct.pack(">B19xIQ80x", 1, 90_000, 5 << 32)
         (box(b"moov", box(b"mvhd", b"\2" + SHORT[1:])), 0),
         (box(b"moov", box(b"mvhd", struct.pack(">B11xII80x", 0, 0, 1500))), 0),
         (box(b"moov", box(b"mvhd", struct.pack(">B11xII80x", 0, 600, 0xFFFFFFFF))), 0),
+        (box(b"moov", struct.pack(">I4sQ", 1, b"mvhd", 2**63) + SHORT), 2.5),
+        (struct.pack(">I4sQ", 1, b"moov", 2**64 - 1) + struct.pack(">I4sQ", 1, b"free", 2**64 - 1), 0),
+        (box(b"moov", struct.pack(">I4sQ", 1, b"free", 2**63) + box(b"mvhd", SHORT)), 0),
         (b"RIFF\x10\0\0\0AVI LIST", 0),
         (b"", 0),
     ],
@@ -86,6 +89,8 @@ def test_any_bytes_have_an_answer(tmp_path_factory: pytest.TempPathFactory, tail
     file.write_bytes(box(b"ftyp", FTYP) + tail)
     assert lacks_index(file) in (True, False)
     assert shown_ns(file) == 0
+    file.write_bytes(box(b"moov", tail))
+    assert shown_ns(file) >= 0
     file.write_bytes(tail)
     assert lacks_index(file) is tail[4:8].startswith(b"ftyp")
 
