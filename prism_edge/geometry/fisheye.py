@@ -13,7 +13,8 @@ import numpy as np
 from prism_edge.geometry.poses import Array
 
 WIDEST = 1.55  # rad: tan() of a right angle is no point of a plane
-_ITERATIONS = 40
+_ITERATIONS = 60
+SETTLED = 1e-14  # focal lengths
 Coefficients = tuple[float, ...]  # k1..k4, as many as there are
 
 
@@ -28,17 +29,22 @@ def theta_of(radius: Array, k: Coefficients) -> Array:
     """The angles (n,): :func:`radius_of` undone; what no ray comes to goes to the end of what grows."""
     k1, k2, k3, k4 = (*k, *(0.0,) * (4 - len(k)))
     high = np.full(len(radius), min(folds_at(k), WIDEST))
-    low, theta = np.zeros(len(radius)), np.minimum(radius, high)
+    radius = np.minimum(radius, radius_of(high, k))
+    low, theta, step = np.zeros(len(radius)), np.minimum(radius, high), high
     for _ in range(_ITERATIONS):
         beyond = radius_of(theta, k) - radius
-        if np.abs(beyond).max(initial=0.0) < 1e-15:
+        settled = np.abs(beyond) < SETTLED
+        if settled.all():
             break
-        # Newton's step, and half of what is left where that would leave it: slopes go down to nothing.
+        # Newton's step, and half of what is left where that would leave it, or is not half the one before:
+        # slopes go down to nothing, and between a flat and a steep place steps go to and fro.
         low, high = np.where(beyond < 0.0, theta, low), np.where(beyond > 0.0, theta, high)
         t2 = theta * theta
         slope = 1 + t2 * (3 * k1 + t2 * (5 * k2 + t2 * (7 * k3 + t2 * 9 * k4)))
         newton = theta - beyond / np.where(slope > 1e-9, slope, 1e-9)
-        theta = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
+        taken = (newton >= low) & (newton <= high) & (np.abs(newton - theta) < 0.5 * step)
+        better = np.where(taken, newton, 0.5 * (low + high))
+        theta, step = np.where(settled, theta, better), np.abs(better - theta)
     return theta
 
 

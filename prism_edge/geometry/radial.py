@@ -10,6 +10,7 @@ from prism_edge.geometry.poses import Array
 
 ITERATIONS = 20
 SETTLED = 1e-8  # of a step: what is left is about its square
+MOST_INWARDS = 0.5  # of where a step begins: what is left of it at least
 FLAT = 0.01  # least slope of a step: at the fold itself there is none
 
 
@@ -27,7 +28,9 @@ def undistort_radial(distorted: Array, k1: float, k2: float, k3: float) -> Array
         t = square * scale * scale
         error = scale * (1.0 + t * (k1 + t * (k2 + t * k3))) - 1.0
         slope = 1.0 + t * (3.0 * k1 + t * (5.0 * k2 + t * 7.0 * k3))
-        before, scale = scale, np.minimum(scale - error / np.maximum(slope, FLAT), farthest)
+        # Where a lens is nearly flat at its fold, a step from there would leave the image.
+        step = np.maximum(scale - error / np.maximum(slope, FLAT), MOST_INWARDS * scale)
+        before, scale = scale, np.minimum(step, farthest)
         if np.abs(scale - before).max(initial=0.0) < SETTLED:
             break
     return distorted * scale[:, None]

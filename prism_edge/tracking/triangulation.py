@@ -12,6 +12,7 @@ from prism_edge.tracking.matching import best_pairs, hamming
 
 Index = NDArray[np.intp]
 MARGIN_PX = 10.0  # beyond the ends of an epipolar segment
+BEFORE = 1e-3  # of the least depth: what a point is before a camera by, at least
 MATCH_DISTANCE, MATCH_RATIO = 50, 0.85  # of 256 bits; of the next best's
 
 
@@ -53,7 +54,7 @@ def match_epipolar(
     distance = lines.astype(np.float32) @ (ray_b / bounds[:, None]).astype(np.float32).T
     query, other = np.divmod(np.flatnonzero(np.abs(distance) < 1.0), len(free_b))
     b_from_a = inverse(a_from_b)
-    low, high = (_project_at(camera_b, b_from_a, ray_a, z) for z in depth_range)
+    low, high = (_project_at(camera_b, b_from_a, ray_a, z) for z in _seen_by(b_from_a, ray_a, depth_range))
     left, right = np.minimum(low[:, 0], high[:, 0]) - MARGIN_PX, np.maximum(low[:, 0], high[:, 0]) + MARGIN_PX
     top, bottom = np.minimum(low[:, 1], high[:, 1]) - MARGIN_PX, np.maximum(low[:, 1], high[:, 1]) + MARGIN_PX
     # Test after test on what is left: all at once costs three times as much.
@@ -72,8 +73,21 @@ def match_epipolar(
     return free_a[query], free_b[other]
 
 
-def _project_at(camera: Camera, camera_from_other: Array, ray: Array, depth: float) -> Array:
-    point = ray * depth @ camera_from_other[:3, :3].T + camera_from_other[:3, 3]
+def _seen_by(camera_from_other: Array, ray: Array, depth_range: tuple[float, float]) -> tuple[Array, Array]:
+    """The part of a range of depths along each ray (n, 3) that is before the camera, both (n,).
+
+    A camera that backs up leaves near points behind the keyframe before: projected from there they would be
+    on the image's other side.
+    """
+    low, high = (np.full(len(ray), depth) for depth in depth_range)
+    slope, start = ray @ camera_from_other[2, :3], camera_from_other[2, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        edge = np.clip((BEFORE * depth_range[0] - start) / slope, low, high)
+    return np.where(slope > 0.0, edge, low), np.where(slope < 0.0, edge, high)
+
+
+def _project_at(camera: Camera, camera_from_other: Array, ray: Array, depth: Array) -> Array:
+    point = ray * depth[:, None] @ camera_from_other[:3, :3].T + camera_from_other[:3, 3]
     z = np.where(np.abs(point[:, 2]) > 1e-6, point[:, 2], 1e-6)
     return camera.to_pixels(point[:, :2] / z[:, None])
 

@@ -42,6 +42,21 @@ def test_one_that_folds_is_undone_up_to_there_and_no_farther(k: tuple[float, ...
     np.testing.assert_allclose(theta_of(beyond, k), first, atol=1e-3)
 
 
+@pytest.mark.parametrize(
+    "k",
+    [
+        (0.0899, 0.2132, 0.2714, -0.1158),
+        (0.0149, 0.2221, 0.2119, -0.1328),
+        (0.2370, 0.1862, 0.1633, -0.1225),
+    ],
+)
+def test_steps_that_go_to_and_fro_between_a_flat_and_a_steep_place_come_to_an_end(
+    k: tuple[float, ...],
+) -> None:
+    theta = np.linspace(0.0, 0.999 * min(folds_at(k), WIDEST), 500)
+    np.testing.assert_allclose(theta_of(radius_of(theta, k), k), theta, atol=1e-9)
+
+
 @given(st.lists(st.floats(-0.3, 0.3), min_size=4, max_size=4))
 def test_any_lens_is_undone_where_it_grows(k: list[float]) -> None:
     lens = tuple(k)

@@ -36,6 +36,16 @@ def test_what_the_lens_has_done_is_undone(k1: float, k2: float, k3: float, x: fl
     np.testing.assert_allclose(undistort_radial(seen(true, k1, k2, k3), k1, k2, k3), true, atol=1e-10)
 
 
+@pytest.mark.parametrize("k", [(0.33, 0.08, -0.37), (0.4, 0.1, -0.45), (0.2, 0.1, -0.2), (0.6, -0.5, 0.0)])
+def test_a_lens_that_stretches_before_it_folds_is_undone_to_its_fold(k: tuple[float, float, float]) -> None:
+    """What is seen as far out as the fold lies well inside: steps that begin there begin where it is flat."""
+    radii = np.linspace(0.0, 3.0, 300_001)
+    fold = radii[np.argmin(np.diff(seen(np.column_stack([radii, 0.0 * radii]), *k)[:, 0]) > 0.0)]
+    true = np.linspace(0.0, 0.99 * fold, 2000)[:, None] * (0.6, -0.8)
+    assert np.linalg.norm(seen(true, *k), axis=1).max() > fold
+    np.testing.assert_allclose(undistort_radial(seen(true, *k), *k), true, atol=1e-8)
+
+
 @pytest.mark.parametrize("k1", [-0.1, -0.6, -2.0, -30.0])
 def test_what_no_point_looks_like_is_put_on_the_fold(k1: float) -> None:
     fold = np.sqrt(1.0 / (-3.0 * k1))  # d/dr (r + k1 r^3) = 0

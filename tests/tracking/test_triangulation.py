@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from prism_edge.geometry.field_of_view import in_image
 from prism_edge.geometry.poses import inverse, se3_exp, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.triangulation import match_epipolar, rays, triangulate
@@ -218,3 +219,25 @@ def test_a_match_is_as_far_from_a_slanted_epipolar_line_as_pixels_say(sigmas, ma
     for i in range(0, 200, 10):  # each by itself: no other may be on its line
         one = np.array([i])
         assert len(match(np.eye(4), b, features_a, features_b, one, one)[0]) == matches
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3])
+@pytest.mark.parametrize("ahead", [-6.0, -1.0, 1.0, 3.0, 4.0, 6.0])
+def test_a_camera_beyond_what_was_near_still_matches_all_that_it_sees(ahead, turn):
+    """One that backs up, or a recording played backwards: part of each ray's depths lies behind it."""
+    rng = np.random.default_rng(0)
+    points = rng.uniform((-8.0, -3.0, 5.0), (8.0, 3.0, 30.0), (300, 3))
+    a_from_b = se3_exp(np.array([0.1, 0.0, ahead, 0.0, turn, 0.0]))
+    there = transform(inverse(a_from_b), points)
+    ahead_of_both = there[:, 2] > 0.3
+    points, there = points[ahead_of_both], there[ahead_of_both]
+    shown = in_image(CAMERA, CAMERA.project(points)) & in_image(CAMERA, CAMERA.project(there))
+    points, there = points[shown], there[shown]
+    descriptors = rng.integers(0, 2**63, (len(points), 4), dtype=np.uint64)
+    octaves, size = np.zeros(len(points), np.intp), (CAMERA.width, CAMERA.height)
+    first, second = (Features.build(CAMERA.project(p), octaves, descriptors, *size) for p in (points, there))
+    free, depths = np.arange(len(points)), (0.4 * points[:, 2].min(), 2.0 * points[:, 2].max())
+    a, b = match_epipolar(CAMERA, CAMERA, a_from_b, first, second, free, free, FACTORS, depths)
+    assert len(points) > 60
+    assert np.array_equal(a, b)
+    assert len(a) == len(points)
