@@ -48,7 +48,7 @@ def shown_ns(file: Path) -> int:
             _, start, its_end = next(inside, (b"", 0, 0))
             end = min(its_end, end)  # whatever a damaged film says
         opened.seek(start)
-        scale, duration = _duration(opened.read(min(end - start, _MVHD)))
+        scale, duration = _duration(opened.read(max(min(end - start, _MVHD), 0)))
         return round(1e9 * duration / scale) if scale and duration not in _UNKNOWN else 0
     return 0
 

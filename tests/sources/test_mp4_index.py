@@ -72,6 +72,7 @@ LONG = struct.pack(">B19xIQ80x", 1, 90_000, 5 << 32)
         (box(b"moov", box(b"mvhd", struct.pack(">B11xII80x", 0, 600, 0xFFFFFFFF))), 0),
         (box(b"moov", struct.pack(">I4sQ", 1, b"mvhd", 2**63) + SHORT), 2.5),
         (struct.pack(">I4sQ", 1, b"moov", 2**64 - 1) + struct.pack(">I4sQ", 1, b"free", 2**64 - 1), 0),
+        (box(b"moov", struct.pack(">I4sQ", 1, b"mvhd", 9) + SHORT), 0),
         (box(b"moov", struct.pack(">I4sQ", 1, b"free", 2**63) + box(b"mvhd", SHORT)), 0),
         (b"RIFF\x10\0\0\0AVI LIST", 0),
         (b"", 0),
