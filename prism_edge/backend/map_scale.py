@@ -24,8 +24,8 @@ class KnownScale:
     log_scale: float = 0.0
     sigma: float = UNKNOWN_SCALE_SIGMA
     bias_sigma: float = 0.0
-    lost_sigma: float = 0.0
     network: str = ""  # that it was learned from, as its depths name it
+    lost_sigma: float = 0.0
 
     @classmethod
     def of(cls, info: Info) -> KnownScale:
@@ -36,7 +36,7 @@ class KnownScale:
             raise MapError("the map's scale_by is no network")
         log_scale = _number(told, "log_scale", -LARGEST_LOG_SCALE)
         sigma, bias = _number(told, "scale_sigma", 0.0), _number(told, "bias_sigma", 0.0)
-        return cls(log_scale, sigma, bias, _number(told, "lost_sigma", 0.0), network)
+        return cls(log_scale, sigma, bias, network, _number(told, "lost_sigma", 0.0))
 
     @property
     def whole_sigma(self) -> float:

@@ -181,9 +181,8 @@ class BackendWorker:
             if scale.epoch == self._mapper.epoch and scale.metric and np.isfinite(numbers).all():
                 self._log_scale = scale.map_log_scale
                 if scale.part == HOME:  # what is kept, and told to others, is of that one's unit
-                    apart = scale.bias_sigma, scale.lost_sigma
-                    told = scale.log_scale, scale.known_to, *apart, scale.network
-                    self._home_scale = KnownScale(*told)
+                    told = scale.log_scale, scale.known_to, scale.bias_sigma, scale.network
+                    self._home_scale = KnownScale(*told, scale.lost_sigma)
         for number in sorted(late):
             self._keeper.note_late(number, self._home_scale)
 

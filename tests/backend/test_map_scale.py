@@ -16,7 +16,7 @@ sigmas = st.floats(0.0, LARGEST_LOG_SCALE, exclude_max=True)
 log_scales = st.floats(-LARGEST_LOG_SCALE, LARGEST_LOG_SCALE, exclude_max=True)
 
 
-@given(st.builds(KnownScale, log_scales, sigmas, sigmas, sigmas, st.text()))
+@given(st.builds(KnownScale, log_scales, sigmas, sigmas, st.text(), sigmas))
 def test_what_is_told_is_read(scale: KnownScale) -> None:
     assert KnownScale.of(scale.info) == scale
 
@@ -35,7 +35,7 @@ def test_maps_of_earlier_builds_know_of_no_bias_and_no_network() -> None:
 
 
 def test_all_that_is_told_apart_is_in_the_whole() -> None:
-    assert KnownScale(0.0, 0.3, 0.4, 1.2).whole_sigma == pytest.approx(1.3)
+    assert KnownScale(0.0, 0.3, 0.4, lost_sigma=1.2).whole_sigma == pytest.approx(1.3)
 
 
 @pytest.mark.parametrize("name", ["log_scale", "scale_sigma", "bias_sigma", "lost_sigma"])

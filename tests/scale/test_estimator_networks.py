@@ -120,7 +120,7 @@ def test_who_goes_on_from_a_lost_network_s_metres_knows_it_until_the_network_sho
     before = Player()
     last = before.play(120, 0.6)[-1]
     assert last.lost_sigma > 1.5
-    known = KnownScale(last.log_scale, last.known_to, last.bias_sigma, last.lost_sigma, last.network)
+    known = KnownScale(last.log_scale, last.known_to, last.bias_sigma, last.network, last.lost_sigma)
     told = KnownScale.of(known.info)
     after = Player(seed=1)
     after.play(1, 0.1)
