@@ -26,7 +26,7 @@ def leave(close: Callable[[], object], patience_s: float | None) -> None:
     leaving.join(patience_s)
     if leaving.is_alive():
         _unfinished.append(leaving)
-        log.warning("leaving the bus takes long, as where somebody does not read what he is sent: not waited")
+        log.warning("somebody does not read what he is sent, or all is slow: the bus is left all the same")
 
 
 def ended(code: int) -> int:

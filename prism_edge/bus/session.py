@@ -18,7 +18,6 @@ from prism_edge.bus.another_run import AnotherRun
 from prism_edge.bus.answer import Answer
 from prism_edge.bus.commands import CommandDesk, Handler, Reply, send
 from prism_edge.bus.inbox import Inbox
-from prism_edge.bus.leaving import leave
 from prism_edge.bus.links import encoding, open_session, quality
 from prism_edge.bus.presence import Presence
 from prism_edge.bus.pulse import Pulse
@@ -219,7 +218,7 @@ class Bus:
         if self._another_run is not None:
             self._another_run.close()
         # In lockstep nothing is to be lost for whoever reads slowly.
-        leave(self._leave, None if self._lossless else leaving.PATIENCE_S)
+        leaving.leave(self._leave, None if self._lossless else leaving.PATIENCE_S)
         atexit.unregister(self.close)
 
     def _leave(self) -> None:

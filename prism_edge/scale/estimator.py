@@ -111,14 +111,15 @@ class ScaleEstimator:
             here.local.take(observation.log_scale - here.steady.log_scale, scale.correlation(elapsed_s))
             if not is_late((here.local_ns - keyframe.stamp_ns) * 1e-9):
                 here.local_ns = keyframe.stamp_ns
+        lost_sigma = self._lost_sigma()
         message = Scale(
             keyframe=keyframe.id,
             stamp_ns=keyframe.stamp_ns,
             epoch=keyframe.epoch,
             log_scale=here.steady.log_scale,
             map_log_scale=here.of_map.log_scale,
-            sigma=math.hypot(scale.learned_sigma, self._bias_sigma, held, self._lost_sigma()),
-            lost_sigma=self._lost_sigma(),
+            sigma=math.hypot(scale.learned_sigma, self._bias_sigma, held, lost_sigma),
+            lost_sigma=lost_sigma,
             filter_sigma=scale.learned_sigma,
             bias_sigma=self._bias_sigma,
             local_sigma=here.local.sigma(self._network_sigma()),

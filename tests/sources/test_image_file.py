@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sources import tiny_datasets as tiny
 from sources.tiny_datasets import picture
 
 from prism_edge.sources.image_file import as_8_bits, decode, read_as_stored, read_image
+from prism_edge.sources.sensor_depth import SensorDepth
 
 STARTS = [b"", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"BM", b"P6\n", b"II*\0", b"MM\0*\0\0\0\10", b"II+\0"]
 
@@ -143,6 +145,17 @@ def test_a_tiff_that_asks_to_be_turned_is_taken_as_it_is_stored(
     np.testing.assert_array_equal(read_as_stored(tmp_path / "depth.tif", cv2.IMREAD_UNCHANGED), image)
 
 
+def test_depth_images_are_taken_as_they_are_stored_too(tmp_path: Path) -> None:
+    """A sensor's go with the colour images pixel for pixel."""
+    folder, shown = tiny.write_tum(tmp_path / "tum", count=1), picture(3, colour=False)
+    stamp = (folder / "rgb.txt").read_text().split()[-2]
+    (folder / "depth.txt").write_text(f"{stamp} depth.tif\n")
+    (folder / "depth.tif").write_bytes(tiff("<", shown, orientation=3, deep=True))
+    depth = SensorDepth(folder).read(0)
+    assert depth is not None
+    np.testing.assert_allclose(depth, 257 * shown.astype(float) / 5000.0, rtol=1e-6)
+
+
 def test_what_is_no_image_is_none_to_who_reads_it_as_stored(tmp_path: Path) -> None:
     for content in (None, b"", b"II+\0" + b"\xff" * 20, b"none"):
         if content is not None:
@@ -150,10 +163,11 @@ def test_what_is_no_image_is_none_to_who_reads_it_as_stored(tmp_path: Path) -> N
         assert read_as_stored(tmp_path / "x.tif", cv2.IMREAD_UNCHANGED) is None
 
 
-def tiff(order: str, grey: np.ndarray, orientation: int) -> bytes:
+def tiff(order: str, grey: np.ndarray, orientation: int, deep: bool = False) -> bytes:
     """The least of an uncompressed TIFF (6.0, section 4): header, pixels, and nine entries of one value."""
-    (height, width), pixels = grey.shape, grey.tobytes()
+    (height, width), pixels = grey.shape, np.repeat(grey, 2).tobytes() if deep else grey.tobytes()
     tags = {256: width, 257: height, 258: 8, 259: 1, 262: 1, 273: 8, 274: orientation, 278: height}
+    tags[258] *= 1 + deep
     entries = [(tag, 4, 1, value) if tag == 273 else (tag, 3, 1, value) for tag, value in tags.items()]
     entries.append((279, 4, 1, len(pixels)))
     packed = [
