@@ -24,6 +24,7 @@ from prism_edge.bus.pack import as_sent, rgb
 from prism_edge.config import DepthConfig, SourceConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction
+from prism_edge.depth.providers import native_line
 from prism_edge.errors import PrismError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import Image
@@ -59,25 +60,26 @@ def main(arguments: list[str] | None = None) -> int:
     cv2.setNumThreads(1)
     try:
         network = open_network(args.model, DepthConfig(model=args.model, threads=args.threads))
-        scores, failed = measure(args.folder, network, max(1, args.every))
+        scores, unscored = measure(args.folder, network, max(1, args.every))
     except PrismError as error:
         print(f"measure_depth: error: {error}", file=sys.stderr)
         return error.exit_code
     if not scores:
-        print("measure_depth: error: no frame had both a prediction and sensor depth", file=sys.stderr)
+        print(f"measure_depth: error: no frame has a score: {unscored[-1] if unscored else 'none was read'}",
+              file=sys.stderr)
         return 1
     print(f"{network.name} on {args.folder.name}, provider {network.provider}")
     for line in summary(scores):
         print("  " + line)
-    print(f"  frames without a score: {failed}")
+    print(f"  frames without a score: {len(unscored)}" + (f" (the last: {unscored[-1]})" if unscored else ""))
     for name, count in network.counters.items():
         print(f"  {name}: {count}")
     return 0
 
 
-def measure(folder: Path, network: DepthNetwork, every: int) -> tuple[list[FrameScore], int]:
-    """Scores of each ``every``-th frame, and how many of those could not be scored."""
-    scores, failed = [], 0
+def measure(folder: Path, network: DepthNetwork, every: int) -> tuple[list[FrameScore], list[str]]:
+    """Scores of each ``every``-th frame, and why each of the others of those has none."""
+    scores, unscored = [], []
     sensor = SensorDepth(folder)
     with open_source(SourceConfig(uri=str(folder))) as source:
         while (slot := source.peek()) is not None:
@@ -85,15 +87,19 @@ def measure(folder: Path, network: DepthNetwork, every: int) -> tuple[list[Frame
                 source.skip()
                 continue
             image, truth = source.read(), sensor.in_colour(slot.index, source.camera)
-            score = None
+            score, why = None, "no picture, or no sensor depth"
             if isinstance(image, Image) and truth is not None:
-                predicted = network.infer(rgb(as_sent(image.pixels, source.camera)), source.camera)
-                score = score_frame(image.stamp_ns, predicted, truth, source.camera)
+                try:
+                    predicted = network.infer(rgb(as_sent(image.pixels, source.camera)), source.camera)
+                    score = score_frame(image.stamp_ns, predicted, truth, source.camera)
+                    why = predicted.reason or f"fewer than {LEAST_PIXELS} pixels have both depths"
+                except Exception as error:  # native code raises anything; the other frames have their scores
+                    why = f"an inference failed: {native_line(error)}"
             if score is None:
-                failed += 1
+                unscored.append(why)
             else:
                 scores.append(score)
-    return scores, failed
+    return scores, unscored
 
 
 def score_frame(

@@ -118,7 +118,7 @@ def _confirm(console: Console, what: str) -> None:
 
 def _say_next(console: Console, done: Pulled) -> None:
     if not done.runnable:
-        script = f"python tools/export_da3 {done.folder} {done.name}.onnx"
+        script = f".venv-export/bin/python tools/export_da3 {done.folder} {done.name}.onnx"
         console.print(f"Next: export it to ONNX: {script} (docs/EXPORT.md)")
         return
     try:
@@ -200,7 +200,7 @@ def _digests_of_name(name: str) -> tuple[str, bool]:
 
 def _digests_of_path(path: Path) -> tuple[str, bool]:
     registered, pulled = find_digest(sha256_of(path)), pulled_at(path)
-    wrong = _wrong(path.parent, pulled.files) if pulled else ""
+    wrong = _wrong(pulled.folder, pulled.files) if pulled else ""
     if wrong:
         return wrong, False
     if registered:

@@ -12,7 +12,8 @@ from rich.table import Table
 from prism_edge.cli.models_trial import tried
 from prism_edge.config import DepthConfig
 from prism_edge.depth import entries, find, locate, networks_of, open_network
-from prism_edge.depth.contract import ModelCard
+from prism_edge.depth.cards import sidecar_at
+from prism_edge.depth.contract import ModelCard, input_ranges
 from prism_edge.depth.offline import open_file
 from prism_edge.depth.pulled import Pulled, all_pulled, find_pulled
 from prism_edge.depth.registry import Entry, File, is_non_commercial, sha256_of
@@ -27,8 +28,9 @@ def run(args: argparse.Namespace) -> int:
         console.print("`pull` brings a checkpoint that needs export; unverified: no digest of it is known.")
         return 0
     parts = networks_of(args.model)
-    for part in parts:
-        _describe(console, part)
+    useful = [_describe(console, part) for part in parts]
+    if not all(useful):
+        return ModelError.exit_code
     if len(parts) > 1:
         open_network(args.model, DepthConfig())
         console.print(f"They are a pair: use it with --model {args.model}", soft_wrap=True)
@@ -77,17 +79,22 @@ def _held_to_digests(folder: Path, files: tuple[File, ...]) -> str:
     return "" if right else "wrong digest"
 
 
-def _describe(console: Console, model: str) -> None:
+def _describe(console: Console, model: str) -> bool:
+    """Whether what it answers is of use, as far as can be told here."""
     entry = find(model)
     if entry is not None and (entry.card is None or entry.located() is None):
         _describe_entry(console, entry)
-        return
+        return True
     network = open_file(model, DepthConfig())
     trial = tried(network)
     console.print(_card_table(network.card, f"{network.name}: the file agrees with its card"))
     console.print(f"file      {locate(model)}", soft_wrap=True)
     console.print(f"sha256    {sha256_of(locate(model))}", soft_wrap=True)
+    console.print(f"card      {_origin(locate(model), network.card)}", soft_wrap=True)
     console.print(f"provider  {network.provider}")
+    ranges = dict.fromkeys(input_ranges(network.card))
+    inputs = ", ".join(f"{dark:.3g} to {bright:.3g}" for dark, bright in ranges)
+    console.print(f"input     of black to white: {inputs}", soft_wrap=True)
     console.print(f"depth     of a test picture: {trial.words}", soft_wrap=True)
     if trial.warning:
         console.print(f"warning   {trial.warning}", soft_wrap=True)
@@ -95,6 +102,14 @@ def _describe(console: Console, model: str) -> None:
     if pulled:
         console.print(f"pulled    {pulled.files[0].url}", soft_wrap=True)
     _say_use(console, network.card)
+    return trial.usable
+
+
+def _origin(path: Path, card: ModelCard) -> str:
+    """Where the card of a file is from, in words."""
+    entry = find(card.name)
+    own = "the registry" if entry is not None and entry.card == card else "the file itself"
+    return str(sidecar_at(path) or own)
 
 
 def _describe_entry(console: Console, entry: Entry) -> None:

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from prism_edge.depth.contract import INVERSE_RELATIVE, RELATIVE
 from prism_edge.depth.plausible import range_of
 from prism_edge.depth.prediction import Prediction, checked
-from prism_edge.depth.session import OnnxNetwork
+from prism_edge.depth.session import OnnxNetwork, failing_in_a_line
 from prism_edge.depth.several_views import SeveralViewsNetwork
+from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 319.5, 239.5)  # an ordinary one: what a focal-normalised one needs
+IN_PIXELS = "are its intrinsics in pixels of its input (docs/MODELS.md)?"
 
 STEP = 0.2  # m between cameras where several pictures are asked for
 
@@ -29,19 +31,38 @@ class Trial:
 
 
 def tried(network: OnnxNetwork | SeveralViewsNetwork) -> Trial:
-    """The answer to :func:`picture`. Raises ModelError where an output is not of the shape it should be."""
+    """The answer to :func:`picture`.
+
+    Raises ModelError where an output is not of the shape it should be, or onnxruntime fails.
+    """
     rgb = picture()
     if isinstance(network, SeveralViewsNetwork):
         return _tried_together(network, rgb)
     network.check_offline_outputs(rgb)
-    if network.card.has_metres:
-        answer = network.infer(rgb, CAMERA)
-    else:
-        answer = checked(_above_zero(network.raw(rgb)[0], network.card.depth_kind))
+    with failing_in_a_line(network.name):
+        if network.card.has_metres:
+            answer = network.infer(rgb, CAMERA)
+        else:
+            answer = checked(_above_zero(network.raw(rgb)[0], network.card.depth_kind))
     if not answer.valid:
         return Trial(False, f"its answer is of no use: {answer.reason}")
     metres = range_of(answer.depth) if network.card.has_metres else None
-    return Trial(True, str(metres or "no metres of its own"), metres.doubt if metres else "")
+    doubt = (metres.doubt if metres else "") or _doubt_of_intrinsics(network, rgb)
+    return Trial(True, str(metres or "no metres of its own"), doubt)
+
+
+def _doubt_of_intrinsics(network: OnnxNetwork, rgb: NDArray[np.uint8]) -> str:
+    """What is wrong with the camera that it sees, in words; empty for nothing, or where it sees none."""
+    if not network.card.intrinsics_output:
+        return ""
+    said = network.intrinsics(rgb)
+    if said is None:
+        return "of a test picture it sees no camera"
+    try:
+        Camera(rgb.shape[1], rgb.shape[0], *said)
+    except ConfigError as error:
+        return f"of a test picture it sees a camera that can't be ({error}): {IN_PIXELS}"
+    return ""
 
 
 def _tried_together(network: SeveralViewsNetwork, rgb: NDArray[np.uint8]) -> Trial:

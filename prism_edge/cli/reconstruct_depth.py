@@ -13,6 +13,7 @@ from prism_edge.config import SENSOR, Config
 from prism_edge.depth import DepthNetwork
 from prism_edge.depth.offline import UnscaledNetwork, open_offline
 from prism_edge.depth.prediction import Prediction
+from prism_edge.depth.session import failing_in_a_line
 from prism_edge.depth.several_views import SeveralViewsNetwork
 from prism_edge.depth.upright import UprightNetwork, camera_from_turned, turned_back, turned_camera
 from prism_edge.errors import ModelError
@@ -72,7 +73,9 @@ def _of_sensor(sensor: SensorNetwork) -> DepthOf:
 def _of_one(network: DepthNetwork, relative: str) -> DepthOf:
     def answers(pictures: Iterable[Taken]) -> Iterator[tuple[Taken, Prediction]]:
         for taken in pictures:
-            yield taken, network.infer(taken.rgb, taken.viewpoint.camera)
+            with failing_in_a_line(network.name):
+                answer = network.infer(taken.rgb, taken.viewpoint.camera)
+            yield taken, answer
 
     return DepthOf(f"{network.name} ({network.provider})", network.dsug, answers, relative)
 

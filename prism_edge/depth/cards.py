@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from prism_edge.depth.contract import ModelCard, card_from_metadata, card_from_sidecar
@@ -15,8 +16,21 @@ def sidecar_of(path: Path) -> Path:
     return path.with_name(path.name + ".yaml")
 
 
+def sidecar_at(path: Path) -> Path | None:
+    """The sidecar that is there: beside the file as it is named, else, of a link, beside what it leads to.
+
+    Raises ModelError for one that is there and no file: what it would say is not to be passed over.
+    """
+    for sidecar in dict.fromkeys((sidecar_of(path), sidecar_of(path.resolve()))):
+        if sidecar.is_file():
+            return sidecar
+        if os.path.lexists(sidecar):
+            raise ModelError(f"{sidecar}: describes {path.name}, but is no file, or a link to none")
+    return None
+
+
 def card_of(path: Path, vetted: Vetted, pinned: tuple[File, ...] = ()) -> ModelCard:
-    """The card of a vetted file; ``path`` is where the user has it, with its sidecar.
+    """The card of a vetted file; ``path`` is where the user has it, with its sidecar there or at its target.
 
     A sidecar goes before the file's metadata, and both before the registry, which knows files by
     digest. Raises ModelError where there is none, where the digest is not the one the card pins, where
@@ -25,8 +39,9 @@ def card_of(path: Path, vetted: Vetted, pinned: tuple[File, ...] = ()) -> ModelC
     """
     digest = vetted.sha256
     registered = find_digest(digest)
-    if sidecar_of(path).is_file():
-        card = card_from_sidecar(sidecar_of(path))
+    sidecar = sidecar_at(path)
+    if sidecar is not None:
+        card = card_from_sidecar(sidecar)
     else:
         own = card_from_metadata(vetted.metadata, path.name)
         if own is None and (registered is None or registered.card is None):

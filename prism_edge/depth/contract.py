@@ -25,6 +25,7 @@ METRIC, FOCAL_NORMALISED = "metric", "focal_normalised"
 RELATIVE, INVERSE_RELATIVE = "relative", "inverse_relative"
 KINDS = (METRIC, FOCAL_NORMALISED, RELATIVE, INVERSE_RELATIVE)
 STRETCH, CROP = "stretch", "crop"
+_LEAST_SPAN, _MOST_SPAN = 0.1, 600.0  # from black to white: 1 to 255 in all known networks
 _LARGEST_FILE = 65_536  # bytes of a sidecar; a card takes one thousand
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 _SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -175,15 +176,30 @@ def read_yaml(path: Path, most: int = _LARGEST_FILE) -> Any:
 
 def _scalar(key: str, value: str, where: str) -> Any:
     if _is_text(key):
-        return value
+        return _unquoted(value)
     try:
         return yaml.safe_load(value[:4096])
     except (yaml.YAMLError, *YAML_MISFITS):
         raise ModelError(f"{where}: {key}: {value[:40]!r} can't be read") from None
 
 
+def _unquoted(text: str) -> str:
+    """Text as it is, or as a YAML writer has it: in quotes, or with a document's end after it."""
+    try:
+        written = yaml.load(text[:4096], yaml.BaseLoader) if text[:1] in ("'", '"') or "\n" in text else text
+    except (yaml.YAMLError, *YAML_MISFITS):
+        return text
+    return written if isinstance(written, str) else text
+
+
 def _is_text(key: Any) -> bool:
     return isinstance(key, str) and _CHECKS.get(key) in (_text, _name, sha256_text)
+
+
+def input_ranges(card: ModelCard) -> list[tuple[float, float]]:
+    """What black and white are to the network, for each colour."""
+    white, channels = 255.0 * card.pixel_scale, zip(card.mean, card.std, strict=True)
+    return [((0.0 - mean) / std, (white - mean) / std) for mean, std in channels]
 
 
 def _check_whole(card: ModelCard, where: str) -> None:
@@ -195,6 +211,13 @@ def _check_whole(card: ModelCard, where: str) -> None:
         raise ModelError(f"{where}: canonical_focal_length belongs to depth_kind focal_normalised alone")
     if card.has_metres and card.scale_bias_sigma is None:
         raise ModelError(f"{where}: depth_kind {card.depth_kind} needs scale_bias_sigma (docs/MODELS.md)")
+    for dark, bright in input_ranges(card):
+        span = bright - dark
+        if not (_LEAST_SPAN <= span <= _MOST_SPAN and dark <= span and bright >= -span):
+            raise ModelError(
+                f"{where}: pixel_scale, mean and std make {dark:.4g} of black and {bright:.4g} of white: "
+                "mean and std of pixels from 0 to 255 need pixel_scale: 1, those of 0 to 1 the default, 1/255"
+            )
     if (card.dsug_tau is None) != (card.dsug_temperature is None):
         raise ModelError(f"{where}: dsug_tau and dsug_temperature come together or not at all")
     if card.confidence_kind and not card.confidence_output:

@@ -7,13 +7,14 @@ fitted to the metric network's answer for the same image: 1 / z = slope * d + sh
 from __future__ import annotations
 
 import logging
+from collections import deque
 from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.depth.contract import RELATIVE
+from prism_edge.depth.contract import INVERSE_RELATIVE, RELATIVE
 from prism_edge.depth.prediction import Prediction, checked, no_confidence, no_descriptor, normalised
 from prism_edge.depth.providers import CPU, native_line
 from prism_edge.depth.session import OnnxNetwork
@@ -30,6 +31,7 @@ LEAST_SAMPLES = 100
 WORST_SPREAD = 0.4  # median relative residual beyond which the networks contradict each other
 _NEARLY_ALL = 0.98  # share of positive relative depths from which their inverse is tried
 _ITERATIONS = 10
+_RECENT, _TELLING = 20, 5  # images that tell whether two networks are a pair; so many of them at least
 _HUBER = 1.345  # sigmas; 95 % efficient on Gaussian noise
 
 
@@ -130,9 +132,24 @@ class PairedNetwork:
         self.dsug = relative.dsug  # fitted to the confidence, which is the relative network's
         self.provider = ", ".join(dict.fromkeys((relative.provider, metric.provider)))
         self.counters: dict[str, int] = {"unpaired": 0}
+        # Of the last images: whether the two did fit, or would have, were the depth of the other kind.
+        self._fits: deque[tuple[bool, bool]] = deque(maxlen=_RECENT)
         for part in (relative, metric):
             for name, count in part.counters.items():
                 self.counters[name] = self.counters.get(name, 0) + count
+
+    @property
+    def doubt(self) -> str:
+        """What is wrong with them as a pair, in words; empty while they fit in half of the last images."""
+        seen, fitted = len(self._fits), sum(fits for fits, _ in self._fits)
+        if seen < _TELLING or 2 * fitted >= seen:
+            return ""
+        relative, metric = self._relative, self._metric
+        said = f"{relative.name} fits {metric.name} in {fitted} of {seen} images: {metric.name} stands alone"
+        if 2 * sum(otherwise for _, otherwise in self._fits) <= seen:
+            return f"{said} in the others"
+        other = INVERSE_RELATIVE if relative.card.depth_kind == RELATIVE else RELATIVE
+        return f"{said}; with depth_kind: {other} in its card it would fit (docs/MODELS.md)"
 
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
         """As :meth:`OnnxNetwork.infer`; the confidence is the relative network's, none where that failed.
@@ -147,7 +164,7 @@ class PairedNetwork:
         except Exception as error:  # native code raises anything, and the metric answer is there
             parts = self._relative.name, self._metric.name
             log.warning("%s fails, %s stands alone: %s", *parts, native_line(error))
-            self.counters["unpaired"] += metric.valid
+            self._count(metric, paired=False)
             descriptor = no_descriptor() if own else metric.descriptor
             fault = error if self._relative.provider != CPU else None
             return replace(metric, confidence=no_confidence(), descriptor=descriptor, fault=fault)
@@ -155,16 +172,23 @@ class PairedNetwork:
         descriptor = normalised(raw.descriptor) if own else metric.descriptor
         paired = self._pair(raw, metric) if metric.valid else None
         if paired is None:
-            self.counters["unpaired"] += metric.valid
+            self._count(metric, paired=False, raw=raw)
             return replace(
                 metric, confidence=no_confidence(), descriptor=descriptor, inference_ms=took
             )
+        self._count(metric, paired=True)
         return replace(paired, descriptor=descriptor, inference_ms=took)
+
+    def _count(self, metric: Prediction, paired: bool, raw: Prediction | None = None) -> None:
+        if not metric.valid:  # nothing that could be fitted to
+            return
+        self.counters["unpaired"] += not paired
+        is_depth = self._relative.card.depth_kind == RELATIVE
+        self._fits.append((paired, raw is not None and _fit_of(raw, metric, not is_depth) is not None))
 
     def _pair(self, raw: Prediction, metric: Prediction) -> Prediction | None:
         is_depth = self._relative.card.depth_kind == RELATIVE
-        samples = _samples(raw.depth, raw.image_to_depth, metric)
-        fit = fit_depth(*samples) if is_depth else fit_inverse_depth(*samples)
+        fit = _fit_of(raw, metric, is_depth)
         if fit is None:
             return None
         # Beyond the farthest the metric network saw, inverse depth near zero blows up.
@@ -181,6 +205,11 @@ class PairedNetwork:
             depth[inside & (seen == 0.0)] = 0.0
         paired = checked(replace(raw, depth=depth))
         return paired if paired.valid else None
+
+
+def _fit_of(raw: Prediction, metric: Prediction, is_depth: bool) -> Fit | None:
+    samples = _samples(raw.depth, raw.image_to_depth, metric)
+    return fit_depth(*samples) if is_depth else fit_inverse_depth(*samples)
 
 
 def _samples(relative: F32, image_to_relative: F64, metric: Prediction) -> tuple[F64, F64]:

@@ -63,12 +63,15 @@ def find_pulled(name: str) -> Pulled | None:
 
 
 def pulled_at(path: Path) -> Pulled | None:
-    """The network at ``path`` as pulled into its folder, None where it was not.
+    """The network at ``path``, or where that link leads, as pulled into its folder; None where it was not.
 
     Raises ModelError for a broken manifest.
     """
-    pulled = manifest_of(path.parent)
-    return pulled if pulled and pulled.runnable and pulled.files[0].name == path.name else None
+    for file in dict.fromkeys((path, path.resolve())):
+        pulled = manifest_of(file.parent)
+        if pulled and pulled.runnable and pulled.files[0].name == file.name:
+            return pulled
+    return None
 
 
 def pulled_files(path: Path) -> tuple[File, ...]:

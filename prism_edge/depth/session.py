@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -147,10 +149,8 @@ class OnnxNetwork:
 
     def _run_aside(self, outputs: list[str], image: NDArray[np.float32]) -> list[NDArray[Any]]:
         """Outputs that no keyframe asks for. Raises ModelError where onnxruntime fails."""
-        try:
+        with failing_in_a_line(self.path.name):
             return list(self._session.run(outputs, {self._input: image}))
-        except Exception as error:  # whatever a foreign graph makes onnxruntime raise
-            raise ModelError(f"{self.path.name}: an inference failed ({native_line(error)})") from None
 
     def raw(self, rgb: NDArray[np.uint8]) -> tuple[Prediction, Placement]:
         """The network's unchecked answer in its own unit, without sky, and where the image lay in it.
@@ -231,6 +231,17 @@ class OnnxNetwork:
                 "(docs/MODELS.md#exports-of-another-shape)"
             )
         return ""
+
+
+@contextmanager
+def failing_in_a_line(name: str) -> Iterator[None]:
+    """Makes a ModelError of whatever an inference raises, where nobody asks whose fault it is."""
+    try:
+        yield
+    except ModelError:
+        raise
+    except Exception as error:  # whatever a foreign graph makes onnxruntime raise
+        raise ModelError(f"{name}: an inference failed ({native_line(error)})") from None
 
 
 def are_swapped(aspect: float, of_input: float) -> bool:

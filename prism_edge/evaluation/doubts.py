@@ -67,11 +67,16 @@ def no_truth(layout: str | None) -> list[str]:
     return [f"no true poses lie with the recording, so nothing is scored; they would be in {_TRUTHS[layout]}"]
 
 
-def no_pose(poses: int, frames: int, processed: int, begun: bool) -> list[str]:
-    """What to say of a run that published nothing; ``begun``: an image of those processed began a map."""
+def no_pose(poses: int, frames: int, processed: int, begun: bool, no_depth: str = "") -> list[str]:
+    """What to say of a run that published nothing; ``begun``: an image of those processed began a map.
+
+    ``no_depth``: why the last keyframe without depth had none.
+    """
     if poses:
         return []
     what = f"no pose came out of {frames} frames"
     if processed and not begun:
         what += ": in none were corners enough to begin a map with (too dark, too bright, blurred or blank)"
+    elif no_depth:
+        what += f": keyframes had no usable depth: {no_depth}"
     return [what]

@@ -58,7 +58,8 @@ def _network_files(name: str) -> list[Path]:
         path = locate(name)
     except ModelError:
         return []  # no file's name, or one that is not there
-    return [path, sidecar_of(path), *_weights(path, *_dates(path))]
+    sidecars = dict.fromkeys((sidecar_of(path), sidecar_of(path.resolve())))
+    return [path, *sidecars, *_weights(path, *_dates(path))]
 
 
 def _dates(file: Path) -> tuple[int, int, int]:

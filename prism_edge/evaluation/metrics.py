@@ -62,7 +62,7 @@ def metrics(
     nees = NO_NEES if truth is None else relative_nees(recording, truth, base_from_camera(config.frames))
     flow = recording.flow(first_stamp_ns)
     begun = any(frame.keyframe >= 0 or frame.odometry != INITIALISING for frame in recording.frames)
-    silent = no_pose(len(live), flow["frames"], len(recording.frames), begun)
+    silent = no_pose(len(live), flow["frames"], len(recording.frames), begun, played.no_depth)
     until_ns = recording.frames[-1].stamp_ns if config.source.frames and recording.frames else None
     apart = [] if truth is None else apart_in_time(live, truth, scores["live"]["pairs"], until_ns)
     nothing = silent or (apart if not scores["live"]["pairs"] else [])

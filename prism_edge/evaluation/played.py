@@ -35,19 +35,21 @@ class Played:
     guessed: bool = False  # the camera
     images: str | None = None  # of a folder: images_of()
     files: dict[str, str] | None = None  # digests_of() what its figures hang on
-    doubts: tuple[str, ...] = ()  # of the camera, which its images raise; and of a video's end
+    doubts: tuple[str, ...] = ()  # of camera and network, which the images raise; and of a video's end
+    no_depth: str = ""  # why the last keyframe without depth had none
 
     def after(self, log: Path) -> Played:
-        """The same with what a daemon's ``log`` says of its camera and its video's end.
+        """The same with what a daemon's ``log`` says of its camera, its network and its video's end.
 
         A camera may be one that nobody calibrated, or have a shutter that is not as it is said to be.
         """
         text = ""
         with contextlib.suppress(OSError):
             text = log.read_text(errors="replace")
-        subjects = rf"backend: (?={SUBJECT}: )|source: (?=.*{CUT_SHORT}$)"
+        subjects = rf"backend: (?={SUBJECT}: )|source: (?=.*{CUT_SHORT}$)|(?:depth|scale): (?=keyframe \d+: )"
         doubts = re.findall(rf" WARNING +(?:{subjects})(.*)$", text, re.M)
-        told = replace(self, doubts=tuple(doubts))
+        no_depth = re.findall(r" WARNING +depth: keyframe -?\d+ has no depth: (.*)$", text, re.M)
+        told = replace(self, doubts=tuple(doubts), no_depth=no_depth[-1] if no_depth else "")
         if self.camera is None or self.camera["origin"] != AUTO:
             return told
         said = re.findall(r"; camera: (.*)$", text, re.M)

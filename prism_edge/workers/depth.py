@@ -166,13 +166,14 @@ class DepthWorker:
         self._bus.pulse.idle()
 
     def _doubt(self, depth: Depth) -> None:
-        """Says where a network's metres can't be metres: on `health` while it is so, on the log once."""
+        """Says where metres can't be metres, or a pair is none: on `health` while so, once on the log."""
         metres = None if isinstance(self._network, SensorNetwork) else range_of(depth.depth)
-        if metres is None or not metres.doubt:
+        doubt = (metres.doubt if metres else "") or getattr(self._network, "doubt", "")
+        if not doubt:
             return
-        self._bus.pulse.values["warning"] = metres.doubt
+        self._bus.pulse.values["warning"] = doubt
         if not self._doubted:
-            log.warning("keyframe %d: %s", depth.keyframe, metres.doubt)
+            log.warning("keyframe %d: %s", depth.keyframe, doubt)
         self._doubted = True
 
     def _show_counters(self) -> None:

@@ -40,7 +40,7 @@ def estimated_camera(config: Config, stopped: threading.Event) -> tuple[str, Cam
     image to judge by.
     """
     network = _network_with_intrinsics(config)
-    estimates, size = [], (0, 0)
+    estimates, size, why = [], (0, 0), ""
     turns = quarter_turns(base_from_camera(config.frames))
     for pixels in _first_images(config.source, stopped):
         rgb = pixels[:, :, ::-1] if pixels.ndim == 3 else np.repeat(pixels[:, :, None], 3, axis=2)
@@ -52,13 +52,14 @@ def estimated_camera(config: Config, stopped: threading.Event) -> tuple[str, Cam
             camera = turned_camera(Camera(upright.shape[1], upright.shape[0], *found), -turns % 4)
         except ConfigError as error:  # as little worth as none
             log.info("camera auto: an image says nothing of its camera: %s", error)
+            why = f" (the last it said can't be: {error})"
             continue
         estimates.append((camera.fx, camera.fy, camera.cx, camera.cy))
         size = (camera.width, camera.height)
     if not estimates:
         raise SourceError(
             f"camera auto: {network.name} found no intrinsics in the first images of "
-            f"{shown_address(config.source.uri)}; give a camera file (--camera FILE)"
+            f"{shown_address(config.source.uri)}{why}; give a camera file (--camera FILE)"
         )
     camera, spread = median_camera(np.array(estimates), *size)
     if spread > _WORST_SPREAD:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from onnx import TensorProto, helper
 
 from prism_edge.cli import models_show
 from prism_edge.cli.main import main
@@ -16,7 +17,8 @@ from prism_edge.depth import entries, find
 from prism_edge.depth.contract import INVERSE_RELATIVE, RELATIVE
 from prism_edge.depth.prediction import Prediction
 from prism_edge.depth.registry import File
-from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
+from prism_edge.depth.session import OnnxNetwork
+from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_sidecar, write_tiny_network
 
 
 @pytest.fixture(autouse=True)
@@ -55,6 +57,16 @@ def test_info_checks_a_file_and_shows_its_card(tmp_path: Path, capsys):
         assert text in out
 
 
+def test_info_says_where_the_card_is_from(tmp_path: Path, capsys):
+    path = write_tiny_network(tmp_path / "tiny.onnx")
+    assert main(["models", "info", str(path)]) == 0
+    assert "card      the file itself" in capsys.readouterr().out
+    write_sidecar(path, TinyNetwork(name="corrected").card())
+    (tmp_path / "current.onnx").symlink_to(path)
+    assert main(["models", "info", str(tmp_path / "current.onnx")]) == 0
+    assert f"card      {path}.yaml" in capsys.readouterr().out
+
+
 def test_info_says_how_far_a_test_picture_is_and_doubts_millimetres(tmp_path: Path, capsys):
     for name, gain, doubted in (("m", 1.0, False), ("mm", 1000.0, True)):
         path = write_tiny_network(tmp_path / f"{name}.onnx", TinyNetwork(name=name, gain=gain))
@@ -62,6 +74,61 @@ def test_info_says_how_far_a_test_picture_is_and_doubts_millimetres(tmp_path: Pa
         out = capsys.readouterr().out
         assert "depth     of a test picture: " in out
         assert ("warning   a median depth of" in out) == doubted
+
+
+def test_info_of_a_network_whose_answer_is_of_no_use_fails_as_verify_does(tmp_path: Path, capsys):
+    path = write_tiny_network(tmp_path / "bad.onnx", TinyNetwork(misbehaviour="negative"))
+    for action in ("info", "verify"):
+        assert main(["models", action, str(path)]) == 5
+        assert "of no use" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("kind", ["metric", "relative"])
+def test_a_network_that_fails_at_a_picture_is_one_line(tmp_path: Path, monkeypatch, capsys, kind: str):
+    good = write_tiny_network(tmp_path / "good.onnx")
+    bad = write_tiny_network(tmp_path / "bad.onnx", TinyNetwork(name="bad", depth_kind=kind))
+    raw, warmed = OnnxNetwork.raw, []
+
+    def fails(network, rgb):
+        if network.name == "bad" and warmed.count(network) == 1:  # not at the first, which is no picture
+            raise RuntimeError("indices out of bounds")
+        warmed.append(network)
+        return raw(network, rgb)
+
+    monkeypatch.setattr(OnnxNetwork, "raw", fails)
+    assert main(["models", "info", str(bad)]) == 5
+    assert "bad: an inference failed (indices out of bounds)" in capsys.readouterr().err
+    assert main(["models", "verify", str(bad), str(good)]) == 5
+    out = " ".join(capsys.readouterr().out.split())
+    assert "an inference failed" in out
+    assert "on CPUExecutionProvider" in out
+
+
+def test_info_shows_what_black_and_white_are_to_the_network(tmp_path: Path, capsys):
+    path = write_tiny_network(tmp_path / "tiny.onnx")
+    assert main(["models", "info", str(path)]) == 0
+    assert "input     of black to white: 0 to 1\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("matrix", "says"),
+    [
+        ([160.0, 0, 159.5, 0, 160.0, 119.5, 0, 0, 1], ""),
+        ([0.7, 0, 0.5, 0, 0.9, 0.5, 0, 0, 1], "sees a camera that can't be (fx: "),
+        ([0.0] * 9, "it sees no camera"),
+    ],
+)
+def test_info_doubts_intrinsics_of_another_unit(tmp_path: Path, capsys, matrix: list[float], says: str):
+    what, path = TinyNetwork(), tmp_path / "net.onnx"
+    graph = tiny_graph(what)
+    value = helper.make_tensor("matrix", TensorProto.FLOAT, [1, 3, 3], matrix)
+    graph.node.append(helper.make_node("Constant", [], ["camera"], value=value))
+    graph.output.append(helper.make_tensor_value_info("camera", TensorProto.FLOAT, [1, 3, 3]))
+    save(path, graph, replace(what.card(), intrinsics_output="camera"))
+    assert main(["models", "info", str(path)]) == 0
+    out = capsys.readouterr().out
+    assert says in out
+    assert ("warning" in out) == bool(says)
 
 
 def test_info_shows_the_card_of_each_part_of_a_pair(tmp_path: Path, capsys):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -179,6 +181,44 @@ def test_a_broken_sidecar_is_one_line(tmp_path: Path, content: bytes):
     assert "\n" not in str(error.value)
 
 
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"mean": [123.675, 116.28, 103.53], "std": [58.395, 57.12, 57.375]}, "make -2.118 of black"),
+        ({"pixel_scale": 1.0}, "and 1111 of white"),  # with the mean and std of 0 to 1
+        ({"mean": [123.0, 117.0, 104.0], "std": [1.0, 1.0, 1.0]}, "make -123 of black and -122 of white"),
+    ],
+)
+def test_normalisation_of_pixels_of_another_range_is_refused(change: dict, says: str):
+    with pytest.raises(ModelError, match=says):
+        card_from_mapping({**GOOD, **change}, "here")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"pixel_scale": 1.0, "mean": [123.675, 116.28, 103.53], "std": [58.395, 57.12, 57.375]},
+        {"pixel_scale": 1.0},
+        {"mean": [0.5, 0.5, 0.5], "std": [0.5, 0.5, 0.5]},
+        {"pixel_scale": 1.0, "mean": [103.939, 116.779, 123.68]},
+    ],
+)
+def test_normalisation_as_networks_have_it_is_taken(change: dict):
+    assert card_from_mapping({**GOOD, "mean": [0, 0, 0], "std": [1, 1, 1], **change}, "here")
+
+
+@pytest.mark.parametrize("write", [yaml.safe_dump, json.dumps, str, lambda text: f"'{text}'"])
+@pytest.mark.parametrize("key", ["name", "revision", "licence", "source"])
+def test_text_in_metadata_may_be_as_a_yaml_writer_has_it(write, key: str):
+    values = {**TinyNetwork().card().to_metadata(), PREFIX + key: write("mine-1.10")}
+    assert getattr(card_from_metadata(values, "here"), key) == "mine-1.10"
+
+
+def test_text_in_metadata_that_begins_with_a_quoted_word_is_as_it_is():
+    values = {**TinyNetwork().card().to_metadata(), PREFIX + "source": '"Rooms", a dataset'}
+    assert card_from_metadata(values, "here").source == '"Rooms", a dataset'
+
+
 def test_metadata_of_a_foreign_file_is_no_card():
     assert card_from_metadata({"onnx.infer": "quant", "author": "somebody"}, "here") is None
 
@@ -202,7 +242,7 @@ def test_every_key_comes_back_from_metadata_and_from_yaml(tmp_path: Path):
         "sha256": "ab" * 32,
         "input_name": "0",
         "colours": "bgr",
-        "pixel_scale": 1.0,
+        "pixel_scale": 0.004,
         "resize": "crop",
         "depth_output": "350",
         "depth_scale": 0.001,

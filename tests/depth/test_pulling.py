@@ -12,7 +12,15 @@ import pytest
 from prism_edge.config import DepthConfig
 from prism_edge.depth import locate, open_onnx, pulling
 from prism_edge.depth.download import Patience
-from prism_edge.depth.pulled import MANIFEST, Pulled, all_pulled, find_pulled, manifest_of, write_manifest
+from prism_edge.depth.pulled import (
+    MANIFEST,
+    Pulled,
+    all_pulled,
+    find_pulled,
+    manifest_of,
+    pulled_files,
+    write_manifest,
+)
 from prism_edge.depth.pulling import from_entry, from_url
 from prism_edge.depth.registry import File
 from prism_edge.depth.session import OnnxNetwork
@@ -304,6 +312,16 @@ def test_the_manifest_is_what_was_pulled(server, register, models: Path):
     done = get(from_entry(entry("tiny_tint"), models))
     assert manifest_of(done.folder) == done
     assert done == replace(done, licence="Apache-2.0", runnable=True)
+
+
+def test_a_link_to_a_pulled_network_is_held_to_the_digests_that_came(server, models: Path, tmp_path: Path):
+    done = get(from_url(f"{server.url}/tiny.onnx", models, name="mine"), unverified=True)
+    link = tmp_path / "current.onnx"
+    link.symlink_to(done.path)
+    assert pulled_files(link) == done.files == pulled_files(done.path)
+    link.unlink()
+    link.symlink_to(tmp_path / "tiny.onnx")
+    assert pulled_files(link) == ()
 
 
 def test_a_manifest_of_as_many_files_as_a_network_may_have_is_read(tmp_path: Path) -> None:

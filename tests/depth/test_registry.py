@@ -197,6 +197,26 @@ def test_a_sidecar_goes_before_the_files_own_metadata(tmp_path: Path):
     assert card_of(tmp_path / "net.onnx", vetted("0" * 64, props)).name == "outer"
 
 
+def test_a_link_has_the_sidecar_beside_what_it_leads_to_or_one_of_its_own(tmp_path: Path):
+    (tmp_path / "v3").mkdir()
+    target, link = tmp_path / "v3" / "net.onnx", tmp_path / "current.onnx"
+    target.write_bytes(b"")
+    link.symlink_to("v3/net.onnx")
+    props = TinyNetwork(name="inner").card().to_metadata()
+    assert card_of(link, vetted("0" * 64, props)).name == "inner"
+    write_sidecar(target, TinyNetwork(name="outer").card())
+    assert card_of(link, vetted("0" * 64, props)).name == "outer"
+    write_sidecar(link, TinyNetwork(name="links_own").card())
+    assert card_of(link, vetted("0" * 64, props)).name == "links_own"
+
+
+def test_a_sidecar_that_leads_nowhere_is_not_passed_over(tmp_path: Path):
+    props = TinyNetwork(name="inner").card().to_metadata()
+    (tmp_path / "net.onnx.yaml").symlink_to("gone.yaml")
+    with pytest.raises(ModelError, match=r"net\.onnx\.yaml: describes net\.onnx, but is no file"):
+        card_of(tmp_path / "net.onnx", vetted("0" * 64, props))
+
+
 def test_the_folder_named_by_the_environment_is_looked_in_first(tmp_path: Path, monkeypatch):
     entry = find("fastdepth_nyu")
     monkeypatch.setenv("PRISM_EDGE_MODELS", f"{tmp_path / 'none'}:{tmp_path}")

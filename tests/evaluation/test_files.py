@@ -45,6 +45,15 @@ def test_what_is_given_and_there_is_listed_with_each_network_its_card(tmp_path: 
     assert sorted(files_of(config, tmp_path / "true.tum")) == [tmp_path / name for name in names]
 
 
+def test_of_a_link_the_card_beside_what_it_leads_to_is_listed(tmp_path: Path) -> None:
+    (tmp_path / "v3").mkdir()
+    for name in ("net.onnx", "net.onnx.yaml"):
+        (tmp_path / "v3" / name).write_text("")
+    (tmp_path / "current.onnx").symlink_to("v3/net.onnx")
+    config = Config(depth=DepthConfig(model=str(tmp_path / "current.onnx")))
+    assert files_of(config, None) == [tmp_path / "current.onnx", tmp_path / "v3" / "net.onnx.yaml"]
+
+
 def test_the_way_that_a_simulated_camera_goes_is_listed(tmp_path: Path) -> None:
     (tmp_path / "way.tum").write_text("")
     config = Config(source=SourceConfig(uri=f"sim:room?follow={tmp_path}/way.tum&speed=1"))

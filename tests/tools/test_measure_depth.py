@@ -9,6 +9,7 @@ import pytest
 
 from prism_edge.config import DepthConfig
 from prism_edge.depth import open_network
+from prism_edge.depth.session import OnnxNetwork
 from tests.synthetic.network import TinyNetwork, write_tiny_network
 from tests.synthetic.sequence import write_sequence
 from tools import measure_depth
@@ -23,7 +24,7 @@ def folder(tmp_path_factory) -> Path:
 def test_a_network_that_is_wrong_by_a_factor_is_measured_so(folder: Path, tmp_path: Path, gain: float):
     path = write_tiny_network(tmp_path / "tiny.onnx", TinyNetwork(gain=gain))
     scores, failed = measure_depth.measure(folder, open_network(str(path), DepthConfig()), every=2)
-    assert (len(scores), failed) == (4, 0)
+    assert (len(scores), failed) == (4, [])
     assert np.exp(np.mean([score.log_ratio for score in scores])) == pytest.approx(1 / gain, rel=0.01)
     assert np.mean([score.absrel for score in scores]) == pytest.approx(gain - 1, abs=0.015)
     assert np.mean([score.within_125 for score in scores]) == pytest.approx(float(gain < 1.25), abs=0.02)
@@ -32,7 +33,23 @@ def test_a_network_that_is_wrong_by_a_factor_is_measured_so(folder: Path, tmp_pa
 def test_frames_without_an_answer_are_counted(folder: Path, tmp_path: Path):
     path = write_tiny_network(tmp_path / "bad.onnx", TinyNetwork(misbehaviour="nan"))
     scores, failed = measure_depth.measure(folder, open_network(str(path), DepthConfig()), every=4)
-    assert (len(scores), failed) == (0, 2)
+    assert not scores
+    assert len(failed) == 2
+    assert all("usable" in why for why in failed)
+
+
+def test_an_inference_that_fails_costs_its_own_frame_alone(folder: Path, tmp_path: Path, monkeypatch, capsys):
+    path, infer, calls = write_tiny_network(tmp_path / "tiny.onnx"), OnnxNetwork.infer, []
+
+    def fails_once(*asked):
+        calls.append(asked)
+        if len(calls) == 2:
+            raise RuntimeError("indices out of bounds")
+        return infer(*asked)
+
+    monkeypatch.setattr(OnnxNetwork, "infer", fails_once)
+    assert measure_depth.main([str(folder), "--model", str(path), "--every", "2"]) == 0
+    assert "without a score: 1 (the last: an inference failed: indices out" in capsys.readouterr().out
 
 
 def test_the_autocorrelation_of_a_known_process():

@@ -19,3 +19,9 @@ def test_they_say_so_in_a_line(tool: str, package: str, module: str, monkeypatch
     monkeypatch.setitem(sys.modules, module, None)  # as if it were not there
     with pytest.raises(SystemExit, match=f"^{tool}: error: needs {package}; the extra dev has it$"):
         runpy.run_path(str(TOOLS / f"{tool}.py"))
+
+
+def test_the_export_tool_names_the_environment_that_has_what_it_lacks(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "torch", None)
+    with pytest.raises(SystemExit, match=r"^export_da3: error: needs torch: .*\.venv-export"):
+        runpy.run_path(str(TOOLS / "export_da3"))

@@ -20,7 +20,7 @@ from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage
 from prism_edge.workers import depth as worker
 from prism_edge.workers.depth import DepthWorker, answer, main
 from tests.synthetic.messages import tick
-from tests.synthetic.network import TinyNetwork, write_tiny_network
+from tests.synthetic.network import TinyNetwork, save, tiny_graph, write_tiny_network
 from tests.synthetic.sequence import synthetic_camera
 from tests.synthetic.tint import tinted
 from tests.workers.list_bus import ListBus
@@ -221,6 +221,19 @@ def test_metres_that_can_not_be_are_on_health_and_once_on_the_log(tmp_path: Path
     assert all(depth.valid for depth in bus.of("depth"))
     assert "a median depth of" in bus.pulse.values["warning"]
     assert caplog.text.count("depth_scale in its card") == 1
+
+
+def test_a_pair_that_never_fits_is_on_health_and_once_on_the_log_with_what_would_fit(tmp_path: Path, caplog):
+    """Disparity that is called depth: the commonest mistake in a card."""
+    mistaken, card = TinyNetwork(name="r", depth_kind="inverse_relative"), TinyNetwork(depth_kind="relative")
+    save(tmp_path / "r.onnx", tiny_graph(mistaken), replace(card.card(), name="r"))
+    metric = write_tiny_network(tmp_path / "m.onnx", TinyNetwork(name="m"))
+    bus, config = live(f"nested:{tmp_path / 'r.onnx'},{metric}")
+    bus.give("keyframe_image", *(picture(i) for i in range(8)))
+    main(config, bus)
+    said = "r fits m in 0 of 8 images: m stands alone; with depth_kind: inverse_relative in its card it would"
+    assert said in bus.pulse.values["warning"]
+    assert caplog.text.count("r fits m in 0 of 5 images") == caplog.text.count("fits m in") == 1
 
 
 def test_metres_that_can_be_are_no_warning(tiny: str):

@@ -17,6 +17,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from prism_edge.depth.inner_tensor import GRID
 from prism_edge.errors import ModelError, PrismError
+
+try:
+    import onnx  # noqa: F401
+    import torch  # noqa: F401
+except ImportError as missing:
+    needs = "`make exporter` makes .venv-export, whose bin/python runs this (docs/EXPORT.md)"
+    sys.exit(f"export_da3: error: needs {missing.name}: {needs}")
+# isort: split
 from tools.export_da3 import checkpoints
 from tools.export_da3.convert import FP32, PRECISIONS
 from tools.export_da3.export import Job, check, export
