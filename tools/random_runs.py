@@ -133,11 +133,13 @@ def summary(runs: Iterable[tuple[Draw, Metrics | None]]) -> list[str]:
         live, final = (_mean_cm(chosen, part) for part in ("live", "final"))
         nees = [m["nees_1s"] for m in chosen if m.get("nees_1s")]
         honest = f"NEES mean {fmean(nees):.2f}, geometric {geometric_mean(nees):.2f}, " if nees else ""
+        poses = [m["nees_pose"] for m in chosen if m.get("nees_pose")]
+        by_itself = f"; of poses geometric {geometric_mean(poses):.2f}" if poses else ""
         least = min(m["coverage"] for m in chosen)
         lines.append(
             f"- indoors, {label}, {len(chosen)} runs: least coverage {least:.3f}, "
             f"Sim(3) live {live}, final {final} cm (geometric means); {honest}"
-            f"above 2 {sum(n > 2.0 for n in nees)}, below 0.5 {sum(n < 0.5 for n in nees)}"
+            f"above 2 {sum(n > 2.0 for n in nees)}, below 0.5 {sum(n < 0.5 for n in nees)}{by_itself}"
         )
     return lines
 

@@ -6,13 +6,15 @@ An error whose covariance is right has, on average, a normalised square (NEES) o
 from __future__ import annotations
 
 import math
+from collections.abc import Container
 from dataclasses import dataclass
 
 import numpy as np
 
 from prism_edge.evaluation.recording import Published, Recording
-from prism_edge.evaluation.trajectory import Trajectory, paired, rows_apart
-from prism_edge.geometry.poses import Array, adjoint, inverse, se3_log
+from prism_edge.evaluation.trajectory import NS, Trajectory, paired, rows_apart
+from prism_edge.geometry.poses import Array, adjoint, inverse, se3_log, so3_log
+from prism_edge.messages import Tracked
 
 _FLOOR = 1e-12  # m^2, rad^2: below what is published, so that an exact direction doesn't divide by 0
 
@@ -77,10 +79,44 @@ def relative_nees(
         along = (estimate.poses[j] @ camera_from_base)[:3, :3].T @ path
         covariance[:3, :3] += sigmas[j] ** 2 * np.outer(along, along)
         error = se3_log(inverse(true) @ moved)
-        for n, part in enumerate((slice(0, 6), slice(0, 3), slice(3, 6))):
-            e = error[part]
-            sums[n] += float(e @ np.linalg.solve(covariance[part, part], e)) / len(e)
+        sums += _squares(error, covariance)
     return Nees(len(starts), *(sums / len(starts)).tolist())
+
+
+def pose_nees(recording: Recording, truth: Trajectory, base_from_camera: Array) -> Nees:
+    """NEES of each published pose by itself, in `map`: of its whole way since the map's beginning.
+
+    `map` is where ``base_link`` was at the map's first keyframe, which the first pose refers to; so the true
+    pose is what ``truth`` (world_from_camera) moved since that keyframe. Its first second is left out, in
+    which poses rest on one depth image. None where the first keyframe has no true pose.
+    """
+    poses = {p.stamp_ns: p for p in recording.published.values() if _finite(p)}
+    began = _first_keyframe(recording.frames, poses)
+    if began is None:
+        return NO_NEES
+    start, there = paired(Trajectory.of([(began.stamp_ns, np.eye(4))]), truth)
+    later = [(s, p.map_from_camera) for s, p in sorted(poses.items()) if s >= began.stamp_ns + NS]
+    estimate, truth = paired(Trajectory.of(later), truth)
+    if not len(start) or not len(estimate):
+        return NO_NEES
+    camera_from_base = inverse(base_from_camera)
+    map_from_world = inverse(there.poses[0] @ camera_from_base)
+    sums = np.zeros(3)
+    for stamp, pose, world_from_camera in zip(estimate.stamps, estimate.poses, truth.poses, strict=True):
+        covariance = poses[int(stamp)].covariance
+        assert covariance is not None
+        found, true = pose @ camera_from_base, map_from_world @ world_from_camera @ camera_from_base
+        error = np.concatenate([(found - true)[:3, 3], so3_log(found[:3, :3] @ true[:3, :3].T)])
+        sums += _squares(error, covariance + _FLOOR * np.eye(6))
+    return Nees(len(estimate), *(sums / len(estimate)).tolist())
+
+
+def _first_keyframe(frames: list[Tracked], poses: Container[int]) -> Tracked | None:
+    """The frame that began the map that the first published pose is in."""
+    first = next((f for f in frames if f.stamp_ns in poses), None)
+    if first is None:
+        return None
+    return next((f for f in frames if f.keyframe == first.reference), None)
 
 
 def scale_errors(
@@ -112,6 +148,12 @@ def _own(
     turn = np.kron(np.eye(2), base[:3, :3].T)
     own: Array = turn @ left @ turn.T
     return own
+
+
+def _squares(error: Array, covariance: Array) -> Array:
+    """Normalised squares (3,) of an error (6,), a degree of freedom: of all, translation, rotation."""
+    parts = [(error[part], covariance[part, part]) for part in (slice(0, 6), slice(0, 3), slice(3, 6))]
+    return np.array([float(e @ np.linalg.solve(of, e)) / len(e) for e, of in parts])
 
 
 def _finite(pose: Published) -> bool:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 import prism_edge
 from prism_edge.config import SENSOR, Config
 from prism_edge.evaluation.adjustments import cost_of_adjustments
-from prism_edge.evaluation.consistency import NO_NEES, Nees, relative_nees, scale_errors
+from prism_edge.evaluation.consistency import NO_NEES, Nees, pose_nees, relative_nees, scale_errors
 from prism_edge.evaluation.doubts import (
     apart_in_time,
     guessed_camera,
@@ -59,7 +59,9 @@ def metrics(
         name: (score(estimate, truth, split_ns) if truth is not None else UNKNOWN).as_dict()
         for name, estimate in (("live", live), ("final", final))
     }
-    nees = NO_NEES if truth is None else relative_nees(recording, truth, base_from_camera(config.frames))
+    mount = base_from_camera(config.frames)
+    nees = NO_NEES if truth is None else relative_nees(recording, truth, mount)
+    whole = NO_NEES if truth is None else pose_nees(recording, truth, mount)
     flow = recording.flow(first_stamp_ns)
     begun = any(frame.keyframe >= 0 or frame.odometry != INITIALISING for frame in recording.frames)
     silent = no_pose(len(live), flow["frames"], len(recording.frames), begun, played.no_depth)
@@ -74,7 +76,7 @@ def metrics(
         "ready_s": ready_s,
         "monocular": config.depth.model != SENSOR,
         **scores,
-        **_consistency(nees, scores["final"]["scale_ratio"], recording),
+        **_consistency(nees, whole, scores["final"]["scale_ratio"], recording),
         "final_settled": settled,
         "final_missing": final_missing,
         "truth": truth_name if truth is not None else None,
@@ -127,7 +129,7 @@ def _found(snapshot: MapSnapshot | None, played: Played) -> dict[str, float | No
     }
 
 
-def _consistency(nees: Nees, scale_ratio: Any, recording: Recording) -> dict[str, Any]:
+def _consistency(nees: Nees, whole: Nees, scale_ratio: Any, recording: Recording) -> dict[str, Any]:
     scale = recording.last_scale() or {}
     error, to_bias = scale_errors(scale_ratio, scale.get("sigma_log"), recording.bias_sigma)
     return {
@@ -135,6 +137,9 @@ def _consistency(nees: Nees, scale_ratio: Any, recording: Recording) -> dict[str
         "nees_1s_translation": nees.translation,
         "nees_1s_rotation": nees.rotation,
         "nees_1s_pairs": nees.pairs,
+        "nees_pose": whole.all,
+        "nees_pose_translation": whole.translation,
+        "nees_pose_rotation": whole.rotation,
         "scale_log_error_sigmas": error,
         "scale_sigma_to_bias": to_bias,
     }

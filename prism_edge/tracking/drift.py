@@ -7,7 +7,8 @@ carry the frame were placed under a degree of parallax, less in proportion where
 what keyframes show of the map's scale here. Of rotation it grows by ``drift_per_sqrt_rad``^2, by parallax as
 well, for each radian turned and ``turn_per_sqrt_m``^2 for each metre. The whole walk is what `odom` has. In
 the map a keyframe that sees known points drifted little more than its neighbours: its drift is that of the
-shortest way through keyframes that share points, from the first one.
+shortest way through keyframes that share points, from the first one. Each step counts under the lesser
+parallax of its two ends, of each as it was made: points that are seen better since leave it where it is.
 
 Way and turning are summed from frame to frame, but from one place that the camera has clearly left to the
 next to no more than MOST_DETOUR times what lies between: a camera that stands trembles, and goes nowhere.
@@ -24,6 +25,7 @@ import numpy as np
 from prism_edge.config import CovarianceConfig
 from prism_edge.geometry.poses import Array, inverse, rotation_angle
 from prism_edge.messages import MapUpdate
+from prism_edge.tracking.baseline import LEAST_PARALLAX_DEG
 from prism_edge.tracking.frame_result import FrameResult
 from prism_edge.tracking.keyframe_decision import MOVED_ANGLE, MOVED_BASELINE
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
@@ -82,6 +84,8 @@ class Drift:
         self._travelled = self._travelled_at_anchor = 0.0
         self._at_anchor, self._since_anchor = NO_DRIFT, np.eye(4)
         self._keyframes: dict[int, Walk] = {}
+        self._parallaxes: dict[int, float] = {}  # degrees, of what each saw as it was made
+        self._at_beginning: Walk | None = None  # the walk when the map began; None: it was there before
 
     @property
     def travelled(self) -> float:
@@ -94,7 +98,8 @@ class Drift:
 
     def forget(self) -> None:
         """Another map, whose keyframes have numbers of this one's; `odom` goes on."""
-        self._keyframes, self.local_sigma = {}, 0.0
+        self._keyframes, self._parallaxes, self.local_sigma = {}, {}, 0.0
+        self._at_beginning = None
 
     def miss(self, seconds: float) -> None:
         """Of so long a way before the next frame nothing is known, neither how far it went nor where to."""
@@ -130,19 +135,29 @@ class Drift:
             there = result.world_from_camera @ inverse(result.reference_from_camera)
             keyframe = self._of(there, log_scale)
         keyframe = self.total if keyframe is None else keyframe
-        self.here = keyframe + self._of(result.reference_from_camera, log_scale)
+        self.here = self._at_most_walked(keyframe + self._of(result.reference_from_camera, log_scale))
 
     def add_keyframe(self, world: LocalMap, keyframe: LocalKeyframe, log_scale: float) -> None:
         """A keyframe has been made, and its neighbours are known; a map's first has no drift."""
         if len(world.keyframes) == 1:
-            self._keyframes = {keyframe.id: NO_DRIFT}
+            self._keyframes, self._parallaxes = {keyframe.id: NO_DRIFT}, {keyframe.id: LEAST_PARALLAX_DEG}
+            self._at_beginning = self.total
             return
+        self._parallaxes[keyframe.id] = self._parallax_deg
         near = _near(world, keyframe)
         between = self._between(keyframe, near, log_scale)
         ways = [self._until(k, log_scale) + way for k, way in zip(near, between, strict=True)]
-        self._keyframes[keyframe.id] = _least(ways or [self.total])
+        self._keyframes[keyframe.id] = self._at_most_walked(_least(ways or [self.total]))
         if len(self._keyframes) > FORGET_ABOVE * len(world.keyframes) + 10:
             self._keyframes = {k: walk for k, walk in self._keyframes.items() if k in world.keyframes}
+            self._parallaxes = {k: deg for k, deg in self._parallaxes.items() if k in world.keyframes}
+
+    def _at_most_walked(self, drift: Walk) -> Walk:
+        """A drift in the map is no more than what `odom` has walked since the map began."""
+        began, total = self._at_beginning, self.total
+        if began is None:
+            return drift
+        return _least([drift, Walk(total.metres2 - began.metres2, total.radians2 - began.radians2)])
 
     def close(self, world: LocalMap, update: MapUpdate, log_scale: float) -> None:
         """A loop has joined two keyframes: what is around them is as sure as the surer of the two."""
@@ -175,12 +190,12 @@ class Drift:
         """What is added between two places that differ by ``motion`` (4, 4), map units."""
         return self._walk(float(np.linalg.norm(motion[:3, 3])), rotation_angle(motion[:3, :3]), log_scale)
 
-    def _walk(self, way: float, angle: float, log_scale: float) -> Walk:
-        """What is added over a way (map units) and a turn (rad)."""
-        c, way = self._config, math.exp(log_scale) * way
-        share2 = (c.drift_of_motion / self._parallax_deg) ** 2 + self.local_sigma**2
+    def _walk(self, way: float, angle: float, log_scale: float, parallax_deg: float | None = None) -> Walk:
+        """What is added over a way (map units) and a turn (rad), under the last frame's parallax if none."""
+        c, way, under = self._config, math.exp(log_scale) * way, parallax_deg or self._parallax_deg
+        share2 = (c.drift_of_motion / under) ** 2 + self.local_sigma**2
         per_m = c.drift_per_sqrt_m**2 + share2 * max(COHERENT_S * self._speed, min(way, COHERENT_M))
-        per_rad = (c.drift_per_sqrt_rad / self._parallax_deg) ** 2
+        per_rad = (c.drift_per_sqrt_rad / under) ** 2
         return Walk(per_m * way, per_rad * angle + c.turn_per_sqrt_m**2 * way)
 
     def _go(self, motion: Array, log_scale: float, depth: float) -> None:
@@ -225,7 +240,10 @@ class Drift:
         # Two rotations' matrices differ by sqrt(8) sin(angle / 2).
         chords = np.linalg.norm(there[:, :3, :3] - here[:3, :3], axis=(1, 2)) / math.sqrt(8.0)
         turns = 2.0 * np.arcsin(np.minimum(chords, 1.0))
-        return [self._walk(*both, log_scale) for both in zip(ways.tolist(), turns.tolist(), strict=True)]
+        mine = self._parallaxes.get(first.id, self._parallax_deg)
+        under = [min(mine, self._parallaxes.get(k.id, mine)) for k in others]
+        each = zip(ways.tolist(), turns.tolist(), under, strict=True)
+        return [self._walk(way, turn, log_scale, parallax_deg) for way, turn, parallax_deg in each]
 
 
 def _near(world: LocalMap, keyframe: LocalKeyframe) -> list[LocalKeyframe]:

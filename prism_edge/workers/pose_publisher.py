@@ -16,6 +16,7 @@ from prism_edge.tracking.odometry import ACCELERATION
 from prism_edge.tracking.tracker import FrameResult
 
 UNKNOWN_SPEED = 100.0  # m/s and rad/s: sigma of a velocity that nothing was measured of
+OWN_SHARE = 0.125  # of a pose's variance: the rest the next one, by the same points, has too (COVARIANCE.md)
 
 
 class PosePublisher:
@@ -116,7 +117,7 @@ class PosePublisher:
 
     @staticmethod
     def _velocity_covariance(of_pose: Array, velocity: Array, interval_s: float, scale_sigma: float) -> Array:
-        """Of the difference of two poses, as if both erred for themselves; what they share is scale.
+        """Of the difference of two poses, which share most of their errors; and that of scale.
 
         Beside that it is the mean over an interval, at whose end the velocity is another.
 
@@ -126,7 +127,8 @@ class PosePublisher:
             return np.eye(6) * UNKNOWN_SPEED**2
         most = UNKNOWN_SPEED**2 / max(float(np.diag(of_pose).max()), 1e-12)
         changed = min(0.5 * ACCELERATION * interval_s, UNKNOWN_SPEED) ** 2 * np.eye(6)
-        return with_scale_error(of_pose * min(2.0 / interval_s**2, most) + changed, velocity, scale_sigma)
+        of_two = of_pose * min(2.0 * OWN_SHARE / interval_s**2, most)
+        return with_scale_error(of_two + changed, velocity, scale_sigma)
 
 
 def turned(covariance: Array, axes_from_base: Array) -> Array:

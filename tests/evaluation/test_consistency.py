@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from prism_edge.config import FramesConfig
-from prism_edge.evaluation.consistency import relative_nees, scale_errors
+from prism_edge.evaluation.consistency import NO_NEES, pose_nees, relative_nees, scale_errors
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.trajectory import NS, Trajectory
 from prism_edge.geometry.mount import base_from_camera
@@ -56,6 +58,42 @@ def averages(runs: int = 25, **errors: float) -> np.ndarray:
     found = [relative_nees(*drawn(rng, **errors), MOUNT) for _ in range(runs)]
     assert all(nees.pairs == FRAMES - RATE for nees in found)
     return np.mean([[nees.all, nees.translation, nees.rotation] for nees in found], axis=0)
+
+
+def begun(recording: Recording, at: int = 0) -> Recording:
+    """The same, its map begun by a frame before the first pose that refers to it."""
+    stamp = at * NS // RATE
+    frames = [replace(f, keyframe=0) if f.index == at else f for f in recording.frames]
+    return replace(recording, frames=frames, poses=[p for p in recording.poses if p.stamp_ns > stamp])
+
+
+@pytest.mark.parametrize(("own", "scale"), [(1.0, 0.0), (1.0, 0.05), (4.0, 0.0)])
+def test_a_pose_by_itself_is_judged_by_all_that_is_published_with_it(own: float, scale: float):
+    rng, found = np.random.default_rng(7), []
+    for _ in range(25):
+        recording, truth = drawn(rng, own, scale)
+        nees = pose_nees(begun(recording), truth, MOUNT)
+        assert nees.pairs == FRAMES - RATE
+        found.append([nees.all, nees.translation, nees.rotation])
+    assert np.mean(found, axis=0) == pytest.approx([own] * 3, rel=0.3)  # one scale a run
+
+
+def test_an_error_that_stays_shows_in_poses_and_in_no_motion():
+    recording, truth = drawn(np.random.default_rng(0))
+    aside = se3_exp(np.array([0.02, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    moved = [replace(p, map_from_camera=aside @ p.map_from_camera) for p in recording.poses]
+    recording = replace(begun(recording), poses=moved)
+    assert pose_nees(recording, truth, MOUNT).translation == pytest.approx(0.02**2 / 3 / 2e-6, rel=0.3)
+    assert relative_nees(recording, truth, MOUNT).all == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_pose_is_judged_from_where_its_map_began_or_not_at_all():
+    recording, truth = drawn(np.random.default_rng(0))
+    assert pose_nees(recording, truth, MOUNT) == NO_NEES, "nobody says which frame began the map"
+    assert pose_nees(begun(recording), truth.at(truth.stamps > 0), MOUNT) == NO_NEES
+    assert pose_nees(Recording(), truth, MOUNT) == NO_NEES
+    assert pose_nees(begun(recording), truth.at(truth.stamps < NS), MOUNT) == NO_NEES
+    assert pose_nees(begun(recording, at=1), truth, MOUNT).translation > 100.0, "it began elsewhere"
 
 
 @pytest.mark.parametrize("scale", [0.0, 0.05])

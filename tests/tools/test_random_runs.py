@@ -27,7 +27,7 @@ def test_every_address_is_one_that_the_simulator_takes(draw: Draw):
 
 def metrics(live_m: float, nees: float) -> dict[str, object]:
     errors = {"live": {"ate_sim3_m": live_m}, "final": {"ate_sim3_m": live_m / 2}}
-    return {**errors, "coverage": 0.99, "nees_1s": nees, "scale_sigma_to_bias": 1.25}
+    return {**errors, "coverage": 0.99, "nees_1s": nees, "nees_pose": 2 * nees, "scale_sigma_to_bias": 1.25}
 
 
 def test_rows_and_averages():
@@ -44,7 +44,7 @@ def test_rows_and_averages():
     assert len(told) == 2
     assert "2 runs" in told[0]
     assert "live 2.0, final 1.0 cm" in told[0]
-    assert "mean 2.12, geometric 1.00, above 2 1, below 0.5 1" in told[0]
+    assert "mean 2.12, geometric 1.00, above 2 1, below 0.5 1; of poses geometric 2.00" in told[0]
 
 
 def test_runs_without_a_score_are_told_and_counted():

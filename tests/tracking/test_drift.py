@@ -32,9 +32,9 @@ class World:
         self.drift, self.log_scale = drift, log_scale
         self.last: np.ndarray | None = None
 
-    def walk_to(self, number: int, pose: np.ndarray, neighbours: list[int]) -> None:
-        """The camera goes there in a straight line and makes a keyframe."""
-        self.drift.advance(self.last, result(pose), self.log_scale)
+    def walk_to(self, number: int, pose: np.ndarray, neighbours: list[int], parallax: float = 1.0) -> None:
+        """The camera goes there in a straight line; its keyframe's points have that parallax, degrees."""
+        self.drift.advance(self.last, replace(result(pose), parallax_deg=parallax), self.log_scale)
         self.last = pose
         self.keyframes[number] = SimpleNamespace(id=number, world_from_camera=pose, neighbours=neighbours)
         for k in neighbours:
@@ -65,7 +65,7 @@ def test_a_frame_has_its_keyframe_s_drift_and_the_way_from_there():
     world = World(drift)
     world.walk_to(0, np.eye(4), [])
     world.walk_to(1, pose_at(4.0), [0])
-    drift.advance(None, result(pose_at(5.0), 1, pose_at(1.0)), 0.0)
+    drift.advance(world.last, result(pose_at(5.0), 1, pose_at(1.0)), 0.0)
     assert drift.here.metres2 == pytest.approx(0.02**2 * 5.0)
 
 
@@ -269,6 +269,33 @@ def test_what_was_seen_from_wider_apart_is_less_out_of_shape():
         assert radians == pytest.approx(0.01 / parallax_deg * np.sqrt(0.2))
     drift.advance(None, replace(result(pose_at(0.5), 7, pose_at(0.5)), parallax_deg=2.0), 0.0, 1_100_000_000)
     assert drift.here.sigmas()[0] == pytest.approx(0.05 / 2.0 * 0.5), "by what is seen now"
+
+
+def test_points_that_are_seen_better_since_leave_keyframes_where_they_are():
+    """What a keyframe was off by as it was made, before its points had parallax, its neighbours are, too."""
+    drift = Drift(CONFIG)
+    world = World(drift)
+    world.walk_to(0, np.eye(4), [])
+    for number, angle, parallax in ((1, 0.5, 0.5), (2, 0.6, 10.0), (3, 0.1, 10.0)):
+        turned = from_rt(so3_exp(np.array([0.0, angle, 0.0])), np.zeros(3))
+        world.walk_to(number, turned, list(range(number)), parallax)
+    early, later = 0.02**2, 0.001**2  # a radian
+    assert world.drift_at(1).radians2 == pytest.approx(early * 0.5)
+    assert world.drift_at(2).radians2 == pytest.approx(early * 0.5 + later * 0.1)
+    assert world.drift_at(3).radians2 == pytest.approx(early * 0.1), "beside the first, which began the map"
+
+
+def test_drift_in_the_map_is_no_more_than_the_walk_since_it_began():
+    drift = Drift(CONFIG)
+    World(drift).walk_to(0, np.eye(4), [])
+    world = World(drift)
+    drift.forget()
+    for number, x in enumerate((5.0, 6.0, 8.0)):  # the way to where the second map begins is none of its own
+        world.walk_to(number, pose_at(x), [number - 1] if number else [], parallax=4.0)
+    drift.advance(pose_at(8.0), replace(result(pose_at(9.0), 0, pose_at(4.0)), parallax_deg=4.0), 0.0)
+    assert drift.here.metres2 == pytest.approx(0.02**2 * 4.0)
+    drift.advance(pose_at(9.0), replace(result(pose_at(9.0), 0, pose_at(40.0)), parallax_deg=4.0), 0.0)
+    assert drift.here.metres2 == pytest.approx(0.02**2 * 4.0)
 
 
 def test_a_place_is_no_surer_for_standing_there():

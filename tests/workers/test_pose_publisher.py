@@ -16,6 +16,7 @@ from prism_edge.tracking.drift import Walk
 from prism_edge.tracking.tracker import FrameResult
 from prism_edge.workers.pose_publisher import (
     ACCELERATION,
+    OWN_SHARE,
     UNKNOWN_SPEED,
     PosePublisher,
     with_scale_error,
@@ -253,7 +254,7 @@ def test_the_twist_s_covariance_is_that_of_two_disturbed_cameras_and_of_scale(in
     odom = publish(pose, MOUNTED, twist=twist, interval_s=interval_s, sigma=sigma)["odom"]
     stated = np.asarray(odom.twist.covariance).reshape(6, 6)
     base, after, found = mount(MOUNTED), pose @ se3_exp(interval_s * twist), []
-    for first, second in rng.multivariate_normal(np.zeros(6), COVARIANCE, (4000, 2)):
+    for first, second in rng.multivariate_normal(np.zeros(6), OWN_SHARE * COVARIANCE, (4000, 2)):
         step = inverse(pose @ se3_exp(first)) @ after @ se3_exp(second)
         step[:3, 3] *= np.exp(rng.normal(0.0, sigma))
         moved = base @ step @ inverse(base)

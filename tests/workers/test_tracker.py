@@ -81,7 +81,8 @@ def test_keyframes_go_out_with_their_picture_and_are_named_in_the_tick(bus, worl
 
 def test_the_scale_turns_units_into_metres_and_its_error_into_covariance(bus, world):
     world.scale = lambda keyframe: scale_of(keyframe, np.log(1.5), 0.2)
-    scale_alone = CovarianceConfig(refinement=0.01, moment_ms=0.0)
+    no_drift = {"drift_of_motion": 0.0, "drift_per_sqrt_m": 0.0, "drift_per_sqrt_rad": 0.0}
+    scale_alone = CovarianceConfig(refinement=0.01, moment_ms=0.0, turn_per_sqrt_m=0.0, **no_drift)
     run(bus, [frame(i) for i in range(30)], replace(CONFIG, covariance=scale_alone))
     message = bus.of("pose")[-1]
     # The first depth came before the first scale did: a unit is a metre of the network.
