@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -17,6 +18,7 @@ from prism_edge.sources import Image, Source
 
 _LOOKED_AT = 300  # images of a recording, evenly chosen, that are searched
 _SPACING_NS = 200_000_000  # between them where nobody knows how many there are
+_SAID_EVERY_S = 5.0
 _ENOUGH = 25  # different views at which a live camera is let go, if they cover the image and suffice
 MOST = 60  # views that are used
 
@@ -67,11 +69,13 @@ def gather(source: Source, board: Board, say: Callable[[str], None], model: str 
         except KeyboardInterrupt:
             say("ended")
     else:
-        _play(source, board, gathered)
+        _play(source, board, gathered, say)
     return gathered
 
 
-def _play(source: Source, board: Board, gathered: Gathered) -> None:
+def _play(source: Source, board: Board, gathered: Gathered, say: Callable[[str], None]) -> None:
+    """Looks at a recording; a large image takes seconds, so that it is said how far that is."""
+    said_s = time.monotonic()
     step = math.ceil((source.frame_count or 0) / _LOOKED_AT)
     next_ns: int | None = None
     while (slot := source.peek()) is not None:
@@ -83,6 +87,10 @@ def _play(source: Source, board: Board, gathered: Gathered) -> None:
         item = source.read()
         if isinstance(item, Image):
             gathered.look(board, item)
+        if time.monotonic() - said_s >= _SAID_EVERY_S:
+            said_s = time.monotonic()
+            of = f" of {math.ceil(source.frame_count / step)}" if source.frame_count and step else ""
+            say(f"{gathered.looked}{of} images looked at, the board in {gathered.found}")
 
 
 def _watch(

@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     """Gather, solve, judge, write. Raises ConfigError, SourceError or CalibrationError."""
     from prism_edge.calibration.board import Board
     from prism_edge.cli.board_views import gather
-    from prism_edge.sources.image_folder import coverage_of
+    from prism_edge.sources.image_folder import coverage_of, refused_coverage_of
     from prism_edge.sources.listing import files_in
     from prism_edge.sources.open import open_source
 
@@ -77,11 +77,14 @@ def run(args: argparse.Namespace) -> int:
     with source:
         print(f"looking for {args.board} in {source.name}", flush=True)
         gathered = gather(source, board, lambda line: print(line, flush=True), args.model)
-    return _finish(args, board, gathered, source.name, out, picture)
+    # What a refused try shows is not to take the place of what belongs to the camera file that stays.
+    refused = refused_coverage_of(out) if out.exists() and not args.picture else picture
+    return _finish(args, board, gathered, source.name, out, picture, refused)
 
 
 def _finish(
-    args: argparse.Namespace, board: Board, gathered: Gathered, name: str, out: Path, picture: Path
+    args: argparse.Namespace, board: Board, gathered: Gathered, name: str, out: Path, picture: Path,
+    refused: Path,
 ) -> int:
     import cv2
 
@@ -100,11 +103,11 @@ def _finish(
     width, height = gathered.width, gathered.height
     outlines = [gathered.outlines[k] for k in chosen]
     encoded = cv2.imencode(".png", coverage.draw(views, outlines, width, height))[1]
-    put_whole(picture, encoded.tobytes())  # also of what is refused: it shows why
-    _refuse(verdict.of_views(views, seen, width, height))
+    put_whole(refused, encoded.tobytes())  # it shows why
+    _refuse(verdict.of_views(views, seen, width, height), refused)
     result = calibrate(board, views, width, height, args.model)
     encoded = cv2.imencode(".png", coverage.draw(views, outlines, width, height, result))[1]
-    put_whole(picture, encoded.tobytes())
+    put_whole(refused, encoded.tobytes())
     camera, used = result.camera, [views[k] for k in result.used]
     print(f"board found in {seen} of {gathered.looked} images, {len(used)} different views used")
     print(f"reprojection error {result.rms:.3f} pixels (rms)")
@@ -114,12 +117,14 @@ def _finish(
         print(f"{label:<3}{value:10.3f}  +- {sigma:.3f}")
     print(f"distortion {', '.join(f'{value:.5f}' for value in camera.distortion)}")
     share = (verdict.covered(used, width, height) > 0).mean()
-    print(f"corners in {share:.0%} of the image; picture: {picture}")
+    print(f"corners in {share:.0%} of the image")
     if doubt := verdict.doubt(camera):
         print(f"note: {doubt}")
-    _refuse(verdict.of_calibration(views, seen, result))
+    _refuse(verdict.of_calibration(views, seen, result), refused)
     readout_ms = _readout_of(out)
     put_whole(out, camera_text(result, len(used), name, args.board, readout_ms).encode())
+    refused.replace(picture)
+    print(f"picture: {picture}")
     kept = "" if readout_ms is None else f" (with the readout_ms of {readout_ms:g} that it had)"
     print(f"camera file: {out}{kept}")
     return 0
@@ -135,6 +140,6 @@ def _readout_of(out: Path) -> float | None:
         return None
 
 
-def _refuse(problems: list[str]) -> None:
+def _refuse(problems: list[str], picture: Path) -> None:
     if problems:
-        raise CalibrationError("; ".join(problems))
+        raise CalibrationError(f"{'; '.join(problems)} (picture: {picture})")

@@ -13,7 +13,7 @@ from prism_edge.scale.gate import DepthView
 
 _SUMS = 10  # weight, position, normal, colour
 _MOST_STEPS = 1 << 20  # voxels along an axis, either way: three of them fit into 64 bits
-_FLUSH = 4_000_000  # points that are waited with until they are laid together
+_FLUSH = 2_000_000  # points that are waited with until they are laid together
 _BENT = 1.25  # a surface's depth changes by less from a pixel to the next: else it is an edge
 _STEEPEST = 0.15  # cosine between normal and ray: what is seen under less than 9 degrees is mostly an outline
 
@@ -33,7 +33,7 @@ class Voxels:
 
     size: float  # m
     _keys: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
-    _sums: Array = field(default_factory=lambda: np.zeros((0, _SUMS)))
+    _sums: list[Array] = field(default_factory=lambda: [np.zeros(0) for _ in range(_SUMS)])
     _waiting: list[tuple[NDArray[np.int64], Array]] = field(default_factory=list)
     _count: int = 0
 
@@ -54,19 +54,27 @@ class Voxels:
     def cloud(self) -> Cloud:
         """One point a voxel, by the order of the voxels."""
         self._lay_together()
-        sums = self._sums
-        means = sums[:, 1:] / sums[:, :1]
-        length = np.linalg.norm(means[:, 3:6], axis=1, keepdims=True)
-        normals = means[:, 3:6] / np.where(length > 0, length, 1.0)
-        return Cloud(means[:, :3], normals, np.clip(np.rint(means[:, 6:]), 0, 255).astype(np.uint8))
+        weight, sums = self._sums[0], self._sums
+        points = np.column_stack([one / weight for one in sums[1:4]])
+        normals = np.column_stack([one / weight for one in sums[4:7]])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals /= np.where(length > 0, length, 1.0)
+        colours = [np.clip(np.rint(one / weight), 0, 255).astype(np.uint8) for one in sums[7:]]
+        return Cloud(points, normals, np.column_stack(colours))
 
     def _lay_together(self) -> None:
-        keys = np.concatenate([self._keys, *(k for k, _ in self._waiting)])
-        rows = np.concatenate([self._sums, *(r for _, r in self._waiting)])
-        self._keys, where = np.unique(keys, return_inverse=True)
-        self._sums = np.stack(
-            [np.bincount(where, rows[:, i], len(self._keys)) for i in range(_SUMS)], axis=1
-        )
+        """Column by column, and what is new between what is sorted: a street has ten million voxels."""
+        if not self._waiting:
+            return
+        keys, where = np.unique(np.concatenate([k for k, _ in self._waiting]), return_inverse=True)
+        at = np.searchsorted(self._keys, keys)
+        known = np.append(self._keys, -1)[at] == keys
+        before = at[~known]
+        for i, column in enumerate(self._sums):
+            added = np.bincount(where, np.concatenate([rows[:, i] for _, rows in self._waiting]), len(keys))
+            column[at[known]] += added[known]
+            self._sums[i] = np.insert(column, before, added[~known])
+        self._keys = np.insert(self._keys, before, keys[~known])
         self._waiting, self._count = [], 0
 
 

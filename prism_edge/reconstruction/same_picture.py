@@ -7,9 +7,9 @@ import numpy as np
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.matching import candidate_pairs, hamming
 
-RADIUS = 3.0  # pixels; a rolling shutter's keypoints were moved, but hardly those of its middle rows
+RADIUS = 15.0  # pixels: keypoints of a rolling shutter were moved, in a fast turn by ten and more
 ALIKE = 40  # bits of 256 that may differ
-LEAST_SHARE = 0.25  # of the fewer corners: own pictures have 0.3 and more, others seldom 0.2
+LEAST_SHARE = 0.4  # of the fewer corners: own pictures have 0.9, one beside it 0.26, other places 0.01
 LEAST = 20  # corners, of fewer nothing can be told
 
 

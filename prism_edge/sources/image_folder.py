@@ -26,7 +26,8 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     """
     files = files_in(folder)
     found = tuple(path for path in files if path.suffix.lower() in SUFFIXES)
-    pictures = {coverage_of(path) for path in files if path.suffix.lower() not in SUFFIXES}
+    others = [path for path in files if path.suffix.lower() not in SUFFIXES]
+    pictures = {of(path) for path in others for of in (coverage_of, refused_coverage_of)}
     images = tuple(path for path in found if not _is_no_frame(path, pictures)) or found
     if not images:
         return None
@@ -44,6 +45,12 @@ def coverage_of(camera_file: Path) -> Path:
     if camera_file.suffix.lower() in (".yaml", ".yml"):
         return camera_file.with_suffix(COVERAGE)
     return camera_file.with_name(camera_file.name + COVERAGE)  # cam.left and cam.right are two cameras
+
+
+def refused_coverage_of(camera_file: Path) -> Path:
+    """That of a try that was refused, beside a camera file that is there: its own stays as it is."""
+    picture = coverage_of(camera_file)
+    return picture.with_name(picture.name.removesuffix(COVERAGE) + ".refused" + COVERAGE)
 
 
 def _is_no_frame(image: Path, pictures: Set[Path]) -> bool:

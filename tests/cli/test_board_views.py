@@ -52,11 +52,15 @@ class Recording:
     ],
 )
 def test_no_more_of_a_recording_is_searched_than_shows_its_views(
-    frames: int, count: int | None, read: Any
+    frames: int, count: int | None, read: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     source: Any = Recording(frames, count)
-    gathered = gather(source, NOWHERE, print)
+    said: list[str] = []
+    monkeypatch.setattr(board_views, "_SAID_EVERY_S", 0.0)
+    gathered = gather(source, NOWHERE, said.append)
     assert source.decoded == list(read)
+    of = f" of {len(read)}" if count else ""
+    assert said[-1] == f"{gathered.looked}{of} images looked at, the board in 0"
     assert gathered.looked == len(read) - (2 in read)
     assert gathered.found == 0
 

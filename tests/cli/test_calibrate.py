@@ -145,6 +145,28 @@ def test_the_picture_of_another_camera_stays_even_where_the_views_are_refused(
     assert len(find_listing(tmp_path).files) == 5
 
 
+def test_a_try_that_is_refused_leaves_the_camera_file_and_its_picture(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few, out = tmp_path / "few", tmp_path / "cam.yaml"
+    few.mkdir()
+    for k, image in enumerate(gallery(SPEC, PINHOLE_CAMERA)[1][:5]):
+        cv2.imwrite(str(few / f"{k}.png"), image)
+    assert calibrate(recording, "--board", SPEC, "--out", out) == 0
+    kept = {path: path.read_bytes() for path in (out, coverage_of(out))}
+    error = refused(capsys, 9, few, "--board", SPEC, "--out", out, "--overwrite")
+    assert {path: path.read_bytes() for path in kept} == kept
+    why = tmp_path / "cam.refused.coverage.png"
+    assert f"(picture: {why})" in error
+    assert cv2.imread(str(why)) is not None
+    (few / "cam.yaml").write_text("")
+    why.rename(few / why.name)
+    assert len(find_listing(few).files) == 5, "it is no frame of the folder"
+    (few / why.name).rename(why)
+    assert calibrate(recording, "--board", SPEC, "--out", out, "--overwrite") == 0
+    assert not why.exists()
+
+
 def test_too_few_views_that_are_sharp(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     images = gallery(SPEC, PINHOLE_CAMERA)[1][:11]  # two are alike, and one is left out
     for k, image in enumerate(images):

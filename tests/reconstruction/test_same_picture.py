@@ -58,6 +58,16 @@ def test_a_keyframe_may_have_a_few_of_the_corners_that_are_found_now(frame: int)
 
 
 @pytest.mark.parametrize("frame", [0, 40, 100])
+def test_a_keyframe_s_corners_may_have_been_moved_for_a_rolling_shutter(frame: int) -> None:
+    """A readout of 33 ms in a turn of 60 degrees a second: 13 pixels at the first row and the last."""
+    luma = drawn(frame)
+    kept = corners(luma)
+    kept.pixels[:, 0] += 13.0 * (kept.pixels[:, 1] / 119.5 - 1.0)
+    assert is_picture_of(corners(noisy(luma)), kept)
+    assert not is_picture_of(corners(drawn(frame, seed=4)), kept)
+
+
+@pytest.mark.parametrize("frame", [0, 40, 100])
 def test_another_is_not(frame: int) -> None:
     mine = corners(drawn(frame))
     assert not is_picture_of(corners(drawn(frame, seed=4)), mine)
