@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -14,13 +15,14 @@ from prism_edge.backend.free_points import explained
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common, radial
-from prism_edge.backend.loops import Loop, Surroundings, median_depth, plausible, verify
+from prism_edge.backend.loops import MIN_SCALED, Loop, Surroundings, median_depth, plausible, verify
 from prism_edge.backend.places import candidates, half_known
 from prism_edge.config import BackendConfig
 from prism_edge.errors import first_line
 from prism_edge.geometry.poses import Array, inverse, rotation_angle, scaled
 from prism_edge.messages import F32
 from prism_edge.tracking.place_index import PlaceIndex
+from prism_edge.tracking.point_table import TRIANGULATED_DEG
 
 log = logging.getLogger("prism_edge.backend")
 
@@ -28,6 +30,7 @@ CANDIDATES, HALF_KNOWN = 5, 2  # verified for each keyframe at most: look-alikes
 AGREEING = 2  # neighbours of the query that must see the place; or the keyframes after it
 PATIENCE = 3  # keyframes within which another must confirm a loop whose query has too few neighbours
 SAME_ANGLE, SAME_SHIFT = np.radians(3.0), 0.15  # how far two loops of one return may differ; median depths
+PLACE_TO_PLACE = 0.06  # of the log of a part's unit, sigma: it wavers (scale/spread.py)
 EXPLAINED = 0.8  # of a loop's points by the map as it stands: nothing is to be moved
 SLIGHT_STRETCH = 0.02  # a window's own work mends that
 SAME_RETURN = 5  # keyframes within which coming back to one place is one return
@@ -35,6 +38,13 @@ FUSED_NEIGHBOURS, FUSE_RADIUS = 5, 5.0
 MOST_ACCEPTED = 1000  # remembered; the map itself has had what an older one had to say
 REST = 8  # keyframes between the beginnings of two global adjustments
 REST_NS = 10_000_000_000  # or so long: a camera in a known place makes hardly any
+
+
+UnitsKnown = Callable[[int, int], tuple[float, float] | None]  # of two parts: (log, sigma)
+
+
+def _nothing_known(part: int, other: int) -> None:
+    return None
 
 
 @dataclass(frozen=True)
@@ -84,10 +94,11 @@ class LoopCloser:
         """Note what a keyframe looks like to the network; False where that says nothing."""
         return keyframe in self._world.keyframes and self.index.add(keyframe, descriptor, network)
 
-    def look(self, query: int) -> Accepted | None:
+    def look(self, query: int, known: UnitsKnown = _nothing_known) -> Accepted | None:
         """Look for a return to an earlier place; what is accepted is in the map when this returns.
 
-        ``query`` is the newest keyframe, or one whose descriptor has come since.
+        ``query`` is the newest keyframe, or one whose descriptor has come since. ``known`` is asked for the
+        log of one part's unit in another's, and its sigma, where a loop joins two: None, nothing.
         """
         if query > self._newest:
             self._newest = query
@@ -96,7 +107,7 @@ class LoopCloser:
                 self._now_ns = self._world.keyframes[query].stamp_ns
         self._part = None
         for loop in self._verified(query):
-            if self._confirmed(loop) and self._close(loop):
+            if self._confirmed(loop) and self._close(self._with_known_units(loop, known)):
                 return self.accepted[-1]
         return None
 
@@ -156,6 +167,32 @@ class LoopCloser:
 
     def _pairs(self) -> list[tuple[int, int]]:
         return [(a.candidate, a.query) for a in self.accepted]
+
+    def _with_known_units(self, loop: Loop, known: UnitsKnown) -> Loop:
+        """Between two parts of the map: with the units' ratio weighed against what is known of it otherwise.
+
+        A loop measures it by a few points at the very place where it closes, and a part made on the way home,
+        by turns, has there another unit than elsewhere. Points that nothing has triangulated yet are all off
+        together, as one depth image placed them: they measure nothing.
+        """
+        view, there = (self._world.keyframes[k] for k in (loop.query, loop.candidate))
+        if view.part is None or there.part is None or self._connected(loop):
+            return loop
+        if (told := known(view.part, there.part)) is None:
+            return loop
+        by_metres, their_sigma = told
+        if self._firm(view, loop) < MIN_SCALED:
+            return replace(loop, scale=math.exp(by_metres), log_scale_sigma=their_sigma)
+        sigma = math.hypot(loop.log_scale_sigma, PLACE_TO_PLACE)
+        share = their_sigma**2 / (their_sigma**2 + sigma**2)
+        log_scale = share * math.log(loop.scale) + (1.0 - share) * by_metres
+        return replace(loop, scale=math.exp(log_scale), log_scale_sigma=sigma * math.sqrt(share))
+
+    def _firm(self, view: GlobalKeyframe, loop: Loop) -> int:
+        """How many points of a loop the query sees by triangulated ones of its own, too."""
+        own, points = {keypoint: point for point, keypoint in view.observed.items()}, self._world.points
+        mine = (own[keypoint] for keypoint, point in loop.pairs if own.get(keypoint, point) != point)
+        return sum(points[p].parallax_deg >= TRIANGULATED_DEG for p in mine if p in points)
 
     def _close(self, loop: Loop) -> bool:
         world = self._world

@@ -1,9 +1,9 @@
 """Finding a lost camera anywhere in the map, a few keyframes with each frame.
 
 Which keyframes first is the depth network's word: it sees the lost camera's picture (a *probe*) and its
-descriptor ranks all keyframes. Until it has answered, and where it gives none, the newest come first and
-then all others in turn. A pose counts once a second frame confirms it: what was published wrongly can't be
-taken back.
+descriptor ranks all keyframes. Beside what it names, all have their turn, the newest first: it is asked again
+and again, and may be wrong each time. A pose counts once a second frame confirms it: what was published
+wrongly can't be taken back.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.recovery import locate
 
 TRIES = 2  # keyframes tried with a frame; each takes some 10 ms
-RANKED = 8  # keyframes of the network's ranking that are tried before the round goes on
+RANKED = 8  # keyframes of the network's ranking that are tried, one with each frame
 NEAR = 3  # covisible keyframes beside the newest that are tried first
 CERTAIN = 2.0  # times the matches that tracking needs
 SAME_ANGLE, SAME_SHIFT = np.radians(10.0), 0.2  # a frame later, at 30 Hz; of the median depth
@@ -35,12 +35,14 @@ class Relocaliser:
     def __init__(self, seed: int = 0) -> None:
         self._seed = seed
         self.index = PlaceIndex()
+        self._named: deque[int] = deque()  # by the network, best first
         self._round: deque[int] = deque()
         self._tentative: TrackedFrame | None = None
         self._looked_ns = 0
 
     def begin(self) -> None:
         """Tracking has just been lost."""
+        self._named.clear()
         self._round.clear()
         self._tentative = None
 
@@ -63,7 +65,7 @@ class Relocaliser:
                 covered.update(world.keyframes[k].neighbours[:2])
             if len(named) == RANKED:
                 break
-        self._round = deque([*named, *(k for k in self._round if k not in named)])
+        self._named = deque(named)
 
     def attempt(
         self,
@@ -115,14 +117,14 @@ class Relocaliser:
         return frame if frame is not None and frame.matched >= enough else None
 
     def _next(self, world: LocalMap) -> list[int]:
-        """The next keyframes of the round; a new round once all have had their turn."""
+        """The next that was named, and the next of the round; a new round once all have had their turn."""
+        self._round = self._round or self._new_round(world)
         chosen: list[int] = []
-        waiting = self._round or self._new_round(world)
-        while waiting and len(chosen) < TRIES:
-            k = waiting.popleft()
-            if k in world.keyframes:
-                chosen.append(k)
-        self._round = waiting
+        for waiting, most in ((self._named, TRIES - 1), (self._round, TRIES)):
+            while waiting and len(chosen) < most:
+                k = waiting.popleft()
+                if k in world.keyframes and k not in chosen:
+                    chosen.append(k)
         return chosen
 
     @staticmethod

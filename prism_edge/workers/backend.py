@@ -11,6 +11,7 @@ import numpy as np
 from prism_edge.backend.loop_closing import Accepted
 from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.part_units import PartUnits
 from prism_edge.bus.commands import Reply
 from prism_edge.bus.session import Bus
 from prism_edge.config import Config
@@ -67,11 +68,11 @@ class BackendWorker:
         self._arrivals = Arrivals(self._peers, self._use_depth)
         self._unsolved: Keyframe | None = None  # absorbed for who asked for the map
         self._late: int | None = None  # the newest keyframe whose descriptor came after it was looked at
-        self._home_scale, self._log_scale = KnownScale(), 0.0  # of the map's first part; where the camera is
+        self._home_scale, self._units = KnownScale(), PartUnits()  # of the map's first part; of all
         self._settled, self._adjusting_since_ns = False, 0
         recovered = self._keeper.recover()
         if recovered is not None:
-            self._home_scale, self._log_scale = recovered, recovered.log_scale
+            self._home_scale, self._units = recovered, PartUnits(recovered.log_scale)
         # A whole run's map, not a life's: the new scale filter does not know its unit.
         self._untold = recovered is not None and not bus.life
         self._snapshot = self._take_snapshot()
@@ -179,7 +180,7 @@ class BackendWorker:
             # A scale process that knows nothing yet takes nothing from what is known here.
             numbers = scale.log_scale, scale.map_log_scale
             if scale.epoch == self._mapper.epoch and scale.metric and np.isfinite(numbers).all():
-                self._log_scale = scale.map_log_scale
+                self._units.hear(scale)
                 if scale.part == HOME:  # what is kept, and told to others, is of that one's unit
                     told = scale.log_scale, scale.known_to, scale.bias_sigma, scale.network
                     self._home_scale = KnownScale(*told, scale.lost_sigma)
@@ -194,8 +195,8 @@ class BackendWorker:
         useful = depth.valid and self._use_depth
         if useful:
             self._mapper.add_late_depth(
-                depth.keyframe, depth.depth, depth.image_to_depth, self._log_scale, depth.frame_sigma,
-                depth.model,
+                depth.keyframe, depth.depth, depth.image_to_depth, self._units.log_scale,
+                depth.frame_sigma, depth.model,
             )
         if not self._close_loops:
             return useful
@@ -212,7 +213,7 @@ class BackendWorker:
     def _begin(self, epoch: int) -> None:
         """A new map, of which nothing is there yet: nobody is to go on in the one before."""
         self._mapper.begin(epoch)
-        self._home_scale, self._log_scale = KnownScale(), 0.0
+        self._home_scale, self._units = KnownScale(), PartUnits()
         self._arrivals.begin(epoch)
         self._unsolved = self._late = None
         self._untold = False
@@ -229,7 +230,8 @@ class BackendWorker:
             self._mapper.add_gate(gate)
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
             self._mapper.add_depth(
-                keyframe, depth.depth, depth.image_to_depth, self._log_scale, depth.frame_sigma, depth.model
+                keyframe, depth.depth, depth.image_to_depth, self._units.log_scale,
+                depth.frame_sigma, depth.model,
             )
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
             self._mapper.loops.add_place(keyframe.id, depth.descriptor, depth.model)
@@ -245,10 +247,10 @@ class BackendWorker:
                     adjusted = self._adjust_further()
             adjusted |= bool(self._shutter.look())
         began_ns, began_cpu = time.monotonic_ns(), time.process_time()
-        update = self._mapper.optimise(keyframe.id, self._log_scale)
+        update = self._mapper.optimise(keyframe.id, self._units.log_scale)
         if update is not None:
             self._tell_solved(False, self._mapper.window, began_ns, time.process_time() - began_cpu)
-        closed = loops.look(keyframe.id) if self._close_loops else None
+        closed = self._look(keyframe.id) if self._close_loops else None
         if closed is not None or adjusted:
             update = self._mapper.whole(keyframe.id, loops.take_changes(), update, closed)
             self._keeper.overhauled()
@@ -261,11 +263,20 @@ class BackendWorker:
         self._bus.pulse.idle()
         return update
 
+    def _look(self, keyframe: int) -> Accepted | None:
+        """For a return to an earlier place; parts that it joins have one unit at once."""
+        closed = self._mapper.loops.look(keyframe, self._units.between)
+        if closed is not None and closed.units is not None:
+            query, candidate = (self._mapper.world.keyframes[k] for k in (closed.query, closed.candidate))
+            if query.part is not None and candidate.part is not None:
+                self._units.join(query.part, candidate.part, closed.units[0])
+        return closed
+
     def _look_again(self, keyframe: int) -> None:
         """By a descriptor that was not there yet when the keyframe was looked at."""
         self._bus.pulse.working(f"place of keyframe {keyframe}", _SOLVE_S)
         self._late = None
-        if (closed := self._mapper.loops.look(keyframe)) is not None:
+        if (closed := self._look(keyframe)) is not None:
             self._settled = False
             self._tell_whole(closed)
         self._rest()
@@ -290,7 +301,7 @@ class BackendWorker:
         loops = self._mapper.loops
         if not loops.under_way:
             self._adjusting_since_ns = time.monotonic_ns()
-        if (adjusted := loops.adjust(float(np.exp(-self._log_scale)))) is not None:
+        if (adjusted := loops.adjust(float(np.exp(-self._units.log_scale)))) is not None:
             self._tell_solved(True, len(adjusted.poses), self._adjusting_since_ns, adjusted.cpu_s)
         return adjusted is not None
 
@@ -338,7 +349,7 @@ class BackendWorker:
         try:
             heard = self._bus.ask("epoch", _ASK_S)  # None: it is down, and takes over what there is then
             self._home_scale, said = self._keeper.load(argument, 0 if heard is None else heard.epoch)
-            self._log_scale = self._home_scale.log_scale
+            self._units = PartUnits(self._home_scale.log_scale)
         finally:
             self._rest()
         self._arrivals.give_up()

@@ -81,6 +81,19 @@ def test_a_wrong_word_only_costs_time(place):
     assert any(frame is not None for frame in found)
 
 
+@pytest.mark.parametrize("rate_hz", [30, 10, 3])
+def test_a_word_that_is_wrong_each_time_takes_no_keyframe_s_turn_from_it(place, rate_hz: int):
+    """The network is asked three times a second, which is as often as a slow camera sees something."""
+    cloud, world = place
+    lost, true, found, asked_ms = Lost(world), at(HEADINGS[9]), None, -300.0
+    for i in range(LAP):
+        if i * 1000 / rate_hz - asked_ms >= 300:
+            asked_ms = i * 1000 / rate_hz
+            lost.relocaliser.heard(world, looks(HEADINGS[9] + np.pi))
+        found = found or lost.see(cloud.view(true, bits=15)[0], 1000 // rate_hz)
+    assert found is not None
+
+
 @pytest.mark.parametrize(
     "descriptor", [np.ones(32), np.zeros(32), np.full(32, np.nan), np.zeros(0), np.ones(7)], ids=str
 )
@@ -163,7 +176,7 @@ def test_the_network_s_word_names_places_that_lie_apart(place):
         keyframe.neighbours = [(k - 1) % LAP, (k + 1) % LAP]
     lost = Lost(world)
     lost.relocaliser.heard(world, looks(HEADINGS[9]))
-    named = [k for _ in range(4) for k in lost.relocaliser._next(world)]
+    named = [lost.relocaliser._next(world)[0] for _ in range(RANKED)]
     assert named[0] == 9
     assert len(set(named)) == RANKED
     assert all((a - b) % LAP not in (1, LAP - 1) for a in named for b in named)

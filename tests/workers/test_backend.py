@@ -168,15 +168,15 @@ def test_a_part_s_scale_is_not_the_map_s(tmp_path):
     hear(made, bus, told[:3], teller, log_scale=0.25)
     bus.give("log_scale", scale_of(told[2], 0.8, part=told[2].id, map_log_scale=0.9))
     hear(made, bus, told[3:], teller, log_scale=NAN)
-    assert made._log_scale == 0.9
+    assert made._units.log_scale == 0.9
     assert snapshot(bus).log_scale == bus.answers["map_loaded"]().log_scale == 0.25
     assert made._keeper.whole(made._home_scale).log_scale == 0.25
     made._save_map("lab")
     assert made._load_map("lab").ok
-    assert bus.of("map_loaded")[-1].log_scale == made._log_scale == 0.25
+    assert bus.of("map_loaded")[-1].log_scale == made._units.log_scale == 0.25
     again, new = keyframes(1, epoch=5000, first=4)
     hear(made, bus, new, again, log_scale=NAN)
-    assert (made._log_scale, made._home_scale) == (0.0, KnownScale())
+    assert (made._units.log_scale, made._home_scale) == (0.0, KnownScale())
 
 
 def test_the_snapshot_is_the_whole_map():

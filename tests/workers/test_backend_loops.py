@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from prism_edge.backend.loop_closing import Accepted
 from prism_edge.config import Config
-from prism_edge.messages import Depth, EndOfStream, Keyframe
+from prism_edge.messages import HOME, Depth, EndOfStream, Keyframe
 from prism_edge.workers import arrivals
 from prism_edge.workers import backend as worker
 from tests.backend.ring import Ring, position_error
 from tests.synthetic.messages import depth_of, tick
-from tests.workers.backend_bench import CONFIG, LOCKSTEP, gate_of, scale_of, snapshot
+from tests.workers.backend_bench import CONFIG, LOCKSTEP, gate_of, hear, keyframes, scale_of, snapshot
 from tests.workers.list_bus import ListBus
 
 pytestmark = pytest.mark.usefixtures("impatient")
@@ -127,3 +129,25 @@ def test_the_end_waits_for_the_global_adjustment_of_the_last_loop():
     assert {bus.states[i + 1] for i in steps} <= {"idle", "ended"}, "else the watchdog counts on"
     assert bus.of("map_loaded") == [], "it is the run's own map"
     assert snapshot(bus).settled
+
+
+def test_windows_go_by_the_unit_that_a_part_has_since_it_was_joined(monkeypatch):
+    """What is told of it before the tracker has heard of the loop is of a unit that is no more."""
+    bus, (teller, told) = ListBus("keyframe"), keyframes(5)
+    made = worker.BackendWorker(CONFIG, bus)
+    asked, loops, optimise = [], made._mapper.loops, made._mapper.optimise
+    monkeypatch.setattr(made._mapper, "optimise", lambda k, units: asked.append(units) or optimise(k, units))
+    hear(made, bus, told[:2], teller, log_scale=0.25)
+    part = told[2].id
+    for keyframe in told[2:4]:
+        bus.give("log_scale", scale_of(keyframe, 0.9, part=part))
+        hear(made, bus, [replace(keyframe, part=part)], teller, log_scale=math.nan)
+    assert asked[2:] == [0.9, 0.9]
+    joining = Accepted(told[3].id, told[0].id, 30, 0, np.eye(4), 50, units=(0.65, 0.05))
+    known = []
+    monkeypatch.setattr(loops, "look", lambda k, between: known.append(between(part, HOME)) or joining)
+    made._look(told[3].id)
+    assert known[0][0] == pytest.approx(0.65)
+    bus.give("log_scale", scale_of(told[4], 0.95, part=part))
+    hear(made, bus, [replace(told[4], part=part)], teller, log_scale=math.nan)
+    assert asked[4:] == [0.25]
