@@ -138,7 +138,7 @@ class Pictures:
             extractor = self._extractors[_size(view)] = OrbExtractor(self._tracking)
             if self._mask is not None:
                 extractor.look_only_at(self._mask(*_size(view)))
-        return is_picture_of(extractor.extract(grey, view.camera), view.features)
+        return is_picture_of(extractor.extract(grey, view.camera), view.features, view.camera.height)
 
     def _check_size(self, source: Source, item: Image, view: Viewpoint) -> None:
         height, width = item.pixels.shape[:2]

@@ -185,11 +185,14 @@ def _scalar(key: str, value: str, where: str) -> Any:
 
 def _unquoted(text: str) -> str:
     """Text as it is, or as a YAML writer has it: in quotes, or with a document's end after it."""
+    plain = text.strip().removesuffix("\n...").strip()
+    if plain[:1] not in ("'", '"'):
+        return plain
     try:
-        written = yaml.load(text[:4096], yaml.BaseLoader) if text[:1] in ("'", '"') or "\n" in text else text
+        written = yaml.safe_load(plain[:4096])
     except (yaml.YAMLError, *YAML_MISFITS):
-        return text
-    return written if isinstance(written, str) else text
+        return plain
+    return written if isinstance(written, str) else plain
 
 
 def _is_text(key: Any) -> bool:

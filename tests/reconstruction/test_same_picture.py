@@ -7,7 +7,7 @@ import pytest
 
 from prism_edge.backend.global_map import no_features
 from prism_edge.config import TrackingConfig
-from prism_edge.reconstruction.same_picture import is_picture_of
+from prism_edge.reconstruction import same_picture
 from prism_edge.tracking.features import Features, OrbExtractor
 from tests.synthetic.render import Renderer
 from tests.synthetic.scene import furnished_room, hand_held_path
@@ -35,6 +35,10 @@ def test_a_picture_is_its_own_with_noise_and_other_numbers_of_corners(frame: int
     assert is_picture_of(corners(noisy(luma)), corners(luma))
     assert is_picture_of(corners(luma, features=300, max_features=300), corners(luma))
     assert is_picture_of(corners(luma), corners(luma, features=500, max_features=500))
+
+
+def is_picture_of(picture: Features, keyframe: Features) -> bool:
+    return same_picture.is_picture_of(picture, keyframe, CAMERA.height)
 
 
 def part(of: Features, rows: np.ndarray) -> Features:
