@@ -11,14 +11,14 @@ from prism_edge.config import GateConfig, ScaleConfig
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import F32, Depth, Gate, Keyframe, Scale, same_network
-from prism_edge.scale.filter import ScaleFilter, is_late
+from prism_edge.scale.filter import SAID_FROM, ScaleFilter, is_late
 from prism_edge.scale.gate import Floats
 from prism_edge.scale.gate_keyframes import KeyframeGate
 from prism_edge.scale.least_squares import Observation, plain_mean, weighted_least_squares
-from prism_edge.scale.parts import PartScales
+from prism_edge.scale.parts import PartScale, PartScales
 from prism_edge.scale.sample_trust import ShutGate, sample_trust
 from prism_edge.scale.samples import samples_of
-from prism_edge.scale.spread import USUAL_BIAS
+from prism_edge.scale.spread import PRIOR_WEIGHT, USUAL_BIAS
 
 
 class ScaleEstimator:
@@ -41,6 +41,7 @@ class ScaleEstimator:
         self._gate = KeyframeGate(gate or GateConfig(), "dsug" not in ablate)
         self._shut = ShutGate()
         self._parts = PartScales(config, self._kalman)
+        self._seen = 0.0  # independent observations since this epoch began
         self.accepted = self.rejected = 0  # observations since this epoch began; refused are outliers
 
     @property
@@ -51,7 +52,8 @@ class ScaleEstimator:
     @property
     def doubt(self) -> str:
         """Why metres may be worth little, here before elsewhere in the map, in words; empty for nothing."""
-        return self._filter.doubt or self._most_lost.doubt or self._shut.doubt
+        elsewhere = self._most_lost.filter.doubt if self._lost_sigma() > SAID_FROM else ""
+        return self._filter.doubt or elsewhere or self._shut.doubt
 
     def hear(self, keyframe: Keyframe) -> None:
         """A keyframe has come, whose depth may come later or never: where the map has it counts even so.
@@ -108,9 +110,11 @@ class ScaleEstimator:
         held = here.steady.log_scale - scale.log_scale
         if observation is not None and accepted:
             elapsed_s = max(keyframe.stamp_ns - here.local_ns, 0) * 1e-9
+            self._seen += 1.0 - scale.correlation(elapsed_s)
             here.local.take(observation.log_scale - here.steady.log_scale, scale.correlation(elapsed_s))
             if not is_late((here.local_ns - keyframe.stamp_ns) * 1e-9):
                 here.local_ns = keyframe.stamp_ns
+        here.seen = self._seen
         lost_sigma = self._lost_sigma()
         message = Scale(
             keyframe=keyframe.id,
@@ -151,7 +155,7 @@ class ScaleEstimator:
     def begin(self, epoch: int) -> None:
         """A map of whose unit nothing is known."""
         self._epoch = epoch
-        self._parts = PartScales(self._config, self._kalman)
+        self._parts, self._seen = PartScales(self._config, self._kalman), 0.0
         self._shut = ShutGate()
         self.accepted = self.rejected = 0
         self._network = ""
@@ -196,11 +200,15 @@ class ScaleEstimator:
         """What metres may be off by beyond the bias: the network is lost, in whichever part that showed."""
         if self._says_spread:  # measured, not guessed: where a map wavers, that is the map
             return 0.0
-        return self._most_lost.lost_sigma
+        return self._lost_in(self._most_lost)
 
     @property
-    def _most_lost(self) -> ScaleFilter:
-        return max((part.filter for part in self._parts.apart), key=lambda known: known.lost_sigma)
+    def _most_lost(self) -> PartScale:
+        return max(self._parts.apart, key=self._lost_in)
+
+    def _lost_in(self, part: PartScale) -> float:
+        """As the network was in a part; of one that was left it counts the less, the more was seen since."""
+        return part.filter.lost_sigma * PRIOR_WEIGHT / (PRIOR_WEIGHT + self._seen - part.seen)
 
     @property
     def _filter(self) -> ScaleFilter:

@@ -30,6 +30,7 @@ class PartScale:
         self.steady = SteadyScale(config.hold_sigmas if kalman else 0.0, log_scale)
         self.of_map = SteadyScale(MAP_HOLD_SIGMAS if kalman else 0.0, log_scale)
         self.local, self.local_ns = LocalScale(), 0  # the stamp of its newest observation
+        self.seen = 0.0  # independent observations of the map, all parts', when this one's last came
         self.joined = False  # to an older one, which has learned what this one had
 
 

@@ -84,12 +84,26 @@ def test_a_part_that_was_joined_says_nothing_more_of_the_network() -> None:
     lost = player.play(120, 0.6, part=120)[-1]
     assert lost.sigma > 1.5
     assert player.estimator.doubt
-    back = player.play(60, 0.1, part=HOME)[-1]
-    assert back.sigma > 1.5, "it waits, and may be met again"
+    back = player.play(10, 0.1, part=HOME)
+    assert back[0].sigma > 1.5, "it waits, and may be met again"
     assert player.estimator.doubt, "and health says why"
+    assert player.play(50, 0.1, part=HOME)[-1].lost_sigma > 0.3
     joined = player.play(60, 0.1, joined=(120, HOME))[-1]
     assert joined.sigma < 0.3
     assert not player.estimator.doubt
+
+
+def test_what_a_network_was_elsewhere_counts_the_less_the_more_it_has_seen_since() -> None:
+    """A scale process that was started again meanwhile would know no more of it."""
+    player = Player()
+    player.play(120, 0.1)
+    assert player.play(120, 0.6, part=120)[-1].lost_sigma > 1.5
+    back = player.play(600, 0.1, part=HOME)
+    assert np.all(np.diff([scale.lost_sigma for scale in back]) <= 0.0)
+    assert back[-1].lost_sigma < 0.1
+    assert back[-1].sigma < 0.2
+    assert not player.estimator.doubt
+    assert player.play(20, 0.6, part=120)[-1].lost_sigma > 1.0, "there it is as lost as ever"
 
 
 def test_a_network_of_a_wide_spread_is_not_lost_where_the_unit_has_changed() -> None:
