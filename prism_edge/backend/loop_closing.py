@@ -30,6 +30,7 @@ CANDIDATES, HALF_KNOWN = 5, 2  # verified for each keyframe at most: look-alikes
 AGREEING = 2  # neighbours of the query that must see the place; or the keyframes after it
 PATIENCE = 3  # keyframes within which another must confirm a loop whose query has too few neighbours
 SAME_ANGLE, SAME_SHIFT = np.radians(3.0), 0.15  # how far two loops of one return may differ; median depths
+UNMEASURED = 10.0  # sigma of the log of a ratio that nothing measures
 PLACE_TO_PLACE = 0.06  # of the log of a part's unit, sigma: it wavers (scale/spread.py)
 EXPLAINED = 0.8  # of a loop's points by the map as it stands: nothing is to be moved
 SLIGHT_STRETCH = 0.02  # a window's own work mends that
@@ -107,7 +108,7 @@ class LoopCloser:
                 self._now_ns = self._world.keyframes[query].stamp_ns
         self._part = None
         for loop in self._verified(query):
-            if self._confirmed(loop) and self._close(self._with_known_units(loop, known)):
+            if self._confirmed(loop) and self._close(*self._with_known_units(loop, known)):
                 return self.accepted[-1]
         return None
 
@@ -168,8 +169,11 @@ class LoopCloser:
     def _pairs(self) -> list[tuple[int, int]]:
         return [(a.candidate, a.query) for a in self.accepted]
 
-    def _with_known_units(self, loop: Loop, known: UnitsKnown) -> Loop:
+    def _with_known_units(self, loop: Loop, known: UnitsKnown) -> tuple[Loop, float]:
         """Between two parts of the map: with the units' ratio weighed against what is known of it otherwise.
+
+        And the sigma of the ratio's logarithm as the loop alone has it: who is told of the join knows what
+        both parts' metres say.
 
         A loop measures it by a few points at the very place where it closes, and a part made on the way home,
         by turns, has there another unit than elsewhere. Points that nothing has triangulated yet are all off
@@ -177,24 +181,25 @@ class LoopCloser:
         """
         view, there = (self._world.keyframes[k] for k in (loop.query, loop.candidate))
         if view.part is None or there.part is None or self._connected(loop):
-            return loop
+            return loop, loop.log_scale_sigma
         if (told := known(view.part, there.part)) is None:
-            return loop
+            return loop, loop.log_scale_sigma
         by_metres, their_sigma = told
         if self._firm(view, loop) < MIN_SCALED:
-            return replace(loop, scale=math.exp(by_metres), log_scale_sigma=their_sigma)
+            return replace(loop, scale=math.exp(by_metres), log_scale_sigma=their_sigma), UNMEASURED
         sigma = math.hypot(loop.log_scale_sigma, PLACE_TO_PLACE)
         share = their_sigma**2 / (their_sigma**2 + sigma**2)
         log_scale = share * math.log(loop.scale) + (1.0 - share) * by_metres
-        return replace(loop, scale=math.exp(log_scale), log_scale_sigma=sigma * math.sqrt(share))
+        return replace(loop, scale=math.exp(log_scale), log_scale_sigma=sigma * math.sqrt(share)), sigma
 
     def _firm(self, view: GlobalKeyframe, loop: Loop) -> int:
-        """How many points of a loop the query sees by triangulated ones of its own, too."""
+        """How many points of a loop both ends have triangulated, each its own."""
         own, points = {keypoint: point for point, keypoint in view.observed.items()}, self._world.points
-        mine = (own[keypoint] for keypoint, point in loop.pairs if own.get(keypoint, point) != point)
-        return sum(points[p].parallax_deg >= TRIANGULATED_DEG for p in mine if p in points)
+        both = ((own[keypoint], point) for keypoint, point in loop.pairs if keypoint in own)
+        there = ((points[a], points[b]) for a, b in both if a != b and a in points and b in points)
+        return sum(min(a.parallax_deg, b.parallax_deg) >= TRIANGULATED_DEG for a, b in there)
 
-    def _close(self, loop: Loop) -> bool:
+    def _close(self, loop: Loop, unit_sigma: float | None = None) -> bool:
         world = self._world
         query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
         # As it was measured: what the loop moves may take the candidate along.
@@ -205,7 +210,8 @@ class LoopCloser:
             if found is None:
                 return False
             moved, log_unit = found
-            units = None if log_unit is None else (log_unit, loop.log_scale_sigma)
+            sigma = loop.log_scale_sigma if unit_sigma is None else unit_sigma
+            units = None if log_unit is None else (log_unit, sigma)
             pose_graph.apply(world, moved)
             if log_unit is not None and query.part is not None and candidate.part is not None:
                 newer = max(query.part, candidate.part)

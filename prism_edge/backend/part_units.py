@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.messages import HOME, Scale
 
 
@@ -14,11 +15,16 @@ class PartUnits:
     the scale process, hears of that later: until then what is told is of a unit that no longer is.
     """
 
-    def __init__(self, home: float = 0.0) -> None:
-        """``home`` is the log scale of the map's first part."""
-        self._told: dict[int, tuple[float, float]] = {HOME: (home, math.inf)}  # log scale, sigma
+    def __init__(self, home: float = 0.0, sigma: float = math.inf) -> None:
+        """``home`` is the log scale of the map's first part, as well known as ``sigma`` says."""
+        self._told: dict[int, tuple[float, float]] = {HOME: (home, sigma)}
         self._joined: dict[int, int] = {}  # into which
         self._here = HOME
+
+    @classmethod
+    def of(cls, home: KnownScale) -> PartUnits:
+        """Of a map that was there before."""
+        return cls(home.log_scale, home.whole_sigma if home.is_known else math.inf)
 
     @property
     def log_scale(self) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +9,7 @@ import zenoh
 
 from prism_edge.bus import keys
 from prism_edge.bus.arriving import arriving, no_more
+from prism_edge.bus.vital import vital
 
 
 class AnotherRun:
@@ -24,7 +24,7 @@ class AnotherRun:
         self._subscriber = session.liveliness().declare_subscriber(
             keys.run_key(robot, "*"), zenoh.handlers.FifoChannel(64), history=True
         )
-        self._thread = threading.Thread(target=self._listen, name="another run", daemon=True)
+        self._thread = vital(self._listen, "another run")
         self._thread.start()
 
     def close(self) -> None:

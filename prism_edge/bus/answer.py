@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable
 from typing import Any
 
 import zenoh
 
 from prism_edge.bus.arriving import arriving, no_more
+from prism_edge.bus.vital import vital
 
 log = logging.getLogger("prism_edge.bus")
 
@@ -21,7 +21,7 @@ class Answer:
         """``payload`` is called for each query, in this object's thread; None is no answer."""
         self._key, self._payload, self._encoding = key, payload, encoding
         self._queryable = session.declare_queryable(key, zenoh.handlers.FifoChannel(64))
-        self._thread = threading.Thread(target=self._run, name="answer", daemon=True)
+        self._thread = vital(self._run, "answer")
         self._thread.start()
 
     def close(self) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import logging
-import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -19,6 +18,7 @@ import zenoh
 
 from prism_edge.bus import keys
 from prism_edge.bus.arriving import arriving, no_more
+from prism_edge.bus.vital import vital
 from prism_edge.errors import BusError, PrismError
 from prism_edge.topics import COMMANDS, Command
 
@@ -55,7 +55,7 @@ class CommandDesk:
         ]
         # A channel of their own each has forgotten which came first.
         self._threads = [
-            threading.Thread(target=self._take_in, args=(name, queryable), name=name, daemon=True)
+            vital(self._take_in, name, (name, queryable))
             for name, queryable in zip(self._keys, self._queryables, strict=True)
         ]
         for thread in self._threads:

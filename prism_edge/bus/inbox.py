@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from prism_edge.bus.arriving import arriving, no_more
+from prism_edge.bus.vital import vital
 
 # How long a waiting thread sleeps before it looks whether the process is to stop: a signal handler can't
 # wake it safely.
@@ -43,7 +44,7 @@ class Inbox:
         self._samples: deque[Any] = deque(maxlen=capacity)
         self._arrivals: deque[int] = deque(maxlen=capacity)  # of each of them
         self._arrival = threading.Condition(threading.Lock())
-        self._thread = threading.Thread(target=self._receive, name="inbox", daemon=True)
+        self._thread = vital(self._receive, "inbox")
         self._thread.start()
 
     def take(self, timeout_s: float = 0.0) -> Any | None:

@@ -10,6 +10,7 @@ import zenoh
 
 from prism_edge.bus import keys
 from prism_edge.bus.arriving import arriving, no_more
+from prism_edge.bus.vital import vital
 
 # How often a waiting thread looks whether the process is to stop: a signal handler can't wake it safely.
 _LOOK_S = 0.1
@@ -30,7 +31,7 @@ class Presence:
         self._subscriber = session.liveliness().declare_subscriber(
             keys.ready_key(robot, "*"), zenoh.handlers.FifoChannel(64), history=True
         )
-        self._thread = threading.Thread(target=self._listen, name="presence", daemon=True)
+        self._thread = vital(self._listen, "presence")
         self._thread.start()
 
     def missing(self, wanted: set[str], timeout_s: float) -> set[str]:

@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from prism_edge.bus.vital import vital
 from prism_edge.errors import BusError
 from prism_edge.messages import Heartbeat
 
@@ -43,7 +44,7 @@ class Pulse:
         self._closing = False
         self._ready = False
         self._ready_s = float("inf")
-        self._thread = threading.Thread(target=self._run, name="pulse", daemon=True)
+        self._thread = vital(self._run, "pulse")
         self._thread.start()
 
     def ready(self) -> None:

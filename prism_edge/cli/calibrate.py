@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"looking for {args.board} in {source.name}", flush=True)
         gathered = gather(source, board, lambda line: print(line, flush=True), args.model)
     # What a refused try shows is not to take the place of what belongs to the camera file that stays.
-    refused = refused_coverage_of(out) if out.exists() and not args.picture else picture
+    refused = refused_coverage_of(out) if out.exists() else picture
     return _finish(args, board, gathered, source.name, out, picture, refused)
 
 
@@ -106,8 +106,8 @@ def _finish(
     put_whole(refused, encoded.tobytes())  # it shows why
     _refuse(verdict.of_views(views, seen, width, height), refused)
     result = calibrate(board, views, width, height, args.model)
-    encoded = cv2.imencode(".png", coverage.draw(views, outlines, width, height, result))[1]
-    put_whole(refused, encoded.tobytes())
+    drawn = cv2.imencode(".png", coverage.draw(views, outlines, width, height, result))[1].tobytes()
+    put_whole(refused, drawn)
     camera, used = result.camera, [views[k] for k in result.used]
     print(f"board found in {seen} of {gathered.looked} images, {len(used)} different views used")
     print(f"reprojection error {result.rms:.3f} pixels (rms)")
@@ -123,7 +123,9 @@ def _finish(
     _refuse(verdict.of_calibration(views, seen, result), refused)
     readout_ms = _readout_of(out)
     put_whole(out, camera_text(result, len(used), name, args.board, readout_ms).encode())
-    refused.replace(picture)
+    if refused != picture:
+        put_whole(picture, drawn)
+        refused.unlink(missing_ok=True)
     print(f"picture: {picture}")
     kept = "" if readout_ms is None else f" (with the readout_ms of {readout_ms:g} that it had)"
     print(f"camera file: {out}{kept}")

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from prism_edge.depth.contract import ModelCard, card_from_metadata, card_from_sidecar
+from prism_edge.depth.folders import leading_to
 from prism_edge.depth.registry import File, find, find_digest, sha256_of
 from prism_edge.depth.vetting import Vetted
 from prism_edge.errors import ModelError
@@ -17,11 +18,11 @@ def sidecar_of(path: Path) -> Path:
 
 
 def sidecar_at(path: Path) -> Path | None:
-    """The sidecar that is there: beside the file as it is named, else, of a link, beside what it leads to.
+    """The sidecar that is there: beside the file as it is named, else, of a link, beside where it leads.
 
     Raises ModelError for one that is there and no file: what it would say is not to be passed over.
     """
-    for sidecar in dict.fromkeys((sidecar_of(path), sidecar_of(path.resolve()))):
+    for sidecar in map(sidecar_of, leading_to(path)):
         if sidecar.is_file():
             return sidecar
         if os.path.lexists(sidecar):

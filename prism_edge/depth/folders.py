@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 from prism_edge.named_path import named_path
+
+_MOST_LINKS = 40  # one that leads to the next, as the kernel has it
 
 
 def data_folder() -> Path:
@@ -25,6 +28,20 @@ def cache_home() -> Path:
         return Path(given)
     home = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
     return Path(home) / "prism-edge"
+
+
+def leading_to(path: Path) -> Iterator[Path]:
+    """A file as it is named, and of a link each that it leads to in turn."""
+    yield path
+    seen = {path}
+    while path.is_symlink():
+        path = path.parent / path.readlink()
+        if path in seen or len(seen) > _MOST_LINKS:
+            return
+        seen.add(path)
+        yield path
+    if (at := path.resolve()) not in seen:  # a folder on the way is a link
+        yield at
 
 
 def folders() -> list[Path]:

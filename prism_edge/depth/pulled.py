@@ -12,7 +12,7 @@ from pathlib import Path
 import yaml
 
 from prism_edge.depth import contract, download
-from prism_edge.depth.folders import folders
+from prism_edge.depth.folders import folders, leading_to
 from prism_edge.depth.registry import File, read_file_item
 from prism_edge.errors import ModelError
 
@@ -67,7 +67,7 @@ def pulled_at(path: Path) -> Pulled | None:
 
     Raises ModelError for a broken manifest.
     """
-    for file in dict.fromkeys((path, path.resolve())):
+    for file in leading_to(path):
         pulled = manifest_of(file.parent)
         if pulled and pulled.runnable and pulled.files[0].name == file.name:
             return pulled

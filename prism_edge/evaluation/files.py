@@ -12,6 +12,7 @@ from pathlib import Path
 from prism_edge.config import Config
 from prism_edge.depth import locate, networks_of
 from prism_edge.depth.cards import sidecar_of
+from prism_edge.depth.folders import leading_to
 from prism_edge.depth.vetting import vet
 from prism_edge.errors import ModelError, SourceError
 from prism_edge.named_path import named_path
@@ -58,8 +59,7 @@ def _network_files(name: str) -> list[Path]:
         path = locate(name)
     except ModelError:
         return []  # no file's name, or one that is not there
-    sidecars = dict.fromkeys((sidecar_of(path), sidecar_of(path.resolve())))
-    return [path, *sidecars, *_weights(path, *_dates(path))]
+    return [path, *map(sidecar_of, leading_to(path)), *_weights(path, *_dates(path))]
 
 
 def _dates(file: Path) -> tuple[int, int, int]:

@@ -46,7 +46,8 @@ class Played:
         text = ""
         with contextlib.suppress(OSError):
             text = log.read_text(errors="replace")
-        subjects = rf"backend: (?={SUBJECT}: )|source: (?=.*{CUT_SHORT}$)|(?:depth|scale): (?=keyframe \d+: )"
+        subjects = rf"backend: (?={SUBJECT}: )|source: (?=.*{CUT_SHORT}$)"
+        subjects += r"|(?:depth|scale): (?=keyframe -?\d+: )"
         doubts = re.findall(rf" WARNING +(?:{subjects})(.*)$", text, re.M)
         no_depth = re.findall(r" WARNING +depth: keyframe -?\d+ has no depth: (.*)$", text, re.M)
         told = replace(self, doubts=tuple(doubts), no_depth=no_depth[-1] if no_depth else "")

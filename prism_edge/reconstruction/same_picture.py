@@ -35,9 +35,13 @@ def is_picture_of(picture: Features, keyframe: Features, height: int) -> bool:
 
 
 def _sheared(apart: Array, below: Array, height: int) -> Array:
-    """How far (n, 2) rows (n,) below the middle were moved, as most of those far from it say."""
-    far = np.abs(below) > height / 8
-    if far.sum() < LEAST:
+    """How far (n, 2) rows (n,) below the middle were moved, as most above it and most below say.
+
+    Another picture is moved sideways: the halves say the opposite of each other, and nothing is left of it.
+    """
+    halves = below > height / 8, below < -height / 8
+    if min(half.sum() for half in halves) < LEAST:
         return np.zeros_like(apart)
-    moved: Array = below[:, None] * np.median(apart[far] / below[far, None], axis=0)
+    said = [np.median(apart[half] / below[half, None], axis=0) for half in halves]
+    moved: Array = below[:, None] * np.mean(said, axis=0)
     return moved

@@ -135,16 +135,25 @@ class Drift:
             there = result.world_from_camera @ inverse(result.reference_from_camera)
             keyframe = self._of(there, log_scale)
         keyframe = self.total if keyframe is None else keyframe
-        self.here = self._at_most_walked(keyframe + self._of(result.reference_from_camera, log_scale))
+        under = min(self._parallaxes.get(result.reference, self._parallax_deg), self._parallax_deg)
+        step = self._of(result.reference_from_camera, log_scale, under)
+        self.here = self._at_most_walked(keyframe + step)
 
     def add_keyframe(self, world: LocalMap, keyframe: LocalKeyframe, log_scale: float) -> None:
-        """A keyframe has been made, and its neighbours are known; a map's first has no drift."""
+        """A keyframe has been made, and its neighbours are known; the first of all has no drift.
+
+        A map that takes another's place begins where the camera was in that, and as far off.
+        """
         if len(world.keyframes) == 1:
-            self._keyframes, self._parallaxes = {keyframe.id: NO_DRIFT}, {keyframe.id: LEAST_PARALLAX_DEG}
-            self._at_beginning = self.total
+            elsewhere = not np.allclose(keyframe.world_from_camera, np.eye(4))
+            goes_on = elsewhere and self._at_beginning is not None
+            self._keyframes = {keyframe.id: self.here if goes_on else NO_DRIFT}
+            self._parallaxes = {keyframe.id: LEAST_PARALLAX_DEG}
+            self._at_beginning = self._at_beginning if goes_on else self.total
             return
-        self._parallaxes[keyframe.id] = self._parallax_deg
         near = _near(world, keyframe)
+        # What begins a part was placed by one depth image, whatever the last frame before it had seen.
+        self._parallaxes[keyframe.id] = self._parallax_deg if near else LEAST_PARALLAX_DEG
         between = self._between(keyframe, near, log_scale)
         ways = [self._until(k, log_scale) + way for k, way in zip(near, between, strict=True)]
         self._keyframes[keyframe.id] = self._at_most_walked(_least(ways or [self.total]))
@@ -186,9 +195,10 @@ class Drift:
                 self._keyframes[other.id] = _least([found, known])
                 heapq.heappush(front, (found.metres2, other.id))
 
-    def _of(self, motion: Array, log_scale: float) -> Walk:
+    def _of(self, motion: Array, log_scale: float, parallax_deg: float | None = None) -> Walk:
         """What is added between two places that differ by ``motion`` (4, 4), map units."""
-        return self._walk(float(np.linalg.norm(motion[:3, 3])), rotation_angle(motion[:3, :3]), log_scale)
+        way = float(np.linalg.norm(motion[:3, 3]))
+        return self._walk(way, rotation_angle(motion[:3, :3]), log_scale, parallax_deg)
 
     def _walk(self, way: float, angle: float, log_scale: float, parallax_deg: float | None = None) -> Walk:
         """What is added over a way (map units) and a turn (rad), under the last frame's parallax if none."""

@@ -72,7 +72,7 @@ class BackendWorker:
         self._settled, self._adjusting_since_ns = False, 0
         recovered = self._keeper.recover()
         if recovered is not None:
-            self._home_scale, self._units = recovered, PartUnits(recovered.log_scale)
+            self._home_scale, self._units = recovered, PartUnits.of(recovered)
         # A whole run's map, not a life's: the new scale filter does not know its unit.
         self._untold = recovered is not None and not bus.life
         self._snapshot = self._take_snapshot()
@@ -349,7 +349,7 @@ class BackendWorker:
         try:
             heard = self._bus.ask("epoch", _ASK_S)  # None: it is down, and takes over what there is then
             self._home_scale, said = self._keeper.load(argument, 0 if heard is None else heard.epoch)
-            self._units = PartUnits(self._home_scale.log_scale)
+            self._units = PartUnits.of(self._home_scale)
         finally:
             self._rest()
         self._arrivals.give_up()

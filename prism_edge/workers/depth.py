@@ -53,7 +53,8 @@ class DepthWorker:
         self._last = -1
         self._told: Depth | None = None  # the last answer
         self._recent: deque[float] = deque(maxlen=100)
-        self._doubted = self._turned = False
+        self._doubted: set[str] = set()  # of what the log has a word
+        self._turned = False
         self._network: DepthNetwork | SensorNetwork | None = None
         self._inference_s = _INFERENCE_S
         self._failing: Failing | None = None
@@ -172,9 +173,10 @@ class DepthWorker:
         if not doubt:
             return
         self._bus.pulse.values["warning"] = doubt
-        if not self._doubted:
+        kind = "metres" if metres and metres.doubt else "pair"
+        if kind not in self._doubted:
             log.warning("keyframe %d: %s", depth.keyframe, doubt)
-        self._doubted = True
+        self._doubted.add(kind)
 
     def _show_counters(self) -> None:
         if self._network is not None:

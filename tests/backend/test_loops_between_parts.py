@@ -77,9 +77,9 @@ def test_a_part_mapped_apart_is_merged_when_its_place_is_recognised():
 @pytest.mark.parametrize(
     ("measured", "firm", "known", "wanted"),
     [
-        ((2.0, 0.08), 10, (0.0, 0.1), (0.5 * np.log(2.0), 0.1 / np.sqrt(2.0))),  # wavering by 0.06 beside
-        ((2.0, 0.08), 10, (0.0, 1e3), (np.log(2.0), 0.1)),
-        ((2.0, 0.0), 9, (0.4, 0.05), (0.4, 0.05)),  # what nothing has triangulated measures nothing
+        ((2.0, 0.08), 10, (0.0, 0.1), (0.5 * np.log(2.0), 0.1 / np.sqrt(2.0), 0.1)),  # 0.06 beside
+        ((2.0, 0.08), 10, (0.0, 1e3), (np.log(2.0), 0.1, 0.1)),
+        ((2.0, 0.0), 9, (0.4, 0.05), (0.4, 0.05, 10.0)),  # what nothing has triangulated measures nothing
     ],
 )
 def test_the_unit_of_a_part_that_is_joined_rests_on_both_parts_metres_too(measured, firm, known, wanted):
@@ -88,21 +88,22 @@ def test_the_unit_of_a_part_that_is_joined_rests_on_both_parts_metres_too(measur
     for k, keyframe in world.keyframes.items():
         keyframe.part = HOME if k < 100 else 100
     own = {keypoint: p for p, keypoint in world.keyframes[102].observed.items()}
-    for i, p in enumerate(own.values()):
-        world.points[p].parallax_deg = 3.0 if i < firm else 0.5
     pairs = list(zip(own, sorted(world.keyframes[3].observed), strict=False))[:30]
+    for i, (keypoint, point) in enumerate(pairs):  # of some only the one end has triangulated theirs
+        world.points[own[keypoint]].parallax_deg = 3.0 if i < firm or i % 2 else 0.5
+        world.points[point].parallax_deg = 3.0 if i < firm or not i % 2 else 0.5
     loop, asked = Loop(102, 3, np.eye(4), *measured, 50, 2, pairs), []
 
     def of_parts(part: int, other: int) -> tuple[float, float]:
         asked.append((part, other))
         return known
 
-    found = closer._with_known_units(loop, of_parts)
+    found, alone = closer._with_known_units(loop, of_parts)
     assert asked == [(100, HOME)]
-    assert (np.log(found.scale), found.log_scale_sigma) == pytest.approx(wanted)
-    assert closer._with_known_units(loop, lambda *parts: None) is loop
+    assert (np.log(found.scale), found.log_scale_sigma, alone) == pytest.approx(wanted)
+    assert closer._with_known_units(loop, lambda *parts: None) == (loop, loop.log_scale_sigma)
     within = replace(loop, candidate=100)
-    assert closer._with_known_units(within, of_parts) is within
+    assert closer._with_known_units(within, of_parts) == (within, loop.log_scale_sigma)
 
 
 def test_what_a_part_still_sends_in_its_own_unit_after_it_was_joined_is_understood():

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import pytest
 
+from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.part_units import PartUnits
 from prism_edge.messages import HOME, Scale
 
@@ -82,3 +83,12 @@ def test_of_metres_whose_sigma_nobody_knows_no_ratio_follows(sigma):
     units.hear(told(HOME, 0.1, filter_sigma=sigma))
     assert units.between(7, HOME) is None
     assert units.log_scale == 0.1
+
+
+@pytest.mark.parametrize(("known", "sigma"), [(KnownScale(0.2, 0.03, 0.04), 0.05), (KnownScale(), None)])
+def test_a_map_that_was_there_before_knows_its_metres_as_well_as_it_says(known: KnownScale, sigma):
+    units = PartUnits.of(known)
+    assert units.log_scale == known.log_scale
+    units.hear(told(7, 0.9, filter_sigma=0.12))
+    wanted = None if sigma is None else pytest.approx((0.7, math.hypot(0.12, sigma)))
+    assert units.between(7, HOME) == wanted

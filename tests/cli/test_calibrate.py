@@ -158,6 +158,10 @@ def test_a_try_that_is_refused_leaves_the_camera_file_and_its_picture(
     assert {path: path.read_bytes() for path in kept} == kept
     why = tmp_path / "cam.refused.coverage.png"
     assert f"(picture: {why})" in error
+    named = tmp_path / "named.png"
+    named.write_bytes(b"of the camera that stays")
+    refused(capsys, 9, few, "--board", SPEC, "--out", out, "--overwrite", "--picture", named)
+    assert named.read_bytes() == b"of the camera that stays"
     assert cv2.imread(str(why)) is not None
     (few / "cam.yaml").write_text("")
     why.rename(few / why.name)

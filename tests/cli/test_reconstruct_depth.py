@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prism_edge.cli.reconstruct_depth import Taken, _of_several
+from prism_edge.cli.reconstruct_depth import Taken, _of_one, _of_several
 from prism_edge.depth.prediction import Prediction, no_confidence, no_descriptor
 from prism_edge.depth.upright import camera_from_turned, turned_camera
 from prism_edge.errors import ModelError
@@ -40,6 +40,15 @@ def taken(count: int) -> list[Taken]:
         rgb[:, :, 1] = np.arange(48).reshape(6, 8)
         found.append(Taken(SimpleNamespace(keyframe=k, camera=CAMERA, map_from_camera=pose), k, rgb))
     return found
+
+
+def test_a_network_that_fails_at_a_picture_is_one_line() -> None:
+    def fails(rgb: np.ndarray, camera: Any) -> Prediction:
+        raise RuntimeError("indices out of bounds")
+
+    network: Any = SimpleNamespace(name="one", provider="CPU", dsug=(0.1, 0.2), infer=fails)
+    with pytest.raises(ModelError, match=r"^one: an inference failed \(indices out of bounds\)$"):
+        list(_of_one(network, "").answers(taken(1)))
 
 
 @pytest.mark.parametrize(

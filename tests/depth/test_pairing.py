@@ -227,6 +227,22 @@ def test_the_metric_answer_outlives_a_relative_network_that_raises(tmp_path: Pat
     assert "r fails, m stands alone: out of memory" in caplog.text
 
 
+@pytest.mark.parametrize(
+    ("fits", "says"),
+    [
+        ([(False, False)] * 4, ""),  # too few to tell
+        ([(True, False), (False, False)] * 3, ""),
+        ([(True, False)] * 2 + [(False, False)] * 3, "r fits m in 2 of 5 images: m stands alone in the oth"),
+        ([(False, True)] * 6 + [(False, False)] * 2, "with depth_kind: inverse_relative in its card it"),
+        ([(False, False)] * 5 + [(True, False)] * 20, ""),  # the last twenty count
+    ],
+)
+def test_a_pair_is_doubted_where_it_fits_less_than_half_of_the_last_images(tmp_path: Path, fits, says: str):
+    paired = PairedNetwork(network(tmp_path, "r", depth_kind="relative"), network(tmp_path, "m"))
+    paired._fits.extend(fits)
+    assert (says in paired.doubt) if says else not paired.doubt
+
+
 def test_a_pairs_descriptors_come_from_one_network_whether_it_fits_or_not(tmp_path: Path):
     image, _ = view()
     for relative_has_one in (True, False):

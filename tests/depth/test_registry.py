@@ -208,6 +208,12 @@ def test_a_link_has_the_sidecar_beside_what_it_leads_to_or_one_of_its_own(tmp_pa
     assert card_of(link, vetted("0" * 64, props)).name == "outer"
     write_sidecar(link, TinyNetwork(name="links_own").card())
     assert card_of(link, vetted("0" * 64, props)).name == "links_own"
+    top = tmp_path / "v3" / "top.onnx"
+    top.symlink_to("../current.onnx")
+    assert card_of(top, vetted("0" * 64, props)).name == "links_own", "each link on the way is asked"
+    folder = tmp_path / "newest"
+    folder.symlink_to("v3", target_is_directory=True)
+    assert card_of(folder / "net.onnx", vetted("0" * 64, props)).name == "outer"
 
 
 def test_a_sidecar_that_leads_nowhere_is_not_passed_over(tmp_path: Path):

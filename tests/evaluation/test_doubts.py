@@ -12,7 +12,7 @@ LOG = """\
 10:00:00.100 WARNING depth: keyframe 0 has no depth: constant
 10:00:00.200 WARNING depth: keyframe 1 has no depth: only 0 % of the depth map is usable
 10:00:01.000 WARNING depth: keyframe 2: a median depth of 2000 m is not within 0.05 and 300 m
-10:00:01.500 WARNING scale: keyframe 9: the network's images differ in size by 0.40 (log)
+10:00:01.500 WARNING scale: keyframe -12: the network's images differ in size by 0.40 (log)
 10:00:02.000 WARNING backend: keyframe 4 is incomplete: going on with what there is
 """
 
@@ -35,6 +35,6 @@ def test_what_depth_and_scale_doubt_of_the_network_is_a_warning_of_the_run(tmp_p
     log.write_text(LOG)
     assert Played().after(log).doubts == (
         "keyframe 2: a median depth of 2000 m is not within 0.05 and 300 m",
-        "keyframe 9: the network's images differ in size by 0.40 (log)",
+        "keyframe -12: the network's images differ in size by 0.40 (log)",
     )
     assert Played().after(tmp_path / "none.log").doubts == ()

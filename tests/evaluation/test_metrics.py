@@ -186,6 +186,8 @@ def test_a_run_with_nothing_to_score_says_so() -> None:
     silent = report(config=network, live=empty, final=empty)
     assert silent["warnings"] == ["no pose came out of 60 frames"]
     assert silent["unscored"] == "no pose came out of 60 frames"
+    why = report(config=network, live=empty, final=empty, played=Played(no_depth="constant"))
+    assert why["unscored"] == "no pose came out of 60 frames: keyframes had no usable depth: constant"
     dark = [Tracked(i, i, i, INITIALISING, False, -1, -1, np.eye(4)) for i in range(N)]
     ended = EndOfStream(N, N, 0, 0, N - 1)
     for frames, said in ((dark, True), ([*dark[:-1], replace(dark[-1], keyframe=0)], False)):

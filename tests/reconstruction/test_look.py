@@ -65,6 +65,19 @@ def test_depth_and_picture_are_where_their_rays_are(name: str, width: int) -> No
     assert (made.colours[..., 0] == made.colours[..., 2]).all()
 
 
+def test_no_ray_from_outside_leads_back_into_the_image_of_a_lens_that_folds_over() -> None:
+    camera = Camera(640, 480, 420.0, 420.0, 320.0, 240.0, "pinhole", (-0.28, 0.0, 0.0, 0.0))
+    x, y = np.meshgrid(np.arange(640.0), np.arange(480.0))
+    depth = plane_depth(camera.normalise(np.column_stack([x.ravel(), y.ravel()]))).reshape(480, 640)
+    rgb, as_it_is = np.zeros((480, 640, 3), np.uint8), np.array([1.0, 0.0, 1.0, 0.0])
+    made = look(viewpoint(camera), rgb, depth.astype(np.float32), NONE, as_it_is, 640)
+    rays = made.view.camera.normalise(image_pixels(made.view))
+    there = made.view.depth.ravel() > 0
+    assert there.mean() > 0.5
+    np.testing.assert_allclose(made.view.depth.ravel()[there], plane_depth(rays[there]), rtol=0.02)
+    assert max(made.grey.shape[1] / 640, made.grey.shape[0] / 480) <= 2.0
+
+
 def test_a_smaller_picture_ends_where_the_picture_ended() -> None:
     """Its outermost edges, half a pixel beyond the first and the last, are the same rays."""
     camera, depth = CAMERAS["ideal"], np.ones((480, 640), np.float32)

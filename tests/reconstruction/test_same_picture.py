@@ -71,6 +71,15 @@ def test_a_keyframe_s_corners_may_have_been_moved_for_a_rolling_shutter(frame: i
     assert not is_picture_of(corners(drawn(frame, seed=4)), kept)
 
 
+@pytest.mark.parametrize("aside", [5, 8])
+@pytest.mark.parametrize("blank", [slice(0, 0), slice(0, 120), slice(120, 240)])
+def test_a_view_moved_aside_is_another_wherever_its_corners_are(aside: int, blank: slice) -> None:
+    """Of the lower half alone, what is moved sideways looks as if it were sheared."""
+    luma = drawn(40).copy()
+    luma[blank] = 128
+    assert not is_picture_of(corners(np.roll(luma, aside, axis=1)), corners(luma))
+
+
 @pytest.mark.parametrize("frame", [0, 40, 100])
 def test_another_is_not(frame: int) -> None:
     mine = corners(drawn(frame))

@@ -47,6 +47,11 @@ class World:
         return self.drift.here
 
 
+def world_of(world: World, number: int, pose: np.ndarray) -> World:
+    world.keyframes[number] = SimpleNamespace(id=number, world_from_camera=pose, neighbours=[])
+    return world
+
+
 def test_variance_grows_with_the_metres_and_the_radians():
     drift = Drift(CONFIG)
     world = World(drift, log_scale=np.log(2.0))
@@ -177,9 +182,45 @@ def test_a_new_map_begins_without_drift_and_odom_goes_on():
     world.walk_to(0, np.eye(4), [])
     world.walk_to(1, pose_at(4.0), [0])
     world.keyframes.clear()
-    world.walk_to(7, pose_at(5.0), [])
+    world.walk_to(7, np.eye(4), [])
     assert world.drift_at(7) == NO_DRIFT
-    assert drift.total.metres2 == pytest.approx(0.02**2 * 5.0)
+    assert drift.total.metres2 == pytest.approx(0.02**2 * 8.0)
+
+
+def test_a_map_that_takes_another_s_place_is_as_far_off_as_that_was_where_it_begins():
+    """Its first camera is where the last one was, in the same frame."""
+    drift = Drift(CONFIG)
+    world = World(drift)
+    world.walk_to(0, np.eye(4), [])
+    world.walk_to(1, pose_at(4.0), [0])
+    drift.advance(pose_at(4.0), result(pose_at(5.0), 1, pose_at(1.0)), 0.0)
+    world.keyframes.clear()
+    drift.add_keyframe(world_of(world, 7, pose_at(5.0)), world.keyframes[7], 0.0)
+    assert world.drift_at(7).metres2 == pytest.approx(0.02**2 * 5.0)
+    world.last = pose_at(5.0)
+    world.walk_to(8, pose_at(6.0), [7])
+    assert world.drift_at(8).metres2 == pytest.approx(0.02**2 * 6.0), "and no more than was walked in all"
+
+
+def test_what_begins_a_part_was_placed_by_one_image_whatever_was_seen_before():
+    drift = Drift(CONFIG)
+    world = World(drift)
+    world.walk_to(0, np.eye(4), [], parallax=10.0)
+    drift.total += Walk(1.0, 1.0)  # a way that nobody saw
+    for number, angle, neighbours in ((1, 0.1, [0]), (2, 0.5, [])):
+        world.walk_to(number, from_rt(so3_exp(np.array([0.0, angle, 0.0])), np.zeros(3)), neighbours, 10.0)
+    drift.close(world, SimpleNamespace(loop_query=2, loop_candidate=1), 0.0)
+    assert world.drift_at(2).radians2 == pytest.approx(0.02**2 * 0.5)
+
+
+def test_a_frame_s_way_from_its_keyframe_is_off_by_what_that_saw():
+    drift = Drift(CONFIG)
+    world = World(drift)
+    world.walk_to(0, np.eye(4), [])
+    drift.total += Walk(1.0, 1.0)  # no bound
+    turned = from_rt(so3_exp(np.array([0.0, 0.5, 0.0])), np.zeros(3))
+    drift.advance(np.eye(4), replace(result(turned, 0, turned), parallax_deg=10.0), 0.0)
+    assert drift.here.radians2 == pytest.approx(0.02**2 * 0.5)
 
 
 def test_keyframes_of_an_earlier_life_drifted_as_the_crow_flies():
@@ -287,14 +328,14 @@ def test_points_that_are_seen_better_since_leave_keyframes_where_they_are():
 
 def test_drift_in_the_map_is_no_more_than_the_walk_since_it_began():
     drift = Drift(CONFIG)
-    World(drift).walk_to(0, np.eye(4), [])
-    world = World(drift)
+    before = World(drift)
+    for number, x in enumerate((0.0, 5.0)):  # a map that is given up, as by `ctl reset`
+        before.walk_to(number, pose_at(x), [number - 1] if number else [])
     drift.forget()
-    for number, x in enumerate((5.0, 6.0, 8.0)):  # the way to where the second map begins is none of its own
-        world.walk_to(number, pose_at(x), [number - 1] if number else [], parallax=4.0)
-    drift.advance(pose_at(8.0), replace(result(pose_at(9.0), 0, pose_at(4.0)), parallax_deg=4.0), 0.0)
-    assert drift.here.metres2 == pytest.approx(0.02**2 * 4.0)
-    drift.advance(pose_at(9.0), replace(result(pose_at(9.0), 0, pose_at(40.0)), parallax_deg=4.0), 0.0)
+    world = World(drift)
+    for number, x in enumerate((0.0, 1.0, 3.0)):
+        world.walk_to(number, pose_at(x), [number - 1] if number else [])
+    drift.advance(pose_at(3.0), result(pose_at(4.0), 0, pose_at(40.0)), 0.0)
     assert drift.here.metres2 == pytest.approx(0.02**2 * 4.0)
 
 

@@ -81,6 +81,14 @@ def test_a_wrong_word_only_costs_time(place):
     assert any(frame is not None for frame in found)
 
 
+def test_what_was_named_when_it_was_lost_before_is_forgotten(place):
+    _, world = place
+    lost = Lost(world)
+    lost.relocaliser.heard(world, looks(HEADINGS[9]))
+    lost.relocaliser.begin()
+    assert 9 not in lost.relocaliser._next(world)
+
+
 @pytest.mark.parametrize("rate_hz", [30, 10, 3])
 def test_a_word_that_is_wrong_each_time_takes_no_keyframe_s_turn_from_it(place, rate_hz: int):
     """The network is asked three times a second, which is as often as a slow camera sees something."""

@@ -236,6 +236,20 @@ def test_a_pair_that_never_fits_is_on_health_and_once_on_the_log_with_what_would
     assert caplog.text.count("r fits m in 0 of 5 images") == caplog.text.count("fits m in") == 1
 
 
+def test_a_doubt_of_another_kind_is_on_the_log_too(tmp_path: Path, caplog):
+    metric = write_tiny_network(tmp_path / "mm.onnx", TinyNetwork(gain=1000.0))
+    bus, config = live(str(metric))
+    made = DepthWorker(config, bus)
+    made._answer(picture(1))
+    near = write_tiny_network(tmp_path / "m.onnx", TinyNetwork(name="near"))
+    made._network.infer = open_network(str(near), DepthConfig()).infer
+    made._network.doubt = "r fits m in 0 of 5 images"
+    made._answer(picture(2))
+    made._answer(picture(3))
+    assert caplog.text.count("keyframe 1: a median depth of") == 1
+    assert caplog.text.count("keyframe 2: r fits m") == caplog.text.count("r fits m") == 1
+
+
 def test_metres_that_can_be_are_no_warning(tiny: str):
     bus, config = live(tiny)
     bus.give("keyframe_image", picture(1))
