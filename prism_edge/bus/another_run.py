@@ -9,7 +9,7 @@ import zenoh
 
 from prism_edge.bus import keys
 from prism_edge.bus.arriving import arriving, no_more
-from prism_edge.bus.vital import vital
+from prism_edge.vital import vital
 
 
 class AnotherRun:

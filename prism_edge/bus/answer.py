@@ -9,7 +9,7 @@ from typing import Any
 import zenoh
 
 from prism_edge.bus.arriving import arriving, no_more
-from prism_edge.bus.vital import vital
+from prism_edge.vital import vital
 
 log = logging.getLogger("prism_edge.bus")
 

@@ -18,9 +18,9 @@ import zenoh
 
 from prism_edge.bus import keys
 from prism_edge.bus.arriving import arriving, no_more
-from prism_edge.bus.vital import vital
 from prism_edge.errors import BusError, PrismError
 from prism_edge.topics import COMMANDS, Command
+from prism_edge.vital import vital
 
 LARGEST_QUERY = 4096  # bytes
 LARGEST_REPLY = 256 * 1024

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from prism_edge.bus.arriving import arriving, no_more
-from prism_edge.bus.vital import vital
+from prism_edge.vital import vital
 
 # How long a waiting thread sleeps before it looks whether the process is to stop: a signal handler can't
 # wake it safely.

@@ -10,7 +10,7 @@ import zenoh
 
 from prism_edge.bus import keys
 from prism_edge.bus.arriving import arriving, no_more
-from prism_edge.bus.vital import vital
+from prism_edge.vital import vital
 
 # How often a waiting thread looks whether the process is to stop: a signal handler can't wake it safely.
 _LOOK_S = 0.1

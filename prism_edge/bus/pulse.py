@@ -8,9 +8,9 @@ import threading
 import time
 from collections.abc import Callable
 
-from prism_edge.bus.vital import vital
 from prism_edge.errors import BusError
 from prism_edge.messages import Heartbeat
+from prism_edge.vital import vital
 
 PERIOD_S = 0.5
 # While links are still coming up, what was said may have reached nobody: it is said again soon.

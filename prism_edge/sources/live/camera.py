@@ -17,6 +17,7 @@ from prism_edge.sources.live.driver import CameraLostError, Connection, Driver, 
 from prism_edge.sources.live.native_stderr import native_stderr_unheard
 from prism_edge.sources.live.picture_watch import PictureWatch
 from prism_edge.sources.live.wall_clock import WallClock
+from prism_edge.vital import vital
 
 log = logging.getLogger("prism_edge.sources")
 
@@ -83,7 +84,7 @@ class LiveCamera(Source):
         self._closing.clear()
         connection = self._first_connection()
         self._alive_s = self._image_s = time.monotonic()
-        self._thread = threading.Thread(target=self._run, args=(connection,), name="camera", daemon=True)
+        self._thread = vital(self._run, "camera", (connection,))
         self._thread.start()
 
     def peek(self) -> Slot | None:

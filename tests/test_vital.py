@@ -9,7 +9,7 @@ import pytest
 
 PROGRAM = """
 import logging, sys, threading
-from prism_edge.bus.vital import vital
+from prism_edge.vital import vital
 logging.basicConfig(stream=sys.stderr)
 def fails(what):
     {raises}
@@ -28,7 +28,7 @@ def ended(raises: str) -> subprocess.CompletedProcess[str]:
 def test_the_process_ends_at_once_and_says_why(raises: str) -> None:
     done = ended(raises)
     assert done.returncode == 70
-    assert "a thread of the bus failed" in done.stderr
+    assert "the thread inbox failed" in done.stderr
     assert ("ZeroDivisionError" if "/" in raises else raises.split()[1].split("(")[0]) in done.stderr
 
 

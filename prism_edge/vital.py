@@ -11,7 +11,7 @@ from typing import Any
 
 from prism_edge.errors import UNEXPECTED
 
-log = logging.getLogger("prism_edge.bus")
+log = logging.getLogger("prism_edge")
 
 
 def vital(run: Callable[..., object], name: str, args: tuple[Any, ...] = ()) -> threading.Thread:
@@ -28,7 +28,8 @@ def _to_the_end(run: Callable[..., object], args: tuple[Any, ...]) -> None:
         run(*args)
     except BaseException:  # of any kind: nobody else would see it
         try:
-            log.exception("a thread of the bus failed; please report it with the lines below")
+            name = threading.current_thread().name
+            log.exception("the thread %s failed; please report it with the lines below", name)
             logging.shutdown()
         finally:
             _end()
