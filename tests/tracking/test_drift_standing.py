@@ -8,7 +8,7 @@ import pytest
 from prism_edge.geometry.poses import from_rt, so3_exp
 from prism_edge.tracking.drift import MOST_DETOUR, Drift
 from tests.tracking.cloud import pose_at
-from tests.tracking.test_drift import CONFIG, result
+from tests.tracking.drifting import CONFIG, result
 
 
 def stand(drift: Drift, frames: int, tremble: float, depth: float = 2.0) -> None:
