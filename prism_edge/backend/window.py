@@ -22,6 +22,7 @@ CHI2_2D_99 = 9.21
 DEPTH_PARALLAX_DEG = 3.0  # above it two rays place a point far better than a network does
 REFINING = 4  # iterations kept for a second round
 RANGE_CHANGE = 0.05
+IN_LENS = 0.002  # of the depth of the scene, along z: nearer there is nothing but the lens
 BESIDE = 0.02  # of the depth of the scene: from one spot, for its points
 UNPLACED = 0.25  # of a point's parallax: a window that has less of it can't say how far the point is
 HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
@@ -317,7 +318,11 @@ def outliers(
     observations: list[tuple[int, int, int]],
     config: BackendConfig,
 ) -> list[tuple[int, int]]:
-    """Observations whose reprojection error is beyond the 99 % bound, or whose point is behind."""
+    """Observations beyond the 99 % bound of reprojection errors, or whose point is behind or in the lens.
+
+    A point that has slipped into a lens may fit any pixel there, and any pose makes it one behind or far off
+    it: it would keep all of a solve from moving.
+    """
     wrong: list[tuple[int, int]] = []
     places, row = np.array(list(points.values())), {p: i for i, p in enumerate(points)}
     by_keyframe: dict[int, tuple[list[int], list[int]]] = {}
@@ -329,9 +334,10 @@ def outliers(
         keyframe = world.keyframes[k]
         pose = poses.get(k, keyframe.world_from_camera)
         local = (places.take([row[p] for p in ids], axis=0) - pose[:3, 3]) @ pose[:3, :3]
-        z = np.where(local[:, 2] > 1e-6, local[:, 2], 1e-6)
+        before = local[:, 2] > max(IN_LENS * float(np.median(local[:, 2])), 1e-6)
+        z = np.where(before, local[:, 2], 1.0)
         projected = keyframe.camera.to_pixels(local[:, :2] / z[:, None])
         sigma = config.pixel_sigma * keyframe.sigmas[keypoints]
         chi2 = (((projected - keyframe.pixels[keypoints]) / sigma[:, None]) ** 2).sum(axis=1)
-        wrong += [(k, ids[i]) for i in np.flatnonzero((chi2 > CHI2_2D_99) | (local[:, 2] <= 1e-6))]
+        wrong += [(k, ids[i]) for i in np.flatnonzero((chi2 > CHI2_2D_99) | ~before)]
     return wrong

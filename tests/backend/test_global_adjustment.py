@@ -150,6 +150,33 @@ def test_what_is_hundreds_of_pixels_off_pulls_at_nothing():
     assert {(0, p) for p in astray} <= set(apply(world, adjusted, CONFIG))
 
 
+@pytest.mark.parametrize("depth", [1e-3, 1e-5])
+def test_a_point_in_the_lens_keeps_nothing_from_moving(depth, monkeypatch):
+    """As of one that fits both pixels: where the camera, which backs up, was before."""
+    teller, world, rng = Teller(noise_px=0.3), GlobalMap(), np.random.default_rng(3)
+    for i in range(8):
+        world.absorb(teller.keyframe(pose_at(0.02 * i, 0.05 * i, -0.25 * i, 0.0, -0.01 * i)))
+    for k in list(world.keyframes)[1:]:
+        world.keyframes[k].world_from_camera = world.keyframes[k].world_from_camera @ se3_exp(
+            0.01 * rng.normal(size=6)
+        )
+    monkeypatch.setattr(module, "OBSERVATIONS", 1000)
+    without = run(world)
+    first, last = world.keyframes[0], world.keyframes[7]
+    p = next(p for p, point in world.points.items() if point.keyframes >= {0, 7})
+    for k in world.points[p].keyframes - {0, 7}:
+        del world.keyframes[k].observed[p]
+    world.points[p].keyframes = {0, 7}
+    in_lens = first.world_from_camera[:3, :3] @ (depth * np.array([0.1, 0.1, 1.0]))
+    world.points[p].position = first.world_from_camera[:3, 3] + in_lens
+    for keyframe in (first, last):
+        local = transform(inverse(keyframe.world_from_camera), world.points[p].position[None])[0]
+        keyframe.pixels[keyframe.observed[p]] = keyframe.camera.to_pixels(local[None, :2] / local[2])[0]
+    adjusted = run(world)
+    assert adjusted.error_after < 1.05 * without.error_after
+    assert p not in adjusted.points
+
+
 def test_of_a_point_that_one_view_is_left_of_nothing_is_said():
     _, world = shaken(sigma=0.0)
     p = next(p for p, point in world.points.items() if len(point.keyframes) == 2)
