@@ -78,6 +78,16 @@ def test_no_ray_from_outside_leads_back_into_the_image_of_a_lens_that_folds_over
     assert max(made.grey.shape[1] / 640, made.grey.shape[0] / 480) <= 2.0
 
 
+def test_a_picture_becomes_at_most_twice_as_wide_and_high() -> None:
+    """Its corners look 56 degrees off the axis, which this focal length has far outside."""
+    camera = Camera(640, 480, 560.0, 560.0, 320.0, 240.0, FISHEYE, (-0.3, 0.0, 0.0, 0.0))
+    rgb, depth = np.zeros((480, 640, 3), np.uint8), np.ones((480, 640), np.float32)
+    made = look(viewpoint(camera), rgb, depth, NONE, np.array([1.0, 0.0, 1.0, 0.0]), 640)
+    assert made.grey.shape == (960, 1280)
+    corner = made.view.camera.normalise(np.array([[-0.5, -0.5]]))
+    assert corner == pytest.approx(np.array([[-640.5, -480.5]]) / 560.0, abs=1e-9)
+
+
 def test_a_smaller_picture_ends_where_the_picture_ended() -> None:
     """Its outermost edges, half a pixel beyond the first and the last, are the same rays."""
     camera, depth = CAMERAS["ideal"], np.ones((480, 640), np.float32)
