@@ -95,7 +95,7 @@ class GlobalMap:
         self.carried = Carried(max_carried)  # a culled keyframe still carries frames
         # Points that a loop made one: the tracker may still speak of the old identity until it hears of it.
         self._now: dict[int, int] = {}
-        self._grown: dict[int, float] = {}  # parts that a loop gave another unit, till the tracker has it too
+        self.growth: dict[int, float] = {}  # of parts in another unit by a loop, till the tracker has it too
         # Of a rolling shutter: as found here where nobody says it; whether a keyframe's camera does.
         self.readout_ms, self.readout_said = 0.0, False
 
@@ -141,11 +141,11 @@ class GlobalMap:
             stamp_ns=message.stamp_ns,
             part=message.part,
             taken_ns=message.stamp_ns,
-            grown=self._grown.get(message.part, 1.0),
+            grown=self.growth.get(message.part, 1.0),
             twist=message.twist,
         )
         for newer, older in message.joined.tolist():
-            self._grown.pop(newer, None)
+            self.growth.pop(newer, None)
             for keyframe in self.keyframes.values():
                 keyframe.part = older if keyframe.part == newer else keyframe.part
         self.keyframes[message.id] = added
@@ -181,11 +181,11 @@ class GlobalMap:
 
     def part_grew(self, part: int, factor: float) -> None:
         """A loop has made the lengths of a part so many times as long."""
-        self._grown[part] = factor * self._grown.get(part, 1.0)
+        self.growth[part] = factor * self.growth.get(part, 1.0)
 
     def _in_present_unit(self, message: Keyframe) -> Keyframe:
         """The message as if the tracker had heard by then in what unit its part is now."""
-        factor, centre = self._grown.get(message.part, 1.0), message.world_from_anchor[:3, 3]
+        factor, centre = self.growth.get(message.part, 1.0), message.world_from_anchor[:3, 3]
         if factor == 1.0:
             return message
         camera = message.world_from_camera.copy()

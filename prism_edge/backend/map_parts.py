@@ -6,13 +6,14 @@ or a message that was lost has left no point that joins it to the rest.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from prism_edge.backend.map_file import Info
 from prism_edge.errors import MapError
 from prism_edge.messages import HOME, LARGEST_ID
 
-FIELD = "parts"
+FIELD, GROWTH = "parts", "part_growth"
 MOST = 2_000  # keyframes away from home: beside map_stamps.MOST stamps, map_file.LARGEST_HEADER has no room
 
 
@@ -39,6 +40,26 @@ def parts_told(info: Info) -> dict[int, int] | None:
     if not isinstance(told, list) or len(told) > MOST or not all(map(_can_be, told)):
         raise MapError(f"the map's {FIELD} are none of its keyframes")
     return dict(told)
+
+
+def growth_info(growth: Mapping[int, float]) -> Info:
+    """For a journal: by how much loops have lengthened parts whose keyframes come in their old unit still."""
+    return {GROWTH: [[part, by] for part, by in growth.items()]}
+
+
+def growth_told(info: Info) -> dict[int, float]:
+    """The growth of such parts; none where an earlier build wrote it. Raises MapError for what can't be."""
+    told = info.get(GROWTH, [])
+    if not isinstance(told, list) or not all(map(_can_grow, told)):
+        raise MapError(f"the map's {GROWTH} is none of its parts")
+    return dict(told)
+
+
+def _can_grow(pair: object) -> bool:
+    if not isinstance(pair, list) or len(pair) != 2:
+        return False
+    part, by = pair
+    return type(part) is int and HOME <= part < LARGEST_ID and type(by) is float and 0.0 < by < math.inf
 
 
 def _can_be(pair: object) -> bool:

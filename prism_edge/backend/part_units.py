@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Any
 
-from prism_edge.backend.map_scale import KnownScale
-from prism_edge.messages import HOME, Scale
+from prism_edge.backend.map_file import Info
+from prism_edge.backend.map_scale import LARGEST_LOG_SCALE, KnownScale
+from prism_edge.errors import MapError
+from prism_edge.messages import HOME, LARGEST_ID, Scale
+
+TOLD, JOINED, HERE = "units", "joined_units", "unit_of"  # in a journal
 
 
 class PartUnits:
@@ -15,16 +21,15 @@ class PartUnits:
     the scale process, hears of that later: until then what is told is of a unit that no longer is.
     """
 
-    def __init__(self, home: float = 0.0, sigma: float = math.inf) -> None:
-        """``home`` is the log scale of the map's first part, as well known as ``sigma`` says."""
-        self._told: dict[int, tuple[float, float]] = {HOME: (home, sigma)}
+    def __init__(self) -> None:
+        self.begin(KnownScale())
+
+    def begin(self, home: KnownScale) -> None:
+        """Of another map, of whose first part so much is known."""
+        sigma = home.whole_sigma if home.is_known else math.inf
+        self._told: dict[int, tuple[float, float]] = {HOME: (home.log_scale, sigma)}
         self._joined: dict[int, int] = {}  # into which
         self._here = HOME
-
-    @classmethod
-    def of(cls, home: KnownScale) -> PartUnits:
-        """Of a map that was there before."""
-        return cls(home.log_scale, home.whole_sigma if home.is_known else math.inf)
 
     @property
     def log_scale(self) -> float:
@@ -37,6 +42,10 @@ class PartUnits:
         if scale.part == self._here or self._here not in self._told:
             sigma = math.hypot(scale.filter_sigma, scale.bias_sigma, scale.lost_sigma)
             self._told[self._here] = scale.map_log_scale, sigma if math.isfinite(sigma) else math.inf
+
+    def go_home(self) -> None:
+        """Until somebody speaks of another, the camera is in the map's first part."""
+        self._here = self._now(HOME)
 
     def between(self, part: int, other: int) -> tuple[float, float] | None:
         """Log of a part's unit in another's, and its sigma, by their metres; None where nobody knows.
@@ -55,13 +64,59 @@ class PartUnits:
         older, newer = sorted((self._now(part), self._now(other)))
         if older == newer:
             return
-        if older not in self._told and newer in self._told:
+        _, sigma = self._told.get(older, (0.0, math.inf))
+        if newer in self._told and not math.isfinite(sigma):
             log_scale, sigma = self._told[newer]
             self._told[older] = log_scale - log_unit, sigma
         self._joined[newer] = older
         self._here = self._now(self._here)
 
+    def info(self, parts: Iterable[int | None]) -> Info:
+        """For a journal of a map that has these parts, so that another life goes on with their metres."""
+        there = {part for part in parts if part is not None}
+        kept = {HOME, self._here, *map(self._now, there)} & self._told.keys()
+        rows = ((part, *self._told[part]) for part in sorted(kept))
+        told = [[part, log_scale, sigma if math.isfinite(sigma) else None] for part, log_scale, sigma in rows]
+        joined = [[part, self._now(part)] for part in sorted(there & self._joined.keys())]
+        return {TOLD: told, JOINED: joined, HERE: self._here}
+
+    def take(self, info: Info) -> None:
+        """What a journal says; nothing where an earlier build wrote it. Raises MapError for what can't be."""
+        if TOLD not in info:
+            return
+        told: Any = info[TOLD]
+        joined: Any = info.get(JOINED)
+        here: Any = info.get(HERE)
+        if not _are_told(told) or not _are_joined(joined):
+            raise MapError("the map's units are none of its parts")
+        known = {part: (float(log_scale), math.inf if s is None else float(s)) for part, log_scale, s in told}
+        if here not in known:
+            raise MapError("the map's units are not of the part that was spoken of")
+        self._told, self._joined, self._here = {**self._told, **known}, dict(joined), here
+
     def _now(self, part: int) -> int:
         while part in self._joined:
             part = self._joined[part]
         return part
+
+
+def _are_told(rows: Any) -> bool:
+    """Whether each is a part, the log scale of its unit, and the sigma of that or None."""
+    return _are_rows(rows, (int, float | int, float | int | None)) and all(
+        HOME <= part < LARGEST_ID and abs(log_scale) < LARGEST_LOG_SCALE and (sigma is None or sigma >= 0.0)
+        for part, log_scale, sigma in rows
+    )
+
+
+def _are_joined(rows: Any) -> bool:
+    """Whether each is a part and an older one."""
+    return _are_rows(rows, (int, int)) and all(HOME <= older < newer < LARGEST_ID for newer, older in rows)
+
+
+def _are_rows(rows: Any, kinds: tuple[Any, ...]) -> bool:
+    return isinstance(rows, list) and all(
+        isinstance(row, list)
+        and len(row) == len(kinds)
+        and all(isinstance(value, kind) and value is not True for value, kind in zip(row, kinds, strict=True))
+        for row in rows
+    )

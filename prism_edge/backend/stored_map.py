@@ -28,9 +28,10 @@ depth_sigmas     f8 (K)      relative noise of depths, 0 where the source did no
 made_by          i8 (M)      keyframe that a point was made from, -1 where that is not known
 depth_units      f8 (K)      map units a metre of network depth; 0 where that is not known
 renamed          i8 (R,2)    point that there was, and the one that it was made one with
+grown            f8 (K)      by how much a loop has lengthened its part since it was made
 ================ =========== ================================================================
 
-The last three are not in saved maps, which builds before them read as well. When keyframes were taken, and
+The last four are not in saved maps, which builds before them read as well. When keyframes were taken, and
 which part of the map they are of, is told beside the arrays (map_stamps.py, map_parts.py), as is a
 rolling shutter that was found (map_readout.py).
 """
@@ -45,7 +46,7 @@ from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import UNKNOWN, GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.backend.map_file import Arrays, Info
-from prism_edge.backend.map_parts import parts_info, parts_told
+from prism_edge.backend.map_parts import growth_info, growth_told, parts_info, parts_told
 from prism_edge.backend.map_readout import readout_info, readout_told
 from prism_edge.backend.map_stamps import stamps_info, stamps_of
 from prism_edge.backend.map_stand_ins import stand_ins_info, stand_ins_told
@@ -88,9 +89,10 @@ _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "made_by": ("<i8", ("M",)),
     "depth_units": ("<f8", ("K",)),
     "renamed": ("<i8", ("R", 2)),
+    "grown": ("<f8", ("K",)),
 }
 # Earlier builds lack them, and can read maps that do.
-_OPTIONAL = {"depth_sigmas", "made_by", "depth_units", "renamed"}
+_OPTIONAL = {"depth_sigmas", "made_by", "depth_units", "renamed", "grown"}
 
 
 def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tuple[Info, Arrays]:
@@ -148,7 +150,9 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["made_by"] = np.array([world.points[p].made_by for p in kept], np.int64)
         arrays["depth_units"] = np.array([_units_of(k) for k in keyframes], np.float64)
         arrays["renamed"] = world.renamed()
+        arrays["grown"] = np.array([k.grown for k in keyframes], np.float64)
     known = stamps_info([k.taken_ns for k in keyframes]) | parts_info({k.id: k.part for k in keyframes})
+    known |= growth_info(world.growth) if in_use else {}
     standing = stand_ins_info([k.id for k in keyframes if k.stands_in])
     known |= readout_info(world.readout_ms)
     return {"cameras": listed, "places_of": index.network, **known, **standing}, arrays
@@ -162,6 +166,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
         "made_by": np.full(len(arrays["points"]), UNKNOWN),
         "depth_units": np.zeros(len(arrays["keyframes"])),
         "renamed": np.zeros((0, 2), np.int64),
+        "grown": np.ones(len(arrays["keyframes"])),
     }
     arrays = unsaid | arrays
     _check_values(arrays)
@@ -173,6 +178,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     world = GlobalMap(max_carried)
     world.readout_ms = readout_told(info)
     world.rename(arrays["renamed"])
+    world.growth = growth_told(info)
     ids = arrays["points"].tolist()
     columns = arrays["positions"], arrays["parallax_deg"].tolist(), arrays["made_by"].tolist()
     for p, position, parallax, made_by in zip(ids, *columns, strict=True):
@@ -226,6 +232,7 @@ def _keyframe(
         features=Features.build(pixels, octaves, packed, camera.width, camera.height),
         scale_factor=factor,
         travelled=float(arrays["travelled"][row]),
+        grown=float(arrays["grown"][row]),
         weights=np.where(known, weights, np.nan) if known.any() else None,
     )
 
@@ -278,6 +285,7 @@ def _check_values(arrays: Arrays) -> None:
         "made_by": _between(arrays["made_by"], UNKNOWN, LARGEST_ID),
         "depth_units": _between(arrays["depth_units"], 0.0, FARTHEST),
         "renamed": _names(arrays["renamed"], arrays["points"]),
+        "grown": _between(arrays["grown"], 1.0 / FARTHEST, FARTHEST),
         "carried": _between(arrays["carried"], 0, LARGEST_ID) and _numbers(arrays["carried"][:, 0]),
         "links": _rigid(arrays["links"]),
         "places": _numbers(arrays["places"]),

@@ -7,6 +7,8 @@ ever after, the wider apart a map's points were seen from, the less it is out of
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from prism_edge.geometry.poses import Array
@@ -17,6 +19,7 @@ ENOUGH = 20  # matched points that are triangulated
 UNOBSERVED = 0.35  # of the scene's depth: what is moved by twice as much shows, whatever the depths are
 BEST = 0.25  # of the matched points: what the map's shape rests on
 LEAST_PARALLAX_DEG = 0.5  # below it depths are the network's, and no worse for less
+FITTED_FOCAL_PX = 525.0  # of the cameras that covariance.drift_* were fitted with
 
 
 class Baselines:
@@ -45,12 +48,22 @@ def unobserved_translation(world: LocalMap, world_from_camera: Array, rows: Inde
     return UNOBSERVED * abs(depth)
 
 
-def best_parallax(table: PointTable, rows: Index) -> float:
+def best_parallax(table: PointTable, rows: Index, focal_px: float) -> float:
     """Parallax, degrees, under which the BEST of the points in ``rows`` were placed, or more.
 
     By it a map's shape goes: a point's relative depth is as wrong as its rays' angles are for their parallax.
+    It is that of a camera of FITTED_FOCAL_PX whose map would be as good.
     """
     if len(rows) == 0:
         return LEAST_PARALLAX_DEG
     rank = int((1.0 - BEST) * (len(rows) - 1))
-    return max(float(np.partition(table.parallax_deg[rows], rank)[rank]), LEAST_PARALLAX_DEG)
+    parallax = float(np.partition(table.parallax_deg[rows], rank)[rank])
+    return max(parallax / angle_error(focal_px), LEAST_PARALLAX_DEG)
+
+
+def angle_error(focal_px: float) -> float:
+    """How far a ray's angle is off beside one of a camera of FITTED_FOCAL_PX.
+
+    Half of its variance is the pixel's, and what else is off (a turned keyframe, a moment) knows no pixels.
+    """
+    return math.sqrt(0.5 + 0.5 * (FITTED_FOCAL_PX / focal_px) ** 2)

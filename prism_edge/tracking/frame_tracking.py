@@ -137,7 +137,7 @@ class FrameTracker:
             estimate.covariance,
             len(rows),
             unobserved_translation(world, estimate.world_from_camera, rows),
-            best_parallax(world.points, rows),
+            best_parallax(world.points, rows, camera.fx),
             self.expected,
             self.taken_ns,
         )
@@ -161,7 +161,7 @@ class FrameTracker:
         return replace(
             frame, world_from_camera=pose, points=points, matched=len(keypoints),
             covariance=estimate.covariance, unobserved=unobserved,
-            parallax_deg=best_parallax(world.points, rows), expected=None,
+            parallax_deg=best_parallax(world.points, rows, frame.camera.fx), expected=None,
         )
 
     def seen_again(self, world: LocalMap, frame: TrackedFrame, features: Features) -> TrackedFrame:

@@ -61,18 +61,19 @@ class BackendWorker:
         use_rays = "plucker" not in config.ablate
         settings = replace(config.backend, lens=config.backend.lens and "lens" not in config.ablate)
         self._mapper = Mapper(settings, self._use_depth, bus.first_id, config.seed, use_rays)
-        self._keeper, self._loaded = MapKeeper(config, bus, self._mapper), LoadedMap(bus, self._mapper)
+        self._home_scale, self._units = KnownScale(), PartUnits()  # of the map's first part; of all
+        self._keeper = MapKeeper(config, bus, self._mapper, self._units)
+        self._loaded = LoadedMap(bus, self._mapper)
         self._desk = bus.commands({"save_map": self._save_map, "load_map": self._load_map})
         self._whole = Handover()
         self._shutter = ShutterWatch(self._mapper, bus.pulse, config.backend.shutter)
         self._arrivals = Arrivals(self._peers, self._use_depth)
         self._unsolved: Keyframe | None = None  # absorbed for who asked for the map
         self._late: int | None = None  # the newest keyframe whose descriptor came after it was looked at
-        self._home_scale, self._units = KnownScale(), PartUnits()  # of the map's first part; of all
         self._settled, self._adjusting_since_ns = False, 0
         recovered = self._keeper.recover()
         if recovered is not None:
-            self._home_scale, self._units = recovered, PartUnits.of(recovered)
+            self._home_scale = recovered
         # A whole run's map, not a life's: the new scale filter does not know its unit.
         self._untold = recovered is not None and not bus.life
         self._snapshot = self._take_snapshot()
@@ -213,7 +214,7 @@ class BackendWorker:
     def _begin(self, epoch: int) -> None:
         """A new map, of which nothing is there yet: nobody is to go on in the one before."""
         self._mapper.begin(epoch)
-        self._home_scale, self._units = KnownScale(), PartUnits()
+        self._home_scale = KnownScale()
         self._arrivals.begin(epoch)
         self._unsolved = self._late = None
         self._untold = False
@@ -349,7 +350,6 @@ class BackendWorker:
         try:
             heard = self._bus.ask("epoch", _ASK_S)  # None: it is down, and takes over what there is then
             self._home_scale, said = self._keeper.load(argument, 0 if heard is None else heard.epoch)
-            self._units = PartUnits.of(self._home_scale)
         finally:
             self._rest()
         self._arrivals.give_up()

@@ -19,6 +19,7 @@ from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.map_mount import difference, mount_of
 from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.part_units import PartUnits
 from prism_edge.backend.solved_record import solution_of, solved_arrays
 from prism_edge.bus import codec
 from prism_edge.bus.session import Bus
@@ -40,8 +41,10 @@ AGAIN_S, SELDOM_S = 2.0, 60.0  # a journal that could not be written is tried ag
 class MapKeeper:
     """Keeps the journal of a mapper, and saves its map."""
 
-    def __init__(self, config: Config, bus: Bus, mapper: Mapper) -> None:
+    def __init__(self, config: Config, bus: Bus, mapper: Mapper, units: PartUnits | None = None) -> None:
+        """``units`` are of the mapper's parts: they are kept, and taken up, with its map."""
         self._config, self._bus, self._mapper = config, bus, mapper
+        self._units = PartUnits() if units is None else units
         self._mount = base_from_camera(config.frames)
         self._journal: Journal | None = None
         self._failed_s, self._wait_s = float("-inf"), AGAIN_S
@@ -81,20 +84,37 @@ class MapKeeper:
             return None
         try:
             scale = self._mapper.restore(info, arrays, 0 if foreign else None, self._mount)
-            for record in records:
-                scale = self._absorb(record)
-        except BusError as error:  # a message that can't be read: nothing of its record is in the map yet
-            log.warning("keyframes since then are left out, they are of another build: %s", error)
+            self._units.begin(scale)
+            self._units.take(info)
+            scale = self._replayed(records, scale)
         except (MapError, KeyError, ValueError) as error:
             log.warning("the map could not be recovered: %s", error)
             self._mapper.begin(0)
+            self._units.begin(KnownScale())
             return None
         world = self._mapper.world
         log.info("recovered %d keyframes and %d points", len(world.keyframes), len(world.points))
         if odd := difference(mount_of(info), self._mount):
             log.warning("the map that was left was %s", odd)
         if foreign:
+            self._units.go_home()  # where that run's camera was last, this one's is not
             self._bus.pulse.values["recovered"] = f"{len(world.keyframes)} keyframes of an earlier run"
+        return scale
+
+    def _replayed(self, records: list[bytes], scale: KnownScale) -> KnownScale:
+        """What has become of the base, up to the first record that can't be read; the map's scale by then.
+
+        Nothing of a record is in the map before it has been read.
+        """
+        for record in records:
+            try:
+                scale = self._absorb(record)
+            except BusError as error:
+                log.warning("keyframes since then are left out, they are of another build: %s", error)
+                return scale
+            except MapError as error:
+                log.warning("what came since then is left out, it can't be read: %s", error)
+                return scale
         return scale
 
     def _foreign_flaw(self, info: Info, arrays: Arrays) -> str:
@@ -154,6 +174,7 @@ class MapKeeper:
     def forget(self) -> None:
         """The map was given up; the journal begins anew with the first keyframe of the next."""
         self._overhauled = False
+        self._units.begin(KnownScale())
         if self._journal is not None:
             self._journal.clear()
 
@@ -185,6 +206,7 @@ class MapKeeper:
         ours = self._mapper.world.camera
         epoch = max(self._mapper.epoch, tracked) + EPOCHS_BETWEEN
         scale = self._mapper.restore(info, arrays, epoch, self._mount)
+        self._units.begin(scale)
         if foreign:
             self._mapper.loops.index.clear()
         self.overhauled()
@@ -249,6 +271,7 @@ class MapKeeper:
         own = {"program": f"prism_edge {__version__}", "robot": self._config.robot}
         stored, arrays = self._mapper.stored(in_use)
         known = {**stored, **own, **scale.info, "model": self._network.name, **info}
+        known |= self._known_units if in_use else {}
         return map_file.pack(known, arrays)
 
     def _record(self, number: int, scale: KnownScale, message: bytes = b"") -> bytes:
@@ -267,13 +290,19 @@ class MapKeeper:
             "depth_sigma": keyframe.depth_sigma,
             "depth_units": keyframe.depth_units,
         }
-        return map_file.pack({**scale.info, **told, "number": number}, arrays)
+        return map_file.pack({**scale.info, **self._known_units, **told, "number": number}, arrays)
+
+    @property
+    def _known_units(self) -> Info:
+        return self._units.info(keyframe.part for keyframe in self._mapper.world.keyframes.values())
 
     def _absorb(self, record: bytes) -> KnownScale:
         info, arrays = map_file.unpack(record)
+        scale = KnownScale.of(info)
         if "solved" in arrays:
             self._mapper.replay(solution_of(arrays))
-            return KnownScale.of(info)
+            return scale
+        self._units.take(info)
         number = info.get("number")
         if arrays["keyframe"].size:
             message = codec.unpack(arrays["keyframe"].tobytes(), Keyframe)
@@ -281,7 +310,7 @@ class MapKeeper:
             number = message.id
         keyframe = self._mapper.world.keyframes.get(number) if isinstance(number, int) else None
         if keyframe is None:  # what came late for one that has gone since
-            return KnownScale.of(info)
+            return scale
         if len(arrays["depths"]) == len(keyframe.pixels):
             keyframe.depths = arrays["depths"].astype(np.float64)
             sigma, units = info.get("depth_sigma"), info.get("depth_units")  # earlier builds don't say
@@ -291,7 +320,7 @@ class MapKeeper:
             keyframe.weights = arrays["weights"].astype(np.float64)
         if len(arrays["place"]):
             self._mapper.loops.add_place(keyframe.id, arrays["place"], str(info.get("places_of", "")))
-        return KnownScale.of(info)
+        return scale
 
     @property
     def _is_failing(self) -> bool:

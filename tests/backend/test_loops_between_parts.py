@@ -162,9 +162,9 @@ def test_a_part_that_was_joined_to_another_has_that_ones_unit_too_once_both_are_
     loops._join_neighbours = lambda loop: 0  # there are no pictures
     before = poses_of(world)
     assert loops._close(Loop(203, 102, pose_at(100.7), 2.0, 0.001, 50, 3, []))
-    assert {part: round(by, 2) for part, by in world._grown.items()} == {6: 2.0}
+    assert {part: round(by, 2) for part, by in world.growth.items()} == {6: 2.0}
     assert loops._close(Loop(204, 2, pose_at(0.7), 1.5, 0.001, 50, 3, []))
-    assert {part: round(by, 2) for part, by in world._grown.items()} == {6: 3.0, 3: 1.5}
+    assert {part: round(by, 2) for part, by in world.growth.items()} == {6: 3.0, 3: 1.5}
     for start, by in zip(starts.values(), (1.0, 1.5, 3.0), strict=True):
         for k in range(start, start + 7):
             steps = [inverse(poses[k]) @ poses[k + 1] for poses in (before, poses_of(world))]

@@ -13,6 +13,7 @@ from prism_edge.backend.map_scale import KnownScale
 from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.solved_record import solution_of, solved_arrays
 from prism_edge.config import BackendConfig
+from prism_edge.errors import MapError
 from tests.backend.world import Teller, check, depth_at_keypoints
 from tests.tracking.cloud import pose_at
 
@@ -85,14 +86,25 @@ def test_what_is_not_here_is_passed_over_and_what_cannot_be_is_refused() -> None
     second.replay(solution_of(solved_arrays(strange)))
     for p, point in second.world.points.items():
         assert (point.position == before[p]).all()
-    with pytest.raises(ValueError, match="can't be"):
+    with pytest.raises(MapError, match="can't be"):
         solution_of(arrays | {"poses": np.full_like(arrays["poses"], np.nan)})
     for name in ("poses", "positions"):
         hurt = arrays[name].copy()
         hurt.flat[5] = np.inf  # one number of them all
-        with pytest.raises(ValueError, match="can't be"):
+        with pytest.raises(MapError, match="can't be"):
             solution_of(arrays | {name: hurt})
-    with pytest.raises(ValueError, match="zip"):
+    with pytest.raises(MapError, match="zip"):
         solution_of(arrays | {"points": arrays["points"][1:]})
-    with pytest.raises(KeyError):
+    with pytest.raises(MapError, match=r"poses|points"):
         solution_of({"solved": arrays["solved"]})
+
+
+def test_a_point_that_ran_off_is_left_out_as_of_a_stored_map():
+    first, second = told_twice()
+    update = first.optimise(7, 0.0)
+    assert update is not None
+    update.positions[3] = (0.0, 0.0, 1e39)
+    arrays = solved_arrays(update)
+    assert set(update.points.tolist()) - set(arrays["points"].tolist()) == {int(update.points[3])}
+    second.replay(solution_of(arrays))
+    check(second.world)

@@ -201,6 +201,8 @@ def put(value: Any, at: Any = 0) -> Callable[[np.ndarray], None]:
         ("made_by", lambda a: a[:-1]),
         ("depth_units", put(-1.0)),
         ("depth_units", put(np.nan)),
+        ("grown", put(0.0)),
+        ("grown", put(np.nan)),
         ("renamed", lambda a: np.array([[9001, 9002], [9001, 9003]])),  # two names
         ("renamed", lambda a: np.array([[9001, 9002], [9002, 9001]])),  # round and round
         ("renamed", lambda a: np.array([[9001, -1]])),
@@ -318,7 +320,7 @@ def test_who_goes_on_with_a_map_knows_points_by_the_names_that_they_had() -> Non
     assert first not in observed
     check(again)
     saved = to_arrays(world, PlaceIndex())[1].keys()
-    assert not {"made_by", "depth_units", "renamed"} & saved, "which an earlier build can read"
+    assert not {"made_by", "depth_units", "renamed", "grown"} & saved, "which an earlier build can read"
     known, _ = from_arrays(*IN_USE, max_carried=100)
     assert [k.depth_units for k in known.keyframes.values()] == [1.0, 0.0, 1.2, 1.4, 0.0, 1.6, 0.0]
     again.keyframes[0].depth_units = 1e12  # before a lens cap, say: that is no reason to lose the map

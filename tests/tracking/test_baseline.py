@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from prism_edge.config import TrackingConfig
 from prism_edge.geometry.poses import from_rt, inverse, rotation_angle, so3_exp
 from prism_edge.messages import OK
+from prism_edge.tracking import baseline
 from prism_edge.tracking.baseline import (
     LEAST_PARALLAX_DEG,
     UNOBSERVED,
@@ -107,11 +109,26 @@ def test_a_quarter_of_the_points_say_from_how_wide_apart_the_map_was_seen():
     rng, table = np.random.default_rng(3), PointTable()
     table.add(400, parallax_deg=rng.uniform(0.0, 9.0, 400))
     rows = rng.permutation(400)[:101]
-    least = best_parallax(table, rows)
+    least = best_parallax(table, rows, 525.0)
     assert np.count_nonzero(table.parallax_deg[rows] >= least) == 26
     table.parallax_deg[:] = 0.01
     for few in (rows, rows[:1], rows[:0]):
-        assert best_parallax(table, few) == LEAST_PARALLAX_DEG
+        assert best_parallax(table, few, 525.0) == LEAST_PARALLAX_DEG
+
+
+@pytest.mark.parametrize(("focal", "times"), [(525.0, 1.0), (262.5, math.sqrt(2.5)), (1e9, math.sqrt(0.5))])
+def test_coarser_pixels_need_more_parallax_for_as_good_a_map(focal: float, times: float):
+    table, rows = PointTable(), np.arange(10)
+    table.add(10, parallax_deg=np.full(10, 3.0))
+    assert best_parallax(table, rows, focal) == pytest.approx(3.0 / times)
+    table.parallax_deg[:] = 0.51
+    assert best_parallax(table, rows, focal) >= LEAST_PARALLAX_DEG, "a network's depth knows no pixels"
+
+
+def test_what_a_frame_says_of_its_map_goes_with_its_camera(film, monkeypatch):
+    coarse = play(film[TURNING:], CONFIG)[0][-1].parallax_deg
+    monkeypatch.setattr(baseline, "FITTED_FOCAL_PX", 262.5)  # as this camera's
+    assert play(film[TURNING:], CONFIG)[0][-1].parallax_deg == pytest.approx(math.sqrt(2.5) * coarse)
 
 
 def test_each_part_of_a_map_has_a_baseline_of_its_own():
