@@ -21,7 +21,7 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from statistics import median
 
@@ -40,7 +40,7 @@ from prism_edge.sources.open import find_listing  # noqa: E402
 from prism_edge.sources.sim import is_simulated  # noqa: E402
 from tools.accuracy import at  # noqa: E402
 from tools.finished_runs import Metrics, finished, others_used_the_machine  # noqa: E402
-from tools.published_figures import NOTES, dataset_of, published  # noqa: E402
+from tools.published_figures import NOTES, Published, dataset_of, published  # noqa: E402
 
 OTHER = "Other folders"
 # Columns; ATE in the dataset's unit.
@@ -59,6 +59,11 @@ class Row:
     runs: list[Metrics] = field(default_factory=list)
     failure: str = ""
     reused: int = 0  # of the runs
+    most: int | None = None  # frames that were asked for; None: all
+
+    def is_whole(self, paper: Published) -> bool:
+        """Whether each run may be of the whole sequence that the paper has a figure of."""
+        return all(paper.fits(run["frames"], self.most) for run in self.runs)
 
 
 class _Overheard(io.StringIO):
@@ -197,7 +202,7 @@ def line(row: Row) -> str:
             _drift(row, "t_rel_percent"),
             _drift(row, "r_rel_deg_per_100m"),
         ]
-    if paper is None or not all(paper.fits(run["frames"]) for run in row.runs):
+    if paper is None or not row.is_whole(paper):
         cells += ["-", "-"]
     else:
         mark = UNKNOWN_LENGTH[0] * (paper.frames is None)
@@ -227,12 +232,13 @@ def _below(rows: list[Row]) -> list[str]:
     """What is to be said of a table's rows."""
     said = [f"\\* {OWN_LENGTH}."] if any(map(_of_own_length, rows)) else []
     papers = [(row, published(row.dataset, row.folder)) for row in rows]
-    if any(paper and paper.frames is None for _, paper in papers):
+    if any(paper and paper.frames is None and row.is_whole(paper) for row, paper in papers):
         said.append(UNKNOWN_LENGTH)
     for row, paper in papers:
-        if paper and not all(paper.fits(run["frames"]) for run in row.runs):
+        if paper and not row.is_whole(paper):
             frames = _figure(row, at("frames"), ".0f")
-            whose = f"{row.folder.name} has {frames} frames, and the paper's figures are of {paper.frames}"
+            theirs = "all" if paper.frames is None else paper.frames
+            whose = f"{row.folder.name} has {frames} frames, and the paper's figures are of {theirs}"
             said.append(f"{whose}: they are left out.")
     return said + [text for row in rows for text in warnings(row)]
 
@@ -283,7 +289,7 @@ def _settings(arguments: list[str] | None) -> argparse.Namespace:
 def main(arguments: list[str] | None = None) -> int:
     """Run, tabulate; returns the exit code."""
     args = _settings(arguments)
-    rows = [row_of(folder) for folder in args.folders]
+    rows = [replace(row_of(folder), most=args.frames) for folder in args.folders]
     begun: list[Row] = []
     for number, row in enumerate(rows, start=1):
         begun.append(row)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from prism_edge.bus.pack import as_sent, rgb
+from prism_edge.cli.settings import whole_above_zero
 from prism_edge.config import DepthConfig, SourceConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction
@@ -54,13 +55,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("folder", metavar="FOLDER", type=Path)
     parser.add_argument("--model", required=True, help="ONNX file, known name, or nested:RELATIVE,METRIC")
-    parser.add_argument("--every", type=int, default=3, metavar="N", help="take each N-th frame (default 3)")
+    parser.add_argument("--every", type=whole_above_zero, default=3, metavar="N", help="each N-th frame (3)")
     parser.add_argument("--threads", type=int, default=1, metavar="N", help="threads of one inference")
     args = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     try:
         network = open_network(args.model, DepthConfig(model=args.model, threads=args.threads))
-        scores, unscored = measure(args.folder, network, max(1, args.every))
+        scores, unscored = measure(args.folder, network, args.every)
     except PrismError as error:
         print(f"measure_depth: error: {error}", file=sys.stderr)
         return error.exit_code

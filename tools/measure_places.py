@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from prism_edge.cli.settings import whole_above_zero
 from prism_edge.config import DepthConfig, SourceConfig
 from prism_edge.depth import open_onnx
 from prism_edge.depth.prediction import normalised
@@ -55,12 +56,12 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=form)
     parser.add_argument("folder", metavar="FOLDER", help="recording with true poses")
     parser.add_argument("--model", required=True, help="ONNX file or known name")
-    parser.add_argument("--every", type=int, default=5, metavar="N", help="take each N-th frame (default 5)")
+    parser.add_argument("--every", type=whole_above_zero, default=5, metavar="N", help="each N-th frame (5)")
     args = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     try:
         network = open_onnx(args.model, DepthConfig(threads=1))
-        indices, poses, descriptors, silent = describe(args.folder, network, max(1, args.every))
+        indices, poses, descriptors, silent = describe(args.folder, network, args.every)
     except PrismError as error:
         print(f"measure_places: error: {error}", file=sys.stderr)
         return error.exit_code

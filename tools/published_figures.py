@@ -20,9 +20,14 @@ class Published:
     t_rel_percent: float | None = None
     frames: int | None = None  # that these are of: all of rgb.txt, a whole sequence; None: not known here
 
-    def fits(self, frames: float) -> bool:
-        """Whether a recording of so many frames may be that sequence: within a hundredth of its own."""
-        return self.frames is None or abs(frames - self.frames) <= 0.01 * self.frames
+    def fits(self, frames: float, most: int | None = None) -> bool:
+        """Whether a recording of so many frames may be that sequence: within a hundredth of its own.
+
+        Where that isn't known, it may if it has fewer than the ``most`` that were asked for.
+        """
+        if self.frames is None:
+            return most is None or frames < most
+        return abs(frames - self.frames) <= 0.01 * self.frames
 
 
 # Dataset, what a folder's path looks like, figures: tables "TUM RGB-D (fr1)", "(fr3)", "BONN Dynamic",

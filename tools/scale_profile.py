@@ -24,6 +24,7 @@ if str(ROOT) not in sys.path:  # run from a checkout
     sys.path.insert(0, str(ROOT))
 
 from prism_edge.bus.pack import as_sent, grey, rgb  # noqa: E402
+from prism_edge.cli.settings import whole_above_zero  # noqa: E402
 from prism_edge.config import Config, DepthConfig, ScaleConfig, SourceConfig  # noqa: E402
 from prism_edge.depth import open_network  # noqa: E402
 from prism_edge.errors import PrismError, SourceError  # noqa: E402
@@ -178,14 +179,13 @@ def main() -> int:
     parser.add_argument("sequence", type=Path, help="7-Scenes or TUM RGB-D folder with sensor depth")
     parser.add_argument("--model", required=True, help="network: file or registered name")
     parser.add_argument("--camera", default="", help="camera file, where the folder isn't known")
-    parser.add_argument("--every", type=int, default=3, help="use every k-th frame (default 3)")
+    parser.add_argument("--every", type=whole_above_zero, default=3, help="use every k-th frame (default 3)")
     parser.add_argument("--frame-sigma", type=float, default=ScaleConfig().frame_sigma)
     parser.add_argument("--correlation-s", type=float, default=ScaleConfig().correlation_s)
     arguments = parser.parse_args()
     config = ScaleConfig(frame_sigma=arguments.frame_sigma, correlation_s=arguments.correlation_s)
     try:
-        every = max(1, arguments.every)
-        series = profile(arguments.sequence, arguments.model, arguments.camera, every, config)
+        series = profile(arguments.sequence, arguments.model, arguments.camera, arguments.every, config)
         if len(series.times_s) < 2:
             raise SourceError(f"{arguments.sequence}: fewer than two frames have sensor depth")
     except PrismError as error:

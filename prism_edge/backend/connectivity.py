@@ -20,6 +20,7 @@ Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and 
 MANY_SHARED = 50  # every such pair is tied; of the others each keyframe with its best few
 BEST_FEW = 3
 FEW_SHARED = 10  # fewer may be chance matches: they tie nothing
+MOST_AT_ONCE = 1_000_000  # pairs counted: where hundreds see each point a map has hundreds of millions
 LOOPED = 30.0  # shared points that a loop counts as, or having been followed from one to the other
 
 
@@ -107,12 +108,14 @@ def shared_points(world: GlobalMap) -> tuple[Ids, Ids, Ids]:
     for point in world.points.values():
         if len(point.keyframes) > 1:
             viewers.setdefault(len(point.keyframes), []).extend(row[k] for k in point.keyframes)
-    pairs = [np.zeros(0, np.int64)]
+    found, shared = np.zeros(0, np.int64), np.zeros(0, np.int64)
     for many, rows in viewers.items():
         seeing = np.sort(np.array(rows, np.int64).reshape(-1, many), axis=1)
         newer, older = np.tril_indices(many, -1)
-        pairs.append((len(numbers) * seeing[:, newer] + seeing[:, older]).ravel())
-    found, shared = np.unique(np.concatenate(pairs), return_counts=True)
+        for some in np.array_split(seeing, math.ceil(len(seeing) * len(newer) / MOST_AT_ONCE)):
+            pairs, times = np.unique(len(numbers) * some[:, newer] + some[:, older], return_counts=True)
+            found, where = np.unique(np.concatenate([found, pairs]), return_inverse=True)
+            shared = np.bincount(where, np.concatenate([shared, times])).astype(np.int64)
     return numbers[found % len(numbers)], numbers[found // len(numbers)], shared
 
 

@@ -17,9 +17,15 @@ log = logging.getLogger("prism_edge.bus")
 class Answer:
     """A queryable. Not one of Zenoh's callbacks: their threads keep the process from ending."""
 
-    def __init__(self, session: Any, key: str, payload: Callable[[], bytes | None], encoding: Any) -> None:
-        """``payload`` is called for each query, in this object's thread; None is no answer."""
-        self._key, self._payload, self._encoding = key, payload, encoding
+    def __init__(
+        self, session: Any, key: str, payload: Callable[[], bytes | None], encoding: Any, own: bool = False
+    ) -> None:
+        """``payload`` is called for each query, in this object's thread; None is no answer.
+
+        ``own``: between our processes, which ask by name. Who asks for ``prism/robot/**`` means what is
+        public: for him no process is to pack a whole map while frames wait.
+        """
+        self._key, self._payload, self._encoding, self._own = key, payload, encoding, own
         self._queryable = session.declare_queryable(key, zenoh.handlers.FifoChannel(64))
         self._thread = vital(self._run, "answer")
         self._thread.start()
@@ -35,6 +41,8 @@ class Answer:
             del query  # else it, and with it the asker, would wait for the next one
 
     def _reply(self, query: Any) -> None:
+        if self._own and str(query.key_expr) != self._key:
+            return
         try:
             data = self._payload()
             if data is not None:

@@ -255,7 +255,8 @@ class Bus:
         return last() if callable(last) else last
 
     def _reply_with(self, topic: str, payload: Callable[[], bytes | None]) -> Answer:
-        return Answer(self._session, keys.key(self.robot, TOPICS[topic]), payload, encoding(TOPICS[topic]))
+        told = TOPICS[topic]
+        return Answer(self._session, keys.key(self.robot, told), payload, encoding(told), told.internal)
 
     def _subscribe(self, topic: str, capacity: int, rouses: Inbox | None = None) -> Inbox:
         key = keys.key(self.robot, TOPICS[topic])

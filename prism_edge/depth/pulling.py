@@ -72,7 +72,7 @@ def pull(
         done = manifest_of(plan.folder)
         if done and all((plan.folder / file.name).is_file() for file in done.files):
             _check_same(plan, done)
-            return done
+            return _given_since(plan, done)
         before = _remembered(plan)
         parts = {file: _fetch(plan, file, before, progress, patience) for file in plan.files}
         if plan.runnable:
@@ -94,6 +94,16 @@ def pull(
             if part != target:
                 download.settle(part, target)
     return plan
+
+
+def _given_since(plan: Pulled, done: Pulled) -> Pulled:
+    """What is there already, whose digests are all given now if they were not when it came."""
+    given = {file.name for file in plan.files if file.sha256}
+    if done.given or not given >= {file.name for file in done.files}:
+        return done
+    confirmed = replace(done, given=True)
+    write_manifest(confirmed)
+    return confirmed
 
 
 def _remembered(plan: Pulled) -> Mapping[str, str]:

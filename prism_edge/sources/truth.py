@@ -60,6 +60,7 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
     elif listing.layout == "KITTI odometry":
         rows = _kitti(folder, file)
     if not rows:
+        log.warning("%s holds no pose", file)
         return None
     rows.sort(key=lambda row: row[0])
     return np.array([stamp for stamp, _ in rows], dtype=np.int64), np.array([pose for _, pose in rows])

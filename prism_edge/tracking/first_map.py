@@ -24,6 +24,7 @@ MISLED = 2  # times as many match by their looks as tracking finds
 APART = np.radians(60.0)  # between two ways that the matches allow: which is true is not decided yet
 LEAST_SHARE = 0.65  # of the corners fit two views that unseat the network; what moves has fewer agree
 TURNED = np.radians(1.0)  # so near to where a turn alone takes it a corner says nothing against the turn
+CHANCE = np.radians(10.0)  # where it is farther off its match is one by chance, if the turn is right
 
 
 class SecondView(Enum):
@@ -81,11 +82,15 @@ def _is_misled(first: LocalKeyframe, frame: TrackedFrame, before: Index, now: In
     """Whether many more corners match by their looks than tracking finds, and not where it has turned them.
 
     In a large image thousands match, and the first map has a few hundred points: that alone says nothing.
+    Nor does a hundred of them that match by chance, anywhere in the image.
     """
     turn = (inverse(first.world_from_camera) @ frame.world_from_camera)[:3, :3]
     expected = rays(first.camera, first.features.pixels[before]) @ turn
     seen = rays(frame.camera, frame.features.pixels[now])
     across = np.linalg.norm(np.cross(expected, seen), axis=1)
-    elsewhere = np.arctan2(across, np.einsum("ij,ij->i", expected, seen)) > TURNED
+    angle = np.arctan2(across, np.einsum("ij,ij->i", expected, seen))
+    elsewhere = angle > TURNED
+    if np.count_nonzero(elsewhere) <= len(elsewhere) / 2:
+        elsewhere &= angle < CHANCE
     enough = len(before) >= MISLED * frame.matched
     return bool(enough and np.count_nonzero(elsewhere) >= CAN_WAIT_MATCHES)

@@ -156,7 +156,7 @@ class TrackerWorker:
         published = result.world_from_camera is not None and result.in_map
         if self._recovering and published:
             self._recovering = False
-            self._status.say(RECOVERED, frame.stamp_ns)
+            self._status.say(RECOVERED, tracker.epoch, frame.stamp_ns)
         if result.world_from_camera is not None:
             self._publish(frame, result, before, repeated)
         else:
@@ -309,7 +309,7 @@ class TrackerWorker:
             self._scale.enter()
         if message.loop_query >= 0:
             self._drift.close(self._tracker.world, message, self._tracker.log_scale)
-            self._status.say(LOOP_CLOSED, self._now_ns)
+            self._status.say(LOOP_CLOSED, self._tracker.epoch, self._now_ns)
 
     def _adopt(self, whole: WholeMap | None) -> bool:
         """Go on in the backend's map, if there is one to go on in."""

@@ -24,7 +24,7 @@ class TrackerStatus:
         self._shown: tuple[str, int, str] | None = None
         self._last: Any | None = None  # what was said,
         self._again_s = 0.0  # ... and when it is due again without an image
-        self._happened, self._happened_until_ns = "", 0  # to the map, and until when we say so
+        self._happened, self._happened_to, self._happened_until_ns = "", -1, 0  # which map; told until when
 
     def repeat(self) -> None:
         """Say it once more where it is due, by the stamp that it had: no image came for a while."""
@@ -32,9 +32,9 @@ class TrackerStatus:
             self._again_s = time.monotonic() + _STATUS_NS / 1e9
             self._bus.publish("status", self._last)
 
-    def say(self, word: str, now_ns: int) -> None:
-        """What has happened to the map: said for a while."""
-        self._happened, self._happened_until_ns = word, now_ns + _SAID_NS
+    def say(self, word: str, epoch: int, now_ns: int) -> None:
+        """What has happened to the map of an epoch: said of that one for a while."""
+        self._happened, self._happened_to, self._happened_until_ns = word, epoch, now_ns + _SAID_NS
 
     def show(
         self, epoch: int, odometry: str, at_home: bool, localise_only: bool, stamp_ns: int,
@@ -53,7 +53,7 @@ class TrackerStatus:
         state = LOCALISED if localise_only else BUILDING
         if odometry == LOST or not at_home:
             state = RELOCALISING
-        elif self._happened and stamp_ns < self._happened_until_ns:
+        elif epoch == self._happened_to and stamp_ns < self._happened_until_ns:
             state = self._happened
         due = stamp_ns // _STATUS_NS
         if self._shown == (odometry, due, state):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -65,6 +67,18 @@ def test_how_many_points_each_two_share(sets: list[set[int]]) -> None:
     told = [column.tolist() for column in shared_points(seen_by(sets))]
     both = {(i, j): len(sets[i] & sets[j]) for j in range(len(sets)) for i in range(j) if sets[i] & sets[j]}
     assert {(a, b): count for a, b, count in zip(*told, strict=True)} == both
+
+
+def test_points_that_hundreds_see_are_counted_in_bounded_memory() -> None:
+    world = seen_by([set(range(200))] * 200)  # 4 million pairs of 8 bytes, and what sorting them takes
+    tracemalloc.start()
+    try:
+        _, _, shared = shared_points(world)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert shared.tolist() == [200] * (200 * 199 // 2)
+    assert peak < 80e6
 
 
 @settings(max_examples=30, deadline=None)

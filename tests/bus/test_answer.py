@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 
 from prism_edge import messages as m
+from prism_edge.bus import ros
 from prism_edge.bus.codec import pack
 from tests.bus.examples import end, linked
 from tests.waiting import until
@@ -65,6 +66,21 @@ def test_a_function_answers_from_its_own_thread(join):
     assert tracker.ask("end", 5.0) == end(1)
     assert tracker.ask("end", 5.0) is None
     assert threading.get_ident() not in callers
+
+
+def test_who_reads_all_of_a_robot_makes_no_process_pack_what_only_ours_ask_for(join, outside):
+    join("supervisor", listen=True)
+    source, tracker, asked = join("source"), join("tracker"), []
+    source.answer("end", lambda: asked.append(1) or end(1))
+    tracker.publish("status", ros.diagnostics(0, [("tracking", 0, "ok building", {})]))
+    linked(source, tracker)
+    read = outside()
+    for everything in ("prism/robot/**", "prism/robot/internal/*"):
+        keys = {str(reply.ok.key_expr) for reply in read.get(everything, timeout=5.0) if reply.ok}
+        assert ("prism/robot/status" in keys) == everything.endswith("**")
+        assert not any("internal" in key for key in keys)
+    assert asked == []
+    assert tracker.ask("end", 5.0) == end(1)
 
 
 def test_a_function_that_fails_is_logged_and_answers_nothing(join, caplog):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -41,3 +42,16 @@ def test_what_is_missing_comes_from_where_the_rest_came_from(server, models: Pat
     says = r"was pulled from .*/tiny.onnx; `prism-edge models remove mine` first"
     with pytest.raises(ModelError, match=says):
         get(from_url(f"{server.url}/other/tiny.onnx", models, name="mine"), unverified=True)
+
+
+def test_a_digest_that_is_given_later_is_remembered_as_given(server, models: Path):
+    url = f"{server.url}/tiny.onnx"
+    done = get(from_url(url, models, name="mine"), unverified=True)
+    assert done.given is False
+    with pytest.raises(ModelError):
+        get(from_url(url, models, "0" * 64, name="mine"))
+    assert manifest_of(done.folder) == done
+    assert get(from_url(url, models, name="mine"), unverified=True) == done, "without one it stays as it was"
+    confirmed = get(from_url(url, models, done.files[0].sha256, name="mine"))
+    assert confirmed == manifest_of(done.folder) == replace(done, given=True)
+    assert get(from_url(url, models, name="mine"), unverified=True) == confirmed

@@ -191,6 +191,17 @@ def test_kitti_in_a_folder_directly_below_the_root(tmp_path: Path, monkeypatch: 
     assert len(truth[0]) == 3
 
 
+@pytest.mark.parametrize("text", ["", "# timestamp tx ty tz qx qy qz qw\n"])
+def test_a_file_of_truth_that_holds_none_is_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str
+) -> None:
+    """As of a download that was cut short: else the file would be said to be missing."""
+    tiny.write_tum(tmp_path)
+    (tmp_path / "groundtruth.txt").write_text(text)
+    assert read_truth(str(tmp_path)) is None
+    assert f"{tmp_path / 'groundtruth.txt'} holds no pose" in caplog.text
+
+
 def test_sequences_without_truth(tmp_path: Path) -> None:
     folder = tiny.write_tum(tmp_path / "tum")
     (folder / "groundtruth.txt").unlink()

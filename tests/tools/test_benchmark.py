@@ -106,6 +106,16 @@ def test_ours_and_the_papers_figures_are_side_by_side_and_labelled(tmp_path: Pat
     assert "[5/5]" in err
 
 
+def test_a_cut_of_a_sequence_whose_length_nobody_noted_has_no_figures_beside_it(tmp_path: Path, ran, capsys):
+    folder = layout(tmp_path / "rgbd_dataset_freiburg3_walking_static", "tum")
+    words = [str(folder), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--frames", "40"]
+    assert benchmark.main(words) == 0
+    out = capsys.readouterr().out
+    assert row(out, "walking_static")[-2:] == ["-", "-"]
+    assert "walking_static has 40 frames, and the paper's figures are of all: they are left out.\n" in out
+    assert "†" not in out
+
+
 def test_the_papers_figures_stand_beside_recordings_of_their_length_alone(tmp_path: Path, ran, capsys):
     folders = [
         layout(tmp_path / "cut" / "rgbd_dataset_freiburg1_rpy", "tum"),

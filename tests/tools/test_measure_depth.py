@@ -70,3 +70,11 @@ def test_what_can_not_be_measured_is_one_line(tmp_path: Path, capsys, arguments:
     captured = capsys.readouterr()
     assert captured.err.startswith("measure_depth: error: ")
     assert captured.err.count("\n") == 1
+
+
+@pytest.mark.parametrize("every", ["0", "-3", "1.5"])
+def test_a_step_between_frames_is_a_whole_number_above_zero(folder: Path, capsys, every: str):
+    with pytest.raises(SystemExit) as ended:
+        measure_depth.main([str(folder), "--model", "prism_nano", "--every", every])
+    assert ended.value.code == 2
+    assert "--every" in capsys.readouterr().err

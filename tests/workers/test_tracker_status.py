@@ -14,6 +14,7 @@ from prism_edge.messages import (
     LOOP_CLOSED,
     LOST,
     OK,
+    RECOVERED,
     RELOCALISING,
 )
 from prism_edge.workers import tracker_status
@@ -90,7 +91,24 @@ def test_the_map_s_word_is_that_of_where_the_camera_is_and_for_a_while_what_has_
     assert said(0.0) == BUILDING
     assert said(1.0, localise_only=True) == LOCALISED
     assert said(2.0, LOST) == said(3.0, at_home=False) == RELOCALISING
-    status.say(LOOP_CLOSED, 4 * 10**9)
+    status.say(LOOP_CLOSED, 0, 4 * 10**9)
     assert said(4.0) == said(5.9) == said(5.0, localise_only=True) == LOOP_CLOSED
     assert said(5.5, at_home=False) == RELOCALISING
     assert said(6.0) == BUILDING
+
+
+def test_what_has_happened_to_one_map_is_not_said_of_the_next():
+    """After `reset` or `load_map`, a moment after a loop."""
+    bus = SimpleNamespace(publish=lambda topic, message: None, pulse=SimpleNamespace(values={}))
+    status = TrackerStatus(bus)
+
+    def said(epoch: int, seconds: float, odometry: str = OK, localise_only: bool = False) -> str:
+        status.show(epoch, odometry, True, localise_only, round(seconds * 1e9), {})
+        return bus.pulse.values["map"]
+
+    status.say(LOOP_CLOSED, 0, 10**9)
+    assert said(0, 1.0) == LOOP_CLOSED
+    assert said(1, 1.1, INITIALISING) == said(1, 1.2) == BUILDING
+    assert said(1001, 1.3, localise_only=True) == LOCALISED
+    status.say(RECOVERED, 2001, 2 * 10**9)  # before anything has been shown of that map
+    assert said(2001, 2.0) == RECOVERED
