@@ -31,16 +31,15 @@ PROCESSES = {
 
 LOADING_S = 120.0  # that a depth network may take to load: depth's, and in lockstep source waits for it
 
-# What the depth network's metres are for: without a network they have no work.
-_NEED_DEPTH = ("depth", "scale")
 
 
 def processes_for(config: Config) -> tuple[Process, ...]:
     """The processes that a run with this configuration consists of, in the order they start.
 
-    depth and scale run only where a depth network is configured.
+    depth runs only where a network is configured. scale always does: a loaded map has its metres, and they
+    get less sure with what is built on it.
     """
-    return tuple(p for p in PROCESSES.values() if config.depth.network or p.name not in _NEED_DEPTH)
+    return tuple(p for p in PROCESSES.values() if config.depth.network or p.name != "depth")
 
 
 def peers_of(config: Config, name: str) -> set[str]:

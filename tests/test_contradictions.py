@@ -18,7 +18,7 @@ def test_the_defaults_have_none() -> None:
 
 
 def test_a_network_that_runs_elsewhere_is_named_here_too() -> None:
-    """Else there is no scale process, and nobody watches depth."""
+    """Else nobody waits for depth, and nobody watches it."""
     away = replace(Config(), network=NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=("depth",)))
     (said,) = contradictions(away)
     assert "network.remote" in said

@@ -11,4 +11,4 @@ from prism_edge.processes import PROCESSES, peers_of
 @pytest.mark.parametrize("name", PROCESSES)
 def test_peers_are_all_others_that_run(name: str) -> None:
     assert peers_of(Config(depth=DepthConfig("net.onnx")), name) == PROCESSES.keys() - {name}
-    assert peers_of(Config(), name) == {"source", "tracker", "backend"} - {name}
+    assert peers_of(Config(), name) == {"source", "tracker", "scale", "backend"} - {name}

@@ -26,8 +26,10 @@ class Row:
         return self.name, self.level, self.values.get("pid", ""), self.values.get("restarts", "")
 
 
-def no_network() -> Row:
-    """The row of `depth` in a run that has no depth network: its depth would begin the map."""
+def no_network(has_map: bool = False) -> Row:
+    """The row of `depth` in a run without a network, whose depth would begin a map."""
+    if has_map:
+        return Row("depth", OK, "no network: the map was loaded", {"state": "none"})
     return Row("depth", WARN, WITHOUT_NETWORK, {"state": "none"})
 
 

@@ -328,7 +328,7 @@ class Supervisor:
             values["provider"] = rows["depth"].values.get("provider", "none")
         values |= {name: row.message for name, row in rows.items()}
         if not self._config.depth.network:
-            values["depth"] = no_network().message
+            values["depth"] = no_network(self._has_map(now)).message
         return Reply(self.ready_s is not None and self.alive and self._has_map(now), self._status, values)
 
     def _has_map(self, now_s: float) -> bool:
@@ -343,7 +343,7 @@ class Supervisor:
         rows: list[Row] = [watch.row(now) for watch in self._watches.values()]
         rows += [remote.row(now) for remote in self._remote.values()]
         if not self._config.depth.network:
-            rows.append(no_network())
+            rows.append(no_network(self._has_map(now)))
         rows.insert(0, summary(rows, os.getpid(), self.ready_s))
         self._status, self._rows = status_line(rows), rows
         essence = [row.essence for row in rows]

@@ -102,12 +102,15 @@ class ScaleWorker:
         for keyframe in keyframes:
             self._stamp_ns = keyframe.stamp_ns
             self._estimator.hear(keyframe)
-            self._waiting.add_keyframe(keyframe)
+            if "depth" in self._peers:
+                self._waiting.add_keyframe(keyframe)
+            else:  # a loaded map's metres, less and less sure
+                self._handle(keyframe, None)
         pairs = self._waiting.complete()
         for keyframe, depth in pairs:
             self._handle(keyframe, depth)
         now = time.monotonic()
-        if pairs:
+        if pairs or "depth" not in self._peers:
             self._unanswered_s = None
         elif keyframes and self._unanswered_s is None:
             self._unanswered_s = now
@@ -146,7 +149,8 @@ class ScaleWorker:
         self._bus.pulse.values.update(log_scale=f"{scale.log_scale:.4f}", sigma=f"{scale.sigma:.4f}")
         self._doubt(scale.keyframe)
         self._bus.publish("log_scale", scale)
-        self._bus.publish("scale", self._public(scale))
+        if "depth" in self._peers or self._estimator.metric:  # else nothing will ever say a metre
+            self._bus.publish("scale", self._public(scale))
 
     def _doubt(self, keyframe: int) -> None:
         """Says where a network seems to be out of its depth: on `health` while it is so, on the log once."""

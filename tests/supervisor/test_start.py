@@ -76,7 +76,7 @@ def test_first_lives_are_forks_and_later_ones_are_not(
         until(lambda: "ready after" in log.read_text(), deadline_s=60.0)
         root = psutil.Process(daemon.pid)
         first = {worker.cmdline()[0]: worker for worker in root.children()}
-        assert first.keys() == {"prism-edge source", "prism-edge tracker", "prism-edge backend"}
+        assert first.keys() == {f"prism-edge {name}" for name in ("source", "tracker", "scale", "backend")}
         assert all(is_a_copy_of(root, worker) for worker in first.values())
         assert all(worker.environ()["PRISM_MARK"] == "of this test" for worker in first.values())
         first["prism-edge tracker"].kill()
