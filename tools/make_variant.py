@@ -35,6 +35,7 @@ from prism_edge.sources import open_source
 from prism_edge.sources.base import Image
 from prism_edge.sources.stamps import write_seconds
 from tools.distractors.recording import empty
+from tools.little_light import dimmed
 from tools.make_kidnapping import describe
 from tools.true_poses import own_truth, pose_of_image
 
@@ -69,10 +70,7 @@ class Variant:
         pixels = np.ascontiguousarray(taken[:, ::-1]) if self.mirrored else taken.copy()
         if self.bonnet:
             pixels[-(len(pixels) // BONNET_SHARE) :] = bonnet(pixels)
-        if self.light < 1.0:
-            light = np.random.default_rng(index).poisson(self.light * pixels.astype(np.float32))
-            pixels = np.minimum(light, 255).astype(np.uint8)
-        return pixels
+        return dimmed(pixels, self.light, index)
 
     def camera(self, taken: Camera) -> Camera:
         """The camera that takes these images; time that goes both ways leaves no order of its rows."""

@@ -1,10 +1,11 @@
 """Measures a depth network on a recording with sensor depth: how wrong, by what factor, for how long.
 
-    python tools/measure_depth.py FOLDER --model MODEL [--every N]
+    python tools/measure_depth.py FOLDER --model MODEL [--every N] [--light SHARE]
 
 FOLDER is a TUM RGB-D (or BONN) or 7-Scenes folder. Printed are AbsRel and delta < 1.25 over pixels, the mean
 ratio true / predicted (what the scale of a perfect run would settle at), its spread from frame to frame and
-the autocorrelation of that spread, which says how many frames are worth one independent one.
+the autocorrelation of that spread, which says how many frames are worth one independent one. With --light the
+images have a share of their light, and the noise that goes with it.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import Image
 from prism_edge.sources.open import open_source
 from prism_edge.sources.sensor_depth import SensorDepth, image_to_depth
+from tools.little_light import dimmed, share_of_light
 
 F64 = NDArray[np.float64]
 
@@ -56,12 +58,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("folder", metavar="FOLDER", type=Path)
     parser.add_argument("--model", required=True, help="ONNX file, known name, or nested:RELATIVE,METRIC")
     parser.add_argument("--every", type=whole_above_zero, default=3, metavar="N", help="each N-th frame (3)")
+    parser.add_argument("--light", type=share_of_light, default=1.0, metavar="SHARE", help="so much light")
     parser.add_argument("--threads", type=int, default=1, metavar="N", help="threads of one inference")
     args = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     try:
         network = open_network(args.model, DepthConfig(model=args.model, threads=args.threads))
-        scores, unscored = measure(args.folder, network, args.every)
+        scores, unscored = measure(args.folder, network, args.every, args.light)
     except PrismError as error:
         print(f"measure_depth: error: {error}", file=sys.stderr)
         return error.exit_code
@@ -78,7 +81,9 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def measure(folder: Path, network: DepthNetwork, every: int) -> tuple[list[FrameScore], list[str]]:
+def measure(
+    folder: Path, network: DepthNetwork, every: int, light: float = 1.0
+) -> tuple[list[FrameScore], list[str]]:
     """Scores of each ``every``-th frame, and why each of the others of those has none."""
     scores, unscored = [], []
     sensor = SensorDepth(folder)
@@ -91,7 +96,8 @@ def measure(folder: Path, network: DepthNetwork, every: int) -> tuple[list[Frame
             score, why = None, "no picture, or no sensor depth"
             if isinstance(image, Image) and truth is not None:
                 try:
-                    predicted = network.infer(rgb(as_sent(image.pixels, source.camera)), source.camera)
+                    pixels = dimmed(image.pixels, light, slot.index)
+                    predicted = network.infer(rgb(as_sent(pixels, source.camera)), source.camera)
                     score = score_frame(image.stamp_ns, predicted, truth, source.camera)
                     why = predicted.reason or f"fewer than {LEAST_PIXELS} pixels have both depths"
                 except Exception as error:  # native code raises anything; the other frames have their scores

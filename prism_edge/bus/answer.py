@@ -47,5 +47,7 @@ class Answer:
             data = self._payload()
             if data is not None:
                 query.reply(self._key, data, encoding=self._encoding)
+        except MemoryError:  # a lock may be left held by it, for which the worker waits
+            raise
         except Exception as error:  # the worker's function may raise anything, and nobody else would see it
             log.error("can't answer for %s: %s: %s", self._key, type(error).__name__, error)

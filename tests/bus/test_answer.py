@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import threading
+from types import SimpleNamespace
+
+import pytest
 
 from prism_edge import messages as m
 from prism_edge.bus import ros
+from prism_edge.bus.answer import Answer
 from prism_edge.bus.codec import pack
 from tests.bus.examples import end, linked
 from tests.waiting import until
@@ -90,3 +94,14 @@ def test_a_function_that_fails_is_logged_and_answers_nothing(join, caplog):
     linked(source, tracker)
     assert tracker.ask("end", 5.0) is None
     assert "internal/end: ZeroDivisionError: division by zero" in caplog.text
+
+
+def test_where_there_is_no_memory_the_answering_thread_does_not_go_on():
+    """A lock that the worker waits for may never be given back: its end is the process's (vital.py)."""
+
+    def payload() -> bytes:
+        raise MemoryError
+
+    answer = SimpleNamespace(_own=False, _key="prism/robot/status", _payload=payload)
+    with pytest.raises(MemoryError):
+        Answer._reply(answer, SimpleNamespace(key_expr="prism/robot/**"))

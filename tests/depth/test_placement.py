@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.depth.placement import place, tensor
+from prism_edge.depth.placement import missing_light, place, tensor
 from prism_edge.geometry.cameras import Camera
 from tests.synthetic.network import TinyNetwork
 
@@ -113,3 +113,32 @@ def test_a_side_that_shrinks_is_averaged_though_the_other_grows(width, height):
     values = tensor(image, card, place(card, 640, 480))
     assert values.shape == (1, 3, height, width)
     assert values == pytest.approx(np.full_like(values, 0.5), abs=0.11)
+
+
+@pytest.mark.parametrize(
+    ("light", "lacking"), [(1.0, 1.0), (0.6, 1.0), (0.25, 2.0), (0.1, 5.0), (0.01, 32.0), (0.0, 32.0)]
+)
+def test_a_dark_picture_is_shown_as_under_more_light_and_any_other_as_it_is(light: float, lacking: float):
+    rng = np.random.default_rng(3)
+    full = rng.integers(0, 256, (240, 320, 3)).astype(np.float64)
+    full[:24] = 255.0  # a tenth of it is as bright as can be
+    picture = np.round(light * full).astype(np.uint8)
+    assert missing_light(picture) == pytest.approx(lacking, rel=0.02)
+    card = replace(CARD, mean=(0.0,) * 3, std=(1.0,) * 3)
+    shown = 255.0 * tensor(picture, card, place(card, 320, 240))[0].mean()
+    assert shown == pytest.approx(lacking * picture.mean(), rel=0.02)
+    assert shown <= 255.0
+
+
+def test_light_that_a_picture_lacks_goes_to_all_its_colours_alike():
+    image = np.full((240, 320, 3), (32, 16, 8), np.uint8)
+    card = replace(CARD, mean=(0.0,) * 3, std=(1.0,) * 3)
+    values = 255.0 * tensor(image, card, place(card, 320, 240))[0, :, 5, 5]
+    assert values == pytest.approx([128.0, 64.0, 32.0], rel=1e-4)
+
+
+def test_a_dark_picture_with_lamps_in_it_is_taken_as_it_is():
+    """One pixel in fifty is bright: exposure has been set for those."""
+    image = np.full((240, 320, 3), 20, np.uint8)
+    image[:5] = 240
+    assert missing_light(image) == 1.0

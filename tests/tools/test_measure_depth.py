@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -70,6 +71,27 @@ def test_what_can_not_be_measured_is_one_line(tmp_path: Path, capsys, arguments:
     captured = capsys.readouterr()
     assert captured.err.startswith("measure_depth: error: ")
     assert captured.err.count("\n") == 1
+
+
+def test_in_little_light_the_network_is_shown_a_darker_and_noisier_picture(folder: Path):
+    shown: dict[float, list[np.ndarray]] = {1.0: [], 0.1: []}
+    for light, pictures in shown.items():
+        network = SimpleNamespace(infer=lambda rgb, camera, into=pictures: into.append(rgb))
+        measure_depth.measure(folder, network, 4, light)
+    assert len(shown[1.0]) == len(shown[0.1]) == 2
+    for full, dim in zip(*shown.values(), strict=True):
+        assert dim.mean() == pytest.approx(0.1 * full.mean(), rel=0.05)
+        photons = 0.1 * full
+        bright = photons > 5
+        assert np.var((dim - photons)[bright] / np.sqrt(photons[bright])) == pytest.approx(1.0, rel=0.3)
+
+
+@pytest.mark.parametrize("light", ["0", "1.5", "-1", "nan", "much"])
+def test_a_share_of_the_light_is_one(folder: Path, capsys, light: str):
+    with pytest.raises(SystemExit) as ended:
+        measure_depth.main([str(folder), "--model", "prism_nano", f"--light={light}"])
+    assert ended.value.code == 2
+    assert "a share of the light" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("every", ["0", "-3", "1.5"])

@@ -234,6 +234,8 @@ class LiveCamera(Source):
                 why = f"no image for {quiet_s:.1f} s"
             except (CameraLostError, SourceError) as error:
                 why = str(error)
+            except MemoryError:  # a lock may be left held by it, for which reading waits
+                raise
             except Exception as error:  # a driver's library may raise anything; the camera must come back
                 why = f"{type(error).__name__}: {error}"
             if connection is not None:

@@ -281,3 +281,17 @@ def test_it_opens_again_after_closing() -> None:
             next_image(camera)
         until(lambda: bench.closes == bench.connects)  # by the thread that had it
     assert bench.connects == 2
+
+
+def test_where_there_is_no_memory_the_camera_is_not_said_to_be_lost() -> None:
+    """The lock that reading waits for may never be given back: the thread's end is the process's (vital.py)."""
+
+    def script(k: int) -> Grab:
+        camera._closing.set()  # else it would go on for ever
+        raise MemoryError
+
+    bench = Bench(script)
+    camera = LiveCamera(bench, CAMERA, "a test", QUICK)
+    with pytest.raises(MemoryError):
+        camera._run(bench.connect())
+    assert camera.health()["camera"] == "streaming"
