@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 from prism_edge.errors import UNEXPECTED
 
@@ -19,23 +19,36 @@ def vital(run: Callable[..., object], name: str, args: tuple[Any, ...] = ()) -> 
     Without it the process would live on as if it hung, until the supervisor's patience is over; ended, it is
     started again within the second.
     """
-    starved = f"the thread {name} failed: MemoryError\n".encode()
+    starved = words_of_starved(f"the thread {name}")
     return threading.Thread(target=_to_the_end, args=(run, args, starved), name=name, daemon=True)
+
+
+def words_of_starved(who: str) -> bytes:
+    """What :func:`end_starved` is to say; made while there is memory."""
+    return f"{who} failed: MemoryError\n".encode()
+
+
+def end_starved(words: bytes) -> NoReturn:
+    """End a process that can allocate nothing any more.
+
+    Nothing here may allocate, wait for the log (who died with its lock in hand never gives it back), or begin
+    a thread: that would wait for good for one that found no memory to begin with.
+    """
+    try:
+        os.write(2, words)
+    finally:
+        while True:
+            try:  # noqa: SIM105 - suppress() is an object
+                os._exit(UNEXPECTED)
+            except MemoryError:
+                pass
 
 
 def _to_the_end(run: Callable[..., object], args: tuple[Any, ...], starved: bytes) -> None:
     try:
         run(*args)
     except MemoryError:
-        # Nothing here may allocate, or wait for the log: who died with its lock in hand never gives it back.
-        try:
-            os.write(2, starved)
-        finally:
-            while True:
-                try:  # noqa: SIM105 - suppress() is an object
-                    os._exit(UNEXPECTED)
-                except MemoryError:
-                    pass
+        end_starved(starved)
     except BaseException:  # of any kind: nobody else would see it
         try:
             name = threading.current_thread().name

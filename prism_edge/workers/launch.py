@@ -18,6 +18,7 @@ from prism_edge.config import Config
 from prism_edge.config_file import load
 from prism_edge.errors import UNEXPECTED, BusError, PrismError, say
 from prism_edge.processes import Process
+from prism_edge.vital import end_starved, words_of_starved
 from prism_edge.workers.heap import bound_heap, keep_trimmed
 from prism_edge.workers.journald_log import JournalHandler, stderr_is_the_journal
 from prism_edge.workers.stopping import StopSignals, die_with
@@ -126,6 +127,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
     signals.listen()
     log_to_stderr(process.name)
     log = logging.getLogger(f"prism_edge.{process.name}")
+    starved = words_of_starved(f"prism-edge {process.name}")
     try:
         config = load(config_file)
         log_as_configured(process.name, config)
@@ -154,6 +156,8 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
                 try:
                     main(config, bus)
                 except Exception as error:
+                    if type(error) is MemoryError:  # numpy's is of one array that is too large
+                        end_starved(starved)
                     if not another.is_set() or signals.stopped.is_set():
                         raise
                     log.info("the last run's work ended with %s: %s", type(error).__name__, error)

@@ -236,3 +236,41 @@ def test_unknown_name_is_refused(tmp_path: Path) -> None:
     ended = run("pilot", tmp_path / "c.yaml")
     assert ended.returncode == 2
     assert "pilot" in ended.stderr
+
+
+STARVED = """
+import sys, threading, types
+import numpy as np
+from prism_edge.processes import Process
+from prism_edge.workers.launch import run_worker
+
+def main(config, bus):
+    threading.Thread.start = lambda thread: threading.Event().wait()  # as where the new one finds no memory
+    {fails}
+
+sys.modules["starving"] = types.SimpleNamespace(main=main)
+sys.exit(run_worker(Process("scale", "starving", "nothing", False), sys.argv[1], parent={parent}))
+"""
+
+
+@pytest.mark.parametrize(
+    ("fails", "ends"), [("raise MemoryError", True), ("np.zeros(1 << 60)", False), ("1 / 0", False)]
+)
+def test_what_finds_no_memory_ends_without_leaving_anything_in_order(
+    fails: str, ends: bool, config: Config, tmp_path: Path
+) -> None:
+    """One array that is too large, or any other error, is told of with its lines."""
+    file = tmp_path / "c.yaml"
+    file.write_text(dump(config))
+    with Bus.open(config, "supervisor", listen=True):
+        program = STARVED.format(fails=fails, parent=os.getpid())
+        worker = subprocess.Popen(
+            [sys.executable, "-c", program, str(file)], cwd=CHECKOUT, stderr=subprocess.PIPE, text=True
+        )
+        try:
+            _, said = worker.communicate(timeout=DEADLINE_S if ends else 5.0)
+        except subprocess.TimeoutExpired:  # it waits for a thread, here
+            worker.kill()
+            _, said = worker.communicate()
+    assert (worker.returncode == 70) == ends
+    assert ("prism-edge scale failed: MemoryError" in said) == ends

@@ -284,7 +284,7 @@ def test_it_opens_again_after_closing() -> None:
 
 
 def test_where_there_is_no_memory_the_camera_is_not_said_to_be_lost() -> None:
-    """The lock that reading waits for may never be given back: the thread's end is the process's (vital.py)."""
+    """The lock that reading waits for may never be given back: that ends the process (vital.py)."""
 
     def script(k: int) -> Grab:
         camera._closing.set()  # else it would go on for ever
