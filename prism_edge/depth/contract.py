@@ -25,6 +25,7 @@ METRIC, FOCAL_NORMALISED = "metric", "focal_normalised"
 RELATIVE, INVERSE_RELATIVE = "relative", "inverse_relative"
 KINDS = (METRIC, FOCAL_NORMALISED, RELATIVE, INVERSE_RELATIVE)
 STRETCH, CROP = "stretch", "crop"
+SPREAD, KEPT = "spread", "kept"
 _LEAST_SPAN, _MOST_SPAN = 0.1, 600.0  # from black to white: 1 to 255 in all known networks
 _LARGEST_FILE = 65_536  # bytes of a sidecar; a card takes one thousand
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
@@ -54,6 +55,7 @@ class ModelCard:
     mean: tuple[float, float, float] = (0.0, 0.0, 0.0)
     std: tuple[float, float, float] = (1.0, 1.0, 1.0)
     resize: str = STRETCH  # stretch: the whole image; crop: its centre, with its aspect kept
+    levels: str = SPREAD  # of a dark or pale picture: spread to half of the range, or kept as they are
     depth_output: str = ""  # empty: the file's only output
     depth_scale: float = 1.0  # what its depth is multiplied by to be metres: 0.001 of one in millimetres
     confidence_output: str = ""  # empty: the network gives none
@@ -315,6 +317,7 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "mean": _triple(-1e3, 1e3),
     "std": _triple(1e-6, 1e3),
     "resize": _choice(STRETCH, CROP),
+    "levels": _choice(SPREAD, KEPT),
     "depth_output": _text,
     "depth_scale": _number(1e-6, 1e6),
     "confidence_output": _text,

@@ -9,13 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.depth.contract import CROP, ModelCard
+from prism_edge.depth.contract import CROP, SPREAD, ModelCard
 from prism_edge.geometry.cameras import Camera
 
-# A picture whose brightest, but for one pixel in a hundred, are below half of the range is lit up to there:
-# networks have hardly seen darker ones, and take what they see in them for nearer the darker it is.
-BRIGHTEST, BRIGHT, MOST_LIGHT = 0.99, 128.0, 32.0
-EVERY = 3  # pixels a way: enough to tell how bright a picture is
+# A picture in which less than half of the range lies between its darkest and its brightest hundredth is
+# spread to that: networks have hardly seen such, and take what they see in them for nearer, the paler it is.
+HUNDREDTH, CONTRAST = 0.01, 128.0
+LEAST = 4.0  # of the range: with less there is nothing in a picture
+EVERY = 3  # pixels a way: enough to tell how pale a picture is
 
 
 @dataclass(frozen=True)
@@ -95,8 +96,9 @@ def tensor(rgb: NDArray[np.uint8], card: ModelCard, placement: Placement) -> NDA
         image = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
     rows = slice(placement.top, placement.top + placement.input_height)
     image = image[rows, placement.left : placement.left + placement.input_width]
-    if (light := missing_light(rgb)) > 1.0:
-        image = np.minimum(light * image, np.float32(255.0))
+    spread, shift = levels(rgb) if card.levels == SPREAD else (1.0, 0.0)
+    if spread > 1.0:
+        image = np.clip(spread * image + np.float32(shift), 0.0, 255.0)
     if card.colours == "bgr":
         image = image[:, :, ::-1]
     gain = (card.pixel_scale / np.array(card.std)).astype(np.float32)
@@ -105,9 +107,18 @@ def tensor(rgb: NDArray[np.uint8], card: ModelCard, placement: Placement) -> NDA
     return np.ascontiguousarray(values[None], dtype=np.float32)
 
 
-def missing_light(rgb: NDArray[np.uint8]) -> float:
-    """How many times as much light a dark image (h, w, 3) lacks; 1 where it lacks none."""
+def levels(rgb: NDArray[np.uint8]) -> tuple[float, float]:
+    """By what a dark or pale image (h, w, 3) is to be multiplied, and what is to be added then; else 1 and 0.
+
+    It is spread about its middle, and moved where that would leave the range: then nothing jumps where a
+    picture is just pale enough.
+    """
     brightness = rgb[::EVERY, ::EVERY].max(axis=2).ravel()
-    rank = int(BRIGHTEST * (len(brightness) - 1))
-    brightest = float(np.partition(brightness, rank)[rank])
-    return min(max(BRIGHT / max(brightest, 1.0), 1.0), MOST_LIGHT)
+    most = len(brightness) - 1
+    ranks = round(HUNDREDTH * most), round((1.0 - HUNDREDTH) * most)
+    low, high = np.partition(brightness, ranks)[list(ranks)].astype(float).tolist()
+    if not LEAST <= high - low < CONTRAST:
+        return 1.0, 0.0
+    spread = CONTRAST / (high - low)
+    darkest = min(max((low + high - CONTRAST) / 2.0, 0.0), 255.0 - CONTRAST)
+    return spread, darkest - spread * low

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
-from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard
+from prism_edge.depth.contract import FOCAL_NORMALISED, KEPT, ModelCard
 from tests.synthetic.network import save
 
 OUT = (24, 32)  # rows, columns of its depth map
@@ -34,6 +34,7 @@ def write_ruler(path: Path, width: int, height: int, f0: float, brightness: floa
         scale_bias_sigma=0.01,
         input_width=width,
         input_height=height,
+        levels=KEPT,  # it measures how bright its picture is
         resize=resize,
     )
     per_mean = brightness / (width * height)  # B / S = per_mean / mean

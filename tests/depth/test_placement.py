@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.depth.placement import missing_light, place, tensor
+from prism_edge.depth.contract import KEPT, SPREAD
+from prism_edge.depth.placement import levels, place, tensor
 from prism_edge.geometry.cameras import Camera
 from tests.synthetic.network import TinyNetwork
 
@@ -115,30 +118,59 @@ def test_a_side_that_shrinks_is_averaged_though_the_other_grows(width, height):
     assert values == pytest.approx(np.full_like(values, 0.5), abs=0.11)
 
 
+def pale(low: float, high: float) -> np.ndarray:
+    """A picture whose darkest and brightest tenths are those; all between comes as often."""
+    shares = np.clip(np.linspace(-0.125, 1.125, 320), 0.0, 1.0)
+    grey = np.round(low + (high - low) * np.tile(shares, (240, 1))).astype(np.uint8)
+    return np.dstack([grey, grey // 2, grey])
+
+
 @pytest.mark.parametrize(
-    ("light", "lacking"), [(1.0, 1.0), (0.6, 1.0), (0.25, 2.0), (0.1, 5.0), (0.01, 32.0), (0.0, 32.0)]
+    ("low", "high", "shown"),
+    [
+        (0, 255, (0, 255)),
+        (60, 190, (60, 190)),
+        (0, 128, (0, 128)),
+        (0, 32, (0, 128)),  # dark
+        (10, 40, (0, 128)),
+        (225, 255, (127, 255)),  # too bright
+        (100, 150, (61, 189)),  # hazy
+        (64, 191, (63.5, 191.5)),  # hardly: as good as it is
+        (7, 10, (7, 10)),  # nothing in it
+    ],
 )
-def test_a_dark_picture_is_shown_as_under_more_light_and_any_other_as_it_is(light: float, lacking: float):
+def test_dark_and_pale_pictures_are_spread_to_half_of_the_range_and_others_left(low, high, shown):
+    card = replace(CARD, levels=SPREAD, mean=(0.0,) * 3, std=(1.0,) * 3)
+    values = 255.0 * tensor(pale(low, high), card, place(card, 320, 240))[0]
+    assert (values[0].min(), values[0].max()) == pytest.approx(shown, abs=0.6)
+    assert 0.0 <= values.min() <= values.max() <= 255.0
+
+
+def test_what_is_spread_goes_to_all_colours_alike():
+    image, card = pale(0, 40), replace(CARD, levels=SPREAD, mean=(0.0,) * 3, std=(1.0,) * 3)
+    values = 255.0 * tensor(image, card, place(card, 320, 240))[0]
+    assert values[1].max() == pytest.approx(64.0, abs=0.1)
+    assert levels(image) == pytest.approx((3.2, 0.0))
+    kept = 255.0 * tensor(image, replace(card, levels=KEPT), place(card, 320, 240))[0]
+    assert kept[1].max() == pytest.approx(20.0, abs=0.1)
+
+
+def test_the_network_sees_as_good_as_the_same_of_a_room_in_any_light_and_haze():
     rng = np.random.default_rng(3)
-    full = rng.integers(0, 256, (240, 320, 3)).astype(np.float64)
-    full[:24] = 255.0  # a tenth of it is as bright as can be
-    picture = np.round(light * full).astype(np.uint8)
-    assert missing_light(picture) == pytest.approx(lacking, rel=0.02)
-    card = replace(CARD, mean=(0.0,) * 3, std=(1.0,) * 3)
-    shown = 255.0 * tensor(picture, card, place(card, 320, 240))[0].mean()
-    assert shown == pytest.approx(lacking * picture.mean(), rel=0.02)
-    assert shown <= 255.0
+    room = cv2.GaussianBlur(rng.uniform(0, 255, (240, 320, 3)).astype(np.float32), (0, 0), 4)
+    room = 20 + 200 * (room - room.min()) / (room.max() - room.min())
+    card = replace(CARD, levels=SPREAD, mean=(0.0,) * 3, std=(1.0,) * 3)
+    placement = place(card, 320, 240)
+    whole = tensor(np.round(room).astype(np.uint8), card, placement).ravel()
+    for dim in (0.2 * room, 0.05 * room, 0.15 * room + 100):
+        seen = tensor(np.round(dim).astype(np.uint8), card, placement).ravel()
+        assert np.corrcoef(whole, seen)[0, 1] > 0.9  # eleven grey levels, at the darkest
+        assert np.ptp(np.quantile(seen, [0.01, 0.99])) > 0.4
 
 
-def test_light_that_a_picture_lacks_goes_to_all_its_colours_alike():
-    image = np.full((240, 320, 3), (32, 16, 8), np.uint8)
-    card = replace(CARD, mean=(0.0,) * 3, std=(1.0,) * 3)
-    values = 255.0 * tensor(image, card, place(card, 320, 240))[0, :, 5, 5]
-    assert values == pytest.approx([128.0, 64.0, 32.0], rel=1e-4)
-
-
-def test_a_dark_picture_with_lamps_in_it_is_taken_as_it_is():
-    """One pixel in fifty is bright: exposure has been set for those."""
+@pytest.mark.parametrize("kept", [0.011, 0.05])
+def test_a_dark_picture_with_lamps_in_it_is_taken_as_it_is(kept: float):
+    """One pixel in ninety is bright: exposure has been set for those."""
     image = np.full((240, 320, 3), 20, np.uint8)
-    image[:5] = 240
-    assert missing_light(image) == 1.0
+    image[: math.ceil(kept * 240)] = 240
+    assert levels(image) == (1.0, 0.0)

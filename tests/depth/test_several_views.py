@@ -97,6 +97,7 @@ def write(
         "input_width": width,
         "input_height": height,
         "input_name": "image",
+        "levels": "kept",
         "depth_output": "depth",
         "views": VIEWS,
     }

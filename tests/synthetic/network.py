@@ -10,7 +10,7 @@ import onnx
 import yaml
 from onnx import TensorProto, helper, numpy_helper
 
-from prism_edge.depth.contract import FOCAL_NORMALISED, INVERSE_RELATIVE, METRIC, ModelCard
+from prism_edge.depth.contract import FOCAL_NORMALISED, INVERSE_RELATIVE, KEPT, METRIC, ModelCard
 from tests.synthetic.sequence import synthetic_camera
 from tests.synthetic.tint import log_depth_weights
 
@@ -53,6 +53,7 @@ class TinyNetwork:
             input_width=self.width,
             input_height=self.height,
             input_name="image",
+            levels=KEPT,  # its depth is in the tint, however pale that is
             depth_output="depth",
             confidence_output="confidence" if self.confidence else "",
             descriptor_output="descriptor" if self.descriptor else "",
