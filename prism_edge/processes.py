@@ -32,7 +32,6 @@ PROCESSES = {
 LOADING_S = 120.0  # that a depth network may take to load: depth's, and in lockstep source waits for it
 
 
-
 def processes_for(config: Config) -> tuple[Process, ...]:
     """The processes that a run with this configuration consists of, in the order they start.
 

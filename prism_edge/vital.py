@@ -47,9 +47,9 @@ def end_starved(words: bytes) -> NoReturn:
 def _to_the_end(run: Callable[..., object], args: tuple[Any, ...], starved: bytes) -> None:
     try:
         run(*args)
-    except MemoryError:
-        end_starved(starved)
-    except BaseException:  # of any kind: nobody else would see it
+    except BaseException as error:  # of any kind: nobody else would see it
+        if type(error) is MemoryError:  # numpy's own is of one array that is too large
+            end_starved(starved)
         try:
             name = threading.current_thread().name
             log.exception("the thread %s failed; please report it with the lines below", name)

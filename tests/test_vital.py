@@ -58,6 +58,13 @@ def test_it_ends_where_nothing_can_be_allocated_any_more() -> None:
     assert "the thread inbox failed: MemoryError" in done.stderr
 
 
+def test_one_array_that_is_too_large_is_told_of_with_its_lines() -> None:
+    done = ended("import numpy; numpy.zeros(1 << 50)")
+    assert done.returncode == 70
+    assert "the thread inbox failed; please report it" in done.stderr
+    assert "numpy.zeros(1 << 50)" in done.stderr or "line 6, in fails" in done.stderr
+
+
 def test_it_ends_though_another_keeps_the_log_for_itself() -> None:
     hold = "threading.Thread(target=logging._lock.acquire, daemon=True).start()"
     hold += "; threading.Thread(target=logging.getLogger().handlers[0].acquire, daemon=True).start()"

@@ -90,7 +90,7 @@ class PartUnits:
         if not _are_told(told) or not _are_joined(joined):
             raise MapError("the map's units are none of its parts")
         known = {part: (float(log_scale), math.inf if s is None else float(s)) for part, log_scale, s in told}
-        if here not in known:
+        if type(here) is not int or here not in known:
             raise MapError("the map's units are not of the part that was spoken of")
         self._told, self._joined, self._here = {**self._told, **known}, dict(joined), here
 

@@ -15,8 +15,8 @@ from prism_edge.geometry.cameras import Camera
 # A picture in which less than half of the range lies between its darkest and its brightest hundredth is
 # spread to that: networks have hardly seen such, and take what they see in them for nearer, the paler it is.
 HUNDREDTH, CONTRAST = 0.01, 128.0
-LEAST = 4.0  # of the range: with less there is nothing in a picture
-EVERY = 3  # pixels a way: enough to tell how pale a picture is
+LEAST = 8.0  # of the range: with less there is hardly more in a picture than noise
+LOOKS = 120  # pixels along the shorter side that are looked at: enough to tell how pale a picture is
 
 
 @dataclass(frozen=True)
@@ -96,9 +96,9 @@ def tensor(rgb: NDArray[np.uint8], card: ModelCard, placement: Placement) -> NDA
         image = cv2.resize(image, size, interpolation=cv2.INTER_LINEAR)
     rows = slice(placement.top, placement.top + placement.input_height)
     image = image[rows, placement.left : placement.left + placement.input_width]
-    spread, shift = levels(rgb) if card.levels == SPREAD else (1.0, 0.0)
-    if spread > 1.0:
-        image = np.clip(spread * image + np.float32(shift), 0.0, 255.0)
+    if card.levels == SPREAD and (found := levels(rgb)) is not None:
+        spread, shift = found
+        image = np.clip(np.float32(spread) * image + shift, 0.0, 255.0)
     if card.colours == "bgr":
         image = image[:, :, ::-1]
     gain = (card.pixel_scale / np.array(card.std)).astype(np.float32)
@@ -107,18 +107,21 @@ def tensor(rgb: NDArray[np.uint8], card: ModelCard, placement: Placement) -> NDA
     return np.ascontiguousarray(values[None], dtype=np.float32)
 
 
-def levels(rgb: NDArray[np.uint8]) -> tuple[float, float]:
-    """By what a dark or pale image (h, w, 3) is to be multiplied, and what is to be added then; else 1 and 0.
+def levels(rgb: NDArray[np.uint8]) -> tuple[float, NDArray[np.float32]] | None:
+    """By what a dark or pale image (h, w, 3) is to be multiplied, and what each colour (3,) gets then.
 
-    It is spread about its middle, and moved where that would leave the range: then nothing jumps where a
-    picture is just pale enough.
+    None for one that is neither. Each colour is spread about its own middle, as haze has one, and moved where
+    that would leave the range; so nothing jumps where a picture is just pale enough.
     """
-    brightness = rgb[::EVERY, ::EVERY].max(axis=2).ravel()
-    most = len(brightness) - 1
+    every = max(1, min(rgb.shape[:2]) // LOOKS)
+    colours = rgb[::every, ::every].reshape(-1, 3)
+    most = len(colours) - 1
     ranks = round(HUNDREDTH * most), round((1.0 - HUNDREDTH) * most)
-    low, high = np.partition(brightness, ranks)[list(ranks)].astype(float).tolist()
-    if not LEAST <= high - low < CONTRAST:
-        return 1.0, 0.0
-    spread = CONTRAST / (high - low)
-    darkest = min(max((low + high - CONTRAST) / 2.0, 0.0), 255.0 - CONTRAST)
-    return spread, darkest - spread * low
+    low, high = np.partition(colours, ranks, axis=0)[list(ranks)].astype(np.float32)
+    widest = float((high - low).max())
+    if widest >= CONTRAST:
+        return None
+    spread = CONTRAST / max(widest, LEAST)
+    span = spread * (high - low)
+    darkest = np.clip((low + high - span) / 2.0, 0.0, 255.0 - span)
+    return spread, (darkest - spread * low).astype(np.float32)

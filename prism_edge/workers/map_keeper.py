@@ -297,29 +297,37 @@ class MapKeeper:
         return self._units.info(keyframe.part for keyframe in self._mapper.world.keyframes.values())
 
     def _absorb(self, record: bytes) -> KnownScale:
+        """Raises BusError or MapError for a record that can't be read; nothing of it is in the map then."""
         info, arrays = map_file.unpack(record)
         scale = KnownScale.of(info)
         if "solved" in arrays:
             self._mapper.replay(solution_of(arrays))
             return scale
-        self._units.take(info)
         number = info.get("number")
-        if arrays["keyframe"].size:
-            message = codec.unpack(arrays["keyframe"].tobytes(), Keyframe)
+        try:
+            told = arrays["keyframe"]
+            message = codec.unpack(told.tobytes(), Keyframe) if told.size else None
+            depths, weights, place = (arrays[name] for name in ("depths", "weights", "place"))
+        except KeyError as error:
+            raise MapError(f"a keyframe's record has no {error}") from None
+        if {depths.ndim, weights.ndim, place.ndim} != {1}:
+            raise MapError("a keyframe's record is none")
+        self._units.take(info)
+        if message is not None:
             self._mapper.absorb(replace(message, epoch=self._mapper.epoch))
             number = message.id
         keyframe = self._mapper.world.keyframes.get(number) if isinstance(number, int) else None
         if keyframe is None:  # what came late for one that has gone since
             return scale
-        if len(arrays["depths"]) == len(keyframe.pixels):
-            keyframe.depths = arrays["depths"].astype(np.float64)
+        if len(depths) == len(keyframe.pixels):
+            keyframe.depths = depths.astype(np.float64)
             sigma, units = info.get("depth_sigma"), info.get("depth_units")  # earlier builds don't say
             keyframe.depth_sigma = sigma if isinstance(sigma, float) else 0.0
             keyframe.depth_units = units if isinstance(units, float) else 0.0
-        if len(arrays["weights"]) == len(keyframe.pixels):
-            keyframe.weights = arrays["weights"].astype(np.float64)
-        if len(arrays["place"]):
-            self._mapper.loops.add_place(keyframe.id, arrays["place"], str(info.get("places_of", "")))
+        if len(weights) == len(keyframe.pixels):
+            keyframe.weights = weights.astype(np.float64)
+        if len(place):
+            self._mapper.loops.add_place(keyframe.id, place, str(info.get("places_of", "")))
         return scale
 
     @property

@@ -151,8 +151,12 @@ def test_what_is_hundreds_of_pixels_off_pulls_at_nothing():
 
 
 @pytest.mark.parametrize("depth", [1e-3, 1e-5])
-def test_a_point_in_the_lens_keeps_nothing_from_moving(depth, monkeypatch):
-    """As of one that fits both pixels: where the camera, which backs up, was before."""
+@pytest.mark.parametrize("unit", [1.0, 1e-4])
+def test_a_point_in_the_lens_keeps_nothing_from_moving(depth, unit, monkeypatch):
+    """As of one that fits both pixels: where the camera, which backs up, was before.
+
+    How near that is goes with the scene's depth, whatever the map's ``unit``.
+    """
     teller, world, rng = Teller(noise_px=0.3), GlobalMap(), np.random.default_rng(3)
     for i in range(8):
         world.absorb(teller.keyframe(pose_at(0.02 * i, 0.05 * i, -0.25 * i, 0.0, -0.01 * i)))
@@ -161,13 +165,18 @@ def test_a_point_in_the_lens_keeps_nothing_from_moving(depth, monkeypatch):
             0.01 * rng.normal(size=6)
         )
     monkeypatch.setattr(module, "OBSERVATIONS", 1000)
+    for keyframe in world.keyframes.values():
+        keyframe.world_from_camera = keyframe.world_from_camera.copy()
+        keyframe.world_from_camera[:3, 3] *= unit
+    for point in world.points.values():
+        point.position = unit * point.position
     without = run(world)
     first, last = world.keyframes[0], world.keyframes[7]
     p = next(p for p, point in world.points.items() if point.keyframes >= {0, 7})
     for k in world.points[p].keyframes - {0, 7}:
         del world.keyframes[k].observed[p]
     world.points[p].keyframes = {0, 7}
-    in_lens = first.world_from_camera[:3, :3] @ (depth * np.array([0.1, 0.1, 1.0]))
+    in_lens = first.world_from_camera[:3, :3] @ (unit * depth * np.array([0.1, 0.1, 1.0]))
     world.points[p].position = first.world_from_camera[:3, 3] + in_lens
     for keyframe in (first, last):
         local = transform(inverse(keyframe.world_from_camera), world.points[p].position[None])[0]

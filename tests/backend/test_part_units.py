@@ -136,6 +136,7 @@ def test_another_life_goes_on_with_what_a_journal_says_of_the_parts_that_there_a
         {"joined_units": None},
         {"unit_of": 7},
         {"unit_of": None},
+        {"unit_of": [HOME]},
     ],
 )
 def test_units_that_cannot_be_are_refused_and_change_nothing(wrong: dict[str, object]):

@@ -136,7 +136,8 @@ def pale(low: float, high: float) -> np.ndarray:
         (225, 255, (127, 255)),  # too bright
         (100, 150, (61, 189)),  # hazy
         (64, 191, (63.5, 191.5)),  # hardly: as good as it is
-        (7, 10, (7, 10)),  # nothing in it
+        (7, 7, (7, 7)),  # nothing in it
+        (100, 104, (70, 134)),  # hardly more than noise: sixteen times at most
     ],
 )
 def test_dark_and_pale_pictures_are_spread_to_half_of_the_range_and_others_left(low, high, shown):
@@ -146,13 +147,29 @@ def test_dark_and_pale_pictures_are_spread_to_half_of_the_range_and_others_left(
     assert 0.0 <= values.min() <= values.max() <= 255.0
 
 
-def test_what_is_spread_goes_to_all_colours_alike():
+def test_in_the_dark_all_colours_get_as_many_times_their_light():
     image, card = pale(0, 40), replace(CARD, levels=SPREAD, mean=(0.0,) * 3, std=(1.0,) * 3)
     values = 255.0 * tensor(image, card, place(card, 320, 240))[0]
     assert values[1].max() == pytest.approx(64.0, abs=0.1)
-    assert levels(image) == pytest.approx((3.2, 0.0))
+    spread, shift = levels(image)
+    assert spread == pytest.approx(3.2)
+    assert shift == pytest.approx(np.zeros(3))
     kept = 255.0 * tensor(image, replace(card, levels=KEPT), place(card, 320, 240))[0]
     assert kept[1].max() == pytest.approx(20.0, abs=0.1)
+
+
+@pytest.mark.parametrize("haze", [(170, 140, 90), (20, 110, 120), (200, 200, 10)])
+def test_haze_has_a_colour_and_takes_none_away(haze: tuple[int, int, int]):
+    """Were all moved as the brightest is, blue would be black throughout in a warm haze."""
+    rng = np.random.default_rng(5)
+    room = cv2.GaussianBlur(rng.uniform(0, 255, (240, 320, 3)).astype(np.float32), (0, 0), 4)
+    room = 255 * (room - room.min()) / (room.max() - room.min())
+    card = replace(CARD, levels=SPREAD, mean=(0.0,) * 3, std=(1.0,) * 3)
+    shown = 255.0 * tensor(np.round(0.15 * room + haze).astype(np.uint8), card, place(card, 320, 240))[0]
+    for colour in range(3):
+        assert np.corrcoef(shown[colour].ravel(), room[:, :, colour].ravel())[0, 1] > 0.99
+        assert np.mean(shown[colour] <= 0.0) < 0.02
+        assert np.mean(shown[colour] >= 255.0) < 0.02
 
 
 def test_the_network_sees_as_good_as_the_same_of_a_room_in_any_light_and_haze():
@@ -165,7 +182,7 @@ def test_the_network_sees_as_good_as_the_same_of_a_room_in_any_light_and_haze():
     for dim in (0.2 * room, 0.05 * room, 0.15 * room + 100):
         seen = tensor(np.round(dim).astype(np.uint8), card, placement).ravel()
         assert np.corrcoef(whole, seen)[0, 1] > 0.9  # eleven grey levels, at the darkest
-        assert np.ptp(np.quantile(seen, [0.01, 0.99])) > 0.4
+        assert np.ptp(np.quantile(seen, [0.01, 0.99])) > 0.35
 
 
 @pytest.mark.parametrize("kept", [0.011, 0.05])
@@ -173,4 +190,4 @@ def test_a_dark_picture_with_lamps_in_it_is_taken_as_it_is(kept: float):
     """One pixel in ninety is bright: exposure has been set for those."""
     image = np.full((240, 320, 3), 20, np.uint8)
     image[: math.ceil(kept * 240)] = 240
-    assert levels(image) == (1.0, 0.0)
+    assert levels(image) is None

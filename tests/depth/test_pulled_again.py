@@ -55,3 +55,12 @@ def test_a_digest_that_is_given_later_is_remembered_as_given(server, models: Pat
     confirmed = get(from_url(url, models, done.files[0].sha256, name="mine"))
     assert confirmed == manifest_of(done.folder) == replace(done, given=True)
     assert get(from_url(url, models, name="mine"), unverified=True) == confirmed
+
+
+def test_a_digest_of_one_file_of_two_leaves_the_other_as_unverified_as_it_came(server, models: Path):
+    plan = from_url(f"{server.url}/split.onnx", models, name="mine")
+    done = get(plan, unverified=True)
+    assert len(done.files) == 2
+    known = from_url(f"{server.url}/split.onnx", models, done.files[0].sha256, name="mine")
+    assert get(known, unverified=True) == done
+    assert manifest_of(done.folder).given is False

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -296,4 +298,8 @@ def test_a_frame_that_shows_little_is_placed_by_what_was_expected_too(scene):
     assert np.median(both) < 0.5 * np.median(alone)
     anew = tracker.placed_anew(world, frame, TRUE, frame.points)
     assert anew.expected is None
+    assert anew.parallax_deg == frame.parallax_deg != 1.0
+    frame = replace(frame, camera=replace(CAMERA, fx=CAMERA.fx / 2))
+    coarse = tracker.placed_anew(world, frame, TRUE, frame.points)
+    assert coarse.parallax_deg < 0.8 * frame.parallax_deg
     assert tracker.expected is None, "nor is it solved with once more, its rows seen at once"

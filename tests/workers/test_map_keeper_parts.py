@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from prism_edge.backend import map_file
+from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.map_parts import growth_info, growth_told
 from prism_edge.errors import MapError
 from prism_edge.geometry.poses import inverse, transform
@@ -71,24 +73,42 @@ def test_a_backend_started_again_has_the_units_of_all_parts(tmp_path: Path) -> N
     assert far_too_deep(again, ring) == pytest.approx(1.0, rel=0.02)
 
 
+Damage = Callable[[Info, Arrays], tuple[Info, Arrays]]
+
+
+@pytest.mark.parametrize(
+    ("damage", "why"),
+    [
+        (lambda info, arrays: (info | {"scale_sigma": -1.0}, arrays), "the map's scale_sigma is none"),
+        (lambda info, arrays: (info | {"unit_of": [1]}, arrays), "the map's units are not of"),
+        (lambda info, arrays: (info, without(arrays, "keyframe")), "a keyframe's record has no 'keyframe'"),
+        (lambda info, arrays: (info, without(arrays, "depths")), "a keyframe's record has no 'depths'"),
+        (lambda info, arrays: (info, arrays | {"depths": np.array(3.0)}), "a keyframe's record is none"),
+    ],
+)
 def test_a_record_that_can_not_be_read_costs_what_came_since_and_no_more(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    damage: Damage,
+    why: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     teller, told = keyframes(6)
     bus, made = life(tmp_path)
     hear(made, bus, told[:5], teller)
     recorded = made._keeper._record
-
-    def damaged(*arguments: object) -> bytes:
-        info, arrays = map_file.unpack(recorded(*arguments))
-        return map_file.pack(info | {"scale_sigma": -1.0}, arrays)
-
-    monkeypatch.setattr(made._keeper, "_record", damaged)
+    monkeypatch.setattr(
+        made._keeper, "_record", lambda *a: map_file.pack(*damage(*map_file.unpack(recorded(*a))))
+    )
     hear(made, bus, told[5:], teller)
     assert len(made._mapper.world.keyframes) == 6
     _, again = life(tmp_path, 1)
     assert len(again._mapper.world.keyframes) == 5
-    assert "what came since then is left out, it can't be read: the map's scale_sigma is none" in caplog.text
+    assert f"what came since then is left out, it can't be read: {why}" in caplog.text
+
+
+def without(arrays: Arrays, name: str) -> Arrays:
+    return {key: array for key, array in arrays.items() if key != name}
 
 
 @pytest.mark.parametrize("growth", [3, [[7]], [[7, 0.0]], [[7, "2"]], [["7", 2.0]], [[7, float("1e400")]]])

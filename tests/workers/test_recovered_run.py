@@ -17,9 +17,10 @@ from prism_edge.backend.stored_map import from_arrays, to_arrays
 from prism_edge.bus import codec
 from prism_edge.config import Config, DepthConfig, StateConfig, TrackingConfig
 from prism_edge.config_file import dump
-from prism_edge.messages import IDS_A_LIFE, INITIALISING, Epoch, MapLoaded, WholeMap
+from prism_edge.messages import HOME, IDS_A_LIFE, INITIALISING, Epoch, MapLoaded, WholeMap
 from prism_edge.workers import backend as worker
 from prism_edge.workers.cut_off import TOLD
+from tests.synthetic import messages
 from tests.workers.backend_bench import CONFIG, hear, keyframes, snapshot
 from tests.workers.list_bus import ListBus
 from tests.workers.test_map_adoption import AFTER, DRIFT, EPOCH, LOG_SCALE, Asked, errors, whole
@@ -79,6 +80,29 @@ def test_the_next_run_has_the_map_and_says_so(tmp_path: Path) -> None:
     # it goes on, and the next life of this run goes on from there
     runs.backend([replace(told[5], epoch=0)], teller, goes_on=True, again=True)
     assert snapshot(runs.backend([], teller, life=1, again=True)).keyframes.tolist() == [0, 1, 2, 3, 4, 5]
+
+
+def test_the_next_run_s_camera_is_not_in_the_part_where_that_run_s_was_last(tmp_path: Path) -> None:
+    """Depth that its first keyframes bring is taken in the unit of the map's first part."""
+    runs = Runs(tmp_path)
+    teller, told = keyframes(5)
+    for count in range(2):
+        bus = ListBus("keyframe")
+        bus.run_directory = tmp_path / f"run-{count}"
+        bus.run_directory.mkdir()
+        if not count:
+            made = worker.BackendWorker(runs.config, bus)
+            hear(made, bus, told, teller)
+            made._units.hear(messages.scale_of(told[-1], 0.7, 0.05, part=77))
+            made._keeper.overhauled()
+            bus.stopped.set()
+            made.run()
+            assert made._units.log_scale == pytest.approx(0.7)
+    (bus.run_directory / TOLD).touch()
+    again = worker.BackendWorker(runs.config, bus)
+    assert len(again._mapper.world.keyframes) == 5
+    assert again._units.between(77, HOME) is not None, "its parts' metres are known"
+    assert again._units.log_scale == pytest.approx(0.25)
 
 
 @pytest.mark.parametrize("known", [True, False])

@@ -95,32 +95,6 @@ def test_the_first_of_a_run_that_goes_on_asks_for_what_the_last_run_knew(bus, st
     assert (abs(bus.of("log_scale")[0].log_scale - np.log(1.5)) < 0.03) == told
 
 
-def test_without_a_network_and_a_loaded_map_nothing_is_said_of_metres(bus, start):
-    bus.give("keyframe", *(keyframe_of_wall(k, 0.4 * k) for k in range(2)))
-    bus.give("tracked", tick(0, keyframe=0), tick(1, keyframe=1))
-    start("lockstep", model="")
-    bus.wait_for("acknowledged", 2)
-    assert len(bus.of("log_scale")) == 2, "for which others wait"
-    assert bus.of("scale") == []
-
-
-@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
-def test_without_a_network_a_loaded_map_s_metres_get_less_sure_with_all_that_is_built_on_it(bus, start, mode):
-    bus.give("map_loaded", MapLoaded(0, np.log(1.3), 0.03, 0.1))
-    keyframes = [replace(keyframe_of_wall(k, 4.0 * k), travelled=4.0 * k) for k in range(3)]
-    bus.give("keyframe", *keyframes)
-    bus.give("tracked", *(tick(k, keyframe=k) for k in range(3)))
-    start(mode, model="", scale=replace(SCALE, drift_per_sqrt_m=0.1, drift_per_sqrt_s=0.0))
-    bus.wait_for("scale", 4)
-    said = bus.of("scale")
-    assert [message.keyframe for message in said] == [-1, 0, 1, 2]
-    assert all(message.scale == pytest.approx(1.3) and message.metric for message in said)
-    grown = [message.filter_sigma_log**2 - 0.03**2 for message in said]
-    assert grown == pytest.approx([0.0, 0.0, 0.1**2 * 4.0 * 1.3, 0.1**2 * 8.0 * 1.3], abs=1e-6)
-    if mode == "lockstep":
-        bus.wait_for("acknowledged", 3)
-
-
 def test_it_waits_for_a_backend_that_starts_beside_it_and_reads_a_long_journal(bus, start):
     """Nobody would answer before that, and what begins at 1 would take the place of what was known."""
     asks = "asking for the map's unit"
