@@ -137,6 +137,9 @@ def undisturbed(work: Callable[[Recorder], None]) -> tuple[list[Frame], EndOfStr
     return frames, end, bus
 
 
+OTHERS = ("tracker", "scale", "backend")  # that run where there is no network
+
+
 def acknowledging(bus: Recorder, *names: str) -> tuple[list[Frame], EndOfStream]:
     frames = []
     while True:

@@ -25,6 +25,7 @@ from tests.synthetic.scene import block_texture
 from tests.waiting import until
 from tests.workers.source_bench import (
     DEADLINE_S,
+    OTHERS,
     Recorder,
     acknowledging,
     playing,
@@ -109,7 +110,7 @@ def test_mishaps_in_a_recording_are_refused_and_counted(
     mishaps: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     with playing(settings(mishaps, "lockstep")) as bus:
-        frames, end = acknowledging(bus, "tracker", "backend")
+        frames, end = acknowledging(bus, *OTHERS)
         values = dict(bus.pulse.values)
     assert [frame.index for frame in frames] == [0, 1, 2, 6, 9]
     assert [frame.duplicate for frame in frames] == [False, False, True, False, False]
@@ -158,9 +159,9 @@ def test_lockstep_waits_for_everyone_of_the_run(tmp_path: Path) -> None:
     assert end.released == 5
 
 
-def test_without_a_network_nobody_waits_for_depth_and_scale(tmp_path: Path) -> None:
+def test_without_a_network_nobody_waits_for_depth(tmp_path: Path) -> None:
     with playing(settings(tiny.write_tum(tmp_path), "lockstep")) as bus:
-        frames, _ = acknowledging(bus, "tracker", "backend")
+        frames, _ = acknowledging(bus, *OTHERS)
     assert len(frames) == 5
 
 
@@ -174,7 +175,7 @@ def test_lockstep_goes_on_without_who_has_died(tmp_path: Path, caplog: pytest.Lo
     with running(work) as bus:
         frames, _ = acknowledging(bus, "tracker")
     assert len(frames) == 2
-    assert "not acknowledged by backend" in caplog.text
+    assert "not acknowledged by backend, scale" in caplog.text
 
 
 def test_stopping_ends_every_wait(tmp_path: Path) -> None:
@@ -202,7 +203,7 @@ def test_loop_plays_on(tmp_path: Path) -> None:
         frames = []
         for _ in range(8):
             frames.append(bus.next()[1])
-            for name in ("tracker", "backend"):
+            for name in OTHERS:
                 bus.say("acknowledged", Acknowledged(name, frames[-1].index))
     assert [frame.index for frame in frames] == list(range(8))
     assert len({frame.stamp_ns for frame in frames}) == 8
@@ -212,7 +213,7 @@ def test_loop_plays_on(tmp_path: Path) -> None:
 def test_lockstep_ends_after_the_first_frames(tmp_path: Path, kind: str) -> None:
     path = tiny.write_tum(tmp_path) if kind == "folder" else tiny.write_video(tmp_path / "clip.avi", 5)
     with playing(settings(path, "lockstep", frames=3)) as bus:
-        frames, end = acknowledging(bus, "tracker", "backend")
+        frames, end = acknowledging(bus, *OTHERS)
     assert [frame.index for frame in frames] == [0, 1, 2]
     assert end == EndOfStream(frames=3, released=3, duplicates=0, unreadable=0, last_index=2)
 
@@ -262,13 +263,13 @@ def bonnet(folder: Path) -> Path:
 def test_health_says_that_the_camera_sees_its_own_robot(tmp_path: Path) -> None:
     folder = bonnet(tmp_path / "robot")
     with playing(settings(folder, "lockstep")) as bus:
-        acknowledging(bus, "tracker", "backend")
+        acknowledging(bus, *OTHERS)
         assert "if that is the robot itself, mask it" in bus.pulse.values["warning"]
     shown = np.full((240, 320), 255, np.uint8)
     shown[-90:] = 0
     cv2.imwrite(str(tmp_path / "mask.png"), shown)
     with playing(settings(folder, "lockstep", mask=str(tmp_path / "mask.png"))) as bus:
-        acknowledging(bus, "tracker", "backend")
+        acknowledging(bus, *OTHERS)
         assert "warning" not in bus.pulse.values
 
 
@@ -300,19 +301,20 @@ def test_over_the_real_bus(tmp_path: Path) -> None:
     with (
         Bus.open(config, "supervisor", listen=True),
         Bus.open(config, "tracker") as tracker,
+        Bus.open(config, "scale") as scale,
         Bus.open(config, "backend") as backend,
     ):
         frames, ends = tracker.queue("frame"), tracker.queue("end")
         with running(work):
-            backend.pulse.ready()
-            tracker.pulse.ready()
+            for peer in (backend, scale, tracker):
+                peer.pulse.ready()
             seen = []
             for _ in range(8):
                 frame = frames.take(DEADLINE_S)
                 assert frame is not None
                 seen.append(frame.index)
                 np.testing.assert_array_equal(frame.image, pack(tiny.picture(frame.index))[0])
-                for peer in (tracker, backend):
+                for peer in (tracker, scale, backend):
                     peer.publish("acknowledged", Acknowledged(peer.process, frame.index))
             end = ends.take(DEADLINE_S)
             late_comer = tracker.ask("end", DEADLINE_S)

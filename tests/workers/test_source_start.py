@@ -18,7 +18,15 @@ from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.workers.position import Position
 from prism_edge.workers.source import SourceWorker, awaited_peers, main
 from tests.waiting import until
-from tests.workers.source_bench import Recorder, acknowledging, playing, running, settings, undisturbed
+from tests.workers.source_bench import (
+    OTHERS,
+    Recorder,
+    acknowledging,
+    playing,
+    running,
+    settings,
+    undisturbed,
+)
 
 
 @pytest.mark.parametrize("peers_s", [600.0, 0.1])
@@ -29,10 +37,11 @@ def test_in_lockstep_the_first_frame_waits_for_all_as_long_as_a_start_takes(
     with playing(settings(tiny.write_tum(tmp_path), "lockstep", peers_s=peers_s)) as bus:
         until(lambda: "ready" in bus.states)
         bus.say("ready", "backend")
+        bus.say("ready", "scale")
         with pytest.raises(queue.Empty):
             bus.published.get(timeout=0.5)
         bus.say("ready", "tracker")
-        frames, _ = acknowledging(bus, "tracker", "backend")
+        frames, _ = acknowledging(bus, *OTHERS)
     assert frames[0].index == 0
 
 
@@ -53,6 +62,7 @@ def test_who_is_ready_only_after_the_end_is_told_of_it(tmp_path: Path) -> None:
     """A short recording that waits for nobody is over before the others are linked: nor would the run end."""
     with playing(settings(tiny.write_tum(tmp_path), rate_hz=50.0, peers_s=0.0)) as bus:
         bus.say("ready", "tracker")
+        bus.say("ready", "scale")
         _, end = bus.until_end()
         bus.say("ready", "backend")
         assert bus.next() == ("end", end)
@@ -79,7 +89,8 @@ def test_in_lockstep_another_computer_that_is_off_is_not_waited_for_so_long(
     away = NetworkConfig(endpoint="tcp/0.0.0.0:7448", remote=("tracker",))
     with playing(replace(config, network=away)) as bus:
         bus.say("ready", "backend")
-        acknowledging(bus, "tracker", "backend")
+        bus.say("ready", "scale")
+        acknowledging(bus, *OTHERS)
     assert "not ready in time: tracker; playing all the same" in caplog.text
 
 
