@@ -117,6 +117,6 @@ def _are_rows(rows: Any, kinds: tuple[Any, ...]) -> bool:
     return isinstance(rows, list) and all(
         isinstance(row, list)
         and len(row) == len(kinds)
-        and all(isinstance(value, kind) and value is not True for value, kind in zip(row, kinds, strict=True))
+        and all(isinstance(v, kind) and not isinstance(v, bool) for v, kind in zip(row, kinds, strict=True))
         for row in rows
     )

@@ -41,10 +41,9 @@ AGAIN_S, SELDOM_S = 2.0, 60.0  # a journal that could not be written is tried ag
 class MapKeeper:
     """Keeps the journal of a mapper, and saves its map."""
 
-    def __init__(self, config: Config, bus: Bus, mapper: Mapper, units: PartUnits | None = None) -> None:
+    def __init__(self, config: Config, bus: Bus, mapper: Mapper, units: PartUnits) -> None:
         """``units`` are of the mapper's parts: they are kept, and taken up, with its map."""
-        self._config, self._bus, self._mapper = config, bus, mapper
-        self._units = PartUnits() if units is None else units
+        self._config, self._bus, self._mapper, self._units = config, bus, mapper, units
         self._mount = base_from_camera(config.frames)
         self._journal: Journal | None = None
         self._failed_s, self._wait_s = float("-inf"), AGAIN_S

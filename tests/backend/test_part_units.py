@@ -130,6 +130,7 @@ def test_another_life_goes_on_with_what_a_journal_says_of_the_parts_that_there_a
         {"units": [[HOME, 1e9, 0.2]]},
         {"units": [[HOME, 0.1, -0.2]]},
         {"units": [[True, 0.1, 0.2]], "unit_of": 1},
+        {"units": [[False, 0.1, 0.2]], "unit_of": 0},
         {"joined_units": [[4, 5]]},
         {"joined_units": [[5, 5]]},
         {"joined_units": [[5, -2]]},
