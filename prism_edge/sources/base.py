@@ -27,11 +27,12 @@ class Image:
 
 @dataclass(frozen=True)
 class Unreadable:
-    """An image that should have been there: missing, truncated or no image at all."""
+    """An image that should have been there: missing, truncated or no image at all; or one out of line."""
 
     index: int
     stamp_ns: int
     reason: str  # names the file
+    out_of_line: bool = False  # its stamp can't be right beside the others'
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Slot:
 
     index: int
     stamp_ns: int
+    out_of_line: bool = False  # as of :class:`Unreadable`, which is what reading it gives
 
 
 class Source(ABC):

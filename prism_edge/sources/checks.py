@@ -9,7 +9,7 @@ import numpy as np
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import U8
-from prism_edge.sources.base import Image, Unreadable
+from prism_edge.sources.base import Image, Slot, Unreadable
 from prism_edge.sources.stamps import fits_ros
 
 # Stands in where nobody needs intrinsics: whoever calibrates is about to find them.
@@ -74,6 +74,10 @@ class FrameChecks:
             return ""
         return f"{'repeats' if stamp_ns == self._stamp_ns else 'goes back before'} the last one"
 
+    def refuses(self, slot: Slot) -> bool:
+        """Whether what stands there will be refused for its stamp: nothing can be timed by that."""
+        return slot.out_of_line or bool(self.bad_stamp(slot.stamp_ns))
+
     def late(self) -> None:
         """An item was passed over unseen."""
         self.counts.frames += 1
@@ -89,9 +93,12 @@ class FrameChecks:
         A duplicate is an exact copy, in all its pixels, of the image released before it.
         """
         self.counts.frames += 1
-        if isinstance(item, Unreadable):
+        if isinstance(item, Unreadable) and not item.out_of_line:
             self.counts.unreadable += 1
             return Verdict(False, kind="unreadable", reason=item.reason)
+        if isinstance(item, Unreadable):
+            self.counts.bad_stamps += 1
+            return Verdict(False, kind="bad_stamps", reason=item.reason)
         if why := self.bad_stamp(item.stamp_ns):
             self.counts.bad_stamps += 1
             stamp = f"{item.stamp_ns / 1e9:.6f} s"

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.messages import U8
+from prism_edge.sources.native_stderr import native_stderr_unheard
 
 U16 = NDArray[np.uint16]
 
@@ -136,7 +137,8 @@ def read_pixels(path: Path) -> U8 | U16 | str:
         return f"{path} is missing"
     except OSError as error:
         return f"{path} can't be read ({error.strerror})"
-    pixels = _decoded(data)
+    with native_stderr_unheard():
+        pixels = _decoded(data)
     return f"{path} {pixels}" if isinstance(pixels, str) else pixels
 
 

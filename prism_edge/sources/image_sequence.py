@@ -14,7 +14,7 @@ from prism_edge.sources.base import DEFAULT_RATE_HZ, Image, Slot, Source, Unread
 from prism_edge.sources.checks import check_camera_size
 from prism_edge.sources.image_file import as_8_bits, ask_for, bits_used, read_pixels
 from prism_edge.sources.listing import Listing
-from prism_edge.sources.stamps import fits_ros, usual_period_ns, write_seconds
+from prism_edge.sources.stamps import fits_ros, out_of_line, usual_period_ns, write_seconds
 
 log = logging.getLogger("prism_edge.sources")
 
@@ -33,6 +33,7 @@ class ImageSequence(Source):
         self.period_ns = usual_period_ns(listing.stamps_ns, round(1e9 / DEFAULT_RATE_HZ))
         self._folder = folder
         self._listing = listing
+        self._out_of_line = out_of_line(listing.stamps_ns)
         self._next = self._ahead = 0
         self._bits = 0  # of deeper pixels, once there are any; one range for all, or the light would flicker
 
@@ -46,6 +47,9 @@ class ImageSequence(Source):
         if not any(map(fits_ros, stamps)):
             first = write_seconds(stamps[0])
             raise SourceError(f"{self._folder}: no ROS message can hold its stamps, such as {first} s")
+        if self._out_of_line:
+            words = "%s: stamps that can't be right beside the others: %d, of image %d first; left out"
+            log.warning(words, self._folder, len(self._out_of_line), min(self._out_of_line))
         for path in self._listing.files:
             pixels = self._read(path)
             if not isinstance(pixels, str):
@@ -66,13 +70,17 @@ class ImageSequence(Source):
     def peek(self) -> Slot | None:
         if self._next >= len(self._listing.files):
             return None
-        return Slot(self._next, self._listing.stamps_ns[self._next])
+        return Slot(self._next, self._listing.stamps_ns[self._next], self._next in self._out_of_line)
 
     def read(self) -> Image | Unreadable | None:
         slot = self.peek()
         if slot is None:
             return None
         self._next += 1
+        if slot.out_of_line:
+            stamp = write_seconds(slot.stamp_ns)
+            reason = f"image {slot.index}: its stamp {stamp} s is out of line with the others"
+            return Unreadable(slot.index, slot.stamp_ns, reason, out_of_line=True)
         pixels = self._read(self._listing.files[slot.index])
         if isinstance(pixels, str):
             return Unreadable(slot.index, slot.stamp_ns, pixels)

@@ -39,8 +39,10 @@ def natural_order(path: Path) -> list[tuple[int, int, str]]:
 def files_in(folder: Path) -> list[Path]:
     """The files of a folder in natural order; raises SourceError where it can't be read."""
     try:
-        # ._x.png is what macOS notes about x.png where a disk has no other place for it.
-        files = (path for path in folder.iterdir() if not path.name.startswith("._") and path.is_file())
+        # ._x.png is what macOS notes about x.png where a disk has no other place for it. A link that leads
+        # nowhere is a file that is missing.
+        entries = (path for path in folder.iterdir() if not path.name.startswith("._"))
+        files = (path for path in entries if path.is_file() or (path.is_symlink() and not path.exists()))
         return sorted(files, key=natural_order)
     except OSError as error:
         raise SourceError(f"{folder} can't be read ({error.strerror})") from None

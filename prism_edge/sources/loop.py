@@ -34,7 +34,9 @@ class Looped(Source):
         if slot is None and self._passed:
             self._rewind()
             slot = self._source.peek()
-        return slot and Slot(slot.index + self._index_offset, slot.stamp_ns + self._stamp_offset)
+        return slot and replace(
+            slot, index=slot.index + self._index_offset, stamp_ns=slot.stamp_ns + self._stamp_offset
+        )
 
     def read(self) -> Image | Unreadable | Absent | None:
         item = self._source.read()
@@ -43,7 +45,7 @@ class Looped(Source):
             item = self._source.read()
         if item is None or isinstance(item, Absent):
             return item
-        self._pass(Slot(item.index, item.stamp_ns))
+        self._pass(Slot(item.index, item.stamp_ns, isinstance(item, Unreadable) and item.out_of_line))
         return replace(
             item, index=item.index + self._index_offset, stamp_ns=item.stamp_ns + self._stamp_offset
         )
@@ -78,8 +80,11 @@ class Looped(Source):
         self._source.close()
 
     def _pass(self, slot: Slot) -> None:
-        first, newest = (self._passed or [slot, slot])[:2]
-        self._passed = [first, Slot(slot.index, max(slot.stamp_ns, newest.stamp_ns))]
+        first, newest = self._passed or (slot, slot)
+        if first.out_of_line:  # its index counts, its time doesn't
+            first, newest = replace(slot, index=first.index), slot
+        stamp_ns = newest.stamp_ns if slot.out_of_line else max(slot.stamp_ns, newest.stamp_ns)
+        self._passed = [first, Slot(slot.index, stamp_ns)]
 
     def _rewind(self) -> None:
         first, newest = self._passed

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from bisect import bisect_left
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from itertools import pairwise
@@ -15,6 +16,7 @@ _LEAST_NS = 1_000_000  # between images that are named by their stamps
 _NANOSECONDS = re.compile(r"[0-9]{17,19}")
 _SECONDS = re.compile(r"[0-9]{10}(\.[0-9]{1,9})?")
 _DECIMAL = re.compile(r"[0-9]+(\.[0-9]+)?")
+_APART_NS = 3600 * 10**9  # no pause before the last image or after the first
 _ROS_NS = 2**31 * 10**9  # builtin_interfaces/Time has 32 bits for seconds: until January 2038
 
 
@@ -88,3 +90,46 @@ def usual_period_ns(stamps_ns: Sequence[int], default_ns: int) -> int:
     """Median time between successive images; stamps that repeat or go backwards don't count."""
     steps = [b - a for a, b in pairwise(stamps_ns) if b > a]
     return int(np.median(steps)) if steps else default_ns
+
+
+def out_of_line(stamps_ns: Sequence[int]) -> frozenset[int]:
+    """Which images have stamps that can't be right, as they would take the place of others'.
+
+    An image goes out where its stamp lies behind all before it: so one that leaps ahead would cost all that
+    follow. Where leaving out some lets more go out, those are out of line (what isn't in the longest row of
+    rising stamps). So is a first or last one an hour and more from the rest, which nobody would wait for.
+    """
+    fitting = [index for index, stamp in enumerate(stamps_ns) if fits_ros(stamp)]
+    row: list[int] = []
+    for index in fitting:
+        if not row or stamps_ns[index] > stamps_ns[row[-1]]:
+            row.append(index)
+    longest, found = _longest_rising(stamps_ns, fitting), set[int]()
+    if len(longest) > len(row):
+        row, found = longest, set(fitting) - set(longest)
+    if len(row) > 2 and stamps_ns[row[1]] - stamps_ns[row[0]] > _APART_NS:
+        found.add(row.pop(0))
+    if len(row) > 2 and stamps_ns[row[-1]] - stamps_ns[row[-2]] > _APART_NS:
+        found.add(row.pop())
+    return frozenset(found)
+
+
+def _longest_rising(values: Sequence[int], indices: Sequence[int]) -> list[int]:
+    """Those of the indices (rising) whose values make the longest row that rises (patience sorting)."""
+    ends: list[int] = []  # the least value that a row of each length ends with
+    last: list[int] = []  # the index of that
+    before: dict[int, int | None] = {}
+    for index in indices:
+        place = bisect_left(ends, values[index])
+        before[index] = last[place - 1] if place else None
+        if place == len(ends):
+            ends.append(values[index])
+            last.append(index)
+        elif values[index] < ends[place]:
+            ends[place], last[place] = values[index], index
+    row: list[int] = []
+    at = last[-1] if last else None
+    while at is not None:
+        row.append(at)
+        at = before[at]
+    return row[::-1]

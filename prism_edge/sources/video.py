@@ -40,8 +40,8 @@ _ALIKE = 0.1  # of the time between frames
 class Video(Source):
     """Plays a video file with the stamps of its container; one without any (.h264), at ``rate_hz``.
 
-    The stamp of a frame is known only once it has been taken from the container, so :meth:`peek`
-    expects it one period after the last; the item read has the true one.
+    The stamp of a frame is known only once it has been taken from the container, so :meth:`peek` expects it
+    one period after the last, or sooner where that one came sooner; the item read has the true one.
     """
 
     decodes_skipped = True  # each frame rests on those before it
@@ -56,7 +56,7 @@ class Video(Source):
         self._rate_hz = rate_hz
         self._capture: cv2.VideoCapture | None = None
         self._next = 0
-        self._last_stamp_ns = 0
+        self._last_stamp_ns = self._last_step_ns = 0
         self._coming: list[bool] = []  # taken from the container already; False: could not be decoded
         self._decoded = False  # the one taken last
         self._known = False
@@ -124,13 +124,15 @@ class Video(Source):
             log.warning(f"{words}, and so must the camera file be", self._path, turn)
         self._capture = capture
         self._next, self._coming = 0, []
-        self._last_stamp_ns = -self.period_ns
+        self._last_stamp_ns, self._last_step_ns = -self.period_ns, self.period_ns
         return capture
 
     def peek(self) -> Slot | None:
         if self._capture is None:
             return None
-        return Slot(self._next, self._last_stamp_ns + self.period_ns)
+        # A film may begin slowly, as in the dark: what is read a little early is held until it is due.
+        step_ns = self._last_step_ns if 0 < self._last_step_ns < self.period_ns else self.period_ns
+        return Slot(self._next, self._last_stamp_ns + step_ns)
 
     def read(self) -> Image | Unreadable | None:
         slot = self._advance()
@@ -158,6 +160,7 @@ class Video(Source):
         slot = Slot(self._next, self._stamp_ns())
         self._next += 1
         if self._decoded:
+            self._last_step_ns = slot.stamp_ns - self._last_stamp_ns
             self._last_stamp_ns = slot.stamp_ns
         return slot
 

@@ -170,7 +170,7 @@ class SourceWorker:
         Where that gains no time (a video that decodes slowly) the schedule is put off instead.
         """
         # What is refused for its stamp can't be what the others are timed by.
-        while (first := self._source.peek()) is not None and self._checks.bad_stamp(first.stamp_ns):
+        while (first := self._source.peek()) is not None and self._checks.refuses(first):
             item = self._read()
             if item is None or isinstance(item, Absent):
                 return
@@ -184,7 +184,7 @@ class SourceWorker:
         while (slot := self._source.peek()) is not None:
             self._source.read_ahead()
             # A stamp that is to be refused is due long ago or in a hundred years: it is taken at once.
-            refused = bool(self._checks.bad_stamp(slot.stamp_ns))
+            refused = self._checks.refuses(slot)
             if not self._sleep_until(0 if refused else schedule.due_ns(slot)):
                 return
             if self._pause.on:

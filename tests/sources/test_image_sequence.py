@@ -12,9 +12,10 @@ import pytest
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import SourceError
-from prism_edge.sources import Image, open_source
+from prism_edge.sources import Image, Unreadable, open_source
 from prism_edge.sources import image_sequence as module
 from prism_edge.sources.base import DEFAULT_RATE_HZ
+from prism_edge.sources.checks import FrameChecks
 from prism_edge.sources.image_file import ask_for
 from tests.sources.tiny_datasets import CAMERA, picture, write_image, write_tum
 from tests.waiting import until
@@ -162,3 +163,62 @@ def test_a_recording_none_of_whose_stamps_can_be_published_is_an_error(tmp_path:
     table.write_text("".join(f"{4000000000 * (i > 0) + i}.5 {name}\n" for i, name in enumerate(names)))
     with open_source(SourceConfig(str(folder))) as source:
         assert source.read() is not None
+
+
+@pytest.mark.parametrize("looped", [False, True])
+def test_a_stamp_that_leaps_ahead_costs_one_image(
+    tmp_path: Path, looped: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """And what plays it again and again goes on one period after the last, not an hour."""
+    folder = write_tum(tmp_path, count=5)
+    rows = [line for line in (folder / "rgb.txt").read_text().splitlines() if not line.startswith("#")]
+    stamps = [float(row.split()[0]) for row in rows]
+    for leap in (0, 2):
+        table = list(rows)
+        table[leap] = f"{stamps[leap] + 7200:.6f} {rows[leap].split()[1]}"
+        (folder / "rgb.txt").write_text("\n".join(table))
+        caplog.clear()
+        with open_source(SourceConfig(str(folder), loop=looped)) as source:
+            checks, released = FrameChecks(source.camera), []
+            for k in range(15 if looped else 5):
+                slot, item = source.peek(), source.read()
+                assert slot is not None
+                assert isinstance(item, Image | Unreadable)
+                assert (slot.index, slot.stamp_ns) == (item.index, item.stamp_ns)
+                assert checks.refuses(slot) == (k % 5 == leap)
+                if checks.check(item).released:
+                    released.append(item.index)
+        assert released == [k for k in range(15 if looped else 5) if k % 5 != leap]
+        assert checks.counts.bad_stamps == checks.counts.frames // 5
+        assert checks.counts.unreadable == 0
+        assert f"can't be right beside the others: 1, of image {leap} first; left out" in caplog.text
+        if looped:
+            assert item.stamp_ns < 10e9 + 1e9 * stamps[-1]
+
+
+def test_a_link_that_leads_nowhere_is_an_image_that_is_missing(tmp_path: Path) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    for k in range(10):
+        if k in (3, 4):
+            (tmp_path / f"{k}.png").symlink_to("not fetched")
+        else:
+            write_image(tmp_path / f"{k}.png", picture(k))
+    with open_source(SourceConfig(str(tmp_path))) as source:
+        items = list(iter(source.read, None))
+    assert [item.index for item in items] == list(range(10))
+    assert [k for k, item in enumerate(items) if isinstance(item, Unreadable)] == [3, 4]
+    assert "is missing" in items[3].reason
+
+
+def test_libraries_have_no_line_of_their_own_for_each_picture(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "camera.yaml").write_text(CAMERA)
+    write_image(tmp_path / "0.png", picture(0))
+    data = bytearray((tmp_path / "0.png").read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "1.png").write_bytes(data)
+    with open_source(SourceConfig(str(tmp_path))) as source:
+        items = list(iter(source.read, None))
+    assert isinstance(items[1], Unreadable)
+    assert "libpng" not in capfd.readouterr().err

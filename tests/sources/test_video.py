@@ -223,6 +223,22 @@ def test_a_stamp_that_goes_back_is_left_to_the_checks(
         assert [item.stamp_ns for item in iter(source.read, None) if item] == stamps_ns
 
 
+def test_a_frame_is_looked_for_no_later_than_after_the_step_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A film that begins in the dark, at 10 Hz, and goes on at 30; and one whose rate sinks."""
+    with opened(tiny.write_video(tmp_path / "clip.avi", count=8, rate_hz=10.0)) as source:
+        stamps_ms = [0, 100, 200, 233, 266, 300, 400, 900]
+        monkeypatch.setattr(source, "_position_ns", iter(1_000_000 * ms for ms in stamps_ms).__next__)
+        expected_ms = []
+        for _ in stamps_ms:
+            slot = source.peek()
+            assert slot is not None
+            expected_ms.append(slot.stamp_ns / 1e6)
+            source.read()
+    assert expected_ms == [0, 100, 200, 300, 266, 299, 334, 500]
+
+
 def test_it_plays_again_once_reopened(tmp_path: Path) -> None:
     source = opened(tiny.write_video(tmp_path / "clip.avi"))
     for _ in range(2):

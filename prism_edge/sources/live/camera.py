@@ -14,9 +14,9 @@ from prism_edge.messages import U8
 from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
 from prism_edge.sources.checks import UNCALIBRATED, check_camera_size
 from prism_edge.sources.live.driver import CameraLostError, Connection, Driver, Grab
-from prism_edge.sources.live.native_stderr import native_stderr_unheard
 from prism_edge.sources.live.picture_watch import PictureWatch
 from prism_edge.sources.live.wall_clock import WallClock
+from prism_edge.sources.native_stderr import native_stderr_unheard
 from prism_edge.vital import vital
 
 log = logging.getLogger("prism_edge.sources")

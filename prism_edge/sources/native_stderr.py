@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import threading
 from collections.abc import Iterator
 
 _STDERR = 2
+_one_at_a_time = threading.Lock()  # or one would keep what the other put there, and put that back
 
 
 @contextlib.contextmanager
@@ -15,9 +17,11 @@ def native_stderr_unheard() -> Iterator[None]:
     """What is printed to stderr meanwhile goes nowhere; other threads' log lines wait until it is over.
 
     OpenCV's libjpeg has a line for each picture of cameras that end theirs with bytes too many, as many do:
-    thirty a second of pictures that are whole. It knows no way to be told not to.
+    thirty a second of pictures that are whole; libpng has one for each that is damaged, beside the reason
+    that we give. They know no way to be told not to.
     """
     with contextlib.ExitStack() as after:
+        after.enter_context(_one_at_a_time)
         for handler in logging.getLogger().handlers:
             handler.acquire()
             after.callback(handler.release)

@@ -12,8 +12,8 @@ import pytest
 
 from prism_edge.sources.live.camera import _decoded
 from prism_edge.sources.live.driver import Grab
-from prism_edge.sources.live.native_stderr import native_stderr_unheard
 from prism_edge.sources.live.v4l2_pixels import to_image
+from prism_edge.sources.native_stderr import native_stderr_unheard
 from tests.waiting import until
 
 
