@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     check_robot_name(config.robot)
     with open_session(config.bus, listen=False, client=True, network=config.network) as session:
         reply = send(session, config.robot, COMMANDS[args.name], args.argument, args.timeout)
-    if args.json:
+    if args.json and not args.quiet:
         print(pack_reply(reply).decode())
     elif not args.quiet:
         print(reply.said)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from prism_edge.all_or_nothing import put_whole
 from prism_edge.cli.settings import a_path, add_configuration, config_from
-from prism_edge.cli.whole_file import check_writable, put_whole
+from prism_edge.cli.whole_file import check_writable
 from prism_edge.errors import ConfigError, MapError, say
 
 if TYPE_CHECKING:

@@ -7,8 +7,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from prism_edge.all_or_nothing import put_whole
 from prism_edge.cli.settings import a_path
-from prism_edge.cli.whole_file import check_writable, put_whole
+from prism_edge.cli.whole_file import check_writable
 from prism_edge.config import SourceConfig
 from prism_edge.errors import CalibrationError, ConfigError, SourceError
 

@@ -6,6 +6,7 @@ import argparse
 import math
 from typing import TYPE_CHECKING, Any
 
+from prism_edge.all_or_nothing import put_whole
 from prism_edge.cli.settings import (
     BUNDLED,
     RECORDING_HELP,
@@ -15,7 +16,7 @@ from prism_edge.cli.settings import (
     config_from,
     whole_from_one_to,
 )
-from prism_edge.cli.whole_file import check_writable, put_whole
+from prism_edge.cli.whole_file import check_writable
 from prism_edge.errors import ConfigError, MapError, say
 
 if TYPE_CHECKING:

@@ -1,10 +1,10 @@
-"""Files that a command makes for the user: never over one that is there unasked, and never half of one."""
+"""Files that a command makes for the user: never over one that is there unasked."""
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
+from prism_edge.all_or_nothing import beside
 from prism_edge.errors import ConfigError
 from prism_edge.named_path import hindrance
 
@@ -25,7 +25,7 @@ def check_writable(path: Path, overwrite: bool) -> None:
         raise ConfigError(f"{path}: there is no folder {path.parent}")
     if path.is_dir():
         raise ConfigError(f"{path} is a folder; name a file")
-    temporary = _beside(path.resolve())
+    temporary = beside(path.resolve())
     try:
         temporary.touch()
         temporary.unlink()
@@ -40,20 +40,3 @@ def _is_map(path: Path) -> bool:
             return file.read(len(MAP_BEGINS)) == MAP_BEGINS
     except OSError:
         return False
-
-
-def put_whole(path: Path, data: bytes) -> None:
-    """All or nothing: a file cut short might be read as another one. Raises OSError with the file's name."""
-    file = path.resolve()  # what a link leads to is replaced, not the link
-    temporary = _beside(file)
-    try:
-        temporary.write_bytes(data)
-        temporary.replace(file)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror, str(path)) from None
-
-
-def _beside(path: Path) -> Path:
-    """In the folder of the file itself, and short: a name may be as long as the system lets it."""
-    return path.with_name(f".prism-edge.{os.getpid()}")

@@ -10,7 +10,7 @@ from typing import Self
 
 from prism_edge.config import Config
 from prism_edge.config_file import dump
-from prism_edge.errors import EvaluationError, say
+from prism_edge.errors import say
 from prism_edge.evaluation.trajectory import Trajectory, write_tum
 
 PATHS = ("live.tum", "final.tum")
@@ -51,19 +51,10 @@ class Results:
         """Writes the poses that came until a run was cut short, and says so. Raises nothing."""
         if not len(live):
             return
-        with contextlib.suppress(OSError, EvaluationError):
+        with contextlib.suppress(OSError):
             write_tum(self._out / "live.tum", live)
             where = self._out / "live.tum"
             say(f"prism-edge: warning: the run was not finished: its {len(live)} poses are in {where}")
-
-    def put_map(self, data: bytes) -> None:
-        """All of it or nothing, a full disk included. Raises OSError."""
-        new = self._out / f".{MAP}"
-        try:
-            new.write_bytes(data)
-            new.replace(self._out / MAP)
-        finally:
-            new.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         return self

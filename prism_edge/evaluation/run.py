@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from prism_edge.all_or_nothing import put_whole
 from prism_edge.bus.keys import check_endpoint, check_robot_name
 from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
@@ -110,7 +111,7 @@ def evaluate(
         write_tum(out / "live.tum", live)
         write_tum(out / "final.tum", final)
         if heard.map is not None:
-            results.put_map(heard.map.data.tobytes())
+            put_whole(out / MAP, heard.map.data.tobytes())
         elif heard.snapshot is not None and len(heard.snapshot.points):
             say(f"prism-edge: warning: the map did not come in {_MAP_S:.0f} s: no {MAP}")
         if true_path is not None and (out / "truth.tum").resolve() not in kept:
@@ -130,7 +131,7 @@ def evaluate(
         played=made_of.after(out / LOG),
     )
     with results_in(out):
-        (out / "metrics.json").write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
+        put_whole(out / "metrics.json", f"{json.dumps(report, indent=2, allow_nan=False)}\n".encode())
     if report["violations"]:
         raise EvaluationError(f"the run is void: {'; '.join(report['violations'])}")
     if report["unscored"]:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.all_or_nothing import put_whole
 from prism_edge.errors import EvaluationError, SourceError
 from prism_edge.geometry.poses import Array, quaternion_from_rotation
 from prism_edge.sources.stamps import write_seconds
@@ -137,12 +138,9 @@ def tum_line(stamp_ns: int, pose: Array) -> str:
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
-    """Writes a TUM file. Raises EvaluationError where it can't be written."""
+    """Writes a TUM file, all of it or nothing. Raises OSError."""
     lines = [tum_line(int(s), p) for s, p in zip(trajectory.stamps, trajectory.poses, strict=True)]
-    try:
-        path.write_text("".join(lines))
-    except OSError as error:
-        raise EvaluationError(f"{path}: {error.strerror}: can't write the trajectory") from error
+    put_whole(path, "".join(lines).encode("ascii"))
 
 
 def read_tum(path: Path) -> Trajectory:

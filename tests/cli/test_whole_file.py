@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from prism_edge.cli.whole_file import check_writable, put_whole
+from prism_edge.all_or_nothing import put_whole
+from prism_edge.cli.whole_file import check_writable
 from prism_edge.errors import ConfigError
 
 
@@ -37,3 +38,21 @@ def test_a_name_may_be_as_long_as_the_system_lets_it(tmp_path: Path) -> None:
     put_whole(tmp_path / ("x" * 255), b"all of it")
     with pytest.raises(ConfigError, match=r"can't be written \(File name too long\)"):
         check_writable(tmp_path / ("x" * 256), overwrite=False)
+
+
+@pytest.mark.parametrize("stopped", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_half_a_file_is_not_left_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stopped: BaseException
+) -> None:
+    """By a full disk, nor by Ctrl-C; and what was there before still is."""
+    (tmp_path / "a.ply").write_bytes(b"before")
+    write = Path.write_bytes
+
+    def half(path: Path, data: bytes) -> int:
+        write(path, data[:3])
+        raise stopped
+
+    monkeypatch.setattr(Path, "write_bytes", half)
+    with pytest.raises(type(stopped)):
+        put_whole(tmp_path / "a.ply", b"after")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.ply", b"before")]

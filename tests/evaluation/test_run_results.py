@@ -76,19 +76,25 @@ def test_a_map_that_did_not_come_is_said_where_there_was_one(
     assert not (tmp_path / "map.prismmap").exists()
 
 
-def test_a_map_that_can_not_be_written_whole_leaves_nothing_behind(
-    tiny_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: dict[str, Any]
+@pytest.mark.parametrize("fits", range(5))
+def test_what_can_not_be_written_whole_is_not_there(
+    tiny_sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asked: dict[str, Any], fits: int
 ) -> None:
+    """As many files as there is room for; and the error is the disk's, not that there is nothing to score."""
+    names = ["live.tum", "final.tum", "map.prismmap", "truth.tum", "metrics.json"]
+    write, room = Path.write_bytes, iter(range(fits))
+
     def full(path: Path, data: bytes) -> int:
-        with path.open("wb") as file:
-            file.write(data[:3])
+        if next(room, None) is not None:
+            return write(path, data)
+        write(path, data[:3])
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(Path, "write_bytes", full)
     with pytest.raises(OSError, match="No space left on device: can't write results there") as raised:
         score(monkeypatch, tiny_sequence, tmp_path)
     assert raised.value.filename == str(tmp_path)
-    assert [file.name for file in tmp_path.iterdir() if "prismmap" in file.name] == []
+    assert {file.name for file in tmp_path.iterdir()} == {"effective.yaml", *names[:fits]}
 
 
 def test_a_figure_that_is_no_number_is_no_result(

@@ -114,7 +114,7 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
     for name in ("empty.tum", "binary.tum", "absent.tum", "."):
         with pytest.raises(EvaluationError):
             read_tum(tmp_path / name)
-    with pytest.raises(EvaluationError):
+    with pytest.raises(OSError, match="No such file or directory"):
         write_tum(tmp_path / "absent" / "x.tum", random_trajectory(np.arange(2)))
 
 
