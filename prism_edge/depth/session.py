@@ -126,6 +126,8 @@ class OnnxNetwork:
         fx, fy, cx, cy = np.asarray(matrix, np.float64).ravel()[[0, 4, 2, 5]]
         if not np.isfinite([fx, fy, cx, cy]).all() or fx <= 0 or fy <= 0:
             return None
+        if why := _not_in_rows(matrix):
+            raise ModelError(f"{self.name}: output {output!r} is no camera matrix: {why}")
         return placement.to_image(fx, fy, cx, cy)
 
     def check_offline_outputs(self, rgb: NDArray[np.uint8]) -> None:
@@ -146,9 +148,12 @@ class OnnxNetwork:
                 raise ModelError(
                     f"{self.path.name}: output {output!r} for {role} has shape {shape}, not {needed}"
                 )
+            if role == "intrinsics" and (why := _not_in_rows(value)):
+                raise ModelError(f"{self.path.name}: output {output!r} is no camera matrix: {why}")
 
     def _run_aside(self, outputs: list[str], image: NDArray[np.float32]) -> list[NDArray[Any]]:
-        """Outputs that no keyframe asks for. Raises ModelError where onnxruntime fails."""
+        """Outputs that no keyframe asks for. ModelError where onnxruntime fails, and as ``raw`` has it."""
+        self._data.check()
         with failing_in_a_line(self.path.name):
             return list(self._session.run(outputs, {self._input: image}))
 
@@ -231,6 +236,16 @@ class OnnxNetwork:
                 "(docs/MODELS.md#exports-of-another-shape)"
             )
         return ""
+
+
+def _not_in_rows(matrix: NDArray[Any]) -> str:
+    """Why nine numbers with focal lengths are no camera matrix, row by row; empty where they may be one."""
+    numbers = np.asarray(matrix, np.float64).ravel()
+    last = numbers[6:]
+    if not np.isfinite(numbers).all() or min(numbers[[0, 4]]) <= 0 or np.allclose(last, (0, 0, 1), atol=1e-3):
+        return ""
+    said = " ".join(f"{value:g}" for value in last)
+    return f"its last row is {said}, not 0 0 1 (columns first? docs/MODELS.md#exports-of-another-shape)"
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from prism_edge.config import DepthConfig
 from prism_edge.depth.cards import card_of
 from prism_edge.depth.contract import INVERSE_RELATIVE
+from prism_edge.depth.data_watch import DataWatch
 from prism_edge.depth.fingerprint import fingerprint
 from prism_edge.depth.placement import Placement, place, tensor
 from prism_edge.depth.prediction import Prediction, checked, in_its_range, no_confidence, no_descriptor
@@ -47,6 +48,7 @@ class SeveralViewsNetwork:
     def __init__(self, path: Path, config: DepthConfig, pinned: tuple[File, ...] = ()) -> None:
         """Raises ModelError where the file is no such network, or is not what its card says."""
         vetted = vet(path, pinned[0].sha256 if pinned else "")
+        self._data = DataWatch(vetted.data)  # before they are hashed and loaded
         self.card = card_of(path, vetted, pinned)
         self.views, self.name, self.dsug = self.card.views, self.card.name, self.card.dsug
         self._path = path
@@ -96,8 +98,10 @@ class SeveralViewsNetwork:
         first's own 0 among them). What the network says is in the unit of the cameras that it predicts
         itself, which are laid over the given ones; where those are all in one place, in the unit of what it
         was given.
-        Raises ModelError where pictures are not of their cameras, or the network fails.
+        Raises ModelError where pictures are not of their cameras, the network fails, or weights beside its
+        file were overwritten since it was loaded.
         """
+        self._data.check()
         for rgb, camera in zip(pictures, cameras, strict=True):
             if rgb.shape != (camera.height, camera.width, 3):
                 raise ModelError(f"image {rgb.shape} is not of its {camera.width}x{camera.height} camera")

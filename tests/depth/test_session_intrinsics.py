@@ -86,3 +86,17 @@ def test_intrinsics_that_can_not_be_are_none(tmp_path: Path):
         path = tmp_path / f"{number}.onnx"
         save(path, graph, replace(card, intrinsics_output="intrinsics"))
         assert OnnxNetwork(path).intrinsics(IMAGE) is None
+
+
+def test_a_matrix_column_by_column_is_none_and_said_to_be(tmp_path: Path):
+    """Its principal point would be the picture's corner."""
+    graph, card = two_outputs()
+    columns = [400.0, 0.0, 0.0, 0.0, 380.0, 0.0, 310.0, 170.0, 1.0]
+    value = helper.make_tensor("matrix", TensorProto.FLOAT, [1, 3, 3], columns)
+    graph.node.append(helper.make_node("Constant", [], ["intrinsics"], value=value))
+    graph.output.append(helper.make_tensor_value_info("intrinsics", TensorProto.FLOAT, [1, 3, 3]))
+    save(tmp_path / "net.onnx", graph, replace(card, intrinsics_output="intrinsics"))
+    network = OnnxNetwork(tmp_path / "net.onnx")
+    for ask in (network.intrinsics, network.check_offline_outputs):
+        with pytest.raises(ModelError, match=r"'intrinsics' is no camera matrix: its last row is 310 170 1,"):
+            ask(IMAGE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -9,6 +10,7 @@ import numpy as np
 import onnx
 import pytest
 from onnx import TensorProto, helper, numpy_helper
+from onnx.external_data_helper import set_external_data
 
 from prism_edge.cli.main import main
 from prism_edge.config import DepthConfig
@@ -127,6 +129,21 @@ def test_depth_is_in_the_unit_of_the_poses(tmp_path: Path) -> None:
         # A picture of one colour has one depth, which counts as none.
         assert not answer.valid
         assert f"{metres * (1 + rgb[0, 0, 0] / 255):.3g} m" in answer.reason
+
+
+def test_weights_overwritten_under_it_are_noticed(tmp_path: Path) -> None:
+    """Mapped into memory, they would be others from now on, or end the process."""
+    path = write(tmp_path / "net.onnx", tinted=True, size=(64, 48))
+    model = onnx.load(str(path))
+    for constant in model.graph.initializer:
+        if constant.name == "weights":
+            set_external_data(constant, "net.data")
+    onnx.save(model, str(path))
+    network = opened(path)
+    network.infer(pictures(), [CAMERA] * VIEWS, POSES)
+    os.utime(tmp_path / "net.data", ns=(0, 1))  # a write within the clock's tick would go unseen
+    with pytest.raises(ModelError, match=r"net\.data: was overwritten while the network runs"):
+        network.infer(pictures(), [CAMERA] * VIEWS, POSES)
 
 
 def test_each_answer_took_its_share_of_the_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
