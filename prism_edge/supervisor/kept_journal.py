@@ -14,6 +14,7 @@ from prism_edge.workers.cut_off import OWN_JOURNAL, TOLD, RunMark, run_mark
 log = logging.getLogger("prism_edge.supervisor")
 
 LOCK = "lock"
+_ANOTHERS = "another run has it"
 
 
 class KeptJournal:
@@ -45,8 +46,17 @@ class KeptJournal:
             directory.write(TOLD, "")
 
     def alive(self) -> None:
-        """The run goes on; say so, now and then."""
-        if self._mark is not None:
+        """The run goes on; say so, now and then.
+
+        Who clears a folder of what is old takes the lock first, which nobody writes to: it is made anew.
+        """
+        if self._mark is None:
+            return
+        if not self._locked(self._mark.folder) and self._take(self._mark.folder) == _ANOTHERS:
+            words = "the journal in %s was cleared away, and another run has it now: it is no more this run's"
+            log.warning(words, self._mark.folder)
+            self._mark = None
+        else:
             self._mark.alive()
 
     def ended(self) -> None:
@@ -70,8 +80,17 @@ class KeptJournal:
             os.close(self._lock)
             self._lock = -1
 
+    def _locked(self, folder: Path) -> bool:
+        """Whether the file that we hold is still the one that others would ask for."""
+        try:
+            theirs = os.stat(folder / LOCK, follow_symlinks=False)
+            return self._lock >= 0 and os.path.samestat(os.fstat(self._lock), theirs)
+        except OSError:
+            return False
+
     def _take(self, folder: Path) -> str:
         """Why it can't be had; empty where it is ours."""
+        self.release()
         try:
             folder.mkdir(parents=True, exist_ok=True)
             flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
@@ -79,7 +98,7 @@ class KeptJournal:
             # Not flock: workers are forks of ours, and one that outlives us would hold it on.
             fcntl.lockf(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except (BlockingIOError, PermissionError):
-            why = "another run has it" if self._lock >= 0 else "no permission"
+            why = _ANOTHERS if self._lock >= 0 else "no permission"
         except OSError as error:
             why = error.strerror or str(error)
         else:

@@ -29,7 +29,7 @@ class JournalHandler(logging.Handler):
     def __init__(self, fields: Mapping[str, str], path: str = SOCKET) -> None:
         """``fields`` go with every line, such as PRISM_PROCESS. Raises OSError where nobody listens."""
         super().__init__()
-        self._fields = dict(fields)
+        self._fields, self._path = dict(fields), path
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
         try:
             self._socket.connect(path)
@@ -41,12 +41,21 @@ class JournalHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Send one record."""
         try:
-            self._socket.send(pack(record, self.format(record), self._fields))
+            self._send(pack(record, self.format(record), self._fields))
         except OSError:
             if _stderr_takes_more():
                 say(f"<{priority(record)}>{self.format(record)}")
         except Exception:  # what logging itself does with a record that can't be formatted
             self.handleError(record)
+
+    def _send(self, datagram: bytes) -> None:
+        try:
+            self._socket.send(datagram)
+        except BlockingIOError:  # it hangs
+            raise
+        except OSError:  # systemd makes its socket anew where that is restarted
+            self._socket.connect(self._path)
+            self._socket.send(datagram)
 
     def close(self) -> None:
         """Close the socket."""

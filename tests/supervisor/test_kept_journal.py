@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,7 +15,7 @@ import pytest
 
 from prism_edge.config import Config, SourceConfig, StateConfig
 from prism_edge.config_file import dump
-from prism_edge.supervisor.kept_journal import KeptJournal
+from prism_edge.supervisor.kept_journal import LOCK, KeptJournal
 from prism_edge.supervisor.run_directory import RunDirectory
 from prism_edge.workers.cut_off import MARK, OWN_JOURNAL, TOLD
 
@@ -86,6 +87,50 @@ def test_what_another_run_has_is_neither_used_nor_touched(
     journal.ended()
     journal.release()
     assert mark.read_bytes() == before
+
+
+# Whether another process, which holds no lock of ours, is refused the file.
+REFUSED = """
+import fcntl, sys
+with open(sys.argv[1], "r+") as file:
+    try:
+        fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        sys.exit(7)
+"""
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_lock_that_was_cleared_away_is_made_anew(config: Config, tmp_path: Path, whole: bool) -> None:
+    journal, _ = claimed(config, tmp_path / "run")
+    folder = tmp_path / "state" / "journal"
+    shutil.rmtree(tmp_path / "state") if whole else (folder / LOCK).unlink()
+    journal.alive()
+    assert subprocess.run([sys.executable, "-c", REFUSED, str(folder / LOCK)], check=False).returncode == 7
+    journal.ended()
+    journal.release()
+    assert subprocess.run([sys.executable, "-c", REFUSED, str(folder / LOCK)], check=False).returncode == 0
+
+
+def test_who_was_cleared_away_and_came_too_late_leaves_the_journal_to_the_other(
+    config: Config, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    journal, _ = claimed(config, tmp_path / "run")
+    folder = tmp_path / "state" / "journal"
+    (folder / LOCK).unlink()
+    holds = f"import fcntl, signal; f = open({str(folder / LOCK)!r}, 'w'); fcntl.lockf(f, fcntl.LOCK_EX); "
+    command = [sys.executable, "-c", f"{holds}print('locked', flush=True); signal.pause()"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "locked\n"
+        try:
+            for _ in range(3):
+                journal.alive()
+            journal.ended()
+        finally:
+            process.kill()
+    assert (folder / MARK).exists()
+    assert caplog.text.count("another run has it now") == 1
 
 
 def test_what_a_killed_run_had_is_the_next_ones_though_a_fork_of_it_lives(

@@ -99,6 +99,23 @@ def test_a_journal_that_has_gone_is_no_error(
     assert "<4>on its own" in capsys.readouterr().err
 
 
+def test_a_journal_whose_socket_is_made_anew_has_its_lines_again(
+    log: logging.Logger, server: socket.socket, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = Path(server.getsockname())
+    server.close()
+    log.warning("meanwhile")
+    path.unlink()
+    log.warning("meanwhile too")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as anew:
+        anew.bind(str(path))
+        anew.settimeout(10)
+        log.warning("heard")
+        found = fields(anew.recv(65536))
+    assert (found["MESSAGE"], found["PRISM_PROCESS"]) == ("heard", "depth")
+    assert capsys.readouterr().err == "<4>meanwhile\n<4>meanwhile too\n"
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_line_that_nothing_takes_is_no_error(
     log: logging.Logger, server: socket.socket, monkeypatch: pytest.MonkeyPatch
