@@ -83,7 +83,7 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     try:
-        truth = poses_of(args.folder, args.truth)
+        truth = poses_of(args.folder, args.truth, args.camera)
         points = read_ply(args.cloud)
         found = opened(args.map, load(None, {})).metric
         guess, scale = first_guess(found.trajectory(False), truth, args.up_to_scale)
@@ -104,7 +104,7 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
-def poses_of(folder: Path, file: Path | None) -> Trajectory:
+def poses_of(folder: Path, file: Path | None, camera: str = "") -> Trajectory:
     """True poses of the colour camera. Raises EvaluationError where there are none."""
     if file is not None:
         return read_tum(file)
@@ -112,9 +112,9 @@ def poses_of(folder: Path, file: Path | None) -> Trajectory:
     if own is None:
         raise EvaluationError(f"{folder} has no true poses: give --truth FILE.tum")
     stamps, poses = own
-    with open_source(SourceConfig(uri=str(folder))) as source:
-        camera = source.camera
-    if SensorDepth(folder).is_apart(camera):  # 7-Scenes' poses are the depth camera's
+    with open_source(SourceConfig(uri=str(folder), camera=camera)) as source:
+        own_camera = source.camera
+    if SensorDepth(folder).is_apart(own_camera):  # 7-Scenes' poses are the depth camera's
         poses = poses @ from_rt(np.eye(3), COLOUR_IN_DEPTH)
     return Trajectory(stamps, poses)
 

@@ -131,6 +131,10 @@ def refusals(folder: str) -> None:
         "no weights": ([str(files / "text.safetensors"), out, "--model", "da3-small"], {}),
         "extension": ([*small, str(files / "refused.bin")], {}),
         "views": ([*small, out, "--views", "65"], {}),
+        "no descriptor": ([*small, out, "--views", "5", "--descriptor", "token"], {}),
+        "two weights": ([unread, *small, out], {}),
+        "no metres": ([*small, out, "--scale-bias-sigma", "0.3"], {}),
+        "images first": ([unread, out, "--model", "da3-small", "--images", str(files / "absent")], {}),
         "images": ([*small, out, "--images", str(files / "published")], {}),
         "parity": ([*small, out, "--external-data"], {"bound": 1e-12}),
     }

@@ -183,6 +183,10 @@ def test_what_cannot_be_exported_is_refused_in_one_line_and_leaves_no_file(expor
         "no weights": "can't be read as weights",
         "extension": "ending in .onnx",
         "views": "1 to 64",
+        "no descriptor": "leave --descriptor out",
+        "two weights": "takes no checkpoint",
+        "no metres": "leave --scale-bias-sigma out",
+        "images first": "images are needed",
         "images": "images are needed",
         "parity": "the file is not kept",
     }

@@ -148,3 +148,16 @@ def test_what_can_not_be_measured_is_said_in_a_line(
         error = capsys.readouterr().err
         assert words in error
         assert len(error.strip().splitlines()) == 1
+
+
+def test_a_recording_without_a_camera_is_measured_by_the_one_that_is_given(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "any.ply").write_bytes(ply("any", np.zeros((100, 3))))
+    for file in (room / "seq").iterdir():
+        (tmp_path / "seq").mkdir(exist_ok=True)
+        (tmp_path / "seq" / file.name).symlink_to(file)
+    given = (tmp_path / "seq" / "camera.yaml").rename(tmp_path / "given.yaml")
+    words = [str(tmp_path / "seq"), str(tmp_path / "any.ply"), "--map", str(room / "room.prismmap")]
+    assert main([*words, "--voxel=0.2", "--camera", str(given)]) == 0
+    assert "a guess" not in capsys.readouterr().err

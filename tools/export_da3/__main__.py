@@ -15,6 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from prism_edge.depth.contract import FOCAL_NORMALISED
 from prism_edge.depth.inner_tensor import GRID
 from prism_edge.errors import ModelError, PrismError
 
@@ -40,6 +41,7 @@ from tools.export_da3.variants import (
 )
 
 HEIGHT, WIDTH = 252, 336  # of a camera of 4:3
+BIAS_SIGMA = 0.1  # FastDepth's
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -53,17 +55,20 @@ def main(arguments: list[str] | None = None) -> int:
             width=args.width,
             views=args.views,
             wanted=Wanted(
-                "" if args.descriptor == "none" or args.views > 1 else args.descriptor,
+                _descriptor(args),
                 args.rays,
                 args.intrinsics,
             ),
             precisions=args.precision or [FP32],
             name=args.name,
-            scale_bias_sigma=args.scale_bias_sigma,
+            scale_bias_sigma=BIAS_SIGMA if args.scale_bias_sigma is None else args.scale_bias_sigma,
             external=args.external_data,
             images=args.images or [],
         )
-        check(job, [VARIANTS[part] for name in names for part in parts_of(name)])
+        variants = [VARIANTS[part] for name in names for part in parts_of(name)]
+        if args.scale_bias_sigma is not None and variants[-1].depth_kind != FOCAL_NORMALISED:
+            raise ModelError(f"{names[0]} has no metres: leave --scale-bias-sigma out")
+        check(job, variants)
         export(replace(job, checkpoints=_loaded(args, names)))
     except PrismError as error:
         print(f"export_da3: error: {error}", file=sys.stderr)
@@ -71,11 +76,22 @@ def main(arguments: list[str] | None = None) -> int:
     return 0
 
 
+def _descriptor(args: argparse.Namespace) -> str:
+    """Of places; empty for none. Raises ModelError where there can't be one."""
+    if args.views > 1:
+        if args.descriptor not in (None, "none"):
+            raise ModelError("a network of several views has no descriptor: leave --descriptor out")
+        return ""
+    return "" if args.descriptor == "none" else args.descriptor or GRID
+
+
 def _names(args: argparse.Namespace) -> list[str]:
     """Which checkpoint it is, and which the one to be nested with; nothing is loaded. Raises ModelError."""
     if args.random_weights is not None:
         if not args.model:
             raise ModelError("--random-weights needs --model")
+        if args.checkpoint is not None:
+            raise ModelError("--random-weights takes no checkpoint, and one is named")
         names = [args.model]
     elif args.checkpoint is None:
         raise ModelError("a checkpoint is needed: a folder or a file, or --random-weights SEED")
@@ -114,11 +130,11 @@ def _parser() -> argparse.ArgumentParser:
     add("--width", type=int, default=WIDTH, metavar="W", help=f"a multiple of {PATCH} (default {WIDTH})")
     add("--views", type=int, default=1, metavar="N", help="images at once, with their poses (default 1)")
     add("--precision", nargs="+", choices=PRECISIONS, help="fp16 and int8 go beside OUT (default fp32)")
-    add("--descriptor", choices=(*DESCRIPTORS, "none"), default=GRID, help="of places (default grid)")
+    add("--descriptor", choices=(*DESCRIPTORS, "none"), help="of places (default grid)")
     add("--rays", action="store_true", help="put out each pixel's ray (networks of several views)")
     add("--intrinsics", action="store_true", help="put out the camera matrix (networks of several views)")
     add("--name", default="", help="in the model card (default: model and size)")
-    add("--scale-bias-sigma", type=float, default=0.1, metavar="S", help="of one with metres (default 0.1)")
+    add("--scale-bias-sigma", type=float, metavar="S", help=f"of one with metres (default {BIAS_SIGMA})")
     add("--external-data", action="store_true", help="weights in OUT.onnx.data (always so beyond 2 GB)")
     add("--images", nargs="+", type=Path, metavar="PATH", help="files or folders (default: a simulated room)")
     return parser

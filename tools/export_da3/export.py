@@ -100,6 +100,8 @@ def check(job: Job, variants: list[Variant]) -> None:
         raise ModelError(f"{first.name}: predicts neither rays nor intrinsics")
     for precision in job.precisions:
         _card(job, variants, precision, {})
+    if job.images:  # those of a simulated room are always there
+        pictures(job.images, max(_IMAGES, job.views))
 
 
 def out_of(path: Path, precision: str) -> Path:
