@@ -40,7 +40,7 @@ def desk(answer: Callable[[str], Reply]) -> Iterator[str]:
             thread.join()
 
 
-@pytest.mark.parametrize("option", [(), ("--quiet",), ("--json",)])
+@pytest.mark.parametrize("option", [(), ("--quiet",), ("--json",), ("--json", "--quiet")])
 @pytest.mark.parametrize(("ok", "code"), [(True, 0), (False, 1)])
 def test_a_refusal_ends_with_1_however_it_is_told(
     option: tuple[str, ...], ok: bool, code: int, capsys: pytest.CaptureFixture[str]
