@@ -15,8 +15,9 @@ from prism_edge.workers.launch import run_worker
 
 Start = Callable[[Process, Path, int], Child]  # the last: how often it was started before
 
-# What most workers load, or all. One that starts as a fork has it already, in memory that all of them share.
-SHARED = ("prism_edge.bus.session", "prism_edge.bus.ros", "prism_edge.geometry.cameras", "cv2")
+# What most workers load, or all (numpy.ma with the first np.unique: in the midst of a keyframe). One that
+# starts as a fork has it already, in memory that all of them share.
+SHARED = ("prism_edge.bus.session", "prism_edge.bus.ros", "prism_edge.geometry.cameras", "cv2", "numpy.ma")
 _THREADS = Path("/proc/self/task")
 
 

@@ -13,6 +13,7 @@ from prism_edge.geometry.field_of_view import has_ideal_pixel
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.corners import are_corners
 from prism_edge.tracking.orb_pyramid import OrbPyramid
+from prism_edge.tracking.sorting import order_of
 from prism_edge.tracking.spreading import spread
 
 Index = NDArray[np.intp]
@@ -57,7 +58,7 @@ class Features:
         at = np.minimum(np.maximum(pixels * (1.0 / CELL), 0.0), (columns - 1.0, rows - 1.0))
         column, row = at.astype(np.intp).T
         cell = row * columns + column
-        order = np.argsort(cell, kind="stable")
+        order = order_of(cell, columns * rows)
         cell_start = np.zeros(columns * rows + 1, np.intp)
         np.cumsum(np.bincount(cell, minlength=columns * rows), out=cell_start[1:])
         return cls(pixels, octaves, descriptors, order, cell_start, columns, rows)
@@ -99,13 +100,14 @@ class OrbExtractor:
             self._fit((grey.shape[1], grey.shape[0]))
         pixels, octaves, strength = self._orb.detect(grey)
         corners = np.flatnonzero(are_corners(grey, pixels, octaves, self.scale_factors))
-        chosen = corners[spread(pixels[corners], strength[corners], grey.shape, self._wanted, self._least)]
+        at, strength = pixels.take(corners, axis=0), strength.take(corners)
+        chosen = corners.take(spread(at, strength, grey.shape, self._wanted, self._least))
         # Only what is kept is described: in the order of levels, and then back in that of its worth.
-        by_level = np.argsort(chosen)
-        described = self._orb.describe(chosen[by_level])
+        by_level = order_of(chosen, len(pixels))
+        described = self._orb.describe(chosen.take(by_level))
         descriptors = np.empty_like(described)
         descriptors[by_level] = described
-        pixels, octaves = pixels[chosen], octaves[chosen]
+        pixels, octaves = pixels.take(chosen, axis=0), octaves.take(chosen)
         raw = _in_full_image(pixels.astype(np.float64), octaves, self.scale_factors, grey.shape)
         packed = descriptors.view(np.uint64)
         ideal = camera.undistort_pixels(raw)

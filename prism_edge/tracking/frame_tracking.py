@@ -74,7 +74,7 @@ class FrameTracker:
         Where keyframes stand close, a dozen of them reach back a second or two: what is older would be mapped
         a second time, and the map would drift within itself.
         """
-        known = point_ids[world.points.known(point_ids)]
+        known = point_ids.compress(world.points.known(point_ids))
         ranked = sorted(world.votes(known).items(), key=lambda item: (-item[1], -item[0]))
         rows = world.rows_seen_by([world.keyframes[k] for k, _ in ranked[:LOCAL_KEYFRAMES]], self._most)
         self._local_ids = world.points.ids[rows].copy()
@@ -118,17 +118,17 @@ class FrameTracker:
             return None
         table = world.points
         wanted = table.alive.copy()
-        wanted[table.rows(points[points >= 0])] = False
+        wanted[table.rows(points.compress(points >= 0))] = False
         local = table.live_rows(self._local_ids)
-        self._extend(world, camera, features, estimate.world_from_camera, local[wanted[local]], points)
+        local = local.compress(wanted.take(local))
+        self._extend(world, camera, features, estimate.world_from_camera, local, points)
         final = self._solve(world, views, camera, features, estimate.world_from_camera, points)
         if final is None:
             return None
         estimate, keypoints = final
-        rows = world.points.rows(points[keypoints])
-        world.points.found[rows[estimate.inliers]] += 1
-        points[keypoints[~estimate.inliers]] = -1
-        rows = rows[estimate.inliers]
+        rows = world.points.rows(points.take(keypoints)).compress(estimate.inliers)
+        world.points.found[rows] += 1
+        points[keypoints.compress(~estimate.inliers)] = -1
         return TrackedFrame(
             camera,
             features,
@@ -191,18 +191,18 @@ class FrameTracker:
         table = world.points
         if previous is not None:
             keypoints = np.flatnonzero(previous.points >= 0)
-            keypoints = keypoints[table.known(previous.points[keypoints])]
-            ids = previous.points[keypoints]
-            descriptors = previous.features.descriptors[keypoints]
-            octaves = previous.features.octaves[keypoints]
+            keypoints = keypoints.compress(table.known(previous.points.take(keypoints)))
+            ids = previous.points.take(keypoints)
+            descriptors = previous.features.descriptors.take(keypoints, axis=0)
+            octaves = previous.features.octaves.take(keypoints)
         else:
-            ids = self._local_ids[table.known(self._local_ids)]
-            descriptors = table.descriptor[table.rows(ids)]
-            octaves = table.octave[table.rows(ids)]
+            ids = self._local_ids.compress(table.known(self._local_ids))
+            descriptors = table.descriptor.take(table.rows(ids), axis=0)
+            octaves = table.octave.take(table.rows(ids))
         positions = table.position.take(table.rows(ids), axis=0)
         centres, inside = project(camera, predicted, positions)
-        centres, ids = centres[inside], ids[inside]
-        octaves, descriptors = octaves[inside], descriptors[inside]
+        centres, ids = centres.compress(inside, axis=0), ids.compress(inside)
+        octaves, descriptors = octaves.compress(inside), descriptors.compress(inside, axis=0)
         best: tuple[PoseEstimate, Ids] | None = None
         for radius in SEARCH_RADII:
             points = np.full(len(features), -1, np.int64)
@@ -222,7 +222,7 @@ class FrameTracker:
                 )
                 if solved is not None:
                     estimate, used = solved
-                    points[used[~estimate.inliers]] = -1
+                    points[used.compress(~estimate.inliers)] = -1
                     count = int(estimate.inliers.sum())
                     if best is None or count > best[0].inliers.sum():
                         best = (estimate, points)
@@ -246,21 +246,21 @@ class FrameTracker:
         table = world.points
         positions = table.position.take(rows, axis=0)
         centres, inside = project(camera, pose, positions)
-        rows, centres = rows[inside], centres.compress(inside, axis=0)
+        rows, centres = rows.compress(inside), centres.compress(inside, axis=0)
         offset = pose[:3, 3] - positions.compress(inside, axis=0)
         distance = np.maximum(np.sqrt(np.einsum("ij,ij->i", offset, offset)), 1e-9)
         expected = expected_octaves(table, rows, distance, self._factors)
         inside = (expected >= -1) & (expected <= len(self._factors))
         along = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0))
         inside &= along > MIN_VIEW_COSINE * distance
-        rows, centres = rows[inside], centres.compress(inside, axis=0)
-        octave = np.minimum(np.maximum(expected[inside], 0), len(self._factors) - 1).astype(np.intp)
+        rows, centres = rows.compress(inside), centres.compress(inside, axis=0)
+        octave = np.minimum(np.maximum(expected.compress(inside), 0), len(self._factors) - 1).astype(np.intp)
         table.visible[rows] += 1
-        seen = points[points >= 0]
+        seen = points.compress(points >= 0)
         table.visible[table.rows(seen)] += 1
         # A seed's place is doubtful along its ray, so its window is wider.
         radius = LOCAL_RADIUS * self._factors[octave] + np.where(
-            table.log_depth_sigma[rows] > SEED_SIGMA, SEED_RADIUS, 0.0
+            table.log_depth_sigma.take(rows) > SEED_SIGMA, SEED_RADIUS, 0.0
         )
         query, keypoint = match_projected(
             features,
@@ -289,7 +289,7 @@ class FrameTracker:
         keypoints = np.flatnonzero(points >= 0)[:most]
         if len(keypoints) < 6:
             return None
-        rows = world.points.rows(points[keypoints])
+        rows = world.points.rows(points.take(keypoints))
         return self.pose.estimate(
             world, camera, features, start, rows, keypoints, rounds, views, self.expected, self.taken_ns
         ), keypoints

@@ -155,8 +155,8 @@ class LocalMap:
         self.changes.culled_points.append(ids.copy())
         for keyframe in self.keyframes.values():
             observed = keyframe.observed()
-            gone = ~self.points.alive[self.points.rows(keyframe.points[observed])]
-            keyframe.points[observed[gone]] = NO_POINT
+            gone = ~self.points.alive.take(self.points.rows(keyframe.points.take(observed)))
+            keyframe.points[observed.compress(gone)] = NO_POINT
 
     def weigh(self, point_ids: Ids, weights: NDArray[np.float32]) -> None:
         """What the backend's gate thinks of points; no weights: as before."""
@@ -184,16 +184,16 @@ class LocalMap:
         marked[self.points.rows(point_ids)] = True
         counts: dict[int, int] = {}
         for keyframe in self.keyframes.values():
-            seen = keyframe.points[keyframe.points >= 0]
-            count = int(marked[self.points.rows(seen)].sum())
+            seen = keyframe.points.compress(keyframe.points >= 0)
+            count = int(np.count_nonzero(marked.take(self.points.rows(seen))))
             if count:
                 counts[keyframe.id] = count
         return counts
 
     def nearest(self, points: Ids) -> LocalKeyframe | None:
         """The keyframe that sees most of a view's ``points``, the newest of several; None where none does."""
-        seen = points[points != NO_POINT]
-        votes = self.votes(seen[self.points.known(seen)])
+        seen = points.compress(points != NO_POINT)
+        votes = self.votes(seen.compress(self.points.known(seen)))
         return self.keyframes[max(votes, key=lambda k: (votes[k], k))] if votes else None
 
     def covisible(self, keyframe: LocalKeyframe, most: int) -> list[LocalKeyframe]:
@@ -209,9 +209,9 @@ class LocalMap:
         total = 0
         marked = np.zeros(len(self.points) + 1, bool)
         for keyframe in keyframes:
-            ids = keyframe.points[keyframe.points >= 0]
+            ids = keyframe.points.compress(keyframe.points >= 0)
             rows = self.points.rows(ids)
-            rows = rows[~marked[rows]]
+            rows = rows.compress(~marked.take(rows))
             marked[rows] = True
             seen.append(rows)
             total += len(rows)
@@ -220,18 +220,18 @@ class LocalMap:
         if not seen:
             return np.zeros(0, np.intp)
         rows = np.concatenate(seen)[:most]
-        return rows[self.points.alive[rows]]
+        return rows.compress(self.points.alive.take(rows))
 
     def depths_in(self, keyframe: LocalKeyframe) -> tuple[Index, Array]:
         """Observed keypoints of a keyframe and the depth of their points along its z axis."""
         keypoints = keyframe.observed()
-        rows = self.points.rows(keyframe.points[keypoints])
+        rows = self.points.rows(keyframe.points.take(keypoints))
         pose = keyframe.world_from_camera
-        return keypoints, (self.points.position[rows] - pose[:3, 3]) @ pose[:3, 2]
+        return keypoints, (self.points.position.take(rows, axis=0) - pose[:3, 3]) @ pose[:3, 2]
 
     def median_depth(self, keyframe: LocalKeyframe) -> float:
         """Median depth of what a keyframe sees; 1 where it sees nothing."""
         _, depths = self.depths_in(keyframe)
-        depths = depths[depths > 0]
+        depths = depths.compress(depths > 0)
         return float(np.median(depths)) if len(depths) else 1.0
 

@@ -163,7 +163,7 @@ def mature(world: LocalMap, keyframe: LocalKeyframe, scale_factors: Array) -> in
 def shareable(world: LocalMap, keyframes: list[LocalKeyframe]) -> Index:
     """Rows of the points that some keyframes see and whose depth is known well."""
     rows = world.rows_seen_by(keyframes, len(world.points))
-    return rows[world.points.log_depth_sigma.take(rows) < 0.1]
+    return rows.compress(world.points.log_depth_sigma.take(rows) < 0.1)
 
 
 def share_points(world: LocalMap, rows: Index, target: LocalKeyframe, factors: Array) -> tuple[Ids, Ids]:
@@ -174,17 +174,18 @@ def share_points(world: LocalMap, rows: Index, target: LocalKeyframe, factors: A
     """
     table = world.points
     there = np.zeros(len(table), bool)
-    there[table.rows(target.points[target.points >= 0])] = True
-    rows = rows[~there.take(rows)]
+    there[table.rows(target.points.compress(target.points >= 0))] = True
+    rows = rows.compress(~there.take(rows))
     positions = table.position.take(rows, axis=0)
     centres, inside = project(target.camera, target.world_from_camera, positions)
-    rows, centres = rows[inside], centres.compress(inside, axis=0)
+    rows, centres = rows.compress(inside), centres.compress(inside, axis=0)
     offset = target.world_from_camera[:3, 3] - positions.compress(inside, axis=0)
     distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
     expected = expected_octaves(table, rows, distance, factors)
     good = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0)) > 0.5 * distance
     good &= (expected >= 0) & (expected < len(factors))
-    rows, centres, octave = rows[good], centres.compress(good, axis=0), expected[good].astype(np.intp)
+    rows, centres = rows.compress(good), centres.compress(good, axis=0)
+    octave = expected.compress(good).astype(np.intp)
     query, keypoint = match_projected(
         target.features,
         centres,

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.tracking.features import CELL, Features
+from prism_edge.tracking.sorting import order_of
 
 Index = NDArray[np.intp]
 MATCH_DISTANCE, MATCH_RATIO, FARTHEST = 60, 0.8, 256
@@ -37,9 +38,9 @@ def candidate_pairs(
     if len(centres) == 0:
         none = np.zeros(0, np.intp)
         return none, none
-    x, y = np.ascontiguousarray(centres.T)
-    low_x, high_x = _cells(x, radii, features.columns)
-    low_y, high_y = _cells(y, radii, features.rows)
+    at = np.ascontiguousarray(centres.T)
+    last = np.array([[features.columns - 1], [features.rows - 1]], np.float64)
+    (low_x, low_y), (high_x, high_y) = _cells(at - radii, last), _cells(at + radii, last)
     # Cells of one row lie side by side in ``order``, so each row of a square is a single range.
     owners, rows = expand_ranges(low_y, high_y + 1, np.arange(len(centres)))
     rows *= features.columns
@@ -47,20 +48,18 @@ def candidate_pairs(
     stops = features.cell_start.take(rows + (high_x + 1).take(owners))
     query, position = expand_ranges(starts, stops, owners)
     keypoint = features.order.take(position)
-    column_x, column_y = np.ascontiguousarray(features.pixels.T)
-    right = column_x.take(keypoint) - x.take(query)
-    down = column_y.take(keypoint) - y.take(query)
-    offset = np.maximum(np.abs(right, out=right), np.abs(down, out=down), out=right)
-    inside = np.flatnonzero(offset <= radii.take(query))
+    offset = np.ascontiguousarray(features.pixels.T).take(keypoint, axis=1)
+    offset -= at.take(query, axis=1)
+    right, down = np.abs(offset, out=offset)
+    inside = np.flatnonzero(np.maximum(right, down, out=right) <= radii.take(query))
     return query.take(inside), keypoint.take(inside)
 
 
-def _cells(centres: NDArray[np.float64], radii: NDArray[np.float64], count: int) -> tuple[Index, Index]:
-    """First and last of ``count`` cells along one axis that a square of each radius touches."""
+def _cells(at: NDArray[np.float64], last: NDArray[np.float64]) -> Index:
+    """Columns and rows (2, n) of the cells that pixels (2, n) are in; ``last`` (2, 1): there are no more."""
+    at /= CELL
     # Not np.clip, which takes several times as long on so few numbers.
-    low = np.minimum(np.maximum((centres - radii) / CELL, 0.0), count - 1)
-    high = np.minimum(np.maximum((centres + radii) / CELL, 0.0), count - 1)
-    return low.astype(np.intp), high.astype(np.intp)
+    return np.minimum(np.maximum(at, 0.0, out=at), last, out=at).astype(np.intp)
 
 
 def best_pairs(
@@ -89,9 +88,9 @@ def best_pairs(
     second = np.minimum.reduceat(ranked, first) >> _SHIFT
     nearest = best >> _SHIFT
     good = (nearest <= max_distance) & (nearest < ratio * second)
-    position = position[good]
+    position = position.compress(good)
     # Of several queries that want one keypoint the nearest gets it.
-    order = np.argsort(distance[position], kind="stable")
+    order = order_of(distance.take(position), FARTHEST + 1)
     position = position.take(order)
     query, keypoint = query.take(position), keypoint.take(position)
     if len(position) == 0:

@@ -72,7 +72,7 @@ class OrbPyramid:
         """From now on, find corners only where ``shown`` (height, width), as large as the images, is True."""
         self._shown, self._masks = shown, []
 
-    def detect(self, grey: Grey) -> tuple[NDArray[np.float32], Index, Array]:
+    def detect(self, grey: Grey) -> tuple[NDArray[np.float32], Index, NDArray[np.uint16]]:
         """Strongest corners of a grey image: pixels (n, 2), levels (n,), ascending, and strengths (n,).
 
         Pixels are a level's times its factor (OpenCV's way, features.py has the other).
@@ -91,7 +91,7 @@ class OrbPyramid:
         pixels *= self._enlarged[levels, None]
         strengths = map(_response, chain.from_iterable(self._found))
         self._adapt(at_first)  # step by step: it may have been one blurred image
-        return pixels, levels, np.fromiter(strengths, np.float64, len(pixels))
+        return pixels, levels, np.fromiter(strengths, np.uint16, len(pixels))
 
     def describe(self, chosen: Index) -> NDArray[np.uint8]:
         """Descriptors (n, 32) of some of what :meth:`detect` last found, by its index, ascending."""

@@ -112,7 +112,7 @@ class PointTable:
 
     def rows(self, ids: Ids) -> Index:
         """Row of each id; the ids must be present, dead or alive."""
-        rows = self._slots[ids & self._mask]
+        rows = self._slots.take(ids & self._mask)
         if self._shared:
             elsewhere = self.ids[rows] != ids
             if elsewhere.any():
@@ -123,18 +123,18 @@ class PointTable:
         """Which ids are present and alive."""
         if self._size == 0:
             return np.zeros(len(ids), bool)
-        rows = self._slots[ids & self._mask]
+        rows = self._slots.take(ids & self._mask)
         if self._shared:
             elsewhere = self.ids[rows] != ids
             rows[elsewhere] = np.minimum(np.searchsorted(self.ids, ids[elsewhere]), self._size - 1)
-        return (self.ids[rows] == ids) & self.alive[rows]
+        return (self.ids.take(rows) == ids) & self.alive.take(rows)
 
     def live_rows(self, ids: Ids) -> Index:
         """Rows of those among the ids that are present and alive."""
         if self._shared or self._size == 0:
             return self.rows(ids[self.known(ids)])
-        rows = self._slots[ids & self._mask]
-        return rows[(self.ids.take(rows) == ids) & self.alive.take(rows)]
+        rows = self._slots.take(ids & self._mask)
+        return rows.compress((self.ids.take(rows) == ids) & self.alive.take(rows))
 
     def _index(self) -> None:
         """Rebuild the direct index, a search's fivefold speed.

@@ -62,7 +62,7 @@ class PoseFromMap:
             start,
             table.position.take(rows, axis=0),
             features.pixels.take(keypoints, axis=0),
-            self.scale_factors[features.octaves[keypoints]],
+            self.scale_factors.take(features.octaves.take(keypoints)),
             shared_depth_error(world, rows, views),
             trust(table, rows, self.now(world, taken_ns), self.proven_after_s),
             rounds=rounds[0],
@@ -77,15 +77,15 @@ def shared_depth_error(world: LocalMap, rows: Index, views: Centres | None = Non
     Beside enough triangulated points a seed is left to fix what its first ray says, not its depth.
     """
     error = depth_error(world.points, rows, reference_origins(world, rows, views))
-    seeded = world.points.log_depth_sigma[rows] > SEED_SIGMA
-    if (~seeded).sum() >= ENOUGH_TRIANGULATED:
-        error[seeded] *= SHARED_SEED_ERROR
+    seeds = np.flatnonzero(world.points.log_depth_sigma.take(rows) > SEED_SIGMA)
+    if len(rows) - len(seeds) >= ENOUGH_TRIANGULATED:
+        error[seeds] *= SHARED_SEED_ERROR
     return error
 
 
 def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
     """One-sigma error vectors (n, 3) of points along the rays from ``origins`` that first saw them."""
-    return (table.position.take(rows, axis=0) - origins) * table.log_depth_sigma[rows, None]
+    return (table.position.take(rows, axis=0) - origins) * table.log_depth_sigma.take(rows)[:, None]
 
 
 def reference_origins(world: LocalMap, rows: Index, views: Centres | None = None) -> Array:

@@ -64,9 +64,9 @@ def refine_pose(
         weighed = np.where(inliers, share, 0.0)
         pose, information, at = _descend(problem, pose, at, weighed, iterations, prediction)
         chosen = at[2] < CHI2_2D_95
-        settled = np.array_equal(chosen, inliers)
+        settled = bool((chosen == inliers).all())
         inliers = chosen
-        if settled or inliers.sum() < 6:
+        if settled or np.count_nonzero(inliers) < 6:
             break
     return PoseEstimate(pose, inliers, information)
 
@@ -151,7 +151,8 @@ class _Problem:
         # Also a bound on every number below: what is seen nearly edge-on says nothing but can overflow.
         aside = np.abs(local[:2])
         visible = (z > 1e-3) & (np.maximum(aside[0], aside[1]) < WIDEST * z)
-        if not visible.all():
+        all_visible = bool(visible.all())
+        if not all_visible:
             z = np.where(visible, z, np.inf)
             focal, offset = np.where(visible, focal, 0.0), np.where(visible, offset, 0.0)
         inverse_z = 1.0 / z
@@ -180,4 +181,4 @@ class _Problem:
             along = jacobian[:, 0] * scaled[0] + jacobian[:, 1] * scaled[1]
             jacobian -= along[:, None] * smear
         chi2 = residual[0] * residual[0] + residual[1] * residual[1]
-        return residual, jacobian, np.where(visible, chi2, np.inf)
+        return residual, jacobian, chi2 if all_visible else np.where(visible, chi2, np.inf)

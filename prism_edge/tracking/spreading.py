@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.tracking.sorting import order_of
+
 Index = NDArray[np.intp]
 
 CELL = 32  # pixels a side
@@ -14,7 +16,7 @@ ENOUGH = 0.6  # of the least that is wanted: below it crowds are better than not
 
 def spread(
     pixels: NDArray[np.float32],
-    strength: NDArray[np.float64],
+    strength: NDArray[np.uint16],
     shape: tuple[int, ...],
     wanted: int,
     least: int,
@@ -31,14 +33,23 @@ def spread(
     columns, rows = shape[1] // CELL + 1, shape[0] // CELL + 1
     at = (pixels * (1.0 / CELL)).astype(np.intp)
     cell = at[:, 1] * columns + at[:, 0]
-    # One number to sort by: two take twice as long.
-    step = float(strength.max()) + 1.0
-    order = np.argsort(step * cell - strength, kind="stable")
-    cell = cell[order]
+    strongest = int(strength.max())
+    # Strongest first, of like ones by cell; from there on whatever is sorted keeps that order within itself.
+    order = order_of(cell, columns * rows)
+    order = order.take(order_of(strongest - strength.take(order), strongest + 1))
+    rank = _rank_within(cell.take(order), columns * rows)
+    ranked = order_of(rank, len(rank))
+    uncrowded = int(np.count_nonzero(rank < CROWD * wanted / (columns * rows)))
+    chosen: Index = order.take(ranked[: min(max(uncrowded, int(ENOUGH * least)), wanted)])
+    return chosen
+
+
+def _rank_within(cell: Index, cells: int) -> Index:
+    """How many of the same cell come before each (n,)."""
+    order = order_of(cell, cells)
+    cell = cell.take(order)
     begins = np.ones(len(cell), bool)
     np.not_equal(cell[1:], cell[:-1], out=begins[1:])
-    rank = np.arange(len(order)) - np.flatnonzero(begins)[np.cumsum(begins) - 1]
-    ranked = np.argsort(step * rank - strength[order], kind="stable")
-    uncrowded = int(np.count_nonzero(rank < CROWD * wanted / (columns * rows)))
-    chosen: Index = order[ranked[: min(max(uncrowded, int(ENOUGH * least)), wanted)]]
-    return chosen
+    rank = np.empty(len(cell), np.intp)
+    rank[order] = np.arange(len(cell)) - np.flatnonzero(begins).take(np.cumsum(begins) - 1)
+    return rank

@@ -65,7 +65,7 @@ def match_epipolar(
         lambda i, j: (y[j] >= top[i]) & (y[j] <= bottom[i]),
     ):
         keep = passed(query, other)
-        query, other = query[keep], other[keep]
+        query, other = query.compress(keep), other.compress(keep)
     if len(query) == 0:
         return free_a[:0], free_b[:0]
     bits = hamming(features_a.descriptors[free_a[query]], features_b.descriptors[free_b[other]])
