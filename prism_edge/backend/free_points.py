@@ -1,24 +1,29 @@
-"""Whether a map explains as it stands what a loop found: its points may give way, its poses may not.
+"""What a loop says where its points may give way: whether the map explains it, and where it has the query.
 
 A loop's pose rests on its points being where the map has them. Where these were seen under little parallax it
-goes wrong with their depths, by far more than the noise of their pixels. So before a loop moves the map the
-points are put where all who see them, the query too, have them; a map that has drifted can't do that.
+goes wrong with their depths, by far more than the noise of their pixels: depths that are off by 4 %, and by
+much the same beside each other, are a scene turned by 10 degrees, and a view of it from aside turns with it.
+So before a loop moves the map the points are put where all who see them, the query too, have them
+(:func:`explained`); a map that has drifted can't do that. Then the query moves with them (:func:`placed`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
-from prism_edge.geometry.poses import Array
+from prism_edge.geometry.poses import Array, normalised, se3_exp, skew
+from prism_edge.tracking.pose_refinement import HUBER
 
 AGREES = 5.0  # sigmas of a pixel: what a window's own work takes out of what it begins with
 STEPS = 8
 DAMPING = 1e-3  # of the mean curvature: what no parallax holds stays about where it is
 NEAREST = 1e-3  # along z: nearer is behind the camera
+MOST_STEPS, SETTLED = 50, 1e-4  # of a query with its points: a relief is a long valley; of the cost
+BEHIND = 1e3  # what a pixel costs whose point is behind the camera
 
 
 def explained(world: GlobalMap, query: GlobalKeyframe, pairs: list[tuple[int, int]]) -> float:
@@ -40,6 +45,105 @@ def explained(world: GlobalMap, query: GlobalKeyframe, pairs: list[tuple[int, in
     residual, _, seen = views.linearise(places)
     fits = seen & (np.linalg.norm(residual, axis=1) < AGREES)
     return float(np.logical_and.reduceat(fits, views.first).mean())
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A query among points that gave way, and how surely it is there."""
+
+    world_from_query: Array  # (4, 4)
+    information: Array  # (6, 6) translation first, in the query's frame; what its points' doubts leave of it
+    places: Array  # (pairs, 3) of the points
+    cost: float
+
+
+def placed(
+    world: GlobalMap, query: GlobalKeyframe, pairs: list[tuple[int, int]], starts: list[Array]
+) -> Placed | None:
+    """The query's pose by all who see the points of ``pairs``, other keyframes as they are; None without one.
+
+    The best of several ``starts`` (world_from_query): where views are narrow, a turn and a step aside look
+    alike, and each has a valley of its own.
+    """
+    if len(pairs) < 6:
+        return None
+    views = _views(world, query, pairs)
+    found = [_settle(world, views, pairs, start) for start in starts]
+    return min(found, key=lambda one: one.cost)
+
+
+def _settle(world: GlobalMap, views: _Views, pairs: list[tuple[int, int]], start: Array) -> Placed:
+    """Levenberg-Marquardt over the query's pose and the points, which are eliminated first."""
+    pose, places = start, np.array([world.points[point].position for _, point in pairs])
+    problem, damping = _Reduced.at(views, pose, places), DAMPING
+    for _ in range(MOST_STEPS):
+        twist, shifts = problem.step(damping)
+        tried = normalised(pose @ se3_exp(twist))
+        there = _Reduced.at(views, tried, places + shifts)
+        if there.cost < problem.cost:
+            settled = problem.cost - there.cost < SETTLED * there.cost
+            pose, places, problem, damping = tried, places + shifts, there, 0.1 * damping
+            if settled:
+                break
+        elif damping > 1e3:
+            break
+        else:
+            damping *= 10.0
+    return Placed(pose, problem.eliminated(1e-6)[0], places, problem.cost)
+
+
+@dataclass(frozen=True)
+class _Reduced:
+    """Normal equations of a query's pose and of points, at some of both; costs are Huber's."""
+
+    cost: float
+    of_pose: Array  # (6, 6)
+    of_points: Array  # (points, 3, 3)
+    between: Array  # (points, 6, 3)
+    by_pose: Array  # (6,) gradients
+    by_points: Array  # (points, 3)
+
+    @classmethod
+    def at(cls, views: _Views, pose: Array, places: Array) -> _Reduced:
+        last = np.append(views.first[1:], len(views.point)) - 1  # of each point's views the query's
+        turned, centres = views.turned.copy(), views.centres.copy()
+        turned[last], centres[last] = pose[:3, :3], pose[:3, 3]
+        residual, jacobian, seen = replace(views, turned=turned, centres=centres).linearise(places)
+        size = np.maximum(np.linalg.norm(residual, axis=1), 1e-12)
+        clipped = np.minimum(size, HUBER)
+        cost = np.where(seen, np.minimum(clipped * (2.0 * size - clipped), BEHIND), BEHIND).sum()
+        weight = np.where(seen, clipped / size, 0.0)
+        weighed = jacobian * weight[:, None, None]
+        local = (places - pose[:3, 3]) @ pose[:3, :3]
+        # d(local) = -rho - phi x local, and the points' slopes are those by local, turned.
+        by_local = jacobian[last] @ pose[:3, :3]
+        mine = np.concatenate([-by_local, by_local @ np.array([skew(one) for one in local])], axis=2)
+        mine_weighed = mine * weight[last, None, None]
+        return cls(
+            float(cost),
+            np.einsum("nij,nik->jk", mine_weighed, mine),
+            np.add.reduceat(np.einsum("nij,nik->njk", weighed, jacobian), views.first),
+            np.einsum("nij,nik->njk", mine_weighed, jacobian[last]),
+            np.einsum("nij,ni->j", mine_weighed, residual[last]),
+            np.add.reduceat(np.einsum("nij,ni->nj", weighed, residual), views.first),
+        )
+
+    def eliminated(self, damping: float) -> tuple[Array, Array, Array]:
+        """Curvature (6, 6) and gradient (6,) of the pose where points follow it; the points' inverse."""
+        trace = np.einsum("nii->n", self.of_points)
+        damped: Array = self.of_points + (damping * trace + 1e-12)[:, None, None] * np.eye(3)
+        inverse_of_points = np.asarray(np.linalg.inv(damped), np.float64)
+        gain = self.between @ inverse_of_points
+        curvature: Array = self.of_pose - np.einsum("nij,nkj->ik", gain, self.between)
+        return curvature, self.by_pose - np.einsum("nij,nj->i", gain, self.by_points), inverse_of_points
+
+    def step(self, damping: float) -> tuple[Array, Array]:
+        """Where to go: the pose's twist (6,) and the points' shifts (points, 3)."""
+        curvature, gradient, inverse_of_points = self.eliminated(damping)
+        curvature = curvature + np.diag(damping * np.diag(self.of_pose) + 1e-9)
+        twist = -np.asarray(np.linalg.solve(curvature, gradient), np.float64)
+        follow = self.by_points + np.einsum("nji,j->ni", self.between, twist)
+        return twist, -np.einsum("nij,nj->ni", inverse_of_points, follow)
 
 
 @dataclass(frozen=True)

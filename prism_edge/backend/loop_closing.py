@@ -15,7 +15,15 @@ from prism_edge.backend.free_points import explained
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.lens import Lens, LensWatch, common, radial
-from prism_edge.backend.loops import MIN_SCALED, Loop, Surroundings, median_depth, plausible, verify
+from prism_edge.backend.loops import (
+    MIN_SCALED,
+    Loop,
+    Surroundings,
+    median_depth,
+    plausible,
+    verify,
+    with_free_points,
+)
 from prism_edge.backend.places import candidates, half_known
 from prism_edge.config import BackendConfig
 from prism_edge.errors import first_line
@@ -202,10 +210,13 @@ class LoopCloser:
     def _close(self, loop: Loop, unit_sigma: float | None = None) -> bool:
         world = self._world
         query, candidate = world.keyframes[loop.query], world.keyframes[loop.candidate]
+        units, moved, connected = None, pose_graph.Moved(), self._connected(loop)
+        slight = connected and self._slight(loop, query)
+        if connected and not slight:
+            loop = with_free_points(world, loop)
         # As it was measured: what the loop moves may take the candidate along.
         relative = inverse(candidate.world_from_camera) @ loop.world_from_query
-        units, moved = None, pose_graph.Moved()
-        if not self._connected(loop) or not self._slight(loop, query):
+        if not slight:
             found = pose_graph.spread(world, loop, self._pairs())
             if found is None:
                 return False

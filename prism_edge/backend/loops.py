@@ -8,13 +8,14 @@ between can have brought (:func:`plausible`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.backend.connectivity import Way, own_way
+from prism_edge.backend.free_points import placed
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.field_of_view import in_image
 from prism_edge.geometry.poses import Array, inverse, normalised, rotation_angle, scaled, transform
@@ -58,6 +59,8 @@ class Loop:
     inliers: int
     neighbours: int  # keyframes beside the query that agree
     pairs: list[tuple[int, int]] = field(repr=False)  # keypoint of the query, point of the candidate's end
+    # (6, 6) of world_from_query, translation first, in the query's frame, where it was asked for.
+    information: Array | None = field(default=None, repr=False)
 
 
 def verify(
@@ -85,7 +88,8 @@ def verify(
     pairs = list(zip(found.keypoints.tolist(), found.points.tolist(), strict=True))
     if sum(point not in here.observed for _, point in pairs) < MIN_FRESH:
         return None
-    scale, sigma = _unit_ratio(world, here, found)
+    its = np.array([world.points[p].position for _, p in pairs])
+    scale, sigma = _unit_ratio(world, here, found.world_from_camera, pairs, its)
     agreeing = _agreeing_neighbours(world, surroundings, here, found.world_from_camera, scale)
     return Loop(query, candidate, found.world_from_camera, scale, sigma, len(pairs), agreeing, pairs)
 
@@ -259,23 +263,34 @@ def _first_pose(
     return perspective_pose(positions, pixels, calibration, PNP_PX, 0.999, MIN_PNP)
 
 
-def _unit_ratio(world: GlobalMap, here: GlobalKeyframe, found: Found) -> tuple[float, float]:
+def with_free_points(world: GlobalMap, loop: Loop) -> Loop:
+    """The loop as it is where its points' depths may be wrong, and how sure it is then."""
+    query = world.keyframes[loop.query]
+    found = placed(world, query, loop.pairs, [loop.world_from_query, query.world_from_camera])
+    if found is None:
+        return loop
+    pose = found.world_from_query
+    scale, sigma = _unit_ratio(world, query, pose, loop.pairs, found.places)
+    return replace(
+        loop, world_from_query=pose, information=found.information, scale=scale, log_scale_sigma=sigma
+    )
+
+
+def _unit_ratio(
+    world: GlobalMap, here: GlobalKeyframe, world_from_query: Array, pairs: list[tuple[int, int]], its: Array
+) -> tuple[float, float]:
     """How long the candidate's end finds what the query's end calls 1, and the sigma of its logarithm.
 
-    From points that both ends know: their depths in the query's camera by its own points and by the others.
+    From points that both ends know: their depths in the query's camera by its own points and by the others,
+    which are at ``its`` (pairs, 3).
     """
     own = {keypoint: point for point, keypoint in here.observed.items()}
-    pairs = [
-        (own[i], p)
-        for i, p in zip(found.keypoints.tolist(), found.points.tolist(), strict=True)
-        if i in own and own[i] != p
-    ]
-    if len(pairs) < MIN_SCALED:
+    both = [n for n, (i, p) in enumerate(pairs) if i in own and own[i] != p]
+    if len(both) < MIN_SCALED:
         return 1.0, 0.2
-    mine = np.array([world.points[p].position for p, _ in pairs])
-    its = np.array([world.points[p].position for _, p in pairs])
+    mine = np.array([world.points[own[pairs[n][0]]].position for n in both])
     depth = transform(inverse(here.world_from_camera), mine)[:, 2]
-    its_depth = transform(inverse(found.world_from_camera), its)[:, 2]
+    its_depth = transform(inverse(world_from_query), its[both])[:, 2]
     good = (depth > 1e-6) & (its_depth > 1e-6)
     if good.sum() < MIN_SCALED:
         return 1.0, 0.2

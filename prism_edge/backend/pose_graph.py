@@ -73,7 +73,7 @@ def spread(
             X(loop.candidate),
             X(loop.query),
             _similarity(measured, loop.scale),
-            _noise(depths[loop.candidate], LOOP_SHARE, loop.log_scale_sigma),
+            _noise_of(loop, depths[loop.candidate]),
         )
     )
     sides = [reachable(edges, {end}) for end in (loop.candidate, loop.query)]
@@ -168,7 +168,22 @@ def _pose_and_scale(similarity: gtsam.Similarity3) -> tuple[Array, float]:
     return from_rt(similarity.rotation().matrix(), scale * np.asarray(similarity.translation())), scale
 
 
-def _noise(depth: float, factor: float, log_scale_sigma: float | None = None) -> gtsam.noiseModel.Base:
+def _noise_of(loop: Loop, depth: float) -> gtsam.noiseModel.Base:
+    """A loop's: what its points leave open, and as much as any."""
+    usual = _noise(depth, LOOP_SHARE, loop.log_scale_sigma)
+    if loop.information is None:
+        return usual
+    known = loop.information + np.diag(np.repeat([1.0 / (depth * depth), 1.0], 3))  # not lost altogether
+    order = [3, 4, 5, 0, 1, 2]  # gtsam's: rotation first; lengths in the query's unit
+    unit = np.repeat([1.0, 1.0 / loop.scale], 3)
+    covariance = np.diag(np.square(usual.sigmas()))
+    covariance[:6, :6] += np.linalg.inv(known)[np.ix_(order, order)] * np.outer(unit, unit)
+    return gtsam.noiseModel.Gaussian.Covariance(covariance)
+
+
+def _noise(
+    depth: float, factor: float, log_scale_sigma: float | None = None
+) -> gtsam.noiseModel.Diagonal:
     stretch = STRETCH * factor if log_scale_sigma is None else max(log_scale_sigma, 0.1 * STRETCH)
     return gtsam.noiseModel.Diagonal.Sigmas(
         np.array([TURN * factor] * 3 + [SHIFT * depth * factor] * 3 + [stretch])

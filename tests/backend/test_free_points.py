@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.backend.free_points import _views, explained
+from prism_edge.backend.free_points import _Reduced, _views, explained, placed
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
+from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log, transform
 from tests.backend.returning import NOISE_PX, QUERY, off_along_rays, pose_by_points, seen_again
 from tests.backend.world import Teller
 from tests.tracking.cloud import pose_at
@@ -89,3 +89,41 @@ def test_no_pose_makes_more_than_a_share_of_it(shift):
     query.world_from_camera = se3_exp(np.array(shift)) @ query.world_from_camera
     with np.errstate(all="raise", under="ignore"):
         assert 0.0 <= explained(world, query, pairs) <= 1.0
+
+
+def test_a_query_is_placed_though_its_points_are_off_in_depth():
+    """Where the points as the map has them lead astray; what is still in doubt is said."""
+    world, query, pairs = seen_again()
+    off_along_rays(world, pairs, 0.4)
+    by_points = pose_by_points(world, query, pairs)
+    found = placed(world, query, pairs, [by_points])
+    off, before = (se3_log(inverse(pose) @ QUERY) for pose in (found.world_from_query, by_points))
+    assert np.linalg.norm(before[3:]) > np.radians(1.0) > 3.0 * np.linalg.norm(off[3:])
+    assert off @ found.information @ off < 16.8  # 99 of 100, six degrees of freedom
+    assert np.sqrt(np.diag(np.linalg.inv(found.information))[:3]).max() < 0.05
+
+
+def test_what_a_placed_query_says_is_the_curvature_of_its_cost_with_points_that_follow():
+    world, query, pairs = seen_again()
+    found = placed(world, query, pairs, [query.world_from_camera])
+
+    def cost_at(twist):
+        views = _views(world, query, pairs)
+        pose, places = found.world_from_query @ se3_exp(twist), found.places
+        for _ in range(4):
+            at = _Reduced.at(views, pose, places)
+            places = places - np.linalg.solve(at.of_points, at.by_points[:, :, None])[:, :, 0]
+        return _Reduced.at(views, pose, places).cost
+
+    for axis in np.eye(6):
+        step = 0.3 / np.sqrt(axis @ found.information @ axis)
+        rise = cost_at(step * axis) + cost_at(-step * axis) - 2.0 * cost_at(np.zeros(6))
+        assert rise == pytest.approx(2.0 * 0.3**2, rel=0.2)
+
+
+def test_of_two_starts_that_counts_which_comes_out_better():
+    world, query, pairs = seen_again()
+    away = QUERY @ se3_exp(np.array([0, 0, 0, 0, np.pi, 0]))
+    found = placed(world, query, pairs, [away, QUERY])
+    assert rotation_angle(QUERY[:3, :3].T @ found.world_from_query[:3, :3]) < np.radians(0.5)
+    assert placed(world, query, pairs[:5], [QUERY]) is None

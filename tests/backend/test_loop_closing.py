@@ -15,7 +15,7 @@ from prism_edge.backend.mapper import Mapper
 from prism_edge.backend.places import SOME_SHARED
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log
 from tests.backend.closing import CONFIG, DRIFT, finish, hear, two_parts, walk
-from tests.backend.returning import off_along_rays, pose_by_points, seen_again
+from tests.backend.returning import CANDIDATES, QUERY, off_along_rays, pose_by_points, seen_again
 from tests.backend.ring import Ring, position_error
 from tests.backend.world import check, poses_of, quiet
 from tests.tracking.cloud import pose_at
@@ -306,6 +306,21 @@ def test_a_loop_moves_what_has_drifted_and_no_map_that_explains_its_points(drift
     assert world.keyframes[query.id].observed
     stayed = all(np.array_equal(poses_of(world)[k], before[k]) for k in before)
     assert stayed == (drift == 0.0)
+
+
+def test_a_loop_s_points_that_are_off_in_depth_don_t_take_the_query_along():
+    """It has drifted by 2.9 degrees, and by its points as the map has them would come back a degree aside."""
+    world, query, pairs = seen_again()
+    off_along_rays(world, pairs, 0.4)
+    there = pose_by_points(world, query, pairs)
+    assert rotation_angle(QUERY[:3, :3].T @ there[:3, :3]) > np.radians(1.0)
+    query.world_from_camera = query.world_from_camera @ se3_exp(np.array([0, 0, 0, 0, 0.05, 0]))
+    loops = LoopCloser(world, CONFIG, False)
+    loops._part = set(world.keyframes)
+    assert loops._close(Loop(query.id, 0, there, 1.0, 0.01, len(pairs), 3, pairs))
+    back = inverse(CANDIDATES[0]) @ QUERY
+    off = inverse(loops.accepted[0].candidate_from_query) @ back
+    assert rotation_angle(off[:3, :3]) < np.radians(0.4)
 
 
 def test_two_points_that_one_keyframe_tells_apart_stay_two():

@@ -285,7 +285,8 @@ def test_how_well_the_ratio_of_units_is_known_goes_with_scatter_and_number():
     world, rng, count = chain([pose_at()]), np.random.default_rng(4), 200
     for i, error in enumerate(rng.normal(0.0, 0.1, count)):
         world.points[1000 + i] = GlobalPoint(np.array([0.0, 0.0, 2.0 * 3.0 * np.exp(error)]))
-    found = Found(np.eye(4), np.arange(count), 1000 + np.arange(count))
-    ratio, sigma = _unit_ratio(world, world.keyframes[0], found)
+    pairs = [(i, 1000 + i) for i in range(count)]
+    its = np.array([world.points[p].position for _, p in pairs])
+    ratio, sigma = _unit_ratio(world, world.keyframes[0], np.eye(4), pairs, its)
     assert sigma == pytest.approx(0.1 * np.sqrt(np.pi / 2 / count), rel=0.15)
     assert abs(np.log(ratio / 2.0)) < 3.0 * sigma

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import gtsam
 import numpy as np
 import pytest
@@ -32,6 +34,19 @@ def test_a_turn_is_spread_evenly():
         turn = so3_log(poses[k][:3, :3].T @ moved[k].world_from_camera[:3, :3])
         assert turn == pytest.approx(gap * k / (n + LOOP_SHARE**2), abs=1e-4)
         assert moved[k].world_from_camera[:3, 3] == pytest.approx(np.zeros(3), abs=1e-4)
+
+
+def test_what_a_loop_s_points_leave_open_is_left_to_the_way():
+    """A loop as sure as its information: along x it knows hardly anything, along z all."""
+    n = 20
+    poses = [pose_at(0.1 * i) for i in range(n + 1)]
+    world = chain(poses)
+    there = poses[-1] @ se3_exp(np.array([0.2, 0.0, 0.2, 0.0, 0.0, 0.0]))
+    known = np.diag([1e-3, 1e6, 1e6, 1e6, 1e6, 1e6])
+    moved, _ = spread(world, replace(loop(world, n, 0, there), information=known), [])
+    shift = moved[n].world_from_camera[:3, 3] - poses[-1][:3, 3]
+    assert abs(shift[0]) < 0.02
+    assert shift[2] > 0.18
 
 
 def test_drift_of_scale_is_taken_out():
