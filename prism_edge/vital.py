@@ -12,6 +12,8 @@ from prism_edge.errors import UNEXPECTED
 
 log = logging.getLogger("prism_edge")
 
+stderr = 2  # elsewhere for as long as native code's lines are kept out of the log
+
 
 def vital(run: Callable[..., object], name: str, args: tuple[Any, ...] = ()) -> threading.Thread:
     """A thread, not begun yet, whose failure ends the process at once.
@@ -35,7 +37,7 @@ def end_starved(words: bytes) -> NoReturn:
     a thread: that would wait for good for one that found no memory to begin with.
     """
     try:
-        os.write(2, words)
+        os.write(stderr, words)
     finally:
         while True:
             try:  # noqa: SIM105 - suppress() is an object

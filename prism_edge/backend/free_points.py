@@ -54,7 +54,19 @@ class Placed:
     world_from_query: Array  # (4, 4)
     information: Array  # (6, 6) translation first, in the query's frame; what its points' doubts leave of it
     places: Array  # (pairs, 3) of the points
+    deepening: Array  # (6,) how the mean of their log depths goes with such a twist, which they follow
     cost: float
+
+    def depth_sigma(self) -> float:
+        """Of that mean: what all depths share, however many they are."""
+        depth = float(np.median(np.linalg.norm(self.places - self.world_from_query[:3, 3], axis=1)))
+        return float(np.sqrt(self.deepening @ doubt(self.information, depth) @ self.deepening))
+
+
+def doubt(information: Array, depth: float) -> Array:
+    """The covariance (6, 6) of a query among points at a depth, where it is about in any case."""
+    about = np.diag(np.repeat([1.0 / (depth * depth), 1.0], 3))
+    return np.asarray(np.linalg.inv(information + about), np.float64)
 
 
 def placed(
@@ -89,7 +101,23 @@ def _settle(world: GlobalMap, views: _Views, pairs: list[tuple[int, int]], start
             break
         else:
             damping *= 10.0
-    return Placed(pose, problem.eliminated(1e-6)[0], places, problem.cost)
+    information, _, inverse_of_points = problem.eliminated(1e-6)
+    deepening = _deepening(pose, places, -inverse_of_points @ problem.between.transpose(0, 2, 1))
+    return Placed(pose, information, places, deepening, problem.cost)
+
+
+def _deepening(pose: Array, places: Array, follow: Array) -> Array:
+    """Slope (6,) of the points' mean log depth by the query's twist, where ``follow`` (n, 3, 6) is theirs."""
+    local = (places - pose[:3, 3]) @ pose[:3, :3]
+    slope = np.einsum("j,njk->nk", pose[:3, 2], follow)
+    slope[:, 2] -= 1.0
+    slope[:, 3] -= local[:, 1]
+    slope[:, 4] += local[:, 0]
+    ahead = local[:, 2] > NEAREST
+    if not ahead.any():
+        return np.zeros(6)
+    mean: Array = (slope[ahead] / local[ahead, 2:]).mean(axis=0)
+    return mean
 
 
 @dataclass(frozen=True)

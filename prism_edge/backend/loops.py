@@ -8,6 +8,7 @@ between can have brought (:func:`plausible`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import cv2
@@ -271,6 +272,7 @@ def with_free_points(world: GlobalMap, loop: Loop) -> Loop:
         return loop
     pose = found.world_from_query
     scale, sigma = _unit_ratio(world, query, pose, loop.pairs, found.places)
+    sigma = math.hypot(sigma, found.depth_sigma())
     return replace(
         loop, world_from_query=pose, information=found.information, scale=scale, log_scale_sigma=sigma
     )

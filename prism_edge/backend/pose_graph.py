@@ -16,6 +16,7 @@ from gtsam.symbol_shorthand import X
 
 from prism_edge.backend.connectivity import hanging_together, reachable, ties, with_bridges
 from prism_edge.backend.frame import take_references
+from prism_edge.backend.free_points import doubt
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop, median_depth
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised
@@ -173,11 +174,10 @@ def _noise_of(loop: Loop, depth: float) -> gtsam.noiseModel.Base:
     usual = _noise(depth, LOOP_SHARE, loop.log_scale_sigma)
     if loop.information is None:
         return usual
-    known = loop.information + np.diag(np.repeat([1.0 / (depth * depth), 1.0], 3))  # not lost altogether
     order = [3, 4, 5, 0, 1, 2]  # gtsam's: rotation first; lengths in the query's unit
     unit = np.repeat([1.0, 1.0 / loop.scale], 3)
     covariance = np.diag(np.square(usual.sigmas()))
-    covariance[:6, :6] += np.linalg.inv(known)[np.ix_(order, order)] * np.outer(unit, unit)
+    covariance[:6, :6] += doubt(loop.information, depth)[np.ix_(order, order)] * np.outer(unit, unit)
     return gtsam.noiseModel.Gaussian.Covariance(covariance)
 
 

@@ -33,7 +33,7 @@ class ImageSequence(Source):
         self.period_ns = usual_period_ns(listing.stamps_ns, round(1e9 / DEFAULT_RATE_HZ))
         self._folder = folder
         self._listing = listing
-        self._out_of_line = out_of_line(listing.stamps_ns)
+        self._out_of_line, self._warned = out_of_line(listing.stamps_ns), False
         self._next = self._ahead = 0
         self._bits = 0  # of deeper pixels, once there are any; one range for all, or the light would flicker
 
@@ -47,7 +47,8 @@ class ImageSequence(Source):
         if not any(map(fits_ros, stamps)):
             first = write_seconds(stamps[0])
             raise SourceError(f"{self._folder}: no ROS message can hold its stamps, such as {first} s")
-        if self._out_of_line:
+        if self._out_of_line and not self._warned:
+            self._warned = True  # it is opened again for each round of a loop
             words = "%s: stamps that can't be right beside the others: %d, of image %d first; left out"
             log.warning(words, self._folder, len(self._out_of_line), min(self._out_of_line))
         for path in self._listing.files:

@@ -8,6 +8,8 @@ import os
 import threading
 from collections.abc import Iterator
 
+from prism_edge import vital
+
 _STDERR = 2
 _one_at_a_time = threading.Lock()  # or one would keep what the other put there, and put that back
 
@@ -25,14 +27,17 @@ def native_stderr_unheard() -> Iterator[None]:
         for handler in logging.getLogger().handlers:
             handler.acquire()
             after.callback(handler.release)
-        try:
+        with contextlib.suppress(OSError):  # a process may have no stderr, or no descriptor left
             kept = os.dup(_STDERR)
-        except OSError:  # a process may have no stderr
-            kept = -1
-        if kept >= 0:
             after.callback(os.close, kept)
             nowhere = os.open(os.devnull, os.O_WRONLY)
+            after.callback(_heard_at, _STDERR)
+            after.callback(os.dup2, kept, _STDERR)
+            _heard_at(kept)  # what a process says as it ends is heard all the same
             os.dup2(nowhere, _STDERR)
             os.close(nowhere)
-            after.callback(os.dup2, kept, _STDERR)
         yield
+
+
+def _heard_at(descriptor: int) -> None:
+    vital.stderr = descriptor

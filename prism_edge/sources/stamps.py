@@ -97,7 +97,8 @@ def out_of_line(stamps_ns: Sequence[int]) -> frozenset[int]:
 
     An image goes out where its stamp lies behind all before it: so one that leaps ahead would cost all that
     follow. Where leaving out some lets more go out, those are out of line (what isn't in the longest row of
-    rising stamps). So is a first or last one an hour and more from the rest, which nobody would wait for.
+    rising stamps). So are the first ones or the last, a tenth of all at most, an hour and more from the rest,
+    which nobody would wait for.
     """
     fitting = [index for index, stamp in enumerate(stamps_ns) if fits_ros(stamp)]
     row: list[int] = []
@@ -107,10 +108,14 @@ def out_of_line(stamps_ns: Sequence[int]) -> frozenset[int]:
     longest, found = _longest_rising(stamps_ns, fitting), set[int]()
     if len(longest) > len(row):
         row, found = longest, set(fitting) - set(longest)
-    if len(row) > 2 and stamps_ns[row[1]] - stamps_ns[row[0]] > _APART_NS:
-        found.add(row.pop(0))
-    if len(row) > 2 and stamps_ns[row[-1]] - stamps_ns[row[-2]] > _APART_NS:
-        found.add(row.pop())
+    leaps = [n + 1 for n, (a, b) in enumerate(pairwise(row)) if stamps_ns[b] - stamps_ns[a] > _APART_NS]
+    few = max(1, len(row) // 10)
+    if leaps and leaps[0] <= few < len(row) - 1:
+        row, leaps = row[leaps[0] :], [leap - leaps[0] for leap in leaps[1:]]
+        found |= {index for index in fitting if stamps_ns[index] < stamps_ns[row[0]] - _APART_NS}
+    if leaps and len(row) - leaps[-1] <= few < len(row) - 1:
+        row = row[: leaps[-1]]
+        found |= {index for index in fitting if stamps_ns[index] > stamps_ns[row[-1]] + _APART_NS}
     return frozenset(found)
 
 

@@ -27,6 +27,7 @@ class KeptJournal:
     def __init__(self, config: Config) -> None:
         self._config = config
         self._mark: RunMark | None = None  # while it is claimed
+        self._directory: RunDirectory | None = None
         self._lock = -1
 
     def claim(self, directory: RunDirectory) -> None:
@@ -39,9 +40,9 @@ class KeptJournal:
                 why,
             )
             mark = None
-        self._mark = mark
+        self._mark, self._directory = mark, directory
         if mark is None:
-            directory.write(OWN_JOURNAL, "")
+            self._tell_own()
         elif mark.begin(self._config.state.recover_s):
             directory.write(TOLD, "")
 
@@ -56,6 +57,7 @@ class KeptJournal:
             words = "the journal in %s was cleared away, and another run has it now: it is no more this run's"
             log.warning(words, self._mark.folder)
             self._mark = None
+            self._tell_own()
         else:
             self._mark.alive()
 
@@ -79,6 +81,11 @@ class KeptJournal:
         if self._lock >= 0:
             os.close(self._lock)
             self._lock = -1
+
+    def _tell_own(self) -> None:
+        """Processes that start from now on keep the journal in the run's own folder."""
+        if self._directory is not None:
+            self._directory.write(OWN_JOURNAL, "")
 
     def _locked(self, folder: Path) -> bool:
         """Whether the file that we hold is still the one that others would ask for."""

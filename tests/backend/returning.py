@@ -16,15 +16,21 @@ CANDIDATES = [pose_at(0.04 * i) for i in range(3)]  # of hardly any parallax
 QUERY = pose_at(0.5, 0.3)
 
 
-def seen_again() -> tuple[GlobalMap, GlobalKeyframe, Pairs]:
-    """The map, and a query at :data:`QUERY` that sees the place anew and has told of none of its points."""
-    teller, world = Teller(120, noise_px=NOISE_PX), GlobalMap()
+def seen_again(seed: int = 0, views: int = 3) -> tuple[GlobalMap, GlobalKeyframe, Pairs]:
+    """The map, and a query at :data:`QUERY` that sees the place anew and has told of none of its points.
+
+    Each of these is seen by so many other ``views``.
+    """
+    teller, world = Teller(120, seed=seed, noise_px=NOISE_PX), GlobalMap()
     for pose in [*CANDIDATES, QUERY]:
         world.absorb(teller.keyframe(pose))
     query = world.keyframes[3]
     pairs = [(i, p) for p, i in query.observed.items() if len(world.points[p].keyframes) > 1]
     for _, p in pairs:
         world.points[p].keyframes.discard(query.id)
+        for k in sorted(world.points[p].keyframes)[views:]:
+            world.points[p].keyframes.discard(k)
+            world.keyframes[k].observed.pop(p)
     query.observed.clear()
     assert len(pairs) >= 30
     return world, query, pairs

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.backend.free_points import _Reduced, _views, explained, placed
-from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.global_map import GlobalMap, GlobalPoint
+from prism_edge.backend.loops import Loop, with_free_points
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, se3_log, transform
 from tests.backend.returning import NOISE_PX, QUERY, off_along_rays, pose_by_points, seen_again
 from tests.backend.world import Teller
@@ -119,6 +120,40 @@ def test_what_a_placed_query_says_is_the_curvature_of_its_cost_with_points_that_
         step = 0.3 / np.sqrt(axis @ found.information @ axis)
         rise = cost_at(step * axis) + cost_at(-step * axis) - 2.0 * cost_at(np.zeros(6))
         assert rise == pytest.approx(2.0 * 0.3**2, rel=0.2)
+
+
+@pytest.mark.parametrize("views", [1, 2, 3])
+def test_the_ratio_of_units_is_as_sure_as_the_depths_that_its_points_share(views):
+    """Where nothing but a short way says how far all of them are, however many they are."""
+    off = []
+    for seed in range(12):
+        world, query, pairs = seen_again(seed, views)
+        pairs, rng, centre = pairs[:60], np.random.default_rng(100 + seed), QUERY[:3, 3]
+        for n, (keypoint, point) in enumerate(pairs):  # the query's own, in the same unit
+            there = centre + (world.points[point].position - centre) * np.exp(rng.normal(0.0, 0.02))
+            world.points[100000 + n] = GlobalPoint(there)
+            query.observed[100000 + n] = keypoint
+        query.world_from_camera = QUERY
+        found = with_free_points(world, Loop(query.id, 0, QUERY, 1.0, 0.01, len(pairs), 3, pairs))
+        off.append(np.log(found.scale) / found.log_scale_sigma)
+    assert np.sqrt(np.mean(np.square(off))) < 2.0
+
+
+def test_what_the_depths_of_a_placed_query_share_is_how_they_follow_it():
+    world, query, pairs = seen_again()
+    found = placed(world, query, pairs, [QUERY])
+    views = _views(world, query, pairs)
+
+    def mean_log_depth(twist):
+        pose, places = found.world_from_query @ se3_exp(twist), found.places
+        for _ in range(4):
+            at = _Reduced.at(views, pose, places)
+            places = places - np.linalg.solve(at.of_points, at.by_points[:, :, None])[:, :, 0]
+        return np.log(transform(inverse(pose), places)[:, 2]).mean()
+
+    for axis, slope in zip(np.eye(6), found.deepening, strict=True):
+        numerical = (mean_log_depth(1e-5 * axis) - mean_log_depth(-1e-5 * axis)) / 2e-5
+        assert numerical == pytest.approx(slope, rel=0.05, abs=0.05)
 
 
 def test_of_two_starts_that_counts_which_comes_out_better():

@@ -12,7 +12,15 @@ from gtsam.symbol_shorthand import X
 from prism_edge.backend import pose_graph
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.loops import Loop
-from prism_edge.backend.pose_graph import LOOP_SHARE, Similarity, _carry, _similarity, apply, spread
+from prism_edge.backend.pose_graph import (
+    LOOP_SHARE,
+    Similarity,
+    _carry,
+    _noise_of,
+    _similarity,
+    apply,
+    spread,
+)
 from prism_edge.geometry.poses import from_rt, inverse, se3_exp, so3_exp, so3_log, transform
 from prism_edge.messages import HOME
 from tests.backend.world import SHARED, chain, poses_of
@@ -47,6 +55,20 @@ def test_what_a_loop_s_points_leave_open_is_left_to_the_way():
     shift = moved[n].world_from_camera[:3, 3] - poses[-1][:3, 3]
     assert abs(shift[0]) < 0.02
     assert shift[2] > 0.18
+
+
+def test_a_loop_s_noise_is_in_the_unit_of_the_query_s_end():
+    """gtsam's tangent space: rotation first, lengths as the query's end has them."""
+    there, unit = pose_at(1.0, 0.5), 2.0
+    found = replace(loop(chain([pose_at()] * 2), 1, 0, there), scale=unit, log_scale_sigma=0.1)
+    known = np.diag([1e4, 4e4, 9e4, 1e6, 4e6, 9e6])
+    usual = np.diag(np.square(_noise_of(found, 3.0).sigmas()))
+    added = _noise_of(replace(found, information=known), 3.0).covariance() - usual
+    here = _similarity(there, unit)
+    moved = (_similarity(there @ se3_exp(1e-5 * axis), unit) for axis in np.eye(6))
+    tangents = np.array([here.localCoordinates(pose) for pose in moved]) / 1e-5
+    expected = tangents.T @ np.linalg.inv(known) @ tangents
+    assert added == pytest.approx(expected, rel=1e-3, abs=1e-10)
 
 
 def test_drift_of_scale_is_taken_out():

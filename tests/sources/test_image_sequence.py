@@ -192,6 +192,7 @@ def test_a_stamp_that_leaps_ahead_costs_one_image(
         assert checks.counts.bad_stamps == checks.counts.frames // 5
         assert checks.counts.unreadable == 0
         assert f"can't be right beside the others: 1, of image {leap} first; left out" in caplog.text
+        assert caplog.text.count("left out") == 1, "in each round of a loop it is opened again"
         if looped:
             assert item.stamp_ns < 10e9 + 1e9 * stamps[-1]
 

@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from prism_edge import vital
 from prism_edge.sources.live.camera import _decoded
 from prism_edge.sources.live.driver import Grab
 from prism_edge.sources.live.v4l2_pixels import to_image
@@ -70,3 +71,27 @@ def test_no_descriptor_is_left_open_and_none_is_needed() -> None:
     finally:
         os.dup2(kept, 2)
         os.close(kept)
+
+
+def test_what_a_process_says_as_it_ends_is_heard_meanwhile(capfd: pytest.CaptureFixture[str]) -> None:
+    """A thread that finds no memory ends its process with a line that waits for nobody."""
+    child = os.fork()
+    if child == 0:
+        with native_stderr_unheard():
+            vital.end_starved(b"starved\n")
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 70
+    assert capfd.readouterr().err == "starved\n"
+    assert vital.stderr == 2
+
+
+def test_without_a_descriptor_left_an_image_is_decoded_all_the_same(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def none_left(*_: object) -> int:
+        raise OSError(24, "Too many open files")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "open", none_left)
+        with native_stderr_unheard():
+            os.write(2, b"heard\n")
+    assert capfd.readouterr().err == "heard\n"

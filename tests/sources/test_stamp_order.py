@@ -46,6 +46,19 @@ def test_a_zero_costs_itself_alone(place: int) -> None:
     assert (out_of_line(stamps) == {0}) == (place == 0)
 
 
+@pytest.mark.parametrize("wrong", [[0, 0], [0, S // 30, S // 15], [0, 0, 5, 3]])
+def test_a_clock_that_begins_late_costs_what_came_before(wrong: list[int]) -> None:
+    stamps = [*wrong, *REGULAR]
+    kept = [stamp for index, stamp in enumerate(stamps) if index not in out_of_line(stamps)]
+    assert kept == REGULAR
+
+
+@pytest.mark.parametrize("late", [[0], [1, 0], [0, 1, 2], [0, 0]])
+def test_what_comes_hours_behind_all_else_is_left_out(late: list[int]) -> None:
+    stamps = [*REGULAR, *(REGULAR[-1] + 2 * HOUR + stamp for stamp in late)]
+    assert out_of_line(stamps) == set(range(90, 90 + len(late)))
+
+
 def test_a_clock_that_was_set_back_costs_the_shorter_part() -> None:
     stamps = [*REGULAR[:30], *(stamp - 60 * S for stamp in REGULAR[30:])]
     assert out_of_line(stamps) == set(range(30))

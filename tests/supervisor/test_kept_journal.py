@@ -115,7 +115,9 @@ def test_a_lock_that_was_cleared_away_is_made_anew(config: Config, tmp_path: Pat
 def test_who_was_cleared_away_and_came_too_late_leaves_the_journal_to_the_other(
     config: Config, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    journal, _ = claimed(config, tmp_path / "run")
+    (tmp_path / "run").mkdir()
+    journal, directory = KeptJournal(config), RunDirectory(tmp_path / "run")
+    journal.claim(directory)
     folder = tmp_path / "state" / "journal"
     (folder / LOCK).unlink()
     holds = f"import fcntl, signal; f = open({str(folder / LOCK)!r}, 'w'); fcntl.lockf(f, fcntl.LOCK_EX); "
@@ -131,6 +133,8 @@ def test_who_was_cleared_away_and_came_too_late_leaves_the_journal_to_the_other(
             process.kill()
     assert (folder / MARK).exists()
     assert caplog.text.count("another run has it now") == 1
+    assert (directory.path / OWN_JOURNAL).exists(), "a backend that is started again must not go on in it"
+    directory.remove()
 
 
 def test_what_a_killed_run_had_is_the_next_ones_though_a_fork_of_it_lives(
