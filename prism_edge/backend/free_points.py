@@ -80,13 +80,13 @@ def placed(
     if len(pairs) < 6:
         return None
     views = _views(world, query, pairs)
-    found = [_settle(world, views, pairs, start) for start in starts]
+    places = np.array([world.points[point].position for _, point in pairs])
+    found = [_settle(views, start, places) for start in starts]
     return min(found, key=lambda one: one.cost)
 
 
-def _settle(world: GlobalMap, views: _Views, pairs: list[tuple[int, int]], start: Array) -> Placed:
+def _settle(views: _Views, pose: Array, places: Array) -> Placed:
     """Levenberg-Marquardt over the query's pose and the points, which are eliminated first."""
-    pose, places = start, np.array([world.points[point].position for _, point in pairs])
     problem, damping = _Reduced.at(views, pose, places), DAMPING
     for _ in range(MOST_STEPS):
         twist, shifts = problem.step(damping)

@@ -44,9 +44,11 @@ def run(args: argparse.Namespace) -> int:
     check_robot_name(config.robot)
     with open_session(config.bus, listen=False, client=True, network=config.network) as session:
         reply = send(session, config.robot, COMMANDS[args.name], args.argument, args.timeout)
-    if args.json and not args.quiet:
+    if args.quiet:
+        pass
+    elif args.json:
         print(pack_reply(reply).decode())
-    elif not args.quiet:
+    else:
         print(reply.said)
         width = max(map(len, reply.values), default=0)
         for name, value in reply.values.items():

@@ -93,12 +93,11 @@ class FrameChecks:
         A duplicate is an exact copy, in all its pixels, of the image released before it.
         """
         self.counts.frames += 1
-        if isinstance(item, Unreadable) and not item.out_of_line:
-            self.counts.unreadable += 1
-            return Verdict(False, kind="unreadable", reason=item.reason)
         if isinstance(item, Unreadable):
-            self.counts.bad_stamps += 1
-            return Verdict(False, kind="bad_stamps", reason=item.reason)
+            self.counts.bad_stamps += item.out_of_line
+            self.counts.unreadable += not item.out_of_line
+            kind = "bad_stamps" if item.out_of_line else "unreadable"
+            return Verdict(False, kind=kind, reason=item.reason)
         if why := self.bad_stamp(item.stamp_ns):
             self.counts.bad_stamps += 1
             stamp = f"{item.stamp_ns / 1e9:.6f} s"

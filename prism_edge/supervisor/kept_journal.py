@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import logging
 import os
@@ -57,7 +58,8 @@ class KeptJournal:
             words = "the journal in %s was cleared away, and another run has it now: it is no more this run's"
             log.warning(words, self._mark.folder)
             self._mark = None
-            self._tell_own()
+            with contextlib.suppress(OSError):  # a full disk must not end the run
+                self._tell_own()
         else:
             self._mark.alive()
 

@@ -207,3 +207,21 @@ def test_a_folder_that_can_not_be_costs_the_recovery_alone(
     _, told = claimed(config, tmp_path / "run")
     assert told == {OWN_JOURNAL}
     assert "Not a directory" in caplog.text
+
+
+def test_a_full_disk_as_the_journal_is_lost_does_not_end_the_run(
+    config: Config, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "run").mkdir()
+    journal, directory = KeptJournal(config), RunDirectory(tmp_path / "run")
+    journal.claim(directory)
+
+    def full(*_: object) -> Path:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(directory, "write", full)
+    monkeypatch.setattr(journal, "_locked", lambda folder: False)
+    monkeypatch.setattr(journal, "_take", lambda folder: "another run has it")
+    journal.alive()
+    journal.release()
+    directory.remove()
