@@ -28,6 +28,7 @@ RECOVERED = "recovered"
 
 # Epochs, keyframes, points and map updates have numbers that never come again.
 IDS_A_LIFE = 10**10  # a process's lives begin to number things so far apart: months of mapping in each
+MOST_BIAS = 2.0  # of a network's log scale: a card says no more (docs/MODELS.md)
 LARGEST_ID = 2**55  # of what comes from outside: gtsam has 56 bits for a number, and others follow it
 
 # The part of a map that it began with. Any other bears the number of its first keyframe; where that one had
@@ -212,6 +213,11 @@ class Depth:
     dsug_tau: float = float("nan")  # uncertainty gate as fitted for this network, nan where it is not
     dsug_temperature: float = float("nan")
     frame_sigma: float = float("nan")  # log-scale error that its pixels share; nan: scale.frame_sigma
+
+    @property
+    def says_bias(self) -> bool:
+        """Whether ``bias_sigma`` is one that a network's card may say: a host that lends its depth may err."""
+        return 0.0 <= self.bias_sigma <= MOST_BIAS
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ import yaml
 from prism_edge.depth.inner_tensor import POOLINGS
 from prism_edge.depth.prediction import OPEN, PROBABILITY
 from prism_edge.errors import YAML_MISFITS, ModelError
+from prism_edge.messages import MOST_BIAS
 
 CONTRACT = 1  # version of the schema
 PREFIX = "prism_edge."
@@ -330,7 +331,7 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "rays_output": _text,
     "intrinsics_output": _text,
     "views": _whole(1, 64),
-    "scale_bias_sigma": _number(1e-4, 2.0),
+    "scale_bias_sigma": _number(1e-4, MOST_BIAS),
     "dsug_tau": _number(1e-6, 10.0),
     "dsug_temperature": _number(1e-6, 10.0),
 }

@@ -83,7 +83,7 @@ class ScaleEstimator:
         self._heed(depth)
         here, scale = self._parts.here, self._filter
         scale.predict(keyframe.stamp_ns * 1e-9, keyframe.travelled)
-        if depth is not None and math.isfinite(depth.bias_sigma) and depth.bias_sigma >= 0.0:
+        if depth is not None and depth.says_bias:
             self._meet(depth)
             if self._bias_sigma > 0.0:
                 scale.expect(self._network_sigma())

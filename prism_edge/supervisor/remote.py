@@ -6,7 +6,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from prism_edge.supervisor.health import ERROR, OK, WARN, Row
-from prism_edge.supervisor.liveness import ALIVE, judge
+from prism_edge.supervisor.liveness import ALIVE, OVERDUE, Verdict, judge
 
 if TYPE_CHECKING:
     from prism_edge.messages import Heartbeat
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 log = logging.getLogger("prism_edge.supervisor")
 
 FIRST_S = 10.0  # as long as it may take to be heard for the first time before the log says that it isn't
+# Nobody kills it for its silence, so that is said in the midst of its work, too: it is most often the link.
+UNHEARD_S = 10.0
 
 
 class RemoteWatch:
@@ -33,7 +35,7 @@ class RemoteWatch:
     def tell(self, now_s: float) -> None:
         """Log that it has come, or gone: called all the time, once for each."""
         beat = self._heartbeat
-        lives = beat is not None and judge(beat, now_s - self._heard_s).liveness == ALIVE
+        lives = beat is not None and self._judged(beat, now_s).liveness == ALIVE
         if lives is self._told or (beat is None and now_s - self._since_s < FIRST_S):
             return
         self._told = lives
@@ -46,11 +48,15 @@ class RemoteWatch:
         """Its line on `health`."""
         if self._heartbeat is None:
             return Row(self._name, ERROR, "not heard from its host", {"state": "remote"})
-        verdict = judge(self._heartbeat, now_s - self._heard_s)
         beat = self._heartbeat
+        verdict = self._judged(beat, now_s)
         values = {"state": beat.state, "activity": beat.activity, **beat.values}
         if verdict.liveness != ALIVE:
             return Row(self._name, ERROR, verdict.why, values)
         if "warning" in values:
             return Row(self._name, WARN, values["warning"], values)
-        return Row(self._name, OK, self._heartbeat.state, values)
+        return Row(self._name, OK, beat.state, values)
+
+    def _judged(self, beat: Heartbeat, now_s: float) -> Verdict:
+        age_s = now_s - self._heard_s
+        return Verdict(OVERDUE, f"silent for {age_s:.1f} s") if age_s > UNHEARD_S else judge(beat, age_s)

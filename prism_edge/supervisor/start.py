@@ -37,7 +37,10 @@ def start_worker(process: Process, config_file: Path, life: int) -> Child:
 
 def can_fork() -> bool:
     """Whether a fork of this process is whole: it has this one thread. Linux only, where that can be told."""
-    return sys.platform == "linux" and len(list(_THREADS.iterdir())) == 1
+    try:
+        return sys.platform == "linux" and len(list(_THREADS.iterdir())) == 1
+    except OSError:  # no descriptor is left, of which connections take the most: the bus has threads
+        return False
 
 
 def spawn_worker(process: Process, config_file: Path, life: int) -> Child:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import resource
 import signal
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 
 from prism_edge.config import Config
 from prism_edge.errors import PrismError, in_words
@@ -19,6 +21,7 @@ from prism_edge.workers.stopping import StopSignals
 log = logging.getLogger("prism_edge.supervisor")
 
 STARTS = 2.0  # times start_s: a start that hung once may still become one; the units' TimeoutStartSec
+DESCRIPTORS = 65_536  # the units' LimitNOFILE
 CLOSING_S = 5.0  # for what comes after the processes have ended
 
 
@@ -40,6 +43,7 @@ def supervise(
     dying; nothing is left running in any case.
     """
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # a parent's `ignore` is inherited: children would be lost
+    allow_descriptors()
     signals = StopSignals(reload=reread is not None)
     notifier = Notifier()
     notifier.starting(STARTS * config.supervisor.start_s)
@@ -73,6 +77,18 @@ def supervise(
     finally:
         notifier.send_what_waits()
     return 0
+
+
+def allow_descriptors() -> None:
+    """As many open files as may be, up to :data:`DESCRIPTORS`: connections take one each before they say who.
+
+    Once none is left Zenoh's TLS listener frees none, and the bus is deaf for good.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, DESCRIPTORS)
+    if soft != resource.RLIM_INFINITY and soft < most:
+        with suppress(ValueError, OSError):  # a system's own limit may be below
+            resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
 
 
 def _reload(

@@ -283,7 +283,7 @@ class TrackerWorker:
         if not message.valid:
             self._tracker.add_no_depth(message.keyframe)
             return
-        sigma = float(np.hypot(SEED_DEPTH_SIGMA, message.bias_sigma))
+        sigma = float(np.hypot(SEED_DEPTH_SIGMA, message.bias_sigma if message.says_bias else 0.0))
         self._tracker.add_depth(message.keyframe, message.depth, message.image_to_depth, sigma)
 
     def _apply_scale(self, message: Scale) -> None:

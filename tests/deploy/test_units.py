@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from prism_edge.errors import ConfigError, ModelError
+from prism_edge.supervisor.supervise import DESCRIPTORS
 
 CHECKOUT = Path(__file__).resolve().parents[2]
 UNIT, TEMPLATE = (CHECKOUT / "systemd" / name for name in ("prism-edge.service", "prism-edge@.service"))
@@ -80,3 +81,10 @@ def test_what_a_restart_can_not_mend_is_not_restarted() -> None:
 def test_a_state_directory_in_memory_outlives_a_restart(unit: Path) -> None:
     assert re.search(r"^RuntimeDirectory=prism-edge", unit.read_text(), re.MULTILINE)
     assert re.search(r"^RuntimeDirectoryPreserve=restart$", unit.read_text(), re.MULTILINE)
+
+
+@pytest.mark.parametrize("unit", [UNIT, TEMPLATE], ids=lambda unit: unit.name)
+def test_connections_that_say_nothing_leave_descriptors(unit: Path) -> None:
+    limit = re.search(r"^LimitNOFILE=(\d+)$", unit.read_text(), re.MULTILINE)
+    assert limit
+    assert int(limit[1]) == DESCRIPTORS

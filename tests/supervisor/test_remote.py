@@ -12,7 +12,7 @@ from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import Config, DepthConfig, NetworkConfig
 from prism_edge.supervisor.health import ERROR, OK, WARN
 from prism_edge.supervisor.liveness import SILENT_S
-from prism_edge.supervisor.remote import FIRST_S, RemoteWatch
+from prism_edge.supervisor.remote import FIRST_S, UNHEARD_S, RemoteWatch
 from prism_edge.supervisor.supervisor import Supervisor
 from tests.supervisor.fake_daemon import cast
 from tests.supervisor.test_liveness import beat
@@ -31,6 +31,14 @@ def test_what_is_said_of_it() -> None:
     assert "silent" in cut.message
     watch.heard(beat("idle"), 60.0)  # the link has healed, or it was started again
     assert watch.row(60.0).level == OK
+
+
+def test_a_link_that_is_cut_while_it_works_is_no_work_that_takes_long() -> None:
+    watch = RemoteWatch("depth", 0.0)
+    watch.heard(beat("working", activity="keyframe 6", budget_s=120.0), 10.0)
+    assert watch.row(9.0 + UNHEARD_S).level == OK, "native code may keep it from beating"
+    cut = watch.row(10.1 + UNHEARD_S)
+    assert (cut.level, cut.message) == (ERROR, f"silent for {UNHEARD_S + 0.1:.1f} s")
 
 
 def test_the_log_says_when_it_comes_and_goes_once_each(caplog: pytest.LogCaptureFixture) -> None:

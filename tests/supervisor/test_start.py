@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
@@ -32,6 +34,15 @@ def test_a_process_with_another_thread_does_not_fork() -> None:
     finally:
         release.set()
         other.join()
+
+
+def test_where_no_descriptor_is_left_to_look_with_it_does_not_fork(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An error there would count as a death of the worker that is to start."""
+    def full(folder: Path) -> Iterator[Path]:
+        raise OSError(errno.EMFILE, "Too many open files", str(folder))
+
+    monkeypatch.setattr(Path, "iterdir", full)
+    assert not can_fork()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux says how many threads there are")

@@ -89,6 +89,18 @@ def test_other_outputs_of_the_network_gone_wrong_change_nothing() -> None:
     assert set(system.words().values()) == {"initialising", "ok"}
 
 
+@pytest.mark.parametrize("bias", [1e308, 1e200, 2.01, -1.0, float("nan"), float("inf")])
+def test_a_bias_that_no_card_may_say_is_not_said(bias: float) -> None:
+    """A tracker that died of it would find it again in each of its lives, as the map's known scale."""
+    system, said = WholeSystem(), iter(range(FRAMES))
+    system.on_the_way = lambda depth: replace(depth, bias_sigma=bias) if next(said) else depth
+    bus = system.play(90)
+    assert finite(bus)
+    assert len(system.errors()) == 89
+    assert max(system.errors().values()) < 0.06
+    assert {scale.bias_sigma for scale in system.scales} == {system.scales[0].bias_sigma}
+
+
 def test_depth_that_could_never_tell_the_scale_is_said_though_the_scale_knows_no_metres_yet() -> None:
     watch = DepthWatch()
     worker = SimpleNamespace(_tracker=SimpleNamespace(epoch=0), _status=SimpleNamespace(metres=watch))

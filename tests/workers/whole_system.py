@@ -72,13 +72,14 @@ class WholeSystem:
         self.mapper = Mapper(CONFIG.backend)
         self.keyframes: dict[int, Keyframe] = {}
         self.scales: list[object] = []
+        self.on_the_way: Callable[[Depth], Depth] = lambda said: said  # what a host that lends depth may do
 
     def heard(self, topic: str, message: object) -> None:
         if isinstance(message, Keyframe):
             self.keyframes[message.id] = message
         elif isinstance(message, KeyframeImage):
             self.network.index = message.index
-            depth = answer(self.network, message)
+            depth = self.on_the_way(answer(self.network, message))
             if not self.network.silent:
                 self.bus.give("depth", depth)
             keyframe = self.keyframes.get(message.keyframe)
