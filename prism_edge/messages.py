@@ -216,7 +216,7 @@ class Depth:
 
     @property
     def says_bias(self) -> bool:
-        """Whether ``bias_sigma`` is one that a network's card may say: a host that lends its depth may err."""
+        """Whether ``bias_sigma`` is one that a card may have: a host that lends its depth may err."""
         return 0.0 <= self.bias_sigma <= MOST_BIAS
 
 

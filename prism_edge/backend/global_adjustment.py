@@ -16,8 +16,9 @@ from prism_edge.backend.elimination import points_first, solver
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.frame import keep_frame
 from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.settling import CONVERGED
 from prism_edge.backend.sizes import size_factors, sizes
-from prism_edge.backend.window import CONVERGED, outliers, widest_parallax
+from prism_edge.backend.window import outliers, widest_parallax
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
 from prism_edge.tracking.point_table import TRIANGULATED_DEG

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from dataclasses import dataclass
 from itertools import chain
@@ -10,23 +11,23 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from prism_edge.backend.elimination import points_first, solver
 from prism_edge.backend.factors import FactorFactory, held
-from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.second_start import clearly_less, second_start
+from prism_edge.backend.settling import Problem, Ray, Settled, cost_of, settle
 from prism_edge.backend.sizes import astray, size_factors, sizes
 from prism_edge.backend.ties import at_one_spot, median_range, untied
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import Array
 
+log = logging.getLogger("prism_edge.backend")
+
 CHI2_2D_99 = 9.21
 DEPTH_PARALLAX_DEG = 3.0  # above it two rays place a point far better than a network does
-REFINING = 4  # iterations kept for a second round
-RANGE_CHANGE = 0.05
 IN_LENS = 0.002  # of the depth of the scene, along z: nearer there is nothing but the lens
 BESIDE = 0.02  # of the depth of the scene: from one spot, for its points
 UNPLACED = 0.25  # of a point's parallax: a window that has less of it can't say how far the point is
 HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
-CONVERGED = 1e-4  # relative decrease of the cost that is not worth another iteration
 
 
 @dataclass(frozen=True)
@@ -104,31 +105,6 @@ def apart(world: GlobalMap, free: list[int], ranked: list[int], most: int) -> li
     return chosen + left[: most - len(chosen)]
 
 
-@dataclass(frozen=True)
-class Ray:
-    """An observation that counts as a ray: its noise goes with the point's range, which moves."""
-
-    keyframe: int
-    point: int
-    keypoint: int
-
-
-@dataclass
-class Problem:
-    """A window as gtsam has it. ``rays`` are not in ``graph``: each round makes them anew.
-
-    ``standing`` are the keyframes whose poses are no variables: what they see are factors of points alone,
-    which leaves less to eliminate.
-    """
-
-    graph: gtsam.NonlinearFactorGraph
-    values: gtsam.Values
-    observations: list[tuple[int, int, int]]  # keyframe, point, keypoint
-    rays: list[Ray]
-    factors: FactorFactory
-    standing: dict[int, GlobalKeyframe]
-
-
 def assemble(
     world: GlobalMap,
     window: Window,
@@ -197,7 +173,8 @@ def assemble(
                 graph.add(factors.reprojection(pose_key, point_key, keyframe, keypoint))
     for factor in size_factors(votes, log_units):
         graph.add(factor)
-    return Problem(graph, values, observations, rays, factors, standing)
+    variables = sorted(members.keys() - standing.keys())
+    return Problem(graph, values, observations, rays, factors, standing, variables, window.points, placed)
 
 
 def placed_elsewhere(world: GlobalMap, window: Window) -> set[int]:
@@ -208,38 +185,6 @@ def placed_elsewhere(world: GlobalMap, window: Window) -> set[int]:
         return set()
     seen = widest_parallax(world, known, set(window.free) | set(window.held))
     return {p for p, angle in seen.items() if angle < UNPLACED * world.points[p].parallax_deg}
-
-
-def with_rays(world: GlobalMap, problem: Problem, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
-    """The problem's graph with its ray factors, whitened by the ranges that ``values`` have."""
-    if not problem.rays:
-        return problem.graph
-    graph, make = gtsam.NonlinearFactorGraph(problem.graph), problem.factors
-    for ray, distance in zip(problem.rays, ranges_of(problem, values).tolist(), strict=True):
-        k, point_key, keypoint = ray.keyframe, L(ray.point), ray.keypoint
-        if k in problem.standing:
-            graph.add(make.ray_from(point_key, world.keyframes[k], keypoint, distance))
-        else:
-            graph.add(make.ray(X(k), point_key, world.keyframes[k], keypoint, distance))
-    return graph
-
-
-def stale(problem: Problem, whitened_at: gtsam.Values, now: gtsam.Values) -> bool:
-    """Whether a tenth of the rays or more has a range that differs by more than RANGE_CHANGE (log)."""
-    if not problem.rays:
-        return False
-    before, after = ranges_of(problem, whitened_at), ranges_of(problem, now)
-    return bool(np.mean(np.abs(np.log(before / after)) > RANGE_CHANGE) > 0.1)
-
-
-def ranges_of(problem: Problem, values: gtsam.Values) -> Array:
-    """Distance (n,) of each ray's point from its camera."""
-    cameras = {ray.keyframe for ray in problem.rays}
-    centres = {k: keyframe.world_from_camera[:3, 3] for k, keyframe in problem.standing.items()}
-    centres |= {k: values.atPose3(X(k)).translation() for k in cameras - centres.keys()}
-    points = {p: values.atPoint3(L(p)) for p in {ray.point for ray in problem.rays}}
-    offsets = np.array([points[ray.point] - centres[ray.keyframe] for ray in problem.rays])
-    return np.maximum(np.linalg.norm(offsets, axis=1), 1e-9)
 
 
 def solve(
@@ -254,40 +199,42 @@ def solve(
     if not window.free or len(window.points) < 10:
         return None
     problem = assemble(world, window, config, units_per_metre, use_depth, use_rays)
-    members = sorted({*window.free, *window.held} - problem.standing.keys())
-    parameters = solver(points_first(window.points, members), len(members))
-    parameters.setRelativeErrorTol(1e-4)
-    result, iterations = problem.values, 0
-    first = max(config.iterations - REFINING, 1) if problem.rays else config.iterations
-    try:
-        for most in (first, config.iterations):
-            started, converged = result, False
-            graph = with_rays(world, problem, result)
-            optimiser = gtsam.LevenbergMarquardtOptimizer(graph, result, parameters)
-            previous = optimiser.error()
-            # Step by step, so that the interpreter breathes between iterations.
-            while iterations < most:
-                optimiser.iterate()
-                iterations += 1
-                error = optimiser.error()
-                converged = previous - error < CONVERGED * previous
-                if converged:
-                    break
-                previous = error
-            result = optimiser.values()
-            # Rays are whitened by ranges: where those have changed a second round sets that right.
-            if converged and not stale(problem, started, result):
-                break
-    except RuntimeError:
+    solved = settle(world, problem, problem.values, config.iterations)
+    if solved is None:
         return None
-    found = {k: result.atPose3(X(k)).matrix() for k in members}
-    points = {p: np.asarray(result.atPoint3(L(p))) for p in window.points}
+    if use_depth and len(window.held) < config.fixed:  # new ground, of which little holds it
+        solved = _or_from_depth(world, window, problem, config.iterations, solved)
+    found = {k: solved.values.atPose3(X(k)).matrix() for k in problem.variables}
+    points = {p: np.asarray(solved.values.atPoint3(L(p))) for p in window.points}
     if not all(np.isfinite(list(places.values())).all() for places in (found, points)):
         return None
     wrong = outliers(world, found, points, problem.observations, config)
     poses = {k: found[k] for k in window.free}
     parallax = widest_parallax(world, points)
-    return Solution(poses, points, parallax, wrong, iterations)
+    return Solution(poses, points, parallax, wrong, solved.iterations)
+
+
+def _or_from_depth(
+    world: GlobalMap, window: Window, problem: Problem, iterations: int, solved: Settled
+) -> Settled:
+    """What a window comes to, or where it comes from the network's depths if that fits clearly better."""
+    start = second_start(world, window.held, window.free, window.points, problem.pinned)
+    if start is None:
+        return solved
+    values = gtsam.Values()
+    for k in problem.variables:
+        values.insert(X(k), gtsam.Pose3(start[0].get(k, world.keyframes[k].world_from_camera)))
+    for p in window.points:
+        values.insert(L(p), start[1][p])
+    other = settle(world, problem, values, iterations)
+    if other is None:
+        return solved
+    before, cost = cost_of(world, problem, solved.values), cost_of(world, problem, other.values)
+    if not clearly_less(cost, before):
+        return solved
+    newest = max(window.free)
+    log.info("keyframe %d: its window fits better as depth has it (cost %.0f to %.0f)", newest, before, cost)
+    return other
 
 
 def widest_parallax(

@@ -8,7 +8,8 @@ import pytest
 from gtsam.symbol_shorthand import L, X
 
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.window import Window, assemble, choose_window, solve, with_rays
+from prism_edge.backend.settling import with_rays
+from prism_edge.backend.window import Window, assemble, choose_window, solve
 from prism_edge.config import BackendConfig
 from tests.backend.world import Teller, depth_at_keypoints
 from tests.tracking.cloud import pose_at

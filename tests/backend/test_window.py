@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L
 
-from prism_edge.backend import window as module
+from prism_edge.backend import settling
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalMap, GlobalPoint
 from prism_edge.backend.window import (
@@ -380,14 +380,14 @@ def test_rays_are_weighed_anew_where_their_points_were_at_other_ranges(iteration
         point.parallax_deg = 1.0  # all count as rays
         nearest = world.keyframes[min(point.keyframes)].world_from_camera[:3, 3]
         point.position = nearest + (1.3 if p % 2 else 0.8) * (point.position - nearest)
-    rounds, made = [], module.with_rays
+    rounds, made = [], settling.with_rays
 
     def with_rays(world, problem, values):
         rounds.append((problem, values))
         return made(world, problem, values)
 
-    monkeypatch.setattr(module, "with_rays", with_rays)
-    config = replace(CONFIG, iterations=iterations)
+    monkeypatch.setattr(settling, "with_rays", with_rays)
+    config = replace(CONFIG, iterations=iterations, fixed=1)  # by which this is no new ground
     solution = solve(world, choose_window(world, 5, config), config, 1.0, True)
     (problem, whitened_at), rays = rounds[-1], rounds[-1][0].rays
     poses = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()} | solution.poses
@@ -395,4 +395,4 @@ def test_rays_are_weighed_anew_where_their_points_were_at_other_ranges(iteration
     assert len(rays) > 100
     moved = any(np.any(at != whitened_at.atPoint3(L(p))) for p, at in solution.points.items())
     assert moved or iterations > 2, "the second of two is for them"
-    assert np.median(np.abs(np.log(ended / module.ranges_of(problem, whitened_at)))) < module.RANGE_CHANGE
+    assert np.median(np.abs(np.log(ended / settling.ranges_of(problem, whitened_at)))) < settling.RANGE_CHANGE

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from gtsam.symbol_shorthand import L, X
 
+from prism_edge.backend import settling
 from prism_edge.backend import window as module
 from prism_edge.backend.factors import held
 from prism_edge.backend.global_map import GlobalMap
@@ -61,8 +62,8 @@ def test_a_known_pose_holds_as_one_under_a_prior_does(shallow: bool) -> None:
         graph.add(gtsam.PriorFactorPoint3(L(p), world.points[p].position, module.HELD_POINT))
     at = {k: keyframe.world_from_camera[:3, 3] for k, keyframe in world.keyframes.items()}
     away = [np.linalg.norm(world.points[ray.point].position - at[ray.keyframe]) for ray in problem.rays]
-    assert module.ranges_of(problem, problem.values) == pytest.approx(away) if shallow else not away
-    known = module.with_rays(world, problem, problem.values)
+    assert settling.ranges_of(problem, problem.values) == pytest.approx(away) if shallow else not away
+    known = settling.with_rays(world, problem, problem.values)
     assert known.error(problem.values) == pytest.approx(graph.error(values), rel=1e-4)
     both = (known, problem.values), (graph, values)
     one, other = (gtsam.LevenbergMarquardtOptimizer(*each).optimize() for each in both)

@@ -142,3 +142,17 @@ def test_a_step_that_leads_nowhere_is_not_the_end_of_the_search(factor: float) -
     placed = [_pose(CHESSBOARD, view, start) for view in views]
     begun = Fit(start, [turn for turn, _ in placed], [place for _, place in placed])
     assert largest_difference(camera, refine(CHESSBOARD, views, begun).camera) < 0.01
+
+
+BOARD = Board.parse("chessboard:9x6")
+
+
+def test_views_are_left_out_only_where_most_of_them_agree() -> None:
+    rng = np.random.default_rng(0)
+    views = seen(BOARD, PINHOLE_CAMERA, poses(20, BOARD, PINHOLE_CAMERA), 0.1)
+    for blurred, kept in ((4, 16), (9, 20)):
+        off = [
+            View(v.corners, v.pixels + (rng.normal(0, 2.0, v.pixels.shape) if k < blurred else 0.0))
+            for k, v in enumerate(views)
+        ]
+        assert len(calibrate(BOARD, off, 640, 480, "pinhole").used) == kept

@@ -186,3 +186,13 @@ def test_a_readout_is_written_where_one_is_known(result: Calibration, readout_ms
     text = camera_text(result, 20, "x", "y", readout_ms)
     assert parse_camera(text).readout_ms == readout_ms
     assert ("readout_ms" in text) == (readout_ms is not None)
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_focal_length_that_is_not_known_is_said_of_either(axis: int) -> None:
+    views = seen(BOARD, PINHOLE_CAMERA, poses(20, BOARD, PINHOLE_CAMERA), 0.1)
+    result = calibrate(BOARD, views, 640, 480, "pinhole")
+    sigmas = result.sigmas.copy()
+    sigmas[axis] = 0.02 * PINHOLE_CAMERA.fx
+    (line,) = verdict.of_result(replace(result, sigmas=sigmas))
+    assert "the focal length is known to 2.0% only" in line

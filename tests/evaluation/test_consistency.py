@@ -200,3 +200,13 @@ def test_scale_errors_in_sigmas():
     assert scale_errors(1.1, 0.0, 0.1) == (None, None)
     assert scale_errors(1.1, 0.1, None)[1] is None
     assert scale_errors(1.1, 0.1, 0.0)[1] is None
+
+
+def test_a_turn_is_judged_about_the_axes_of_map() -> None:
+    """All but one of the base's turns are sure, and it looks another way than at the beginning."""
+    stated = np.diag([1e-6, 1e-6, 1e-6, 1e-4, 1e-8, 1e-8])
+    rng, found = np.random.default_rng(7), []
+    for _ in range(10):
+        recording, truth = drawn(rng, stated=(stated,))
+        found.append(pose_nees(begun(recording), truth, MOUNT).rotation)
+    assert np.mean(found) == pytest.approx(1.0, rel=0.2)

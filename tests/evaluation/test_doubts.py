@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from prism_edge.evaluation.doubts import no_pose
+import numpy as np
+
+from prism_edge.evaluation.doubts import apart_in_time, no_pose
 from prism_edge.evaluation.played import Played
+from prism_edge.evaluation.trajectory import NS, Trajectory
+from prism_edge.geometry.poses import from_rt
 
 LOG = """\
 10:00:00.000 INFO    depth: keyframe 0: nothing of interest
@@ -38,3 +42,12 @@ def test_what_depth_and_scale_doubt_of_the_network_is_a_warning_of_the_run(tmp_p
         "keyframe -12: the network's images differ in size by 0.40 (log)",
     )
     assert Played().after(tmp_path / "none.log").doubts == ()
+
+
+def test_true_poses_after_a_run_that_was_cut_short_are_not_missed() -> None:
+    """Ten of a hundred frames were played, and eight poses came of them."""
+    truth = Trajectory(np.arange(100) * NS // 10, np.tile(from_rt(np.eye(3), np.zeros(3)), (100, 1, 1)))
+    estimate = Trajectory(np.arange(200, dtype=np.int64) * NS // 200, np.tile(np.eye(4), (200, 1, 1)))
+    until = int(truth.stamps[9])
+    assert apart_in_time(estimate, truth, 10, until) == []
+    assert len(apart_in_time(estimate, truth, 10, None)) == 1

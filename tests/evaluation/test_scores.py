@@ -279,3 +279,10 @@ def test_the_segments_of_a_trajectory_are_formed_once(monkeypatch: pytest.Monkey
     monkeypatch.setattr(scores, "_relative_errors", lambda *given: formed.append(given) or whole(*given))
     found = score(walk(13), walk(13))
     assert len(formed) == 1 + len(found.t_rel_lengths_m), "for rpe, and each length"
+
+
+def test_a_path_that_holds_one_hundred_metres_is_measured_by_the_benchmark_s_length() -> None:
+    along = np.tile(np.eye(4), (151, 1, 1))
+    along[:, 0, 3] = np.arange(151.0)
+    path = Trajectory(np.arange(151) * NS // 10, along)
+    assert [length for length, _ in segments(path, path)] == [100.0]

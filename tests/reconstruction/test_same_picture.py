@@ -91,3 +91,20 @@ def test_another_is_not(frame: int) -> None:
 def test_nothing_can_be_told_of_the_dark() -> None:
     assert is_picture_of(corners(np.zeros((240, 320), np.uint8)), corners(drawn(0)))
     assert is_picture_of(corners(drawn(0)), no_features())
+
+
+def features(pixels: np.ndarray, words: np.ndarray) -> Features:
+    return Features.build(pixels, np.zeros(len(pixels), np.intp), words, 640, 480)
+
+
+def test_a_corner_of_the_keyframe_counts_once_however_many_look_like_it() -> None:
+    """A poster's ten corners, found ten times each on as many levels: the other ninety are not there."""
+    rng = np.random.default_rng(0)
+    at = rng.uniform((20, 20), (620, 460), (100, 2))
+    words = rng.integers(0, 2**63, (100, 4)).astype(np.uint64)
+    keyframe = features(at, words)
+    again = np.repeat(np.arange(10), 10)
+    picture = features(at[again] + rng.uniform(-1.0, 1.0, (100, 2)), words[again])
+    assert not is_picture_of(picture, keyframe)
+    assert not is_picture_of(keyframe, picture)
+    assert is_picture_of(keyframe, features(at, words))

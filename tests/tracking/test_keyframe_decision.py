@@ -13,8 +13,10 @@ from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.keyframe_decision import (
     KNOWN_S,
     RECENT,
+    SAME_SHARE,
     decide,
     is_overdue,
+    same_view,
     shown_before,
     uncovered_share,
 )
@@ -209,3 +211,13 @@ def test_now_and_then_a_known_place_makes_a_keyframe(returned, sign):
     newest_ns = world.newest().stamp_ns
     for seconds, overdue in ((0.9 * KNOWN_S, False), (1.1 * KNOWN_S, True)):
         assert is_overdue(world, newest_ns + sign * int(1e9 * seconds)) is overdue
+
+
+@pytest.mark.parametrize(("share", "newer", "known"), [(0.6, 1000, True), (0.3, 0, False), (1.0, 5000, True)])
+def test_the_share_is_of_what_the_keyframe_sees(share: float, newer: int, known: bool) -> None:
+    world, _ = Cloud(600).mapped([pose_at(0.3 * i) for i in range(RECENT + 1)])
+    keyframe = world.keyframes[0]
+    mine = keyframe.points[keyframe.observed()]
+    seen = np.concatenate([mine[: int(share * len(mine))], 10**6 + np.arange(newer)])
+    assert (same_view([keyframe], keyframe.world_from_camera, seen, 4.0) is keyframe) == known
+    assert (share >= SAME_SHARE) == known

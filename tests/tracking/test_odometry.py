@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.geometry.poses import inverse, scaled, se3_exp, se3_log
-from prism_edge.tracking.odometry import ACCELERATION, MetricOdometry, unseen_motion
+from prism_edge.tracking.odometry import ACCELERATION, GAP_S, MetricOdometry, unseen_motion
 from tests.tracking.cloud import pose_at
 
 twists = st.lists(st.floats(-0.5, 0.5), min_size=6, max_size=6).map(np.array)
@@ -191,3 +191,17 @@ def test_what_nobody_saw_grows_for_a_second_and_ends_with_the_next_image():
     assert sigmas[0] < sigmas[1] < sigmas[2] == sigmas[3] == sigmas[4]
     odometry.advance(pose_at(0.05), pose_at(0.06), 0.0, 31 * SECOND // 10)
     assert not odometry.unseen.any()
+
+
+@pytest.mark.parametrize("dropped", [3, 10])
+def test_a_velocity_is_known_over_a_few_dropped_images(dropped: int) -> None:
+    """At 30 Hz a gap of up to half a second still says how fast the camera is."""
+    odometry, frame_ns = MetricOdometry(), 33_333_333
+    for k in range(4):
+        odometry.advance(pose_at(0.01 * (k - 1)) if k else None, pose_at(0.01 * k), 0.0, frame_ns * k)
+    gap = (dropped + 1) * frame_ns
+    assert gap * 1e-9 < GAP_S
+    odometry.advance(pose_at(0.03), pose_at(0.13), 0.0, frame_ns * 3 + gap)
+    assert odometry.interval_s == pytest.approx(gap * 1e-9)
+    assert odometry.twist[0] == pytest.approx(0.1 / (gap * 1e-9))
+    assert np.abs(odometry.twist[1:]).max() < 1e-9

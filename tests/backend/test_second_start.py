@@ -1,0 +1,151 @@
+"""A map with near and far exchanged, which fits its pixels nearly as well, and what depths make of it."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.second_start import LEAST, LESS, SHARE, clearly_less, second_start
+from prism_edge.backend.window import Solution, choose_window, solve
+from prism_edge.config import BackendConfig
+from prism_edge.geometry.poses import inverse, se3_log
+from tests.backend.test_window import CONFIG, worst
+from tests.backend.world import Teller, depth_at_keypoints
+from tests.tracking.cloud import pose_at
+
+FAR, DEEP, STEP = 4.0, 0.5, 0.15
+NEWEST = 4
+ASIDE = [pose_at(STEP * k) for k in range(NEWEST + 1)]
+KNOWN_GROUND = replace(CONFIG, fixed=1)  # where one pose that holds a window is as many as may be
+
+
+def world_of(reverse: bool = True, depth_noise: float = 0.05) -> tuple[GlobalMap, Teller]:
+    """A camera steps aside before a shallow scene; reversed, the map has it the other way."""
+    rng = np.random.default_rng(3)
+    teller, world = Teller(250, noise_px=0.5), GlobalMap()
+    cloud = teller.cloud
+    depth = FAR + rng.uniform(-DEEP, DEEP, len(cloud.positions))
+    rays = rng.uniform((-0.3, -0.3), (0.4, 0.3), (len(depth), 2))
+    cloud.positions = np.column_stack([rays * FAR, depth])
+    for pose in ASIDE:
+        world.absorb(teller.keyframe(pose))
+    depth_at_keypoints(world, cloud, ASIDE)
+    for k, keyframe in world.keyframes.items():
+        assert keyframe.depths is not None
+        keyframe.depths *= np.exp(rng.normal(0.0, depth_noise, len(keyframe.depths)))
+        keyframe.depth_units = 1.0
+        keyframe.world_from_camera = ASIDE[k].copy()
+    for p, point in world.points.items():
+        point.position = cloud.positions[p].copy()
+    if reverse:
+        for k, keyframe in world.keyframes.items():
+            keyframe.world_from_camera = pose_at(-STEP * k, 0.0, 0.0, 0.0, 2.0 * STEP * k / FAR)
+        for point in world.points.values():
+            x, y, z = point.position
+            point.position = (2.0 * FAR - z) * np.array([x / z, y / z, 1.0])
+    return world, teller
+
+
+def solved(world: GlobalMap, config: BackendConfig) -> Solution:
+    solution = solve(world, choose_window(world, NEWEST, config), config, 1.0, True)
+    assert solution is not None
+    return solution
+
+
+def test_a_reversed_map_stays_so_by_itself_and_is_left_for_what_depths_begin_with(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    caplog.set_level(logging.INFO)
+    world, teller = world_of()
+    assert worst(solved(world, KNOWN_GROUND), teller) > 4 * STEP, "the other way"
+    assert not caplog.messages
+    assert worst(solved(world, CONFIG), teller) < 0.05
+    (line,) = caplog.messages
+    assert line.startswith(f"keyframe {NEWEST}: its window fits better as depth has it")
+
+
+def test_a_map_that_is_right_stays_as_it_is_solved(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    world, _ = world_of(reverse=False)
+    with_it, without = solved(world, CONFIG), solved(world, KNOWN_GROUND)
+    assert all(np.array_equal(with_it.poses[k], without.poses[k]) for k in without.poses)
+    assert not caplog.messages
+
+
+def test_depths_with_near_and_far_exchanged_do_not_lead_a_right_map_astray() -> None:
+    world, teller = world_of(reverse=False)
+    for keyframe in world.keyframes.values():
+        assert keyframe.depths is not None
+        keyframe.depths = 2.0 * FAR - keyframe.depths
+    assert worst(solved(world, CONFIG), teller) < 0.06
+
+
+def test_without_depth_in_use_there_is_no_other_start() -> None:
+    world, teller = world_of()
+    solution = solve(world, choose_window(world, NEWEST, CONFIG), CONFIG, 1.0, False)
+    assert solution is not None
+    assert worst(solution, teller) > 4 * STEP
+
+
+@pytest.mark.parametrize("units", [1.0, 0.2])
+def test_depths_alone_place_keyframes_and_points(units: float) -> None:
+    """Each image's depths are in the map's unit as its keyframe had it: all are taken by one."""
+    world, teller = world_of(depth_noise=0.0)
+    for k, keyframe in world.keyframes.items():
+        assert keyframe.depths is not None
+        own = units * (1.0 + 0.1 * (k - 2))
+        keyframe.depths, keyframe.depth_units = keyframe.depths * own, own
+    free, points = list(range(1, NEWEST + 1)), sorted(world.points)
+    found = second_start(world, [0], free, points, set())
+    assert found is not None
+    poses, places = found
+    assert list(poses) == free
+    for k in free:
+        expected = ASIDE[k].copy()
+        expected[:3, 3] *= units
+        apart = se3_log(inverse(expected) @ poses[k])
+        assert np.abs(apart[:3]).max() < 0.02 * units
+        assert np.abs(apart[3:]).max() < 0.005
+    off = [np.linalg.norm(places[p] / units - teller.cloud.positions[p]) for p in points]
+    assert np.median(off) < 0.02
+
+
+def test_what_is_pinned_stays_and_what_no_image_has_depth_for_goes_with_who_saw_it_first() -> None:
+    world, _ = world_of(depth_noise=0.0)
+    pinned, bare = sorted(world.points)[:2]
+    for keyframe in world.keyframes.values():
+        assert keyframe.depths is not None
+        if bare in keyframe.observed:
+            keyframe.depths[keyframe.observed[bare]] = 0.0
+    before = {p: world.points[p].position.copy() for p in (pinned, bare)}
+    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), {pinned})
+    assert found is not None
+    poses, places = found
+    assert np.array_equal(places[pinned], before[pinned])
+    first = min(world.points[bare].keyframes)
+    motion = {0: np.eye(4), **poses}[first] @ inverse(world.keyframes[first].world_from_camera)
+    assert places[bare] == pytest.approx(motion[:3, :3] @ before[bare] + motion[:3, 3])
+
+
+@pytest.mark.parametrize("with_depth", [0, LEAST - 1, LEAST])
+def test_a_keyframe_that_too_few_depths_place_is_placed_by_none(with_depth: int) -> None:
+    world, _ = world_of(depth_noise=0.0)
+    shared = [p for p in sorted(world.points) if len(world.points[p].keyframes) == NEWEST + 1]
+    for keyframe in world.keyframes.values():
+        assert keyframe.depths is not None
+        kept = [keyframe.observed[p] for p in shared[:with_depth]]
+        rest = np.setdiff1d(np.arange(len(keyframe.depths)), kept)
+        keyframe.depths[rest] = 0.0
+    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), set())
+    assert (found is not None) == (with_depth >= LEAST)
+
+
+@pytest.mark.parametrize("before", [10.0, 100.0, 1000.0])
+def test_less_is_by_more_than_a_solver_s_noise(before: float) -> None:
+    least = max(LESS, SHARE * before)
+    assert clearly_less(before - 1.01 * least, before)
+    assert not clearly_less(before - 0.99 * least, before)
