@@ -65,6 +65,7 @@ class FrameTracker:
         self.pose = PoseFromMap(scale_factors, proven_after_s)
         self.expected: Prediction | None = None  # of the frame at hand
         self.taken_ns = 0  # when that was
+        self.learns = True  # of points how often they are found: not from places where the camera may not be
         self._most = max_local_points
         self._local_ids: Ids = np.zeros(0, np.int64)
 
@@ -127,7 +128,8 @@ class FrameTracker:
             return None
         estimate, keypoints = final
         rows = world.points.rows(points.take(keypoints)).compress(estimate.inliers)
-        world.points.found[rows] += 1
+        if self.learns:
+            world.points.found[rows] += 1
         points[keypoints.compress(~estimate.inliers)] = -1
         return TrackedFrame(
             camera,
@@ -145,6 +147,13 @@ class FrameTracker:
     def proven(self, world: LocalMap, rows: Index) -> NDArray[np.bool_]:
         """Which points (n,) have stood their time, for the frame at hand."""
         return proven(world.points, rows, self.pose.now(world, self.taken_ns), self.pose.proven_after_s)
+
+    def usually_found(self, world: LocalMap, frame: TrackedFrame) -> float:
+        """How many points of the local map are found from where a frame is, each as often as ever."""
+        table = world.points
+        rows = table.live_rows(self._local_ids)
+        rows, _, _ = self._in_sight(world, frame.camera, frame.world_from_camera, rows)
+        return float((table.found.take(rows) / np.maximum(table.visible.take(rows), 1)).sum())
 
     def placed_anew(self, world: LocalMap, frame: TrackedFrame, pose: Array, points: Ids) -> TrackedFrame:
         """The frame at a pose that was found otherwise, as sure as all its ``points`` make it just there.
@@ -244,20 +253,10 @@ class FrameTracker:
     ) -> None:
         """Look for further points of the local map at their predicted places; fills ``points``."""
         table = world.points
-        positions = table.position.take(rows, axis=0)
-        centres, inside = project(camera, pose, positions)
-        rows, centres = rows.compress(inside), centres.compress(inside, axis=0)
-        offset = pose[:3, 3] - positions.compress(inside, axis=0)
-        distance = np.maximum(np.sqrt(np.einsum("ij,ij->i", offset, offset)), 1e-9)
-        expected = expected_octaves(table, rows, distance, self._factors)
-        inside = (expected >= -1) & (expected <= len(self._factors))
-        along = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0))
-        inside &= along > MIN_VIEW_COSINE * distance
-        rows, centres = rows.compress(inside), centres.compress(inside, axis=0)
-        octave = np.minimum(np.maximum(expected.compress(inside), 0), len(self._factors) - 1).astype(np.intp)
-        table.visible[rows] += 1
-        seen = points.compress(points >= 0)
-        table.visible[table.rows(seen)] += 1
+        rows, centres, octave = self._in_sight(world, camera, pose, rows)
+        if self.learns:
+            table.visible[rows] += 1
+            table.visible[table.rows(points.compress(points >= 0))] += 1
         # A seed's place is doubtful along its ray, so its window is wider.
         radius = LOCAL_RADIUS * self._factors[octave] + np.where(
             table.log_depth_sigma.take(rows) > SEED_SIGMA, SEED_RADIUS, 0.0
@@ -273,6 +272,24 @@ class FrameTracker:
             free=points < 0,
         )
         points[keypoint] = table.ids[rows[query]]
+
+    def _in_sight(
+        self, world: LocalMap, camera: Camera, pose: Array, rows: Index
+    ) -> tuple[Index, Array, Index]:
+        """Which points (rows) ought to be seen from a pose, at which pixels (n, 2) and levels (n,)."""
+        table = world.points
+        positions = table.position.take(rows, axis=0)
+        centres, inside = project(camera, pose, positions)
+        rows, centres = rows.compress(inside), centres.compress(inside, axis=0)
+        offset = pose[:3, 3] - positions.compress(inside, axis=0)
+        distance = np.maximum(np.sqrt(np.einsum("ij,ij->i", offset, offset)), 1e-9)
+        expected = expected_octaves(table, rows, distance, self._factors)
+        inside = (expected >= -1) & (expected <= len(self._factors))
+        along = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0))
+        inside &= along > MIN_VIEW_COSINE * distance
+        rows, centres = rows.compress(inside), centres.compress(inside, axis=0)
+        octave = np.minimum(np.maximum(expected.compress(inside), 0), len(self._factors) - 1).astype(np.intp)
+        return rows, centres, octave
 
     def _solve(
         self,

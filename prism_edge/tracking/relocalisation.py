@@ -3,7 +3,8 @@
 Which keyframes first is the depth network's word: it sees the lost camera's picture (a *probe*) and its
 descriptor ranks all keyframes. Beside what it names, all have their turn, the newest first: it is asked again
 and again, and may be wrong each time. A pose counts once a second frame confirms it: what was published
-wrongly can't be taken back.
+wrongly can't be taken back. And where much less is found than usually is from there, the map is gone through
+for a place that more agrees with: along a corridor one door is like the next.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from prism_edge.geometry.poses import inverse, rotation_angle
 from prism_edge.messages import F32
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
-from prism_edge.tracking.local_map import LocalMap
+from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.recovery import locate
 
@@ -26,6 +27,9 @@ RANKED = 8  # keyframes of the network's ranking that are tried, one with each f
 NEAR = 3  # covisible keyframes beside the newest that are tried first
 CERTAIN = 2.0  # times the matches that tracking needs
 SAME_ANGLE, SAME_SHIFT = np.radians(10.0), 0.2  # a frame later, at 30 Hz; of the median depth
+CONVINCING = 0.6  # of what is usually found from there: that place, and no other
+BETTER = 1.1  # times the matches, for another place to be taken in place of a doubtful one
+CONSIDERED_NS = 500_000_000  # so long is another place looked for, unless all keyframes have had their turn
 FRAME_NS, MOST_FRAMES = 33_333_333, 4.0  # slower cameras, and dropped frames, leave more time to move
 
 
@@ -38,7 +42,8 @@ class Relocaliser:
         self._named: deque[int] = deque()  # by the network, best first
         self._round: deque[int] = deque()
         self._tentative: TrackedFrame | None = None
-        self._looked_ns = 0
+        self._looked_ns = self._since_ns = 0  # last; since there was a doubtful place
+        self._tried: set[int] = set()  # keyframes, since then
 
     def begin(self) -> None:
         """Tracking has just been lost."""
@@ -81,27 +86,75 @@ class Relocaliser:
 
         ``last`` is the last tracked frame, ``least`` the matches that tracking needs.
         """
+        frames.learns = False
+        try:
+            return self._look(world, frames, camera, features, last, least, stamp_ns)
+        finally:
+            frames.learns = True
+
+    def _look(
+        self,
+        world: LocalMap,
+        frames: FrameTracker,
+        camera: Camera,
+        features: Features,
+        last: TrackedFrame | None,
+        least: int,
+        stamp_ns: int,
+    ) -> TrackedFrame | None:
         enough = int(CERTAIN * least)
         passed = min(max((stamp_ns - self._looked_ns) / FRAME_NS, 1.0), MOST_FRAMES)
         self._looked_ns = stamp_ns
-        tentative, self._tentative = self._tentative, None
+        doubtful, tentative, self._tentative = False, self._tentative, None
+        best: TrackedFrame | None = None
         if tentative is not None:
-            frame = self._placed(world, frames, camera, features, tentative, enough)
-            if frame is not None and _near(world, tentative, frame, passed):
-                return frame
-        if last is not None:  # a hand before the lens: it may not have moved
-            self._tentative = self._placed(world, frames, camera, features, last, enough)
-        for keyframe in self._next(world) if self._tentative is None else []:
-            pose = locate(world, camera, features, world.keyframes[keyframe], self._seed)
-            if pose is None:
-                continue
-            seen = world.keyframes[keyframe]
-            frames.refresh_local_map(world, seen.points[seen.observed()])
-            frame = frames.track(world, camera, features, pose, None, least)
-            if frame is not None and frame.matched >= enough:
-                self._tentative = frame
-                break
-        return None
+            best = self._placed(world, frames, camera, features, tentative, enough)
+            if best is not None and _near(world, tentative, best, passed):
+                if self._convinces(world, frames, best):
+                    return best
+                doubtful = True
+            else:
+                best = None
+        if best is None and last is not None:  # a hand before the lens: it may not have moved
+            best = self._placed(world, frames, camera, features, last, enough)
+            if best is not None and self._convinces(world, frames, best):
+                self._tentative = best
+                return None
+        if not doubtful:
+            self._tried, self._since_ns = set(), stamp_ns
+        for keyframe in self._next(world):
+            frame = self._at(world, frames, camera, features, world.keyframes[keyframe], least)
+            least_matched = enough if best is None else max(enough, BETTER * best.matched)
+            if frame is not None and frame.matched >= least_matched:
+                best, doubtful = frame, False
+        self._tentative = best
+        all_tried = self._tried.issuperset(world.keyframes)
+        considered = all_tried or stamp_ns - self._since_ns >= CONSIDERED_NS
+        if best is None or not (doubtful and considered):
+            return None
+        _look_about(world, frames, best)
+        return best
+
+    @staticmethod
+    def _convinces(world: LocalMap, frames: FrameTracker, frame: TrackedFrame) -> bool:
+        return frame.matched >= CONVINCING * frames.usually_found(world, frame)
+
+    def _at(
+        self,
+        world: LocalMap,
+        frames: FrameTracker,
+        camera: Camera,
+        features: Features,
+        keyframe: LocalKeyframe,
+        least: int,
+    ) -> TrackedFrame | None:
+        """The frame where it fits what a keyframe sees."""
+        self._tried.add(keyframe.id)
+        pose = locate(world, camera, features, keyframe, self._seed)
+        if pose is None:
+            return None
+        frames.refresh_local_map(world, keyframe.points[keyframe.observed()])
+        return frames.track(world, camera, features, pose, None, least)
 
     def _placed(
         self,
@@ -112,7 +165,7 @@ class Relocaliser:
         before: TrackedFrame,
         enough: int,
     ) -> TrackedFrame | None:
-        frames.refresh_local_map(world, before.points[before.points >= 0])
+        _look_about(world, frames, before)
         frame = frames.track(world, camera, features, before.world_from_camera, before, enough // 2)
         return frame if frame is not None and frame.matched >= enough else None
 
@@ -137,6 +190,10 @@ class Relocaliser:
         rest = [k for k in sorted(world.keyframes) if k not in first]
         spread = [k for start in range(4) for k in rest[start::4]]
         return deque([*first, *spread])
+
+
+def _look_about(world: LocalMap, frames: FrameTracker, frame: TrackedFrame) -> None:
+    frames.refresh_local_map(world, frame.points[frame.points >= 0])
 
 
 def _near(world: LocalMap, before: TrackedFrame, after: TrackedFrame, frames: float) -> bool:

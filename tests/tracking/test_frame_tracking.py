@@ -65,6 +65,27 @@ def test_the_local_map_does_without_a_previous_frame(scene):
     assert error_of(frame.world_from_camera) < 0.01
 
 
+def test_what_is_usually_found_from_a_place_is_what_is_in_sight_each_as_often_as_it_was(scene):
+    _, world, _, _, seen, tracker = scene
+    frame = replace(frame_of(world, 1), world_from_camera=TRUE)
+    rows = tracker._in_sight(world, CAMERA, TRUE, np.arange(len(world.points)))[0]
+    assert len(rows) == pytest.approx(len(seen), rel=0.05)
+    assert tracker.usually_found(world, frame) == pytest.approx(len(rows)), "once made, once found"
+    world.points.visible[:], world.points.found[:] = 8, 2
+    world.points.found[rows[::2]] = 6
+    assert tracker.usually_found(world, frame) == pytest.approx(0.5 * len(rows), rel=0.01)
+
+
+@pytest.mark.parametrize("learns", [True, False])
+def test_looking_where_the_camera_may_not_be_teaches_nothing_of_points(scene, learns):
+    _, world, _, features, _, tracker = scene
+    tracker.learns = learns
+    before = world.points.found.copy(), world.points.visible.copy()
+    assert tracker.track(world, CAMERA, features, TRUE, frame_of(world, 1), ENOUGH) is not None
+    after = world.points.found, world.points.visible
+    assert [bool((b != a).any()) for b, a in zip(before, after, strict=True)] == [learns, learns]
+
+
 def test_garbage_is_not_placed(scene):
     cloud, world, _, features, _, tracker = scene
     words = descriptors(cloud.rng, len(features))
