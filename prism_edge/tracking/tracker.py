@@ -34,6 +34,7 @@ from prism_edge.tracking.recovery import clearly_better, misled, recover
 from prism_edge.tracking.reference import Reference
 from prism_edge.tracking.relocalisation import Relocaliser
 from prism_edge.tracking.rolling_shutter import RollingShutter, found_readout, see_at_once
+from prism_edge.tracking.search import Search
 from prism_edge.tracking.second_look import look_again
 from prism_edge.tracking.seeding import seed_at_middle, seed_from_depth
 from prism_edge.tracking.submaps import Parts
@@ -43,7 +44,6 @@ log = logging.getLogger("prism_edge.tracking")
 
 MIN_FIRST_FEATURES = 80
 REFRESH_FRAMES = 10  # the local map is chosen anew at least this often
-MOST_BETWEEN_NS = 200_000_000  # what one frame adds to how long a lost camera has looked about
 
 
 class Tracker:
@@ -58,7 +58,7 @@ class Tracker:
         self._frames = FrameTracker(factors, config.max_local_points, config.proven_after_s)
         self.world, self.places = LocalMap(), Relocaliser(seed)
         self.parts, self._baselines = Parts(), Baselines()
-        self._lost, self._looked_ns, self._looking_at = False, 0, 0
+        self._search = Search()
         self._waiting: LocalKeyframe | None = None  # a new part's first keyframe, until its depth has come
         self.wants_probe = False  # lost, and the last frame shows something
         self.may_map = True  # False: the map stays as it is, wherever the camera goes
@@ -81,11 +81,16 @@ class Tracker:
         """Take no corners where ``shown`` (height, width), as large as all images to come, is False."""
         self._extractor.look_only_at(shown)
 
-    def process(self, index: int, stamp_ns: int, grey: NDArray[np.uint8], camera: Camera) -> FrameResult:
+    def process(
+        self, index: int, stamp_ns: int, grey: NDArray[np.uint8], camera: Camera, since_ns: int = 0
+    ) -> FrameResult:
         """Track one image (height, width) taken at ``stamp_ns``; what is published follows from the result.
 
-        :meth:`maybe_keyframe` comes after, so that a pose need not wait for the mapping.
+        ``since_ns``: after the image before it, be that a copy. :meth:`maybe_keyframe` comes after, so that a
+        pose need not wait for the mapping.
         """
+        if self._search.lapsed(since_ns) and self.initialised and not self._search.lost:
+            self._lose(index, stamp_ns)  # it has gone on meanwhile, nobody knows where to
         lens = self._lens if self._lens is not None and self._lens.like(camera) else camera
         features = self._extractor.extract(grey, lens)
         self.shutter.saw(stamp_ns, features, camera.readout_ms, found_readout(self.world, lens))
@@ -107,8 +112,6 @@ class Tracker:
         """Median of what the keyframe that the camera is at sees, map units."""
         return self._at.depth
 
-    # -- frames ---------------------------------------------------------------------------------
-
     def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
         if len(features) >= MIN_FIRST_FEATURES and self.shutter.may_begin:
             self._pending = self._insert(index, stamp_ns, camera, features, self._begins_at)
@@ -126,24 +129,27 @@ class Tracker:
                     log.info("the first keyframe could not be tracked: starting again")
                     self._restart(self._begins_at)
                 return nothing(INITIALISING)
-            if silent_s > self._config.lost_after_s and not self._lost:
-                self._lost, self._looked_ns, self._looking_at = True, 0, stamp_ns
-                self.motion.stop()
-                self.places.begin()
-                log.info("lost at frame %d", index)
+            if silent_s > self._config.lost_after_s and not self._search.lost:
+                self._lose(index, stamp_ns)
             awaited = self.may_map and self._waiting is not None and self.first.awaits_answer
-            self.wants_probe = self._lost and len(features) >= MIN_FIRST_FEATURES and not awaited
-            if self._lost and self.may_map:
+            self.wants_probe = self._search.lost and len(features) >= MIN_FIRST_FEATURES and not awaited
+            if self._search.lost and self.may_map:
                 self._look_on(index, stamp_ns, camera, features)
             # A map that was given up: the new one begins with the next frame, through the file's own lens.
-            return nothing(INITIALISING if not self.initialised else LOST if self._lost else DEGRADED)
-        if self._lost:
+            return nothing(INITIALISING if not self.initialised else LOST if self._search.lost else DEGRADED)
+        if self._search.lost:
             log.info("found again at frame %d, %.1f s later", index, silent_s)
             self._settle(frame)
         self._update_motion(frame, stamp_ns)
         self.initialised = True
         self._fresh = (index, frame)
         return beside(self._reference(), frame, self.parts.at_home)
+
+    def _lose(self, index: int, stamp_ns: int) -> None:
+        self._search.begin(stamp_ns)
+        self.motion.stop()
+        self.places.begin()
+        log.info("lost at frame %d", index)
 
     def _look_on(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> None:
         """Lost: a camera that has shown something for long, but nothing known, begins a new part of the map.
@@ -152,14 +158,12 @@ class Tracker:
         patience knows neither scale nor shape: looked for as long as it was seen, it gives way to a new one.
         """
         shows = len(features) >= MIN_FIRST_FEATURES
-        if shows:
-            self._looked_ns += min(stamp_ns - self._looking_at, MOST_BETWEEN_NS)
-        self._looking_at = stamp_ns
+        self._search.look(stamp_ns, shows)
         if self._waiting is not None:
             if not self.first.gives_way(stamp_ns):
                 return
             self.give_up_waiting()
-        looked_s, patience_s = self._looked_ns * 1e-9, self._config.submap_after_s
+        looked_s, patience_s = self._search.looked_s, self._config.submap_after_s
         last = self.last_pose()
         pose = self.world.newest().world_from_camera if last is None else last
         if self._age_s() <= looked_s and self._age_s() < patience_s:
@@ -191,7 +195,7 @@ class Tracker:
         """The camera was lost and is found."""
         self.give_up_waiting()
         self.parts.enter(self.world, frame.points[frame.points >= 0])
-        self._lost = self.wants_probe = False
+        self._search.lost = self.wants_probe = False
         self._at.leave()
 
     def _track(self, stamp_ns: int, camera: Camera, features: Features) -> TrackedFrame | None:
@@ -199,7 +203,7 @@ class Tracker:
         if not (self.world.points.alive.any() and len(features) >= enough):
             return None
         self._frames.expected, self._frames.taken_ns = None, stamp_ns
-        if self._lost:
+        if self._search.lost:
             return self.places.attempt(self.world, self._frames, camera, features, previous, enough, stamp_ns)
         raw, depth = features, self._at.depth
         if previous is not None:
@@ -230,8 +234,6 @@ class Tracker:
     def _refresh(self, frame: TrackedFrame) -> None:
         self._since_refresh = 0
         self._frames.refresh_local_map(self.world, frame.points[frame.points >= 0])
-
-    # -- keyframes ------------------------------------------------------------------------------
 
     def maybe_keyframe(self, judge: bool = True) -> LocalKeyframe | None:
         """Make the last frame a keyframe if it is worth one, where that is to be judged, or begins a map."""
@@ -314,8 +316,6 @@ class Tracker:
     def _reference(self) -> LocalKeyframe:
         return self._at.keyframe(self.world, self.parts)
 
-    # -- what other processes contribute ----------------------------------------------------------
-
     def add_depth(
         self, keyframe_id: int, depth: NDArray[np.float32], image_to_depth: Array, relative_sigma: float
     ) -> int:
@@ -333,8 +333,8 @@ class Tracker:
         elif first:
             self.first.has_depth()
             if self._waiting is not None:  # a slow network is no reason to be lost again
-                self._waiting, self._lost, self.wants_probe = None, False, False
-                self._seen_at = self._looking_at
+                self._waiting, self._search.lost, self.wants_probe = None, False, False
+                self._seen_at = self._search.at_ns
             self.last = TrackedFrame.of_keyframe(keyframe, len(ids))
             self._refresh(self.last)
             self.motion.stamp_ns = keyframe.stamp_ns
@@ -353,7 +353,7 @@ class Tracker:
         """Take the network's descriptor of a keyframe; below 0, of what a lost camera saw."""
         if keyframe in self.world.keyframes:
             self.places.add_place(keyframe, descriptor, network)
-        elif keyframe < 0 and self._lost:
+        elif keyframe < 0 and self._search.lost:
             self.places.heard(self.world, descriptor, network)
 
     def apply_update(self, update: MapUpdate) -> None:
@@ -375,8 +375,8 @@ class Tracker:
         self.reset()
         self.world, self.places.index, self.parts = world, index, parts
         self.epoch, self.log_scale, self.map_log_scale = epoch, log_scale, log_scale
-        self.initialised, self._lost, self._looked_ns, self._looking_at = True, True, 0, 0
-        self._began_at, self._lens = None, world.newest().camera
+        self.initialised, self._began_at, self._lens = True, None, world.newest().camera
+        self._search.begin()
         world.announced = max(world.keyframes)
         self._next_keyframe = max(self._next_keyframe, beyond(world.announced))
         self.world.points.leave_room(self._next_keyframe)
@@ -390,7 +390,7 @@ class Tracker:
         """Begin a new map, its first camera at a pose (4, 4) in metres."""
         self.world, self._begins_at = LocalMap(self.shutter.found_ms), at
         self.places, self.parts, self._baselines = Relocaliser(self._seed), Parts(), Baselines()
-        self._lost = self.wants_probe = self.initialised = False
+        self._search.lost = self.wants_probe = self.initialised = False
         self.epoch += 1
         self.log_scale = self.map_log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
         self.last = self._waiting = self._lens = self._result = None

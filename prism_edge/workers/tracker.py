@@ -135,7 +135,7 @@ class TrackerWorker:
         follows = frame.index == self._last_index + 1
         if self._last_index >= 0 or not self._bus.first_id:  # while we were down, we dropped nothing
             self._dropped += max(frame.index - self._last_index - 1, 0)
-        self._last_index, self._now_ns = frame.index, frame.stamp_ns
+        since_ns, self._last_index, self._now_ns = frame.stamp_ns - self._now_ns, frame.index, frame.stamp_ns
         camera = self._camera.of(frame)
         if camera is None:
             self._tick(frame, self._so_far(), published=False)
@@ -150,7 +150,7 @@ class TrackerWorker:
             or (last.odometry == INITIALISING and not len(tracker.world.points))
         )
         if last is None or not repeated:
-            last = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera)
+            last = tracker.process(frame.index, frame.stamp_ns, grey(frame), camera, since_ns)
             self._scale.enter()
         result = last
         published = result.world_from_camera is not None and result.in_map

@@ -42,6 +42,23 @@ def test_a_camera_that_sees_nothing_is_lost_and_found_again():
     assert len(run.keyframes) >= keyframes
 
 
+@pytest.mark.parametrize("gap_s", [0.5, 2.0])
+def test_after_a_pause_in_the_images_one_look_is_not_believed(gap_s):
+    """It may have been carried meanwhile, and a few points fit in many a place."""
+    run, since_ns = Run(), round(gap_s * 1e9)
+    run.play(range(30))
+    film, track = footage(), run.tracker.process
+    stamp_ns = film.stamp_ns(29) + since_ns
+    lapsed = gap_s > 0.6
+    first = track(30, stamp_ns, film.images[30], film.camera, since_ns)
+    assert (first.odometry == LOST) == lapsed
+    assert (first.world_from_camera is None) == lapsed
+    second = track(31, stamp_ns + since_ns // 20, film.images[31], film.camera, since_ns // 20)
+    assert second.odometry in (OK, DEGRADED)
+    assert np.linalg.norm((second.world_from_camera - film.poses[31])[:3, 3]) < 0.04
+    assert run.tracker.epoch == 0
+
+
 def test_it_is_found_where_it_was_carried_in_the_dark():
     run = Run()
     run.play(range(30))

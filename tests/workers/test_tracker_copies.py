@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -116,3 +118,13 @@ def test_copies_of_the_first_image_are_placed_once_its_depth_has_come(bus, world
     placed = positions(bus)
     assert np.linalg.norm(placed[11] - true_position(0)) < 0.03
     assert len(bus.of("keyframe")) == 1
+
+
+@pytest.mark.parametrize("copies", [True, False])
+def test_images_that_fail_to_come_for_long_lose_the_camera_and_copies_of_one_do_not(bus, world, copies):
+    """Copies may be what a camera at rest shows."""
+    between = [frame(i, of=19, duplicate=True) for i in range(20, 60)] if copies else []
+    after = [replace(frame(60 + i, of=20 + i), index=len(between) + 20 + i) for i in range(5)]
+    run(bus, [*(frame(i) for i in range(20)), *between, *after])
+    words = [told.odometry for told in bus.of("tracked")][-5:]
+    assert words == ["ok" if copies else "lost", *["ok"] * 4]
