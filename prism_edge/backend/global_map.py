@@ -48,11 +48,11 @@ class GlobalKeyframe:
     # Their relative noise where the source knows it, and they are in the map's scale; else 0.
     depth_sigma: float = 0.0
     depth_units: float = 0.0  # map units that a metre of a network's depth became there; 0: not known
+    unfitting: NDArray[np.float64] | None = None  # a network's metres that don't fit the map; 0 for none
     features: Features = field(default_factory=no_features, repr=False)
     scale_factor: float = 1.2  # between pyramid levels
     travelled: float = 0.0  # path length to here, map units as the tracker had them
-    # The gate's weight of each keypoint in [0, 1], nan where nothing is known of it.
-    weights: NDArray[np.float64] | None = None
+    weights: NDArray[np.float64] | None = None  # the gate's of keypoints, in [0, 1]; nan: nothing is known
     stands_in: bool = False  # for an older one that shows the same from as good as the same place
     stamp_ns: int = LONG_AGO  # of its image, where this run took it
     part: int | None = None  # of the map, as the tracker has it; None: nobody has said (earlier builds' maps)

@@ -147,7 +147,7 @@ class Mapper:
         """Another network's metres are not those of the one before: of two, the later's count."""
         if self._network and network and not same_network(network, self._network):
             for keyframe in self.world.keyframes.values():
-                keyframe.depth_units = 0.0
+                keyframe.depth_units, keyframe.unfitting = 0.0, None
         self._network = network or self._network
 
     def add_gate(self, message: Gate) -> None:
@@ -315,6 +315,7 @@ def _attach_depth(
     elif firm.sum() >= MIN_ALIGNED:
         agreed = agreement(known[firm].astype(np.float64), own[firm])
         if not agreed.informative:
+            keyframe.unfitting = own  # that may be the map's fault (second_start.py)
             return
         factor = agreed.units_per_metre
     keyframe.depths = own * factor

@@ -21,7 +21,7 @@ from prism_edge.tracking.pose_refinement import refine_pose
 LEAST = 20  # points with depth that a keyframe shares with another, to be placed beside it
 BESIDE = 2  # others that it is placed beside
 DEPTH_ERROR = 0.1  # relative, of a network's depths within an image
-LESS, SHARE = 5.0, 0.03  # of the cost (nats, and of the whole) that a window takes a second start for
+LESS, SHARE = 2.0, 0.01  # of the cost (nats, and of the whole) that a window takes a second start for
 
 
 def clearly_less(cost: float, before: float) -> bool:
@@ -30,48 +30,60 @@ def clearly_less(cost: float, before: float) -> bool:
 
 
 def second_start(
-    world: GlobalMap, held: Sequence[int], free: Sequence[int], points: Sequence[int], pinned: Set[int]
+    world: GlobalMap,
+    held: Sequence[int],
+    free: Sequence[int],
+    points: Sequence[int],
+    pinned: Set[int],
+    units_per_metre: float,
 ) -> tuple[dict[int, Array], dict[int, Array]] | None:
     """Poses (4, 4) of the ``free`` keyframes and places (3,) of the points; None where depth can't give them.
 
-    The held keyframes stay where they are, and the ``pinned`` points.
+    The held keyframes stay where they are, and the ``pinned`` points. ``units_per_metre``: where no image's
+    depth has been laid on the map.
     """
-    units = _units(world, [*held, *free])
+    units = _units(world, [*held, *free]) or units_per_metre
+    depths = {k: _depths(world.keyframes[k], units) for k in (*held, *free)}
     poses = {k: world.keyframes[k].world_from_camera for k in held}
-    for k in sorted(free):
-        pose = _placed_beside(world, world.keyframes[k], poses, units)
-        if pose is None:
+    ties = _ties(world, depths)
+    waiting = set(free)
+    while waiting:  # next is who shares most with those that have a place
+        near = {k: sorted(t for t in ties[k] if t[1] in poses)[-BESIDE:] for k in waiting}
+        k = max(sorted(waiting), key=lambda k: near[k][-1:])
+        if not near[k]:
             return None
-        poses[k] = pose
-    places = {p: world.points[p].position for p in pinned}
-    for k in sorted(poses):  # who saw a point first says how far it is
-        keyframe = world.keyframes[k]
-        mine = [p for p in points if p not in places and p in keyframe.observed]
-        keypoints = np.array([keyframe.observed[p] for p in mine], np.intp)
-        depths = _depths(keyframe, keypoints, units)
-        seen = transform(poses[k], _lifted(keyframe, keypoints, depths))
-        places.update((mine[i], seen[i]) for i in np.flatnonzero(depths).tolist())
-    for p in points:
-        if p not in places:  # where no image has depth it goes with who saw it first
-            k = min(world.points[p].keyframes & poses.keys())
-            motion = poses[k] @ inverse(world.keyframes[k].world_from_camera)
-            places[p] = transform(motion, world.points[p].position[None])[0]
-    return {k: poses[k] for k in free}, places
+        poses[k] = _placed_beside(world, world.keyframes[k], poses, depths, [other for _, other in near[k]])
+        waiting.remove(k)
+    return {k: poses[k] for k in free}, _places(world, points, pinned, poses, depths)
 
 
 def _units(world: GlobalMap, keyframes: Sequence[int]) -> float:
-    """Map units a metre of these keyframes' depths, which single images say with some scatter."""
-    said = [world.keyframes[k].depth_units for k in keyframes]
-    known = [units for units in said if units > 0.0]
+    """Map units a metre of these keyframes' depths, the median; 0 where no image says."""
+    known = [units for k in keyframes if (units := world.keyframes[k].depth_units) > 0.0]
     return float(np.median(known)) if known else 0.0
 
 
-def _depths(keyframe: GlobalKeyframe, keypoints: Index, units: float) -> Array:
-    """Depths (n,) of keypoints in map units, all images by the same unit; 0 for none."""
-    if keyframe.depths is None:
-        return np.zeros(len(keypoints))
-    own = keyframe.depth_units
-    return keyframe.depths[keypoints] * (units / own if own > 0.0 else 1.0)
+def _depths(keyframe: GlobalKeyframe, units: float) -> Array:
+    """Depths (n,) of its keypoints in map units, all images by the same unit; 0 for none."""
+    if keyframe.depths is not None:
+        own = keyframe.depth_units
+        return keyframe.depths * (units / own) if own > 0.0 else keyframe.depths
+    return np.zeros(len(keyframe.pixels)) if keyframe.unfitting is None else keyframe.unfitting * units
+
+
+def _ties(world: GlobalMap, depths: dict[int, Array]) -> dict[int, list[tuple[int, int]]]:
+    """Of each keyframe the others that could place it: (how many deep points of theirs it sees, other)."""
+    deep = {}
+    for k, of_keypoints in depths.items():
+        observed = world.keyframes[k].observed
+        points, keypoints = np.array(list(observed), np.int64), np.array(list(observed.values()), np.intp)
+        deep[k] = set(points[of_keypoints[keypoints] > 0.0].tolist())
+    ties: dict[int, list[tuple[int, int]]] = {}
+    for k in depths:
+        seen = world.keyframes[k].observed.keys()
+        counts = [(len(seen & theirs), n) for n, theirs in deep.items() if n != k]
+        ties[k] = [tie for tie in counts if tie[0] >= LEAST]
+    return ties
 
 
 def _lifted(keyframe: GlobalKeyframe, keypoints: Index, depths: Array) -> Array:
@@ -82,30 +94,24 @@ def _lifted(keyframe: GlobalKeyframe, keypoints: Index, depths: Array) -> Array:
 
 
 def _placed_beside(
-    world: GlobalMap, keyframe: GlobalKeyframe, poses: dict[int, Array], units: float
-) -> Array | None:
-    """The pose (4, 4) of a keyframe by the depths of those that have one and share most points with it."""
-    found: list[tuple[int, list[int]]] = []
-    for k in poses:
-        other = world.keyframes[k]
-        if other.depths is not None:
-            shared = sorted(keyframe.observed.keys() & other.observed.keys())
-            depths = _depths(other, np.array([other.observed[p] for p in shared], np.intp), units)
-            shared = [shared[i] for i in np.flatnonzero(depths).tolist()]
-            if len(shared) >= LEAST:
-                found.append((k, shared))
-    if not found:
-        return None
-    best = sorted(found, key=lambda one: (-len(one[1]), -one[0]))[:BESIDE]
+    world: GlobalMap,
+    keyframe: GlobalKeyframe,
+    poses: dict[int, Array],
+    depths: dict[int, Array],
+    near: list[int],
+) -> Array:
+    """The pose (4, 4) of a keyframe by the depths of others, of which the last shares most points with it."""
     places, errors, keypoints = [], [], []
-    for k, shared in best:
+    for k in near:
         other = world.keyframes[k]
+        shared = sorted(keyframe.observed.keys() & other.observed.keys())
         theirs = np.array([other.observed[p] for p in shared], np.intp)
-        local = _lifted(other, theirs, _depths(other, theirs, units))
-        places.append(transform(poses[k], local))
-        errors.append(DEPTH_ERROR * local @ poses[k][:3, :3].T)
-        keypoints += [keyframe.observed[p] for p in shared]
-    nearest = best[0][0]
+        local = _lifted(other, theirs, depths[k][theirs])
+        known = local[:, 2] > 0.0
+        places.append(transform(poses[k], local[known]))
+        errors.append(DEPTH_ERROR * local[known] @ poses[k][:3, :3].T)
+        keypoints += [keyframe.observed[shared[i]] for i in np.flatnonzero(known).tolist()]
+    nearest = near[-1]
     start = poses[nearest] @ inverse(world.keyframes[nearest].world_from_camera) @ keyframe.world_from_camera
     estimate = refine_pose(
         keyframe.camera,
@@ -116,3 +122,26 @@ def _placed_beside(
         np.concatenate(errors),
     )
     return estimate.world_from_camera
+
+
+def _places(
+    world: GlobalMap,
+    points: Sequence[int],
+    pinned: Set[int],
+    poses: dict[int, Array],
+    depths: dict[int, Array],
+) -> dict[int, Array]:
+    """Where points are by the first who has a depth for them; where nobody has, they go with who saw them."""
+    places = {p: world.points[p].position for p in pinned}
+    for k in sorted(poses):
+        keyframe = world.keyframes[k]
+        mine = [p for p in points if p not in places and p in keyframe.observed]
+        keypoints = np.array([keyframe.observed[p] for p in mine], np.intp)
+        seen = transform(poses[k], _lifted(keyframe, keypoints, depths[k][keypoints]))
+        places.update((mine[i], seen[i]) for i in np.flatnonzero(depths[k][keypoints]).tolist())
+    for p in points:
+        if p not in places:
+            k = min(world.points[p].keyframes & poses.keys())
+            motion = poses[k] @ inverse(world.keyframes[k].world_from_camera)
+            places[p] = transform(motion, world.points[p].position[None])[0]
+    return places

@@ -84,9 +84,13 @@ def settle(world: GlobalMap, problem: Problem, start: gtsam.Values, iterations: 
     return Settled(result, done)
 
 
-def cost_of(world: GlobalMap, problem: Problem, values: gtsam.Values) -> float:
-    """What values cost, rays whitened by their own ranges (nats)."""
-    return float(with_rays(world, problem, values).error(values))
+def costs_of(
+    world: GlobalMap, problem: Problem, one: gtsam.Values, other: gtsam.Values
+) -> tuple[float, float]:
+    """What two solutions cost (nats), rays whitened by both's ranges: by its own a near one has less."""
+    graphs = with_rays(world, problem, one), with_rays(world, problem, other)
+    before, after = (sum(graph.error(values) for graph in graphs) / 2 for values in (one, other))
+    return float(before), float(after)
 
 
 def with_rays(world: GlobalMap, problem: Problem, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:

@@ -14,7 +14,7 @@ from gtsam.symbol_shorthand import L, X
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.second_start import clearly_less, second_start
-from prism_edge.backend.settling import Problem, Ray, Settled, cost_of, settle
+from prism_edge.backend.settling import Problem, Ray, Settled, costs_of, settle
 from prism_edge.backend.sizes import astray, size_factors, sizes
 from prism_edge.backend.ties import at_one_spot, median_range, untied
 from prism_edge.config import BackendConfig
@@ -26,6 +26,7 @@ CHI2_2D_99 = 9.21
 DEPTH_PARALLAX_DEG = 3.0  # above it two rays place a point far better than a network does
 IN_LENS = 0.002  # of the depth of the scene, along z: nearer there is nothing but the lens
 BESIDE = 0.02  # of the depth of the scene: from one spot, for its points
+STRUGGLED = 8  # iterations: of 21 second starts that were taken none came where the first took fewer
 UNPLACED = 0.25  # of a point's parallax: a window that has less of it can't say how far the point is
 HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
 
@@ -202,8 +203,8 @@ def solve(
     solved = settle(world, problem, problem.values, config.iterations)
     if solved is None:
         return None
-    if use_depth and len(window.held) < config.fixed:  # new ground, of which little holds it
-        solved = _or_from_depth(world, window, problem, config.iterations, solved)
+    if use_depth and solved.iterations >= STRUGGLED and len(window.held) < config.fixed:  # on new ground
+        solved = _or_from_depth(world, window, problem, config.iterations, units_per_metre, solved)
     found = {k: solved.values.atPose3(X(k)).matrix() for k in problem.variables}
     points = {p: np.asarray(solved.values.atPoint3(L(p))) for p in window.points}
     if not all(np.isfinite(list(places.values())).all() for places in (found, points)):
@@ -215,10 +216,15 @@ def solve(
 
 
 def _or_from_depth(
-    world: GlobalMap, window: Window, problem: Problem, iterations: int, solved: Settled
+    world: GlobalMap,
+    window: Window,
+    problem: Problem,
+    iterations: int,
+    units_per_metre: float,
+    solved: Settled,
 ) -> Settled:
     """What a window comes to, or where it comes from the network's depths if that fits clearly better."""
-    start = second_start(world, window.held, window.free, window.points, problem.pinned)
+    start = second_start(world, window.held, window.free, window.points, problem.pinned, units_per_metre)
     if start is None:
         return solved
     values = gtsam.Values()
@@ -229,7 +235,7 @@ def _or_from_depth(
     other = settle(world, problem, values, iterations)
     if other is None:
         return solved
-    before, cost = cost_of(world, problem, solved.values), cost_of(world, problem, other.values)
+    before, cost = costs_of(world, problem, solved.values, other.values)
     if not clearly_less(cost, before):
         return solved
     newest = max(window.free)

@@ -77,6 +77,9 @@ def test_a_network_that_does_not_tell_near_from_far_is_left_out():
     mapper.absorb(message)
     mapper.add_depth(message, plane(3.0), WIDE, 0.0, math.nan, "")
     assert mapper.world.keyframes[0].depths is None
+    kept = mapper.world.keyframes[0].unfitting
+    assert kept is not None
+    assert set(kept.tolist()) - {0.0} == {3.0}, "it is kept, as the map may be what is wrong"
 
 
 def test_depth_of_a_keyframe_that_is_gone_is_no_matter():

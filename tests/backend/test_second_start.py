@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend import window as module
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.second_start import LEAST, LESS, SHARE, clearly_less, second_start
 from prism_edge.backend.window import Solution, choose_window, solve
@@ -23,10 +24,12 @@ ASIDE = [pose_at(STEP * k) for k in range(NEWEST + 1)]
 KNOWN_GROUND = replace(CONFIG, fixed=1)  # where one pose that holds a window is as many as may be
 
 
-def world_of(reverse: bool = True, depth_noise: float = 0.05) -> tuple[GlobalMap, Teller]:
+def world_of(
+    reverse: bool = True, depth_noise: float = 0.05, noise_px: float = 0.5
+) -> tuple[GlobalMap, Teller]:
     """A camera steps aside before a shallow scene; reversed, the map has it the other way."""
     rng = np.random.default_rng(3)
-    teller, world = Teller(250, noise_px=0.5), GlobalMap()
+    teller, world = Teller(250, noise_px=noise_px), GlobalMap()
     cloud = teller.cloud
     depth = FAR + rng.uniform(-DEEP, DEEP, len(cloud.positions))
     rays = rng.uniform((-0.3, -0.3), (0.4, 0.3), (len(depth), 2))
@@ -84,6 +87,15 @@ def test_depths_with_near_and_far_exchanged_do_not_lead_a_right_map_astray() -> 
     assert worst(solved(world, CONFIG), teller) < 0.06
 
 
+def test_where_the_map_s_own_start_is_soon_done_there_is_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It sits where it belongs, and to solve all twice would take the time of all."""
+    asked: list[float] = []
+    monkeypatch.setattr(module, "second_start", lambda *said: asked.append(said[-1]))
+    for reverse in (False, True):
+        solved(world_of(reverse)[0], CONFIG)
+        assert bool(asked) == reverse
+
+
 def test_without_depth_in_use_there_is_no_other_start() -> None:
     world, teller = world_of()
     solution = solve(world, choose_window(world, NEWEST, CONFIG), CONFIG, 1.0, False)
@@ -100,7 +112,7 @@ def test_depths_alone_place_keyframes_and_points(units: float) -> None:
         own = units * (1.0 + 0.1 * (k - 2))
         keyframe.depths, keyframe.depth_units = keyframe.depths * own, own
     free, points = list(range(1, NEWEST + 1)), sorted(world.points)
-    found = second_start(world, [0], free, points, set())
+    found = second_start(world, [0], free, points, set(), 1.0)
     assert found is not None
     poses, places = found
     assert list(poses) == free
@@ -114,6 +126,37 @@ def test_depths_alone_place_keyframes_and_points(units: float) -> None:
     assert np.median(off) < 0.02
 
 
+@pytest.mark.parametrize("aligned", [0, NEWEST])
+def test_metres_that_do_not_fit_the_map_may_be_right_all_the_same(aligned: int) -> None:
+    """A reversed map is what they don't fit; their unit is that of the images that do, or the filter's."""
+    world, _ = world_of(depth_noise=0.0)
+    for k, keyframe in world.keyframes.items():
+        if k >= aligned:
+            keyframe.unfitting, keyframe.depths, keyframe.depth_units = keyframe.depths, None, 0.0
+        else:
+            assert keyframe.depths is not None
+            keyframe.depths, keyframe.depth_units = 2.0 * keyframe.depths, 2.0
+    free = list(range(1, NEWEST + 1))
+    found = second_start(world, [0], free, sorted(world.points), set(), 3.0)
+    assert found is not None
+    units = 2.0 if aligned else 3.0
+    for k in free:
+        expected = ASIDE[k].copy()
+        expected[:3, 3] *= units
+        assert np.abs(se3_log(inverse(expected) @ found[0][k])).max() < 0.02 * units
+
+
+def test_who_shares_little_with_those_held_waits_for_those_between() -> None:
+    """Keyframe 0 sees nothing of what the held one does; the others half of what is beside them."""
+    world, teller = world_of(reverse=False, depth_noise=0.0, noise_px=0.0)
+    for p in sorted(world.points):
+        for k in world.points[p].keyframes - {p % NEWEST, p % NEWEST + 1}:
+            world.drop_observation(k, p)
+    found = second_start(world, [NEWEST], list(range(NEWEST)), sorted(world.points), set(), 1.0)
+    assert found is not None
+    assert worst(Solution(found[0], {}, {}, [], 0), teller) < 0.02
+
+
 def test_what_is_pinned_stays_and_what_no_image_has_depth_for_goes_with_who_saw_it_first() -> None:
     world, _ = world_of(depth_noise=0.0)
     pinned, bare = sorted(world.points)[:2]
@@ -122,7 +165,7 @@ def test_what_is_pinned_stays_and_what_no_image_has_depth_for_goes_with_who_saw_
         if bare in keyframe.observed:
             keyframe.depths[keyframe.observed[bare]] = 0.0
     before = {p: world.points[p].position.copy() for p in (pinned, bare)}
-    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), {pinned})
+    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), {pinned}, 1.0)
     assert found is not None
     poses, places = found
     assert np.array_equal(places[pinned], before[pinned])
@@ -140,7 +183,7 @@ def test_a_keyframe_that_too_few_depths_place_is_placed_by_none(with_depth: int)
         kept = [keyframe.observed[p] for p in shared[:with_depth]]
         rest = np.setdiff1d(np.arange(len(keyframe.depths)), kept)
         keyframe.depths[rest] = 0.0
-    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), set())
+    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), set(), 1.0)
     assert (found is not None) == (with_depth >= LEAST)
 
 
