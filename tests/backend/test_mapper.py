@@ -267,3 +267,24 @@ def test_a_part_that_is_joined_is_of_the_older_one_from_then_on() -> None:
         mapper.absorb(replace(message, part=part))
     mapper.absorb(replace(told[3], part=1, joined=np.array([[2, 1]]), joined_units=np.zeros((1, 2))))
     assert [k.part for k in mapper.world.keyframes.values()] == [HOME, 1, 1, 1]
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_depth_camera_says_how_large_the_map_is_and_a_network_does_not(measured):
+    """The map is a tenth too large for its depths: a sensor's metres set that right, a network's waver."""
+    mapper, teller = Mapper(CONFIG), Teller()
+    poses = [pose_at(0.2 * i, 0.03 * (i % 3)) for i in range(4)]
+    for pose in poses:
+        mapper.absorb(teller.keyframe(pose))
+    world = mapper.world
+    depth_at_keypoints(world, teller.cloud, poses)
+    for keyframe in world.keyframes.values():
+        keyframe.depth_sigma, keyframe.depth_units = (0.02, 0.0) if measured else (0.0, 1.0)
+        keyframe.world_from_camera[:3, 3] *= 1.1
+    for point in world.points.values():
+        point.position = 1.1 * point.position
+    mapper.optimise(3, 0.0)
+    began, ended = (world.keyframes[k].world_from_camera[:3, 3] for k in (0, 3))
+    way = np.linalg.norm(ended - began)
+    true = np.linalg.norm(poses[3][:3, 3])
+    assert way / true == pytest.approx(1.0 if measured else 1.1, abs=0.01)
