@@ -138,7 +138,7 @@ def _places(
         mine = [p for p in points if p not in places and p in keyframe.observed]
         keypoints = np.array([keyframe.observed[p] for p in mine], np.intp)
         seen = transform(poses[k], _lifted(keyframe, keypoints, depths[k][keypoints]))
-        places.update((mine[i], seen[i]) for i in np.flatnonzero(depths[k][keypoints]).tolist())
+        places.update((mine[i], seen[i]) for i in np.flatnonzero(depths[k][keypoints] > 0.0).tolist())
     for p in points:
         if p not in places:
             k = min(world.points[p].keyframes & poses.keys())

@@ -115,13 +115,13 @@ class Relocaliser:
                 doubtful = True
             else:
                 best = None
+        if not doubtful:
+            self._tried, self._since_ns = set(), stamp_ns
         if best is None and last is not None:  # a hand before the lens: it may not have moved
             best = self._placed(world, frames, camera, features, last, enough)
             if best is not None and self._convinces(world, frames, best):
                 self._tentative = best
                 return None
-        if not doubtful:
-            self._tried, self._since_ns = set(), stamp_ns
         for keyframe in self._next(world):
             frame = self._at(world, frames, camera, features, world.keyframes[keyframe], least)
             least_matched = enough if best is None else max(enough, BETTER * best.matched)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 from prism_edge.tracking.motion import LONGEST_S
 
 MOST_BETWEEN_NS = 200_000_000  # what one frame adds to how long a lost camera has looked about
-LAPSE = 3  # times the interval before, which a camera's pace does not explain
+LAPSE = 3  # times the usual interval, which a camera's pace does not explain
+USUAL = 5  # intervals, of which the one in the middle is usual
 
 
 class Search:
@@ -14,7 +17,8 @@ class Search:
     def __init__(self) -> None:
         self.lost = False
         self.at_ns = 0  # the last image that it looked at
-        self._looked_ns = self._pace_ns = 0  # since it is lost; between the last two images
+        self._looked_ns = 0  # since it is lost
+        self._intervals_ns = deque[int](maxlen=USUAL)  # between the last images
 
     def begin(self, stamp_ns: int = 0) -> None:
         """It is lost, with an image of then."""
@@ -36,5 +40,6 @@ class Search:
 
         Of a slow camera all images are far apart.
         """
-        before, self._pace_ns = self._pace_ns, since_ns
-        return since_ns > max(LONGEST_S * 1e9, LAPSE * before)
+        usual = sorted(self._intervals_ns)[len(self._intervals_ns) // 2] if self._intervals_ns else 0
+        self._intervals_ns.append(since_ns)
+        return since_ns > max(LONGEST_S * 1e9, LAPSE * usual)

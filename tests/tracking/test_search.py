@@ -24,6 +24,12 @@ def test_of_a_slow_camera_all_images_are_far_apart() -> None:
     assert lapses(33, *[1000] * 5, 1000 * LAPSE * 1.01)[-1]
 
 
+def test_one_short_or_long_interval_is_no_pace() -> None:
+    """A busy machine drops images; a hiccup before a gap hides none."""
+    assert not any(lapses(*[400, 500, 100, 450, 950] * 4)[3:])
+    assert lapses(33, 33, 33, 500, 1400)[-1]
+
+
 def test_only_what_shows_something_counts_and_no_image_for_long() -> None:
     search = Search()
     search.begin(1000 * MS)
