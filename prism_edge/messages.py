@@ -26,9 +26,10 @@ INITIALISING, OK, DEGRADED, LOST = "initialising", "ok", "degraded", "lost"
 BUILDING, LOOP_CLOSED, RELOCALISING, LOCALISED = "building", "loop_closed", "relocalising", "localised"
 RECOVERED = "recovered"
 
+MOST_BIAS = 2.0  # of a network's log scale: a card says no more (docs/MODELS.md)
+
 # Epochs, keyframes, points and map updates have numbers that never come again.
 IDS_A_LIFE = 10**10  # a process's lives begin to number things so far apart: months of mapping in each
-MOST_BIAS = 2.0  # of a network's log scale: a card says no more (docs/MODELS.md)
 LARGEST_ID = 2**55  # of what comes from outside: gtsam has 56 bits for a number, and others follow it
 
 # The part of a map that it began with. Any other bears the number of its first keyframe; where that one had

@@ -3,8 +3,8 @@
 A camera that turns quickly and moves little sees a turn one way and a step the other nearly alike. A map that
 took the one for the other goes on to place new points by it, and soon fits what it sees in a valley of its
 own, metres from the truth and with every pixel explained; no solver leaves it. The depths of single images
-know nothing of that: by them one keyframe after the other is placed beside those before it, roughly but in
-the right valley, and a window solved from there may fit the same pixels clearly better (window.py).
+know nothing of that: by them one keyframe after the other is placed beside others, roughly but in the right
+valley, and a window solved from there may fit the same pixels clearly better (window.py).
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.geometry.poses import Array, inverse, transform
 from prism_edge.tracking.point_table import Index
 from prism_edge.tracking.pose_refinement import refine_pose
+from prism_edge.tracking.triangulation import rays
 
 LEAST = 20  # points with depth that a keyframe shares with another, to be placed beside it
 BESIDE = 2  # others that it is placed beside
@@ -88,9 +89,7 @@ def _ties(world: GlobalMap, depths: dict[int, Array]) -> dict[int, list[tuple[in
 
 def _lifted(keyframe: GlobalKeyframe, keypoints: Index, depths: Array) -> Array:
     """Places (n, 3) of keypoints at such depths, in the camera's frame."""
-    camera, pixels = keyframe.camera, keyframe.pixels[keypoints]
-    x, y = (pixels[:, 0] - camera.cx) / camera.fx, (pixels[:, 1] - camera.cy) / camera.fy
-    return np.stack([x, y, np.ones(len(x))], axis=1) * depths[:, None]
+    return rays(keyframe.camera, keyframe.pixels[keypoints]) * depths[:, None]
 
 
 def _placed_beside(

@@ -86,22 +86,6 @@ class Relocaliser:
 
         ``last`` is the last tracked frame, ``least`` the matches that tracking needs.
         """
-        frames.learns = False
-        try:
-            return self._look(world, frames, camera, features, last, least, stamp_ns)
-        finally:
-            frames.learns = True
-
-    def _look(
-        self,
-        world: LocalMap,
-        frames: FrameTracker,
-        camera: Camera,
-        features: Features,
-        last: TrackedFrame | None,
-        least: int,
-        stamp_ns: int,
-    ) -> TrackedFrame | None:
         enough = int(CERTAIN * least)
         passed = min(max((stamp_ns - self._looked_ns) / FRAME_NS, 1.0), MOST_FRAMES)
         self._looked_ns = stamp_ns

@@ -166,7 +166,7 @@ class Tracker:
         looked_s, patience_s = self._search.looked_s, self._config.submap_after_s
         last = self.last_pose()
         pose = self.world.newest().world_from_camera if last is None else last
-        if 0.0 < looked_s >= self._age_s() < patience_s:
+        if self._age_s() <= looked_s and self._age_s() < patience_s:
             log.info("lost in a map of %.1f s, which is given up: a new one begins", self._age_s())
             self._restart(scaled(pose, math.exp(self.log_scale)))
             return
@@ -203,6 +203,7 @@ class Tracker:
         if not (self.world.points.alive.any() and len(features) >= enough):
             return None
         self._frames.expected, self._frames.taken_ns = None, stamp_ns
+        self._frames.learns = not self._search.lost
         if self._search.lost:
             return self.places.attempt(self.world, self._frames, camera, features, previous, enough, stamp_ns)
         raw, depth = features, self._at.depth

@@ -36,8 +36,9 @@ class Lost:
     def __init__(self, world: LocalMap, last: int | None) -> None:
         self.world, self.frames, self.relocaliser = world, FrameTracker(FACTORS, 5000), Relocaliser()
         self.last = None if last is None else TrackedFrame.of_keyframe(world.keyframes[last], 100)
+        self.frames.learns = False  # as of a camera that is lost
         self.relocaliser.begin()
-        self.now_ns = 0
+        self.now_ns = 10_000_000_000
 
     def found(self, cloud: Cloud, true: np.ndarray, most: int = 60) -> tuple[TrackedFrame | None, int]:
         """The place and after how many frames, of a camera that stands at ``true``."""
@@ -110,3 +111,16 @@ def test_in_a_large_map_a_doubtful_place_is_waited_for_no_longer_than_that() -> 
     assert found is not None
     assert frames == pytest.approx(CONSIDERED_NS / FRAME_NS, abs=2.0)
     assert frames < len(world.keyframes) / TRIES
+
+
+def test_a_place_that_convinced_and_does_so_no_more_is_doubtful_from_then_on() -> None:
+    """Not since the camera was lost before, or for ever: the others have their turn first."""
+    cloud, world = corridor(places=5)
+    lost = Lost(world, last=0)
+    assert lost.found(cloud, np.eye(4), most=1) == (None, 1)
+    kept = np.random.default_rng(5).random(600) < 0.3
+    cloud.positions = cloud.positions.copy()
+    cloud.positions[:600][~kept] = (0.0, 0.0, -5.0)
+    found, frames = lost.found(cloud, np.eye(4))
+    assert found is not None
+    assert frames == len(world.keyframes) / TRIES

@@ -42,6 +42,23 @@ def test_a_camera_that_sees_nothing_is_lost_and_found_again():
     assert len(run.keyframes) >= keyframes
 
 
+def test_the_looks_of_a_lost_camera_say_nothing_against_points():
+    """Else the more often it looks at a wrong place, the less is missed there."""
+    run = Run()
+    run.play(range(30))
+    for i in range(30, 45):
+        run.feed(0, BLACK, at=i)
+    table = run.tracker.world.points
+    visible, found = table.visible.copy(), table.found.copy()
+    assert run.feed(30, at=45).odometry == LOST, "it was looked for, and one look is not believed"
+    assert run.tracker.places._tentative is not None
+    assert np.array_equal(table.visible, visible)
+    assert np.array_equal(table.found, found)
+    run.feed(31, at=46)
+    run.feed(32, at=47)
+    assert (run.tracker.world.points.visible[: len(visible)] > visible).any(), "found, it learns again"
+
+
 @pytest.mark.parametrize("gap_s", [0.5, 2.0])
 def test_after_a_pause_in_the_images_one_look_is_not_believed(gap_s):
     """It may have been carried meanwhile, and a few points fit in many a place."""
