@@ -83,7 +83,7 @@ TOPICS = {
         # asked for by a backend that is to load a map
         Topic("internal/epoch", m.Epoch, 0, "tracker", ("backend",), latched=True),
         # told where a map was given up on command, which may be long before the next keyframe
-        Topic("internal/new_map", m.Epoch, 0, "tracker", ("backend",)),
+        Topic("internal/new_map", m.Epoch, 0, "tracker", ("scale", "backend")),
         Topic("internal/acknowledged", m.Acknowledged, 30, "all", ("source",)),
         Topic("internal/heartbeat", m.Heartbeat, 2, "all", ("supervisor",), priority="data_low"),
     )

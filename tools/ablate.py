@@ -40,6 +40,7 @@ if str(ROOT) not in sys.path:  # run from a checkout
     sys.path.insert(0, str(ROOT))
 
 from prism_edge.cli.main import main as prism_edge  # noqa: E402
+from prism_edge.cli.settings import whole_from_zero  # noqa: E402
 from prism_edge.config import ABLATIONS  # noqa: E402
 from prism_edge.errors import PrismError  # noqa: E402
 from prism_edge.evaluation.scores import score  # noqa: E402
@@ -355,7 +356,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--shared", metavar="FOLDER", type=Path, default=ROOT.parent / "shared")
     parser.add_argument("--out", metavar="DIR", type=Path, default=ROOT / "build" / "ablation")
     parser.add_argument("--seeds", metavar="N", type=int, nargs="+", default=[0, 1, 2])
-    parser.add_argument("--most", metavar="N", type=int, default=10**6, help="runs at most this time")
+    parser.add_argument("--most", metavar="N", type=whole_from_zero, default=10**6, help="runs at most")
     parser.add_argument("--table", choices=("static", "dynamic"), action="append")
     args = parser.parse_args(arguments)
     shared, out = args.shared.resolve(), args.out.resolve()

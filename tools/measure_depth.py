@@ -59,7 +59,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--model", required=True, help="ONNX file, known name, or nested:RELATIVE,METRIC")
     parser.add_argument("--every", type=whole_above_zero, default=3, metavar="N", help="each N-th frame (3)")
     parser.add_argument("--light", type=share_of_light, default=1.0, metavar="SHARE", help="so much light")
-    parser.add_argument("--threads", type=int, default=1, metavar="N", help="threads of one inference")
+    parser.add_argument("--threads", type=whole_above_zero, default=1, metavar="N", help="an inference (1)")
     args = parser.parse_args(arguments)
     cv2.setNumThreads(1)
     try:

@@ -44,6 +44,11 @@ def whole_above_zero(text: str) -> int:
     return int(text)
 
 
+def whole_from_zero(text: str) -> int:
+    """The same where none at all will do, too."""
+    return 0 if text == "0" else whole_above_zero(text)
+
+
 def whole_from_one_to(most: int) -> Callable[[str], int]:
     """What takes an option's whole number from 1 to ``most``, as :func:`whole_above_zero` does."""
 

@@ -152,6 +152,13 @@ class ScaleEstimator:
         self._bias_sigma = bias_sigma or self._bias_sigma
         self._parts.take_over(log_scale, sigma, lost_sigma)
 
+    def give_up(self, epoch: int) -> bool:
+        """The map gives way to a new one, of which nothing is known; False where that is known already."""
+        gives_way = self._epoch is not None and epoch > self._epoch
+        if gives_way:
+            self.begin(epoch)
+        return gives_way
+
     def begin(self, epoch: int) -> None:
         """A map of whose unit nothing is known."""
         self._epoch = epoch

@@ -38,11 +38,12 @@ class ScaleWorker:
         self._keyframes = bus.queue("keyframe", 64)
         self._depths = bus.queue("depth", 64)
         self._loaded = bus.queue("map_loaded", 8)
-        self._ends = bus.queue("end")
+        self._ends, self._begun = bus.queue("end"), bus.queue("new_map")
         self._ticks = bus.queue("tracked", 1024) if config.is_lockstep else None
         self._waiting = Rendezvous()
         self._served: deque[int] = deque(maxlen=256)  # keyframes; a later frame's may come with an earlier's
         self._estimator = ScaleEstimator(config.scale, config.ablate, config.gate)
+        self._initial_sigma = config.scale.initial_sigma
         self._stamp_ns = 0  # of the newest keyframe
         self._doubted = False  # that the network knows what it sees
         self._unanswered_s: float | None = None  # since when no keyframe has met its depth, though some came
@@ -121,6 +122,10 @@ class ScaleWorker:
     def _take_loaded(self) -> None:
         for loaded in self._loaded.drain():
             self._take_over(loaded)
+        for told in self._begun.drain():  # it may be long until the new map's first keyframe
+            if self._estimator.give_up(told.epoch):
+                unknown = 0.0, self._initial_sigma, self._initial_sigma
+                self._bus.publish("scale", ros.scale(self._stamp_ns, self._map_frame, *unknown, metric=False))
 
     def _take_over(self, loaded: MapLoaded) -> None:
         """Said at once: where the map is left as it is, no keyframe will."""

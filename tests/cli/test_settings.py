@@ -14,6 +14,7 @@ from prism_edge.cli.settings import (
     config_from,
     find_networks,
     whole_from_one_to,
+    whole_from_zero,
 )
 from prism_edge.config import Config, DepthConfig, NetworkConfig
 from prism_edge.config_file import load
@@ -78,6 +79,13 @@ def test_a_number_goes_up_to_the_most_and_no_further() -> None:
     for text in ("0", "13", "-1", "2.0"):
         with pytest.raises(argparse.ArgumentTypeError):
             taken(text)
+
+
+def test_a_number_that_may_be_none_is_none_below() -> None:
+    assert [whole_from_zero("0"), whole_from_zero("7")] == [0, 7]
+    for text in ("-1", "", "1.5", "-0"):
+        with pytest.raises(argparse.ArgumentTypeError):
+            whole_from_zero(text)
 
 
 def test_a_network_is_looked_for_where_it_is_to_run() -> None:

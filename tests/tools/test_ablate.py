@@ -75,6 +75,13 @@ def test_both_parts_of_a_pair_are_switched_off(tmp_path: Path, monkeypatch):
     assert [ran[0][i + 1] for i, word in enumerate(ran[0]) if word == "--ablate"] == ["dsug", "consistency"]
 
 
+def test_fewer_runs_than_none_are_refused(capsys):
+    with pytest.raises(SystemExit) as ended:
+        ablate.main(["--most", "-1"])
+    assert ended.value.code == 2
+    assert "whole number" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("most", "code"), [("1", 2), ("0", 1)])
 def test_without_the_recordings_there_are_only_tables(tmp_path: Path, capsys, most, code):
     words = ["--shared", str(tmp_path), "--out", str(tmp_path / "out"), "--most", most]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import Config, DepthConfig, GateConfig, ScaleConfig, SupervisorConfig
-from prism_edge.messages import IDS_A_LIFE, Acknowledged, EndOfStream, Gate, MapLoaded, Scale
+from prism_edge.messages import IDS_A_LIFE, Acknowledged, EndOfStream, Epoch, Gate, MapLoaded, Scale
 from prism_edge.workers.cut_off import TOLD
 from prism_edge.workers.scale import ScaleWorker, main
 from tests.scale.scene import depth_of, keyframe_of_wall
@@ -145,6 +145,33 @@ def test_a_map_of_whose_unit_nothing_is_known_is_not_said_to_be_metric(bus, star
     assert not bus.of("scale")[1].metric
     (said,) = bus.of("log_scale")
     assert (said.epoch, said.metric) == (3, False)
+
+
+def test_a_map_that_was_given_up_leaves_no_metres_behind(bus, start):
+    """Who asks for `scale` after a `reset` is not told that of the map before."""
+    bus.give("map_loaded", MapLoaded(3, np.log(1.3), 0.03, 0.1))
+    start()
+    bus.wait_for("scale", 1)
+    bus.give("new_map", Epoch(3), Epoch(4), Epoch(2))  # late, and twice over
+    bus.wait_for("scale", 2)
+    said = bus.of("scale")[1]
+    assert (said.scale, said.sigma_log, said.metric, said.keyframe) == (1.0, 0.3, False, -1)
+    old, new = (keyframe_of_wall(7, 2.0, epoch=epoch) for epoch in (3, 4))
+    bus.give("depth", depth_of(old), depth_of(new))
+    bus.give("keyframe", old, new)
+    bus.wait_for("scale", 3)
+    assert [said.epoch for said in bus.of("log_scale")] == [4]
+    assert len(bus.of("scale")) == 3
+
+
+def test_where_no_metres_were_said_none_are_taken_back(bus, start):
+    bus.give("new_map", Epoch(1))
+    start()
+    keyframe = keyframe_of_wall(7, 2.0, epoch=1)
+    bus.give("depth", depth_of(keyframe))
+    bus.give("keyframe", keyframe)
+    bus.wait_for("scale", 1)
+    assert [said.keyframe for said in bus.of("scale")] == [7]
 
 
 @pytest.mark.parametrize("life", [0, 1])
