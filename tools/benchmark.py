@@ -31,6 +31,7 @@ if str(ROOT) not in sys.path:  # run from a checkout
 
 from prism_edge.cli.main import main as prism_edge  # noqa: E402
 from prism_edge.cli.settings import whole_above_zero  # noqa: E402
+from prism_edge.depth import NESTED  # noqa: E402
 from prism_edge.errors import PrismError  # noqa: E402
 from prism_edge.evaluation.metrics import versions  # noqa: E402
 from prism_edge.evaluation.scores import of_own_length  # noqa: E402
@@ -243,11 +244,18 @@ def _below(rows: list[Row]) -> list[str]:
     return said + [text for row in rows for text in warnings(row)]
 
 
+def model_name(model: str) -> str:
+    """A network as it is called, without the folders that it, or each of a pair, lies in."""
+    pair = model.removeprefix(NESTED)
+    names = ",".join(Path(part).name for part in pair.split(",")) if pair != model else Path(model).name
+    return model[: len(model) - len(pair)] + names
+
+
 def tables(rows: list[Row], args: argparse.Namespace) -> str:
     """A table for each dataset, in the order in which they were given."""
     mode = "lockstep" if args.mode == "lockstep" else "real time"
     parts = [
-        f"`prism_edge` with {Path(args.model).name}, {mode}, {args.runs} run(s) each (medians). ATE RMSE: "
+        f"`prism_edge` with {model_name(args.model)}, {mode}, {args.runs} run(s) each (medians). ATE RMSE: "
         "Sim(3) / SE(3). The columns marked *paper* are what the PRISM-SLAM paper prints for its own system "
         "with DA3 on a GPU; they were not measured here, and it doesn't say whether they are live or final."
     ]

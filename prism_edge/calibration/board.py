@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +21,8 @@ EXAMPLES = "chessboard:9x6 (inner corners) or charuco:7x5,4X4_50,0.75 (squares, 
 _DICTIONARY, _MARKER = "4X4_50", 0.75
 _MOST = 50
 _QUIET = cv2.utils.logging.LOG_LEVEL_ERROR  # OpenCV warns of markers that nearly fill their squares
-_WINDOW = 0.4  # of a square, each way: what a corner is made sharper in
+_WINDOW = 0.4  # of a square, each way at most: what a corner is made sharper in
+_BENT = 0.1  # pixels: how far the lens may bend an edge away in there, or the corner follows it
 _SHARP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
 _LEAST_CORNERS = 8  # of a board that is seen in part; fewer hardly tell its pose
 
@@ -117,7 +119,7 @@ class Board:
         if not found:
             return None
         # What finds the board puts some corners a pixel or two aside, most of them at its rim.
-        half = max(2, int(_WINDOW * self._least_step(pixels)))
+        half = max(2, int(min(_WINDOW * self._least_step(pixels), math.sqrt(2 * _BENT / self._bend(pixels)))))
         pixels = cv2.cornerSubPix(grey, pixels, (half, half), (-1, -1), _SHARP)
         return View(np.arange(len(self.points), dtype=np.int64), pixels.reshape(-1, 2).astype(np.float64))
 
@@ -125,6 +127,15 @@ class Board:
         """Pixels between the nearest two neighbours among all corners (n, 1, 2)."""
         grid = pixels.reshape(self.rows, self.columns, 2)
         return float(min(np.linalg.norm(np.diff(grid, axis=axis), axis=2).min() for axis in (0, 1)))
+
+    def _bend(self, pixels: NDArray[np.float32]) -> float:
+        """How much the lens bends the board's lines (n, 1, 2): upper quartile of their 1 / radius."""
+        grid, found = pixels.reshape(self.rows, self.columns, 2), []
+        for line in (grid, grid.transpose(1, 0, 2)):
+            along, across = line[2:] - line[:-2], line[2:] - 2 * line[1:-1] + line[:-2]
+            aside = np.abs(along[..., 0] * across[..., 1] - along[..., 1] * across[..., 0])
+            found.append(4 * aside / np.maximum(np.linalg.norm(along, axis=2), 1e-6) ** 3)
+        return max(float(np.quantile(np.concatenate([a.ravel() for a in found]), 0.75)), 1e-9)
 
     def _find_charuco(self, grey: U8) -> View | None:
         for detector in self._detectors:

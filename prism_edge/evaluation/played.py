@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,12 @@ from prism_edge.config import SourceConfig
 from prism_edge.named_path import named_path
 from prism_edge.sources import Source
 from prism_edge.sources.checks import UNCALIBRATED
+from prism_edge.sources.image_folder import FOLDER_OF_IMAGES
 from prism_edge.sources.known_cameras import GUESSES
 from prism_edge.sources.listing import Listing
 from prism_edge.sources.open import AUTO, find_listing
 from prism_edge.sources.sim import is_simulated
-from prism_edge.sources.truth import truth_file
+from prism_edge.sources.truth import truth_doubt, truth_file
 from prism_edge.sources.video import CUT_SHORT
 from prism_edge.workers.shutter_watch import SUBJECT
 
@@ -35,7 +37,7 @@ class Played:
     guessed: bool = False  # the camera
     images: str | None = None  # of a folder: images_of()
     files: dict[str, str] | None = None  # digests_of() what its figures hang on
-    doubts: tuple[str, ...] = ()  # of camera and network, which the images raise; and of a video's end
+    doubts: tuple[str, ...] = ()  # of folder, truth, camera and network; and of a video's end
     no_depth: str = ""  # why the last keyframe without depth had none
 
     def after(self, log: Path) -> Played:
@@ -50,7 +52,7 @@ class Played:
         subjects += r"|(?:depth|scale): (?=keyframe -?\d+: )"
         doubts = re.findall(rf" WARNING +(?:{subjects})(.*)$", text, re.M)
         no_depth = re.findall(r" WARNING +depth: keyframe -?\d+ has no depth: (.*)$", text, re.M)
-        told = replace(self, doubts=tuple(doubts), no_depth=no_depth[-1] if no_depth else "")
+        told = replace(self, doubts=(*self.doubts, *doubts), no_depth=no_depth[-1] if no_depth else "")
         if self.camera is None or self.camera["origin"] != AUTO:
             return told
         said = re.findall(r"; camera: (.*)$", text, re.M)
@@ -65,7 +67,21 @@ def played(config: SourceConfig, source: Source, truth: Path | None) -> Played:
     file = truth or (Path(os.path.abspath(own)) if own else None)
     guessed = source.camera_origin in [origin for origin, _ in GUESSES]
     images = images_of(config, listing) if listing else None
-    return Played(camera_of(source), layout, str(file) if file else None, guessed, images)
+    doubts = tuple(_doubts(named_path(config.uri), listing, bool(truth))) if listing else ()
+    return Played(camera_of(source), layout, str(file) if file else None, guessed, images, doubts=doubts)
+
+
+def _doubts(folder: Path, listing: Listing, truth_given: bool) -> Iterator[str]:
+    """What to know of a folder's images, and of true poses that are or are not read with them."""
+    if listing.doubt:
+        yield f"{folder}: {listing.doubt}"
+    if truth_given:
+        return
+    if truth_file(folder, listing) and (doubt := truth_doubt(folder, listing)):
+        yield f"{folder} {doubt}"
+    beside = Path(os.path.abspath(folder)).parent / "groundtruth.txt"
+    if listing.layout == FOLDER_OF_IMAGES and beside.is_file():
+        yield f"{beside} is not read: name the folder that it lies in, or give it with --truth"
 
 
 def camera_of(source: Source) -> dict[str, Any]:

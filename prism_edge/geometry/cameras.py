@@ -213,6 +213,7 @@ class Camera:
         xy_ = 2 * x * y * slope + 2 * p1 * x + 2 * p2 * y
         determinant = xx * yy - xy_ * xy_
         step = np.stack([yy * error[:, 0] - xy_ * error[:, 1], xx * error[:, 1] - xy_ * error[:, 0]], axis=1)
-        # Where the model folds over there is no inverse; substitution at least stays put.
-        safe = (determinant > 0.05)[:, None]
+        # Where the model folds over there is no inverse; substitution at least stays put. A lens that doesn't
+        # is as flat as 0.05 at 70 degrees off its axis.
+        safe = (determinant > 0.002)[:, None]
         return np.where(safe, step / np.where(safe[:, 0], determinant, 1.0)[:, None], error)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -115,11 +116,15 @@ def parse_camera(text: str) -> Camera:
         raise ConfigError("is no valid YAML") from None
     if not isinstance(tree, dict):
         raise ConfigError("holds no keys; expected width, height, fx, fy, cx, cy")
+    says_readout = "readout_ms" in tree  # beside any of them: no other format has it
+    readout_ms = number_of("readout_ms", tree.pop("readout_ms")) if says_readout else None
     if is_kalibr(tree):
-        return kalibr_camera(tree)
-    if "camera_matrix" in tree or "image_width" in tree:
-        return _ros(tree)
-    return _echoed(tree) if tree.keys() & {"k", "K", "d", "D"} else _own(tree)
+        camera = kalibr_camera(tree)
+    elif "camera_matrix" in tree or "image_width" in tree:
+        camera = _ros(tree)
+    else:
+        camera = _echoed(tree) if tree.keys() & {"k", "K", "d", "D"} else _own(tree)
+    return replace(camera, readout_ms=readout_ms)
 
 
 def _own(tree: dict[Any, Any]) -> Camera:
@@ -130,9 +135,8 @@ def _own(tree: dict[Any, Any]) -> Camera:
     fx, fy, cx, cy = (number_of(key, tree[key]) for key in ("fx", "fy", "cx", "cy"))
     distortion = tree.get("distortion")
     distortion = numbers_of("distortion", [] if distortion is None else distortion)
-    readout_ms = number_of("readout_ms", tree["readout_ms"]) if "readout_ms" in tree else None
     width, height = size_of("width", tree["width"]), size_of("height", tree["height"])
-    return Camera(width, height, fx, fy, cx, cy, model, distortion, readout_ms)
+    return Camera(width, height, fx, fy, cx, cy, model, distortion)
 
 
 def _ros(tree: dict[Any, Any]) -> Camera:

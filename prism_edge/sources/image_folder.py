@@ -13,6 +13,7 @@ from prism_edge.sources.known_cameras import by_full_name
 from prism_edge.sources.listing import Listing, files_in
 from prism_edge.sources.stamps import at_rate, decimals, from_names
 
+FOLDER_OF_IMAGES = "folder of images"  # the layout's name
 COVERAGE = ".coverage.png"  # what calibrate calls its picture, in the place of its camera file's .yaml
 MASK = "mask.png"  # what `prism-edge mask` writes where nobody says otherwise
 _OWN = (MASK, f"camera{COVERAGE}")  # that is left of a calibration that was refused, too
@@ -37,7 +38,7 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
     elif numbers := decimals([path.stem for path in images]):  # with what is called otherwise behind them
         images = tuple(sorted(images, key=lambda path: numbers.get(path.stem, math.inf)))
     stamps = named or tuple(at_rate(i, rate_hz or DEFAULT_RATE_HZ) for i in range(len(images)))
-    return Listing("folder of images", images, stamps, lambda: by_full_name(folder), bool(named))
+    return Listing(FOLDER_OF_IMAGES, images, stamps, lambda: by_full_name(folder), bool(named))
 
 
 def coverage_of(camera_file: Path) -> Path:

@@ -54,12 +54,16 @@ def _played(folder: Path) -> tuple[str, list[Path]]:
 
 
 def _step(numbers: list[int]) -> int:
-    """From one image to the next in a sequence that was thinned: all alike, or most are left out; else 1."""
+    """From one image to the next in a sequence that was thinned: all alike, or most are left out; else 1.
+
+    Where most images have their next beside them, stretches of it are missing.
+    """
     if len(numbers) < 3:
         return 1
-    steps = {after - before for before, after in pairwise(numbers)}
+    steps = [after - before for before, after in pairwise(numbers)]
     length = numbers[-1] - numbers[0]
-    return length // (len(numbers) - 1) if len(steps) == 1 or 2 * len(numbers) <= length else 1
+    thinned = 2 * len(numbers) <= length and np.median(steps) > 1
+    return length // len(steps) if thinned or len(set(steps)) == 1 else 1
 
 
 def _with_gaps(images: list[Path]) -> list[Path]:

@@ -53,7 +53,7 @@ BY_NAME = {
     "tartanair": ("TartanAir intrinsics", _vga((320.0, 320.0, 320.0, 240.0), (), _AT_ONCE_MS)),
     "new_tsukuba": ("New Tsukuba intrinsics", _vga((615.0, 615.0, 320.0, 240.0), (), _AT_ONCE_MS)),
 }
-SEVEN_SCENES = ("7-Scenes published intrinsics", _vga((525.0, 525.0, 320.0, 240.0), (), _AT_ONCE_MS))
+SEVEN_SCENES = ("colour as of any Kinect (7-Scenes)", _vga((525.0, 525.0, 320.0, 240.0), (), _AT_ONCE_MS))
 SEVEN_SCENES_GUESS = (
     f"{SEVEN_SCENES[0]} (a guess by its files' names: give a camera file)",
     replace(SEVEN_SCENES[1], readout_ms=None),

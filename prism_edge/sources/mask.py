@@ -31,10 +31,14 @@ def read_mask(path: Path) -> Shown:
         # As images are: whatever a camera notes about how it was held.
         flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
         pixels = cv2.imdecode(data, flags) if len(data) else None
+        whole = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if pixels is not None else None
     except cv2.error:
-        pixels = None
+        pixels = whole = None
     if pixels is None:
         raise ConfigError(f"mask {path} is no image; expected one that is black where the robot is seen")
+    if whole is not None and whole.ndim == 3 and whole.shape[2] == 4 and np.ptp(whole[..., 3]):
+        # What was erased still has its colour, and what is painted on a layer has none beside it.
+        raise ConfigError(f"mask {path} is transparent in parts; paint all of it, black or white")
     shown: Shown = np.asarray(pixels) >= 128
     if shown.mean() < LEAST_SHOWN:
         raise ConfigError(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 from prism_edge.errors import SourceError
 from prism_edge.sources.image_file import SUFFIXES
@@ -34,7 +36,15 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
         tuple(path for _, path in found),
         tuple(at_rate(number, RATE_HZ) for number, _ in found),
         lambda: seven_scenes(folder),
+        doubt=_gaps([number for number, _ in found]),
     )
+
+
+def _gaps(numbers: list[int]) -> str:
+    """What to know of numbers that are missing in between, where not every second, third, ... was kept."""
+    steps = [after - before for before, after in pairwise(numbers)]
+    missing = sum(step - 1 for step in steps if step > 1) if steps and median(steps) <= 1 else 0
+    return f"{missing} images are missing in between, by their numbers; they are in no count" * (missing > 0)
 
 
 def _packed(folder: Path) -> list[str]:

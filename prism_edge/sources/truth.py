@@ -27,7 +27,10 @@ log = logging.getLogger("prism_edge.sources")
 # A rotation written with few digits is off by less than this.
 _ROTATION_TOLERANCE = 0.01
 _NO_NUMBER = re.compile(r"[-+]?1\.#(IND|INF|QNAN|SNAN)[0-9]*")  # how Windows' programs wrote what is none
-_AS_IT_IS = "its groundtruth.txt is taken for the camera's poses, not the markers'"
+_AS_IT_IS = (
+    "has BONN's camera, but is not called rgbd_bonn_*: its groundtruth.txt is taken for the camera's poses, "
+    "not the markers'"
+)
 
 
 def read_truth(uri: str) -> tuple[I64, F64] | None:
@@ -53,8 +56,8 @@ def read_truth(uri: str) -> tuple[I64, F64] | None:
         rows = read_poses(file)
         if holds_markers(folder):
             rows = [(stamp, camera_from_markers(pose)) for stamp, pose in rows]
-        elif rows and by_name(folder) == BY_NAME["rgbd_bonn"]:
-            log.warning("%s has BONN's camera, but is not called rgbd_bonn_*: %s", folder, _AS_IT_IS)
+        elif rows and (doubt := truth_doubt(folder, listing)):
+            log.warning("%s %s", folder, doubt)
     elif listing.layout == "7-Scenes":
         rows = _seven_scenes(zip(listing.stamps_ns, map(_pose_file, listing.files), strict=True))
     elif listing.layout == "KITTI odometry":
@@ -83,6 +86,12 @@ def truth_file(folder: Path, listing: Listing) -> Path | None:
         count = len(lines_of(folder / "times.txt"))
         there.sort(key=lambda file: len(lines_of(file)) != count)
     return there[0] if there else None
+
+
+def truth_doubt(folder: Path, listing: Listing) -> str:
+    """Why its groundtruth.txt may be of another point than the camera, after the folder's name; empty: no."""
+    bonns = listing.layout == "TUM RGB-D" and by_name(folder) == BY_NAME["rgbd_bonn"]
+    return _AS_IT_IS if bonns and not holds_markers(folder) else ""
 
 
 def _pose_file(image: Path) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 
 from prism_edge.calibration.board import Board, View
 from prism_edge.errors import ConfigError
-from tests.calibration.board_scene import FISHEYE_CAMERA, PINHOLE_CAMERA, gallery, truth
+from tests.calibration.board_scene import FISHEYE_CAMERA, PINHOLE_CAMERA, draw, gallery, poses, truth
 
 
 def test_names() -> None:
@@ -82,6 +83,17 @@ def test_corners_are_found_where_they_are(spec: str, camera) -> None:  # type: i
     assert max(misses) < 0.5
     if board.kind == "chessboard":  # one that lies a pixel aside bends the lens that is found
         assert max(worst) < 0.3
+
+
+def test_the_edges_of_large_squares_are_followed_only_while_they_are_straight() -> None:
+    """Under a fisheye they bend away from a corner by more than it is to be off."""
+    half, board = FISHEYE_CAMERA, Board.parse("chessboard:5x4")
+    middle = {"cx": 2 * half.cx + 0.5, "cy": 2 * half.cy + 0.5}
+    camera = replace(half, width=1280, height=960, fx=2 * half.fx, fy=2 * half.fy, **middle)
+    for k, pose in enumerate(poses(4, board, camera)):
+        view, there = board.find(draw(board, camera, pose, k)), truth(board, camera, pose)
+        assert view is not None
+        assert min(np.abs(view.pixels - other).max() for other in (there, there[::-1])) < 0.1
 
 
 def test_a_charuco_board_may_be_seen_in_part() -> None:

@@ -23,7 +23,7 @@ def of(uri: Path | str, truth: Path | None = None, camera: str = "") -> Played:
     ("write", "layout", "truth", "origin"),
     [
         (tiny.write_tum, "TUM RGB-D", "groundtruth.txt", "{}/camera.yaml"),
-        (tiny.write_seven_scenes, "7-Scenes", ".", "7-Scenes published intrinsics"),
+        (tiny.write_seven_scenes, "7-Scenes", ".", "colour as of any Kinect (7-Scenes)"),
         (tiny.write_kitti, "KITTI odometry", "poses.txt", "P0 of calib.txt"),
         (tiny.write_images, "folder of images", "", "{}/camera.yaml"),
     ],
@@ -141,3 +141,38 @@ def test_videos_and_simulated_worlds_have_no_file_of_truth(tmp_path: Path) -> No
     assert (video.layout, video.truth_file, video.images) == ("video file", None, None)
     simulated = of("sim:room?frames=9")
     assert (simulated.layout, simulated.truth_file) == ("simulator", None)
+
+
+def test_a_folder_that_lacks_images_at_its_end_is_said(tmp_path: Path) -> None:
+    folder = tiny.write_kitti(tmp_path / "sequences" / "03")
+    assert not of(folder).doubts
+    max(folder.glob("image_0/*")).unlink()
+    max(folder.glob("image_0/*")).unlink()
+    said = (f"{folder}: image_0 begins or ends without 2 images of times.txt",)
+    assert of(folder).doubts == said
+    assert of(folder).after(tmp_path / "no.log").doubts == said
+
+
+def test_bonns_camera_without_bonns_name_is_said_where_its_own_truth_counts(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path / "bonn" / "balloon")
+    (said,) = of(folder).doubts
+    assert "taken for the camera's poses, not the markers'" in said
+    assert not of(folder, truth=folder / "groundtruth.txt").doubts
+    assert not of(tiny.write_tum(tmp_path / "bonn" / "rgbd_bonn_balloon")).doubts
+
+
+def test_true_poses_that_lie_beside_a_folder_of_images_are_said(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path / "rgbd_dataset_freiburg1_desk")
+    assert not of(folder).doubts
+    (said,) = of(folder / "rgb").doubts
+    assert said.startswith(f"{folder / 'groundtruth.txt'} is not read")
+    assert not of(folder / "rgb", truth=folder / "groundtruth.txt").doubts
+
+
+def test_images_of_seven_scenes_that_are_missing_are_said(tmp_path: Path) -> None:
+    folder = tiny.write_seven_scenes(tmp_path / "chess", count=8)
+    assert not of(folder).doubts
+    for number in (3, 4):
+        next(folder.glob(f"frame-00000{number}.color.*")).unlink()
+    (said,) = of(folder).doubts
+    assert "2 images are missing in between" in said

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
+from prism_edge.geometry.field_of_view import folded
 from tests.geometry.by_opencv import undistorted
 
 FREIBURG1 = (0.262383, -0.953104, -0.005358, 0.002628, 1.163314)
@@ -97,6 +98,22 @@ def test_undistorted_pixels_are_what_the_ideal_camera_sees(camera: Camera) -> No
     ideal = camera.ideal()
     assert ideal.is_ideal
     np.testing.assert_allclose(camera.undistort_pixels(pixels), ideal.project(rays), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        # 140 degrees from corner to corner; the first is equidistant there. No slope is less than 0.1.
+        (0.8105, 0.1188, 0.0008, -0.0012, 0.0016, 1.1437, 0.3008, 0.0140),
+        (-0.1765, 0.0146, 0.0008, -0.0012),
+    ],
+)
+def test_far_off_its_axis_a_lens_is_undone_too(lens: tuple[float, ...]) -> None:
+    camera = Camera(640, 480, 327.4, 327.4, 321.0, 239.0, distortion=lens)
+    v, u = np.mgrid[0:480:8, 0:640:8].astype(float)
+    pixels = np.column_stack([u.ravel(), v.ravel()])
+    assert camera.distort_pixels(camera.undistort_pixels(pixels)) == pytest.approx(pixels, abs=1e-6)
+    assert folded(camera) == 0.0
 
 
 def test_fisheye_far_off_axis_has_no_negative_ray() -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import cv2
@@ -89,9 +91,13 @@ def test_own_format() -> None:
     assert with_distortion.distortion == (0.1, -0.2, 1e-8, -3e-4)
     fisheye = parse_camera(OWN.replace("pinhole", "fisheye") + "distortion: [0.1, 0, 0, 0]\n")
     assert fisheye.model == "fisheye"
-    assert parse_camera(OWN).readout_ms is None
-    for readout_ms in (26, -12.5, 100, 0):
-        assert parse_camera(f"{OWN}readout_ms: {readout_ms}\n").readout_ms == readout_ms
+
+
+def test_beside_any_format_stands_how_long_its_rows_take() -> None:
+    for text, ms in product((OWN, ROS, INFO), (26, -12.5, 100, 0)):
+        camera = parse_camera(text)
+        assert camera.readout_ms is None
+        assert parse_camera(f"readout_ms: {ms}\n{text}") == replace(camera, readout_ms=ms)
 
 
 def test_ros_camera_info() -> None:
@@ -293,7 +299,8 @@ def test_there_are_examples() -> None:
         (OWN + "readout_ms: -101\n", ["readout_ms", "-100 to 100"]),
         (OWN + "readout_ms: .nan\n", ["readout_ms", "finite"]),
         (OWN + "readout_ms: 26 ms\n", ["readout_ms", "26 ms"]),
-        (ROS + "readout_ms: 26\n", ["readout_ms", "not known"]),
+        (ROS + "readout_ms: 126\n", ["readout_ms", "-100 to 100"]),
+        (ROS + "readout_ms: quick\n", ["readout_ms", "quick"]),
         (OWN.replace("fx: 525.0", "fx: [525.0"), ["YAML", "line"]),
         (OWN + "a: !!python/object/apply:os.getcwd []\n", ["YAML"]),
         (OWN + "? [a, b]\n: 1\n", ["YAML"]),

@@ -56,6 +56,7 @@ def test_a_sensor_of_euroc() -> None:
     expected = (-0.28340811, 0.07395907, 0.00019359, 1.76187114e-05)
     assert parse_camera(SENSOR) == Camera(752, 480, 458.654, 457.296, 367.215, 248.375, "pinhole", expected)
     assert parse_camera(SENSOR).readout_ms is None
+    assert parse_camera(SENSOR + "readout_ms: 26\n").readout_ms == 26.0
 
 
 def test_a_chain_of_one_camera() -> None:

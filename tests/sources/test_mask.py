@@ -57,6 +57,15 @@ def test_a_mask_is_for_images_of_its_size(tmp_path: Path) -> None:
         mask_for(mask, 40, 60)
 
 
+def test_what_was_erased_is_neither_black_nor_white(tmp_path: Path) -> None:
+    """It keeps its colour in the file, and would be shown."""
+    pixels = np.full((48, 64, 4), 255, np.uint8)
+    assert read_mask(write(tmp_path / "opaque.png", pixels)).all()
+    pixels[40:, :, 3] = 0
+    with pytest.raises(ConfigError, match=r"erased\.png is transparent in parts"):
+        read_mask(write(tmp_path / "erased.png", pixels))
+
+
 @pytest.mark.parametrize("data", [b"", b"no image at all", b"\x89PNG\r\n\x1a\n" + bytes(20)])
 def test_what_is_no_image_is_refused(data: bytes, tmp_path: Path) -> None:
     (tmp_path / "mask.png").write_bytes(data)

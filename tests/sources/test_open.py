@@ -166,6 +166,14 @@ def test_a_thinned_kitti_sequence_misses_nothing(
     assert "begins or ends" not in caplog.text
 
 
+def test_a_kitti_sequence_most_of_which_is_missing_was_not_thinned(tmp_path: Path) -> None:
+    tiny.write_kitti(tmp_path, count=30)
+    for number in range(5, 25):
+        (tmp_path / "image_0" / f"{number:06d}.png").unlink()
+    assert opened(tmp_path).frame_count == 30
+    assert sum(isinstance(item, Unreadable) for item in all_of(opened(tmp_path))) == 20
+
+
 @pytest.mark.parametrize(
     ("file", "content", "words"),
     [

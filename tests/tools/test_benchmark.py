@@ -271,3 +271,11 @@ def test_a_link_keeps_its_name_by_which_the_dataset_is_known(tmp_path: Path, mon
     assert benchmark.as_named(Path("d/../rgbd_bonn_balloon")) == link
     monkeypatch.setenv("HOME", str(tmp_path))
     assert benchmark.as_named(Path("~/rgbd_bonn_balloon")) == link
+
+
+def test_a_pair_of_networks_is_named_as_one(tmp_path: Path, ran, capsys):
+    folder = layout(tmp_path / "mine" / "desk", "tum")
+    pair = "nested:/far/relative.onnx,/far/net.onnx"
+    words = [str(folder), "--model", pair, "--out", str(tmp_path / "out")]
+    assert benchmark.main(words) == 0
+    assert "`prism_edge` with nested:relative.onnx,net.onnx, " in capsys.readouterr().out
