@@ -60,6 +60,7 @@ class ConstantVelocity:
 
     def __init__(self) -> None:
         self.stamp_ns = 0  # of the last frame
+        self.least_s = 0.0  # between two frames: images stamped by arrival may come together
         self.twist = np.zeros(6)
         self._joint: Array | None = None  # (12, 12), covariance of pose and twist; None: not known
         self._density, self._unit = FIRST.copy(), np.ones(6)  # of which it is a share
@@ -71,7 +72,7 @@ class ConstantVelocity:
 
     def predict(self, world_from_camera: Array, stamp_ns: int) -> Array:
         """Pose (4, 4) at a time, of a camera that was at a pose when the last frame was taken."""
-        elapsed_s = (stamp_ns - self.stamp_ns) * 1e-9
+        elapsed_s = self._elapsed_s(stamp_ns)
         if elapsed_s >= LONGEST_S:
             return world_from_camera.copy()
         moved: Array = world_from_camera @ se3_exp(self.twist * elapsed_s)
@@ -82,7 +83,7 @@ class ConstantVelocity:
 
         ``depth`` is what most of the scene is away, map units: a camera before a far scene may be a fast one.
         """
-        elapsed_s = (stamp_ns - self.stamp_ns) * 1e-9
+        elapsed_s = self._elapsed_s(stamp_ns)
         self._ahead = None
         if self._joint is None or not 0 < elapsed_s < LONGEST_S:
             return None
@@ -115,7 +116,7 @@ class ConstantVelocity:
         where the pose was solved with that, too.
         """
         ahead, self._ahead = self._ahead, None
-        elapsed_s = (stamp_ns - self.stamp_ns) * 1e-9
+        elapsed_s = self._elapsed_s(stamp_ns)
         if covariance is None or ahead is None or ahead[0] is not expected:
             self.twist = self.since(before, after, stamp_ns)
             self._joint = self._begun(covariance, elapsed_s) if self.twist.any() else None
@@ -125,10 +126,14 @@ class ConstantVelocity:
 
     def since(self, before: Array | None, after: Array, stamp_ns: int) -> Array:
         """The twist (6,) from the last frame to one at ``after``; zero where the two tell nothing of it."""
-        elapsed_s = (stamp_ns - self.stamp_ns) * 1e-9
+        elapsed_s = self._elapsed_s(stamp_ns)
         if before is None or not 0 < elapsed_s < LONGEST_S:
             return np.zeros(6)
         return se3_log(inverse(before) @ after) / elapsed_s
+
+    def _elapsed_s(self, stamp_ns: int) -> float:
+        elapsed_s = (stamp_ns - self.stamp_ns) * 1e-9
+        return max(elapsed_s, self.least_s) if elapsed_s > 0.0 else elapsed_s
 
     def _begun(self, covariance: Array | None, elapsed_s: float) -> Array | None:
         """Of a twist that is the difference of two poses, as doubtful the one as the other, at its end."""

@@ -79,6 +79,11 @@ class RollingShutter:
             self._before, self._now = self._now, (stamp_ns, features)
 
     @property
+    def least_s(self) -> float:
+        """What two images are apart at least: the second's rows are read after the first's."""
+        return 1e-3 * abs(self.readout_ms)
+
+    @property
     def found_ms(self) -> float:
         """What was found for the last frame's camera, where nobody says it: a next map may begin with it."""
         return 0.0 if self.is_said else self.readout_ms
@@ -100,7 +105,7 @@ class RollingShutter:
         if not 0 < elapsed_s < LONGEST_S:
             return features
         turn, twist = turn_between(camera, self._before[1], features), np.zeros(6)
-        twist[3:] = 0.0 if turn is None else turn / elapsed_s
+        twist[3:] = 0.0 if turn is None else turn / max(elapsed_s, self.least_s)
         return self.in_the_middle(features, camera, twist, 1.0)
 
 
