@@ -100,8 +100,11 @@ def _source(source: SourceConfig) -> list[str]:
         what = f"can't be read ({hindered})" if hindered else "is not there"
         missing.append(f"mask {source.mask} {what}")
     try:
-        opened = open_source(source).camera
-        camera = None if opened is UNCALIBRATED else opened  # known once it is connected, or estimated
+        opened = open_source(source)
+        camera = None if opened.camera is UNCALIBRATED else opened.camera  # once it is connected, or estimated
+        if not (opened.live or opened.synthetic):
+            with opened:  # its first image tells whether it is this camera's
+                pass
     except (ConfigError, SourceError) as error:
         missing.append(str(error))
     if has_mask and camera:

@@ -283,3 +283,17 @@ def test_what_the_source_will_warn_of_is_left_to_it(
         caplog.clear()
         look(source)
         assert caplog.text.count("nothing says when its images were taken") == count
+
+
+def test_a_recording_of_another_size_than_the_camera_s_is_one_warning(
+    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`run` refuses its first image."""
+    folder = write_images(tmp_path / "film")
+    write(file, f"source: {{uri: {folder}}}\ndepth: {{model: prism_nano}}\n")
+    assert main(["config", "--check", str(file)]) == 0
+    assert "camera" not in capsys.readouterr().err
+    write(file, f"source: {{uri: {folder}, camera: CAMERA}}\ndepth: {{model: prism_nano}}\n")
+    assert main(["config", "--check", str(file)]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "is for 640x480 images, but" in line
