@@ -12,11 +12,11 @@ import tomllib
 with open("pyproject.toml", "rb") as file:
     project = tomllib.load(file)["project"]
 extras = project["optional-dependencies"]
-wanted = project["dependencies"] + extras["metrics"] + extras["streams"]
+wanted = project["dependencies"] + extras["metrics"] + extras["streams"] + extras["oak"]
 wanted += [one for one in extras["dev"] if one.startswith("onnx")]
 print("\n".join(one.replace(">=", "==") for one in wanted))
 END
 cat "$environment/oldest.txt"
 "$environment/bin/python" -m pip install --quiet --disable-pip-version-check \
-    --constraint "$environment/oldest.txt" --editable '.[dev,metrics,streams]'
+    --constraint "$environment/oldest.txt" --editable '.[dev,metrics,streams,oak]'
 exec "$environment/bin/python" -m pytest -m "not slow" --numprocesses 2 "$@"

@@ -101,7 +101,7 @@ def _source(source: SourceConfig) -> list[str]:
         missing.append(f"mask {source.mask} {what}")
     try:
         opened = open_source(source)
-        camera = None if opened.camera is UNCALIBRATED else opened.camera  # once it is connected, or estimated
+        camera = None if opened.camera is UNCALIBRATED else opened.camera  # connected, or estimated
         if not (opened.live or opened.synthetic):
             with opened:  # its first image tells whether it is this camera's
                 pass

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import glob
 import importlib
 import importlib.metadata
@@ -221,14 +222,17 @@ def check_limits() -> Iterator[Finding]:
         yield Finding(OK, "files", f"{files} may be open at once")
 
 
-def check_memory(least_mb: int = LEAST_MEMORY_MB) -> Iterator[Finding]:
-    """Memory that is free for use."""
+def check_memory(least_mb: int = LEAST_MEMORY_MB, cgroup: Path = Path("/sys/fs/cgroup")) -> Iterator[Finding]:
+    """Memory that is free for use: of a container no more than it may take."""
     try:
         import psutil
 
         free_mb = psutil.virtual_memory().available >> 20
     except Exception:  # said by check_wheels
         return
+    for name in ("memory.max", "memory/memory.limit_in_bytes"):  # version 2, version 1
+        with contextlib.suppress(OSError, ValueError):  # not there, or "max"
+            free_mb = min(free_mb, int((cgroup / name).read_text()) >> 20)
     if free_mb < least_mb:
         yield Finding(WARN, "memory", f"{free_mb} MB available", f"the daemon takes up to {least_mb} MB")
     else:

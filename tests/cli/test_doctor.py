@@ -128,6 +128,16 @@ def test_too_little_memory_or_disk() -> None:
     assert levels(checks.check_disk(1 << 40)) == [WARN]
 
 
+@pytest.mark.parametrize("name", ["memory.max", "memory/memory.limit_in_bytes"])
+def test_a_container_has_no_more_memory_than_it_may_take(name: str, tmp_path: Path) -> None:
+    (tmp_path / "memory").mkdir()
+    (tmp_path / name).write_text("314572800\n")
+    (finding,) = checks.check_memory(cgroup=tmp_path)
+    assert (finding.level, finding.found) == (WARN, "300 MB available")
+    (tmp_path / name).write_text("max\n")
+    assert levels(checks.check_memory(1, cgroup=tmp_path)) == [OK]
+
+
 def test_no_temporary_files(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse() -> None:
         raise OSError(30, "Read-only file system")

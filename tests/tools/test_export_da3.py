@@ -186,7 +186,7 @@ def test_what_cannot_be_exported_is_refused_in_one_line_and_leaves_no_file(expor
         "no descriptor": "leave --descriptor out",
         "two weights": "takes no checkpoint",
         "no metres": "leave --scale-bias-sigma out",
-        "images first": "images are needed",
+        "images first": "no such file or folder",
         "images": "images are needed",
         "parity": "the file is not kept",
     }

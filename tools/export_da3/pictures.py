@@ -33,6 +33,8 @@ def pictures(given: list[Path], count: int) -> list[np.ndarray]:
         return images
     files = []
     for path in given:
+        if not path.exists():
+            raise ModelError(f"{path}: there is no such file or folder")
         inside = sorted(path.iterdir()) if path.is_dir() else [path]
         files += [file for file in inside if not path.is_dir() or _is_colour_image(file)]
     if len(files) < count:
