@@ -43,8 +43,10 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
 def _gaps(numbers: list[int]) -> str:
     """What to know of numbers that are missing in between, where not every second, third, ... was kept."""
     steps = [after - before for before, after in pairwise(numbers)]
-    missing = sum(step - 1 for step in steps if step > 1) if steps and median(steps) <= 1 else 0
-    return f"{missing} images are missing in between, by their numbers; they are in no count" * (missing > 0)
+    missing = sum(steps) - len(steps)
+    if not missing or median(steps) > 1:
+        return ""
+    return f"{missing} images are missing in between, by their numbers; they are in no count"
 
 
 def _packed(folder: Path) -> list[str]:
