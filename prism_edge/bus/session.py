@@ -123,6 +123,10 @@ class Bus:
             self._last[topic] = lambda: _payload(TOPICS[topic], make())
             self._answer_with_last(topic)
 
+    def forget(self, topic: str) -> None:
+        """What was said last on a latched topic no longer holds: who asks is told nothing until the next."""
+        self._last.pop(topic, None)
+
     def latest(self, topic: str) -> Inbox:
         """An inbox that keeps only the newest message."""
         return self._subscribe(topic, 1)

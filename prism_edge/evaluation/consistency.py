@@ -13,7 +13,7 @@ import numpy as np
 
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.trajectory import NS, Trajectory, paired, rows_apart
-from prism_edge.geometry.poses import Array, adjoint, inverse, se3_log, so3_log
+from prism_edge.geometry.poses import Array, adjoint, inverse, se3_log, so3_log, swung
 from prism_edge.messages import Tracked
 
 _FLOOR = 1e-12  # m^2, rad^2: below what is published, so that an exact direction doesn't divide by 0
@@ -67,13 +67,15 @@ def relative_nees(
             assert covariance is not None
             start = estimate.poses[k][:3, 3] - base_from_camera[:3, 3]
             base = estimate.poses[k] @ camera_from_base
-            own.append(_own(covariance, base, start, sigmas[k], drift_m[k], drift_rad[k]))
+            arm = base[:3, 3] - estimate.poses[k][:3, 3]
+            drift = swung(_walk(drift_m[k] ** 2, drift_rad[k] ** 2), arm)
+            own.append(_own(covariance, base, start, sigmas[k], drift))
         moved = base_from_camera @ inverse(estimate.poses[i]) @ estimate.poses[j] @ camera_from_base
         true = base_from_camera @ inverse(truth.poses[i]) @ truth.poses[j] @ camera_from_base
         carry = adjoint(inverse(moved))
         covariance = own[1] + carry @ own[0] @ carry.T
-        covariance[:3, :3] += np.eye(3) * (_grown(walk_m, drift_m, i, j) + _FLOOR)
-        covariance[3:, 3:] += np.eye(3) * (_grown(walk_rad, drift_rad, i, j) + _FLOOR)
+        grown = _walk(_grown(walk_m, drift_m, i, j), _grown(walk_rad, drift_rad, i, j))
+        covariance += swung(grown, -base_from_camera[:3, 3]) + _FLOOR * np.eye(6)
         # Only the camera's path is scaled: where it sits on the robot is known in metres.
         path = estimate.poses[j][:3, 3] - estimate.poses[i][:3, 3]
         along = (estimate.poses[j] @ camera_from_base)[:3, :3].T @ path
@@ -138,13 +140,14 @@ def _grown(walk: Array, drift: Array, i: np.intp, j: np.intp) -> float:
     return float(max(abs(walk[j] ** 2 - walk[i] ** 2), drift[i] ** 2 - drift[j] ** 2))
 
 
-def _own(
-    covariance: Array, base: Array, start: Array, sigma: float, drift_m: float, drift_rad: float
-) -> Array:
-    """A published covariance without scale and drift, in the base's own axes."""
-    left = covariance.copy()
-    left[:3, :3] -= sigma**2 * np.outer(start, start) + drift_m**2 * np.eye(3)
-    left[3:, 3:] -= drift_rad**2 * np.eye(3)
+def _walk(metres2: float, radians2: float) -> Array:
+    return np.diag([metres2] * 3 + [radians2] * 3)
+
+
+def _own(covariance: Array, base: Array, start: Array, sigma: float, drift: Array) -> Array:
+    """A published covariance without scale and drift (6, 6), in the base's own axes."""
+    left = covariance - drift
+    left[:3, :3] -= sigma**2 * np.outer(start, start)
     turn = np.kron(np.eye(2), base[:3, :3].T)
     own: Array = turn @ left @ turn.T
     return own

@@ -119,6 +119,13 @@ def adjoint(pose: Array) -> Array:
     return out
 
 
+def swung(covariance: Array, arm: Array) -> Array:
+    """Covariance (6, 6) of the pose of a point that is ``arm`` (3) away on the same body; same axes."""
+    carry = np.eye(6)
+    carry[:3, 3:] = -skew(arm)
+    return np.asarray(carry @ covariance @ carry.T)
+
+
 def transform(pose: Array, points: Array) -> Array:
     """Points (n, 3) carried by ``a_from_b`` from frame b to frame a."""
     return points @ pose[:3, :3].T + pose[:3, 3]

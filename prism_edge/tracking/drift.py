@@ -77,6 +77,7 @@ class Drift:
     def __init__(self, config: CovarianceConfig) -> None:
         self._config = config
         self._speed = self._turn = 0.0  # metres and radians a second
+        self._lately = np.zeros(3)  # seconds, metres and radians gone; what is long ago counts for little
         self._stamp_ns: int | None = None
         self.local_sigma = 0.0  # of the log scale here about the published one, as last heard
         self._parallax_deg = 1.0  # of what the last frame saw
@@ -231,10 +232,11 @@ class Drift:
         if stamp_ns is not None and self._stamp_ns is not None:
             elapsed_s = (stamp_ns - self._stamp_ns) * 1e-9
         if 0.0 < elapsed_s < LONGEST_S:
-            now = math.exp(log_scale) * float(np.linalg.norm(motion[:3, 3])) / elapsed_s
-            share = 1.0 - math.exp(-elapsed_s / COHERENT_S) if self._speed > 0.0 else 1.0
-            self._speed += share * (now - self._speed)
-            self._turn += share * (rotation_angle(motion[:3, :3]) / elapsed_s - self._turn)
+            metres = math.exp(log_scale) * float(np.linalg.norm(motion[:3, 3]))
+            step = np.array([elapsed_s, metres, rotation_angle(motion[:3, :3])])
+            # Sums, not a mean of speeds: of two images that came together one has none, and one a leap's.
+            self._lately = math.exp(-elapsed_s / COHERENT_S) * self._lately + step
+            self._speed, self._turn = (self._lately[1:] / self._lately[0]).tolist()
 
     def _until(self, keyframe: LocalKeyframe, log_scale: float) -> Walk:
         """Of a keyframe; of one that an earlier life made, as the crow flies from the map's beginning."""

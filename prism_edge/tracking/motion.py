@@ -15,6 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from prism_edge.geometry.poses import Array, adjoint, inverse, se3_exp, se3_log
+from prism_edge.tracking.pace import Pace
 
 LONGEST_S = 0.6  # between two frames that still say how fast the camera is
 CHI2_6D_999 = 22.46
@@ -61,10 +62,16 @@ class ConstantVelocity:
     def __init__(self) -> None:
         self.stamp_ns = 0  # of the last frame
         self.least_s = 0.0  # between two frames: images stamped by arrival may come together
+        self.pace = Pace()
         self.twist = np.zeros(6)
         self._joint: Array | None = None  # (12, 12), covariance of pose and twist; None: not known
         self._density, self._unit = FIRST.copy(), np.ones(6)  # of which it is a share
         self._ahead: tuple[Prediction, Array] | None = None  # the last, and the joint covariance
+
+    def saw(self, index: int, stamp_ns: int, least_s: float) -> None:
+        """An image has come; two are ``least_s`` apart at least, which may be wrongly said."""
+        self.pace.see(index, stamp_ns)
+        self.least_s = min(least_s, self.pace.usual_s or least_s)
 
     def stop(self) -> None:
         """What was known of the motion is not to be trusted."""
@@ -133,6 +140,8 @@ class ConstantVelocity:
 
     def _elapsed_s(self, stamp_ns: int) -> float:
         elapsed_s = (stamp_ns - self.stamp_ns) * 1e-9
+        if elapsed_s > 0.0 and self.pace.step_s and self.stamp_ns == self.pace.since_ns:
+            elapsed_s = self.pace.step_s
         return max(elapsed_s, self.least_s) if elapsed_s > 0.0 else elapsed_s
 
     def _begun(self, covariance: Array | None, elapsed_s: float) -> Array | None:

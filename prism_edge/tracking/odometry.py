@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 import numpy as np
 
 from prism_edge.geometry.poses import Array, inverse, normalised, scaled, se3_log
@@ -29,22 +31,34 @@ class MetricOdometry:
         self._seen = (0, np.zeros(6), 0.0)  # of the last image that was none: stamp (ns), twist, interval (s)
         self._stamp_ns: int | None = None
         self._pace_s = 0.0  # the last step's time
+        self._lately: deque[tuple[int, Array]] = deque()  # stamps and poses, each step's a known time
 
-    def advance(self, before: Array | None, after: Array, log_scale: float, stamp_ns: int) -> None:
+    def advance(
+        self, before: Array | None, after: Array, log_scale: float, stamp_ns: int, longer_s: float = 0.0
+    ) -> None:
         """The camera has gone on to a frame at ``after`` (world_from_camera, map units).
 
         ``before`` is where the *present* map has the last tracked frame: a correction moves both alike. Exact
-        copies of a frame are none: the step after them takes their time too.
+        copies of a frame are none: the step after them takes their time too. ``longer_s``: where images come
+        together that were not taken so, the velocity is that of the last steps that took longer than this.
         """
-        self.twist, self.interval_s = np.zeros(6), 0.0
+        self.twist, self.interval_s, known = np.zeros(6), 0.0, False
         if before is not None:
             step = scaled(inverse(before) @ after, float(np.exp(log_scale)))
             self.odom_from_camera = normalised(self.odom_from_camera @ step)
             elapsed = (stamp_ns - (self._stamp_ns or 0)) * 1e-9
             if self._stamp_ns is not None and elapsed > 0:
-                if not self._pace_s or elapsed <= max(GAP_S, 2.0 * self._pace_s):
-                    self.twist, self.interval_s = se3_log(step) / elapsed, elapsed
+                known = not self._pace_s or elapsed <= max(GAP_S, 2.0 * self._pace_s)
                 self._pace_s = elapsed
+        if not known:
+            self._lately.clear()
+        self._lately.append((stamp_ns, self.odom_from_camera))
+        if known:
+            while len(self._lately) > 2 and (stamp_ns - self._lately[1][0]) * 1e-9 > longer_s:
+                self._lately.popleft()
+            since_ns, there = self._lately[0]
+            self.interval_s = (stamp_ns - since_ns) * 1e-9
+            self.twist = se3_log(inverse(there) @ self.odom_from_camera) / self.interval_s
         self._stamp_ns, self._seen = stamp_ns, (stamp_ns, self.twist, self.interval_s)
         self.unseen = np.zeros((6, 6))
 
@@ -62,6 +76,7 @@ class MetricOdometry:
     def lose(self) -> None:
         """How fast the camera is isn't known, and the next step says nothing of it: it took any time."""
         self.twist, self.interval_s, self._stamp_ns = np.zeros(6), 0.0, None
+        self._lately.clear()
 
 
 def unseen_motion(twist: Array, interval_s: float, elapsed_s: float) -> Array:

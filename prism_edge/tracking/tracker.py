@@ -94,7 +94,7 @@ class Tracker:
         lens = self._lens if self._lens is not None and self._lens.like(camera) else camera
         features = self._extractor.extract(grey, lens)
         self.shutter.saw(stamp_ns, features, camera.readout_ms, found_readout(self.world, lens))
-        self.motion.least_s = self.shutter.least_s
+        self.motion.saw(index, stamp_ns, self.shutter.least_s)
         self._fresh = None  # an older frame that nobody judged
         follow = self._continue if self.world.keyframes else self._begin
         self._result = follow(index, stamp_ns, lens, features)

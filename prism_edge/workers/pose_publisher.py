@@ -10,7 +10,7 @@ from prism_edge.bus import ros
 from prism_edge.bus.session import Bus
 from prism_edge.config import FramesConfig
 from prism_edge.geometry.mount import base_from_camera
-from prism_edge.geometry.poses import Array, adjoint, inverse, scaled
+from prism_edge.geometry.poses import Array, adjoint, inverse, scaled, swung
 from prism_edge.tracking.drift import NO_DRIFT, Walk
 from prism_edge.tracking.odometry import ACCELERATION
 from prism_edge.tracking.tracker import FrameResult
@@ -79,9 +79,10 @@ class PosePublisher:
         # Two poses in a row are aside by the same moment, so that their difference knows nothing of it.
         velocity_covariance = self._velocity_covariance(own, start @ twist[:3], interval_s, scale_sigma)
         if result.in_map:
-            pose = ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map + drift.covariance())
+            in_map = in_map + self._of_base(drift, map_from_base)
+            pose = ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map)
             self._bus.publish("pose", pose)
-        in_odom = in_odom + walk.covariance()
+        in_odom = in_odom + self._of_base(walk, odom_from_base)
         moved = ros.odometry(
             stamp_ns, names.odom, names.base_link, odom_from_base, in_odom, velocity, velocity_covariance
         )
@@ -89,6 +90,10 @@ class PosePublisher:
         # Most robots have the same from `odom` and `pose`.
         map_there = map_from_base if result.in_map else None
         self._bus.publish_if_heard("tf", lambda: self._tree(stamp_ns, map_there, odom_from_base))
+
+    def _of_base(self, walk: Walk, there: Array) -> Array:
+        """Covariance (6, 6) of the base at ``there``: what turns the camera on its way swings the base."""
+        return swung(walk.covariance(), -(there[:3, :3] @ self._mount[:3, 3]))
 
     def _tree(self, stamp_ns: int, map_from_base: Array | None, odom_from_base: Array) -> Any:
         names = self._frames

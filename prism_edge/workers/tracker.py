@@ -6,7 +6,6 @@ import gc
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -15,7 +14,7 @@ import numpy as np
 from prism_edge.bus.commands import Reply, on_or_off
 from prism_edge.bus.pack import grey
 from prism_edge.bus.session import Bus
-from prism_edge.config import Config, TrackingConfig
+from prism_edge.config import Config
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.mount import base_from_camera, described
 from prism_edge.geometry.poses import Array
@@ -42,6 +41,7 @@ from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.scale_here import ScaleHere
 from prism_edge.tracking.tracker import FrameResult, Tracker
 from prism_edge.tracking.unseen import Sight
+from prism_edge.workers.ablated import tracking_of
 from prism_edge.workers.answers_due import PATIENCE_S, AnswersDue
 from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.frame_camera import FrameCamera
@@ -71,7 +71,7 @@ class TrackerWorker:
         self._inboxes = {name: bus.queue(name, rouses=other) for name in ("depth", "log_scale", "map_update")}
         self._maps = MapAdoption(config, bus)
         self._ends = bus.queue("end")
-        self._tracker = Tracker(_tracking(config), config.seed, bus.first_id)
+        self._tracker = Tracker(tracking_of(config), config.seed, bus.first_id)
         self._camera = FrameCamera(bus.pulse, config.source.mask)
         if self._camera.shown is not None:
             self._tracker.look_only_at(self._camera.shown)
@@ -85,9 +85,8 @@ class TrackerWorker:
         self._last_index, self._dropped, self._between = -1, 0, 0
         self._pictures = Pictures(bus, "depth" in self._peers, base_from_camera(config.frames))
         self._now_ns = 0  # stamp of the newest frame
-        self._localise_only = False
         # The map of a run that was cut off: the first image says whether it is this camera's.
-        self._unproven = self._recovering = self._ending = False
+        self._unproven = self._recovering = self._ending = self._localise_only = False
         self._desk = bus.commands({"reset": self._reset, "localise_only": self._switch_localise_only})
         bus.answer("epoch", lambda: Epoch(self._tracker.epoch))
 
@@ -219,12 +218,13 @@ class TrackerWorker:
             self._odometry.repeat(frame.stamp_ns)
         else:
             began_ns = tracker.world.keyframes[result.reference].stamp_ns
-            step = self._sight.see(tracker.epoch, tracker.parts.current, began_ns, frame.stamp_ns)
-            if step.lost:
+            unseen = self._sight.see(tracker.epoch, tracker.parts.current, began_ns, frame.stamp_ns)
+            if unseen.lost:
                 self._odometry.lose()
-            if step.unseen_s:
-                self._drift.miss(step.unseen_s)
-            self._odometry.advance(before, result.world_from_camera, tracker.log_scale, frame.stamp_ns)
+            if unseen.unseen_s:
+                self._drift.miss(unseen.unseen_s)
+            step = before, result.world_from_camera, tracker.log_scale, frame.stamp_ns
+            self._odometry.advance(*step, tracker.motion.pace.longest_s)
             self._drift.advance(before, result, tracker.log_scale, frame.stamp_ns, tracker.depth)
         self._publisher.publish(
             frame.stamp_ns,
@@ -327,6 +327,7 @@ class TrackerWorker:
         adopted = self._adopt(whole)
         if adopted:
             self._unproven = self._recovering = False  # this one is no earlier run's, whoever made it
+            self._bus.forget("tf")  # where the camera is in this map nobody knows yet
             self._show_now(LOST)
         return adopted
 
@@ -348,6 +349,7 @@ class TrackerWorker:
         self._drift.travelled, self._localise_only = 0.0, False
         self._unproven = self._recovering = False  # there is nothing left of an earlier run's map
         self._bus.publish("new_map", Epoch(self._tracker.epoch))
+        self._bus.forget("tf")  # it led into the map that is gone
         self._show_now(INITIALISING)
         return Reply(True, "a new map begins with the next image, and is built on; odom goes on")
 
@@ -379,14 +381,6 @@ class TrackerWorker:
             "dropped": self._dropped,
         }
         self._status.show(tracker.epoch, odometry, tracker.parts.at_home, kept, stamp_ns, values)
-
-
-def _tracking(config: Config) -> TrackingConfig:
-    """The tracker's settings, without what is ablated."""
-    trusting = 0.0 if "consistency" in config.ablate else config.tracking.proven_after_s
-    two_views = config.tracking.two_views and "init" not in config.ablate
-    adjusting = 0 if "depth_factor" in config.ablate else config.tracking.adjust_unheard
-    return replace(config.tracking, proven_after_s=trusting, two_views=two_views, adjust_unheard=adjusting)
 
 
 def main(config: Config, bus: Bus) -> None:

@@ -27,6 +27,19 @@ def test_a_latched_topic_answers_with_its_last_value(join, outside):
     assert [reply.ok.payload.to_bytes() for reply in replies] == [pack(end(4))]
 
 
+def test_what_no_longer_holds_is_told_to_nobody_until_the_next(join):
+    join("supervisor", listen=True)
+    source, tracker = join("source"), join("tracker")
+    linked(source, tracker)
+    source.forget("end")  # nothing was said yet
+    source.publish("end", end(3))
+    assert tracker.ask("end", 5.0) == end(3)
+    source.forget("end")
+    assert tracker.ask("end", 5.0) is None
+    source.publish("end", end(4))
+    assert tracker.ask("end", 5.0) == end(4)
+
+
 def test_what_nobody_hears_is_made_when_it_is_asked_for(join):
     join("supervisor", listen=True)
     source, tracker = join("source"), join("tracker")

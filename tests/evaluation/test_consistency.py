@@ -13,7 +13,7 @@ from prism_edge.evaluation.consistency import NO_NEES, pose_nees, relative_nees,
 from prism_edge.evaluation.recording import Published, Recording
 from prism_edge.evaluation.trajectory import NS, Trajectory
 from prism_edge.geometry.mount import base_from_camera
-from prism_edge.geometry.poses import from_rt, inverse, scaled, se3_exp
+from prism_edge.geometry.poses import from_rt, inverse, scaled, se3_exp, so3_exp, swung
 from prism_edge.messages import OK, Tracked
 
 MOUNT = base_from_camera(
@@ -116,7 +116,7 @@ def test_a_turn_that_is_off_where_a_second_begins_sets_its_end_aside_and_not_the
         ("drift_m", 1.0, 1.0, False),
         ("walk_m", 0.5, 1.0, False),
         ("drift_rad", 1.0, 1.0, False),
-        ("walk_rad", 1.0, 0.5, False),
+        ("walk_rad", 0.84, 0.5, False),  # and swings the base: below
         ("walk_m", 0.5, 1.0, True),  # of a tracker that began anew
     ],
 )
@@ -128,11 +128,33 @@ def test_of_drift_only_what_odom_s_walk_adds_in_the_second_counts(field, moved, 
         for i, (pose, frame) in enumerate(zip(recording.poses, recording.frames, strict=True)):
             stated = np.sqrt(2.0 * OWN[2, 2] * (FRAMES - i if falls else i) / RATE)
             added = stated**2 * np.diag([field == "drift_m"] * 3 + [field == "drift_rad"] * 3)
+            base = pose.map_from_camera @ inverse(MOUNT)
+            added = swung(added, base[:3, 3] - pose.map_from_camera[:3, 3])  # the camera drifts
             recording.poses[i] = Published(pose.stamp_ns, 0, pose.map_from_camera, pose.covariance + added)
             recording.frames[i] = Tracked(**{**vars(frame), field: stated})
         runs.append(relative_nees(recording, truth, MOUNT))
     assert np.mean([nees.rotation for nees in runs]) == pytest.approx(turned, rel=0.2)
     assert np.mean([nees.translation for nees in runs]) == pytest.approx(moved, rel=0.2)
+
+
+def test_what_turns_a_camera_on_its_way_swings_a_base_that_is_far_from_it(monkeypatch):
+    far, per_frame = from_rt(MOUNT[:3, :3], 5.0 * MOUNT[:3, 3]), 2e-3
+    monkeypatch.setitem(globals(), "MOUNT", far)
+    rng, found = np.random.default_rng(4), []
+    for _ in range(25):
+        recording, truth = drawn(rng)
+        before = moved = recording.poses[0].map_from_camera
+        for i, (pose, frame) in enumerate(zip(recording.poses, recording.frames, strict=True)):
+            turn = from_rt(so3_exp(rng.normal(0.0, per_frame, 3)), np.zeros(3))
+            before, moved = pose.map_from_camera, moved @ inverse(before) @ pose.map_from_camera @ turn
+            stated = per_frame * np.sqrt(i + 1)
+            arm = (moved @ inverse(far))[:3, 3] - moved[:3, 3]
+            added = swung(np.diag([0.0] * 3 + [stated**2] * 3), arm)
+            recording.poses[i] = Published(pose.stamp_ns, 0, moved, pose.covariance + added)
+            recording.frames[i] = Tracked(**{**vars(frame), "walk_rad": stated, "drift_rad": stated})
+        found.append(relative_nees(recording, truth, far))
+    assert np.mean([nees.rotation for nees in found]) == pytest.approx(1.0, abs=0.2)
+    assert np.mean([nees.translation for nees in found]) == pytest.approx(1.0, abs=0.2)
 
 
 def test_drift_that_a_loop_takes_out_may_set_two_poses_apart():

@@ -18,7 +18,7 @@ from prism_edge.tracking.map_correction import apply_correction
 from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.tracker import Tracker
 from prism_edge.tracking.unheard import adjust_unheard
-from prism_edge.workers.tracker import _tracking
+from prism_edge.workers.ablated import tracking_of
 from tests.backend.ring import Ring
 from tests.synthetic.messages import map_update
 from tests.tracking.cloud import BY_POINTS, Cloud, check, pose_at
@@ -299,5 +299,5 @@ def test_of_a_map_that_the_backend_gave_all_is_heard() -> None:
 
 def test_without_metric_factors_nothing_metric_is_adjusted() -> None:
     config = Config(tracking=TrackingConfig(adjust_unheard=4))
-    assert _tracking(config).adjust_unheard == 4
-    assert _tracking(replace(config, ablate=("depth_factor",))).adjust_unheard == 0
+    assert tracking_of(config).adjust_unheard == 4
+    assert tracking_of(replace(config, ablate=("depth_factor",))).adjust_unheard == 0

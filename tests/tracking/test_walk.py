@@ -76,7 +76,7 @@ def test_speed_is_an_average_of_a_second_and_a_gap_says_nothing_of_it():
     driven(drift, 1.0, 5.0)
     before = drift.total.metres2
     drift.advance(pose_at(5.0), result(pose_at(5.2)), 0.0, 5_100_000_000)  # 2 m/s for a tenth of a second
-    speed = 1.0 + (1.0 - np.exp(-0.1))
+    speed = 1.0 + (1.0 - np.exp(-0.1)) / (1.0 - np.exp(-5.1))  # of all that it has seen
     assert drift.total.metres2 - before == pytest.approx(0.05**2 * speed * 0.2)
     before = drift.total.metres2
     drift.advance(pose_at(5.2), result(pose_at(15.2)), 0.0, 9_000_000_000)  # found again, far away

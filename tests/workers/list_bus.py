@@ -62,6 +62,7 @@ class ListBus:
         self.life, self.first_id = 0, 0
         self.run_directory: Path | None = None
         self.sent: list[tuple[str, Any]] = []
+        self.forgotten: list[str] = []
         self._said = threading.Condition()
         self.inboxes: dict[str, ListInbox] = {}
         self.answers: dict[str, Callable[[], Any]] = {}
@@ -119,6 +120,9 @@ class ListBus:
             self.sent.append((topic, message))
             self._said.notify_all()
         self.hear(topic, message)
+
+    def forget(self, topic: str) -> None:
+        self.forgotten.append(topic)
 
     def publish_if_heard(self, topic: str, make: Callable[[], Any]) -> None:
         self.publish(topic, make())

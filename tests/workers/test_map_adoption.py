@@ -159,6 +159,7 @@ def test_status_tells_of_a_loaded_map_without_another_image(whole: WholeMap) -> 
     run(bus, [frame(i) for i in range(21)])
     last = bus.of("status")[-1].status[0]
     assert last.message == "lost relocalising"
+    assert bus.forgotten == ["tf"], "it led into the map before"
     told = {pair.key: pair.value for pair in last.values}
     assert int(told["keyframes"]) > 2
 

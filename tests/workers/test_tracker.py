@@ -16,7 +16,7 @@ from prism_edge.messages import (
     probe_of,
 )
 from prism_edge.workers import tracker
-from prism_edge.workers.tracker import _tracking
+from prism_edge.workers.ablated import tracking_of
 from tests.synthetic.drawing import SLACK
 from tests.tracking.footage import footage, other_room
 from tests.workers.list_bus import ListBus
@@ -382,7 +382,7 @@ def test_where_its_place_in_the_map_is_unknown_odom_goes_out_and_pose_does_not(b
 
 @pytest.mark.parametrize("part", ["consistency", "init"])
 def test_an_ablated_part_is_off_and_no_other(part):
-    tracking = _tracking(replace(CONFIG, ablate=(part,)))
+    tracking = tracking_of(replace(CONFIG, ablate=(part,)))
     assert (tracking.proven_after_s > 0.0) == (part != "consistency")
     assert tracking.two_views == (part != "init")
 

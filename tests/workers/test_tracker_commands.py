@@ -34,6 +34,7 @@ def test_reset_begins_a_new_map_and_odom_goes_on(bus: ListBus) -> None:
     assert [k.epoch for k in keyframes] == sorted(k.epoch for k in keyframes)
     assert {k.epoch for k in keyframes} == {0, 1}
     assert [told.epoch for told in bus.of("new_map")] == [1]
+    assert bus.forgotten == ["tf"], "who asks is not led into the map that is gone"
     assert len({k.id for k in keyframes}) == len(keyframes)
     # odom: no step between frames is larger across the reset than the camera's own motion
     steps = [m.pose.pose.position for m in bus.of("odom")]

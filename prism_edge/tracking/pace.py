@@ -1,0 +1,45 @@
+"""When images were taken that are stamped by when they came: some come together that were not taken so."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+USUAL_S = 1.0  # over so long the usual interval is looked for
+GAP_S = 0.5  # after which it is another
+FEWEST = 5  # images that tell it
+TOGETHER = 0.5  # of it: images that are less apart were not taken so
+
+
+class Pace:
+    """Follows the numbers and stamps of images.
+
+    ``step_s`` is how long the last step took by how many images there were lately, 0 where stamps are to be
+    believed; ``since_ns`` the stamp that it began with, ``longest_s`` the longest as stamped lately.
+    ``usual_s`` is from one image to the next, 0 where that isn't known yet.
+    """
+
+    def __init__(self) -> None:
+        self.step_s = self.longest_s = self.usual_s = 0.0
+        self.since_ns = 0
+        self._seen: deque[tuple[int, int]] = deque()
+
+    def see(self, index: int, stamp_ns: int) -> None:
+        """An image has come."""
+        self.step_s = self.longest_s = self.usual_s = 0.0
+        if self._seen:
+            last, self.since_ns = self._seen[-1]
+            if index <= last or not 0 < stamp_ns - self.since_ns <= GAP_S * 1e9:
+                self._seen.clear()
+        self._seen.append((index, stamp_ns))
+        while stamp_ns - self._seen[0][1] > USUAL_S * 1e9:
+            self._seen.popleft()
+        if len(self._seen) < FEWEST:
+            return
+        numbers, stamps = np.array(self._seen).T
+        steps, images = np.diff(stamps), np.diff(numbers)
+        usual = (stamps[-1] - stamps[0]) / (numbers[-1] - numbers[0])
+        self.usual_s = 1e-9 * float(usual)
+        if (steps < TOGETHER * usual * images).any():
+            self.step_s, self.longest_s = 1e-9 * float(usual * images[-1]), 1e-9 * float(steps.max())
