@@ -143,6 +143,7 @@ def test_a_way_turns_by_all_its_turns() -> None:
     along = {(k, k + 1): LOOPED for k in range(5)}
     assert ways(world, along, 0)[5] == pytest.approx((0.5, 0.5), rel=0.01)
     assert own_way(world, 5, 1) == pytest.approx((8.0, 0.4))
+    assert own_way(world, 1, 3) == pytest.approx((4.0, 0.2)), "whatever has come since"
 
 
 def test_a_part_ends_where_points_are_fused_with_the_first_ones() -> None:

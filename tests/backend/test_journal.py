@@ -122,12 +122,14 @@ def test_a_base_without_generation_recovers_nothing(written: Path) -> None:
         assert Journal(written).recover() is None
 
 
+@pytest.mark.parametrize(("least", "base_size"), [(1000, 10), (10, 1000)])
 def test_it_is_long_once_the_tail_has_outgrown_the_base(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, least: int, base_size: int
 ) -> None:
-    monkeypatch.setattr(module, "LEAST_TAIL", 1000)
+    """And some bytes: else a large map would be written anew every few seconds, or a small one each time."""
+    monkeypatch.setattr(module, "LEAST_TAIL", least)
     journal = Journal(tmp_path)
-    journal.begin(base(0))
+    journal.begin(lambda _: bytes(base_size))
     written = 0
     while not journal.is_long:
         journal.append(bytes(100))

@@ -352,6 +352,26 @@ def test_a_loop_that_can_not_be_vouches_for_none_that_barely_can():
     assert confirmed(5, 0.55)  # with the one before
 
 
+@pytest.mark.parametrize(
+    ("off", "alike"),
+    [
+        (pose_at(0.0, 0.0, 0.0, 0.0, np.radians(2.9)), True),
+        (pose_at(0.0, 0.0, 0.0, 0.0, np.radians(3.1)), False),
+        (pose_at(0.0, 0.44), True),
+        (pose_at(0.0, 0.46), False),
+    ],
+)
+def test_two_loops_vouch_for_each_other_where_they_move_the_newest_view_alike(off, alike):
+    """By 3 degrees and 0.15 of its median depth, 3, wherever the map's origin is."""
+    loops = two_parts()
+    world = loops._world
+    view, before = (world.keyframes[k].world_from_camera for k in (103, 102))
+    back = pose_at(-40.0, 3.0, 0.0, 0.0, 1.0)
+    one = Loop(103, 3, back @ view, 1.0, 0.01, 50, 1, [])
+    other = Loop(102, 2, back @ view @ off @ inverse(view) @ before, 1.0, 0.01, 50, 1, [])
+    assert loops._alike(one, other) == alike
+
+
 def test_what_hangs_together_is_found_anew_for_each_keyframe_that_is_looked_at():
     """Else the part of the one before would be taken for that of the next."""
     loops = two_parts()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -66,6 +67,19 @@ def test_one_seed_gives_one_answer(drifted):
 def test_another_place_is_none(drifted):
     _, world = drifted
     assert verify(world, 41, 20, 30) is None
+
+
+@pytest.mark.parametrize(("fresh", "closes"), [(10, True), (9, False)])
+def test_a_return_to_what_the_query_sees_already_closes_nothing(drifted, fresh, closes):
+    """Nothing would be joined, and what is moved by it would be moved anew with each keyframe."""
+    _, world = deepcopy(drifted)
+    loop = verify(world, 41, 2, 30)
+    assert loop is not None
+    unknown = [pair for pair in loop.pairs if pair[1] not in world.keyframes[41].observed]
+    assert len(unknown) > 30
+    for keypoint, point in unknown[fresh:]:
+        world.observe(41, point, keypoint)
+    assert (verify(world, 41, 2, 30) is not None) == closes
 
 
 def test_corners_that_look_right_in_wrong_places_are_none():

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from prism_edge.backend.connectivity import tied_parts
-from prism_edge.backend.loop_closing import LoopCloser
+from prism_edge.backend.loop_closing import Accepted, LoopCloser
 from prism_edge.backend.loops import Loop
 from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.pose_graph import Similarity
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log, transform
 from prism_edge.messages import HOME
@@ -199,3 +200,13 @@ def test_between_parts_of_a_map_a_loop_needs_a_neighbour_and_another_loop(neighb
     loops = two_parts()
     assert not loops._confirmed(between_parts(loops, 102, 4))  # nothing but neighbours
     assert loops._confirmed(between_parts(loops, 103, neighbours)) == believed
+
+
+@pytest.mark.parametrize("gone", [None, 100, 103])
+def test_what_a_loop_measured_is_in_the_unit_of_its_part_though_an_end_was_culled(gone):
+    loops = two_parts()
+    loops.accepted.append(Accepted(103, 100, 1030, 1000, pose_at(0.9, 0.0, 0.0, 0.0, 0.2), 50))
+    loops._in_new_units({k: Similarity(np.eye(4), 2.0, unit=2.0) for k in (100, 103) if k != gone})
+    said = loops.accepted[0].candidate_from_query
+    assert said[:3, 3] == pytest.approx(2.0 * pose_at(0.9, 0.0, 0.0, 0.0, 0.2)[:3, 3])
+    assert said[:3, :3] == pytest.approx(pose_at(0.9, 0.0, 0.0, 0.0, 0.2)[:3, :3])

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend.global_map import UNKNOWN
 from prism_edge.backend.loop_closing import MapChanges
 from prism_edge.backend.mapper import Mapper
-from prism_edge.backend.window import Solution
+from prism_edge.backend.window import Solution, choose_window
 from prism_edge.bus import codec
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_exp, transform
@@ -80,6 +81,12 @@ def test_a_network_that_does_not_tell_near_from_far_is_left_out():
     kept = mapper.world.keyframes[0].unfitting
     assert kept is not None
     assert set(kept.tolist()) - {0.0} == {3.0}, "it is kept, as the map may be what is wrong"
+    mapper.add_depth(message, plane(3.0), WIDE, 0.0, math.nan, "one")
+    mapper.add_late_depth(99, plane(3.0), WIDE, 0.0, math.nan, "another")  # of a keyframe that is gone
+    assert mapper.world.keyframes[0].unfitting is not None
+    mapper.absorb(replace(quiet(message), id=1))
+    mapper.add_late_depth(1, plane(3.0), WIDE, 0.0, math.nan, "another")
+    assert mapper.world.keyframes[0].unfitting is None, "other metres than the later network's"
 
 
 def test_depth_of_a_keyframe_that_is_gone_is_no_matter():
@@ -187,6 +194,24 @@ def test_a_point_that_its_maker_has_lost_sight_of_goes_with_it_all_the_same():
     assert point.position == pytest.approx(transform(motion, place[None])[0], abs=1e-9)
 
 
+def test_points_of_a_loaded_map_go_with_the_oldest_keyframe_that_sees_them():
+    """A saved map does not say who made them, and a window leaves most of them out."""
+    mapper, teller = Mapper(CONFIG), Teller()
+    for i in range(4):
+        mapper.absorb(teller.keyframe(pose_at(0.4 * i)))
+    world = mapper.world
+    for point in world.points.values():
+        point.made_by = UNKNOWN
+    before = {p: point.position.copy() for p, point in world.points.items()}
+    oldest = {p: min(point.keyframes) for p, point in world.points.items()}
+    motion = pose_at(0.1, 0.2, -0.1, 0.05, 0.1)
+    mapper.replay(Solution({1: motion @ world.keyframes[1].world_from_camera}, {}, {}, [], 0))
+    assert {0, 1, 2} <= set(oldest.values())
+    for p, place in before.items():
+        there = transform(motion, place[None])[0] if oldest[p] == 1 else place
+        assert world.points[p].position == pytest.approx(there, abs=1e-9)
+
+
 def test_sequences_grow_and_an_empty_answer_takes_one(solved):
     mapper, teller, _ = solved
     message = teller.keyframe(pose_at(1.0))
@@ -221,6 +246,25 @@ def test_an_update_carries_each_points_mean_weight():
     expected = [np.mean(told[p]) if p in told else 1.0 for p in update.points.tolist()]
     np.testing.assert_allclose(update.weights, expected, rtol=1e-5)
     assert min(expected) < 0.3
+
+
+def test_what_a_gate_trusts_more_than_most_of_a_doubtful_view_counts_once_all_the_same():
+    mapper, message = Mapper(CONFIG), Teller().keyframe(np.eye(4))
+    mapper.absorb(message)
+    weights = np.full(len(message.pixels), 0.3, np.float32)
+    weights[::5] = 0.9
+    mapper.add_gate(Gate(0, 0, weights, np.full(len(weights), 0.1, np.float32)))
+    assert mapper.world.keyframes[0].weights == pytest.approx(np.ones(len(weights)))
+
+
+@pytest.mark.parametrize(("sigma", "units"), [(math.nan, 1.0), (0.05, 0.0)])
+def test_a_sensor_s_depth_has_no_unit_of_the_image_s_own(sigma, units):
+    """Its metres are the map's: it has no vote beside those of a network's images (sizes.py)."""
+    mapper, message = Mapper(CONFIG), Teller().keyframe(np.eye(4))
+    seeded = replace(message, parallax_deg=np.zeros_like(message.parallax_deg))
+    mapper.absorb(seeded)
+    mapper.add_depth(seeded, plane(), WIDE, 0.0, sigma, "")
+    assert mapper.world.keyframes[0].depth_units == units
 
 
 def test_an_update_of_everything_tells_of_the_window_s_outliers_too(solved):
@@ -269,7 +313,7 @@ def test_a_part_that_is_joined_is_of_the_older_one_from_then_on() -> None:
     assert [k.part for k in mapper.world.keyframes.values()] == [HOME, 1, 1, 1]
 
 
-@pytest.mark.parametrize("measured", [True, False])
+@pytest.mark.parametrize("measured", [{0, 1, 2, 3}, {1, 2, 3}, set()], ids=str)
 def test_a_depth_camera_says_how_large_the_map_is_and_a_network_does_not(measured):
     """The map is a tenth too large for its depths: a sensor's metres set that right, a network's waver."""
     mapper, teller = Mapper(CONFIG), Teller()
@@ -278,8 +322,8 @@ def test_a_depth_camera_says_how_large_the_map_is_and_a_network_does_not(measure
         mapper.absorb(teller.keyframe(pose))
     world = mapper.world
     depth_at_keypoints(world, teller.cloud, poses)
-    for keyframe in world.keyframes.values():
-        keyframe.depth_sigma, keyframe.depth_units = (0.02, 0.0) if measured else (0.0, 1.0)
+    for k, keyframe in world.keyframes.items():
+        keyframe.depth_sigma, keyframe.depth_units = (0.02, 0.0) if k in measured else (0.0, 1.0)
         keyframe.world_from_camera[:3, 3] *= 1.1
     for point in world.points.values():
         point.position = 1.1 * point.position
@@ -288,3 +332,22 @@ def test_a_depth_camera_says_how_large_the_map_is_and_a_network_does_not(measure
     way = np.linalg.norm(ended - began)
     true = np.linalg.norm(poses[3][:3, 3])
     assert way / true == pytest.approx(1.0 if measured else 1.1, abs=0.01)
+
+
+def test_a_window_that_several_poses_hold_has_its_size_from_them_and_not_from_what_it_was():
+    """Only where one pose holds it is there nothing else to keep the unit by."""
+    config = replace(CONFIG, window=4, fixed=3)
+    mapper, teller = Mapper(config, use_depth=False), Teller(noise_px=0.3)
+    poses = [pose_at(0.15 * i) for i in range(9)]
+    for pose in poses:
+        mapper.absorb(teller.keyframe(pose))
+    world = mapper.world
+    free = choose_window(world, 8, config).free
+    for k in free:
+        world.keyframes[k].world_from_camera[:3, 3] *= 1.1
+    for point in world.points.values():
+        point.position = 1.1 * point.position
+    mapper.optimise(8, 0.0)
+    for k in free:
+        off = inverse(poses[k]) @ world.keyframes[k].world_from_camera
+        assert np.linalg.norm(off[:3, 3]) < 0.3 * np.linalg.norm(0.1 * poses[k][:3, 3])

@@ -89,6 +89,18 @@ def test_without_noise_it_is_exact():
     assert readout_of(world_of(26.0, noise_px=0.0)).ms == pytest.approx(26.0, abs=0.1)
 
 
+def test_from_a_map_that_is_ten_centimetres_off_it_comes_to_the_same():
+    """A step that is no more than a twentieth of a sigma is the last, no sooner."""
+    near, far, rng = world_of(20.0, keyframes=14), world_of(20.0, keyframes=14), np.random.default_rng(1)
+    for keyframe in far.keyframes.values():
+        aside = rng.normal(0.0, (0.1, 0.1, 0.1, 0.03, 0.03, 0.03))
+        keyframe.world_from_camera = keyframe.world_from_camera @ se3_exp(aside)
+    for point in far.points.values():
+        point.position = point.position + rng.normal(0.0, 0.2, 3)
+    found = readout_of(near)
+    assert readout_of(far).ms == pytest.approx(found.ms, abs=0.05 * found.sigma_ms)
+
+
 def test_mismatches_do_not_move_it():
     world, rng = world_of(20.0), np.random.default_rng(3)
     for keyframe in world.keyframes.values():

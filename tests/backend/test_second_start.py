@@ -71,6 +71,20 @@ def test_a_reversed_map_stays_so_by_itself_and_is_left_for_what_depths_begin_wit
     assert line.startswith(f"keyframe {NEWEST}: its window fits better as depth has it")
 
 
+def test_it_comes_to_the_same_whichever_way_the_world_is_turned() -> None:
+    """Depths are unsure along the rays of who has them, wherever these point in the map."""
+    world, _ = world_of(reverse=False)
+    free, points = list(range(1, NEWEST + 1)), sorted(world.points)
+    there = second_start(world, [0], free, points, set(), 1.0)
+    turn = pose_at(3.0, -1.0, 2.0, 0.0, np.radians(90.0))
+    world.move(turn, set(world.keyframes))
+    turned = second_start(world, [0], free, points, set(), 1.0)
+    assert there is not None
+    assert turned is not None
+    for k in free:
+        assert np.abs(se3_log(inverse(turn @ there[0][k]) @ turned[0][k])).max() < 1e-6
+
+
 def test_a_map_that_is_right_stays_as_it_is_solved(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     world, _ = world_of(reverse=False)

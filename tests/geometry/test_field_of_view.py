@@ -130,3 +130,14 @@ def test_the_first_pixel_beside_an_ideal_image_is_not_in_it() -> None:
     camera = Camera(640, 480, 500.0, 500.0, 319.5, 239.5)
     beside = np.array([[639.9, 10.0], [640.0, 10.0], [10.0, 479.9], [10.0, 480.0], [0.0, 0.0], [-0.1, 5.0]])
     assert in_image(camera, beside).tolist() == [True, False, True, False, True, False]
+
+
+def test_the_rim_of_a_wider_fisheye_has_no_ideal_pixel_that_is_of_use() -> None:
+    """Rays nearly aside: a pixel's noise there is hundreds in the ideal image, whose border none of it is."""
+    rim = Camera(640, 480, 230.0, 230.0, 320.0, 240.0, FISHEYE)
+    raw = all_over(rim)
+    ideal = rim.undistort_pixels(raw)
+    near = np.abs(ideal - raw).max(axis=1) < 2.0 * 640
+    assert 0.8 < near.mean() < 1.0
+    np.testing.assert_array_equal(has_ideal_pixel(rim, raw, ideal), near)
+    np.testing.assert_array_equal(in_image(rim, ideal), near)

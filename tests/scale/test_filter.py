@@ -248,6 +248,37 @@ def test_evidence_as_strong_as_the_belief_overturns_it(support):
         assert scale.update(seen(np.log(10.0)))
 
 
+def test_keyframes_without_depth_between_two_observations_make_the_second_no_less_new():
+    """How far images spread is learned by what of each is new: by the time since the last, whoever came."""
+    weights = []
+    for between in ((), (9.0,)):
+        scale = played([0.0, 0.3], [0.0, 0.1])
+        for time in (*between, 10.0):
+            scale.predict(time, 0.0)
+        assert scale.update(seen(0.1))
+        weights.append(scale._spread.weight)
+    assert weights[0] == pytest.approx(weights[1])
+    scale.predict(10.3, 0.0)
+    assert scale.update(seen(0.1))
+    assert scale._spread.weight - weights[1] == pytest.approx(1.0 - np.exp(-0.3 / STILL.correlation_s))
+
+
+def test_what_one_network_s_images_shared_and_how_lost_it_was_says_nothing_of_another_s():
+    scale = ScaleFilter(STILL)
+    scale.take_over(0.0, 0.05, lost_sigma=2.0)
+    scale.predict(0.0, 0.0)
+    assert scale.update(seen(0.3))
+    assert scale.log_scale < 0.15, "most of it was that image's"
+    lost = scale.lost_sigma
+    assert lost > 1.0
+    scale.meet_another(0.1, STILL.frame_sigma, STILL)
+    assert scale.sigma > lost, "the unit is known no better for that"
+    assert (scale.lost_sigma, scale.doubt) == (0.0, "")
+    known = scale.log_scale
+    assert scale.update(seen(known))
+    assert scale.log_scale == pytest.approx(known)
+
+
 def test_outliers_that_contradict_each_other_never_overturn():
     scale = played(np.arange(20) * 0.3, np.zeros(20))
     rng = np.random.default_rng(3)

@@ -15,6 +15,7 @@ from prism_edge.scale.gate import (
     GateParameters,
     combined,
     image_pixels,
+    is_open_ended,
     log_discrepancy,
     nearest,
     spatial_uncertainty,
@@ -135,6 +136,35 @@ def test_what_has_come_across_a_third_of_the_image_is_no_change_of_scale():
         found = log_discrepancy(closer, before, image_pixels(closer)).reshape(SHAPE)
         assert np.median(found[nearer]) == pytest.approx(np.log(2.0), abs=0.01)
         assert np.median(found[~nearer]) == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize("aside", [-1, 1])
+def test_an_edge_that_is_a_pixel_off_is_no_discrepancy(aside):
+    """Poses, and where a network draws an edge, are no better than that."""
+    before = view_of(looking(0.0), thing=(-0.2, 0.2))
+
+    def drawn_aside(pixels: int) -> np.ndarray:
+        depth = np.roll(before.depth, pixels, axis=1)
+        now = DepthView(1, before.world_from_camera, CAMERA, depth, IMAGE_TO_DEPTH, NONE, 1.0)
+        return np.abs(log_discrepancy(now, before, image_pixels(now)))
+
+    assert np.nanmax(drawn_aside(aside)) < 0.01
+    assert np.nanmax(drawn_aside(2 * aside)) == pytest.approx(np.log(WALL / THING), abs=0.01)
+
+
+@pytest.mark.parametrize(("columns", "says"), [(1, False), (2, True)])
+def test_two_views_that_share_less_than_forty_probes_say_nothing_of_each_other(columns, says):
+    """24 to a column: their median would be that of whatever a corner of the image shows."""
+    shared_px = columns * CAMERA.width / 24
+    before = view_of(looking(0.0))
+    now = view_of(looking((CAMERA.width - shared_px) * WALL / CAMERA.fx))
+    found = log_discrepancy(now, before, image_pixels(now))
+    assert np.isfinite(found).any() == says
+
+
+@pytest.mark.parametrize(("above", "open_ended"), [(4, False), (6, True)])
+def test_probabilities_some_of_which_were_upsampled_beyond_one_are_none_without_end(above, open_ended):
+    assert is_open_ended(np.array([1.01] * above + [0.5] * (10 - above))) == open_ended
 
 
 def test_several_views_are_averaged_over_those_that_say_something():

@@ -82,6 +82,20 @@ def test_a_view_has_its_depth_in_the_map_s_unit_by_its_own_points_else_by_the_fi
         assert gate._newest[0].units_per_metre == pytest.approx(units, rel=1e-3)
 
 
+def test_a_keypoint_is_looked_up_where_the_lens_has_put_it():
+    """Up to twenty pixels from its ideal place: there the network may have seen another thing."""
+    bent = replace(CAMERA, distortion=(-0.2, 0.05, 0.0, 0.0))
+    keyframe = keyframe_of_wall(0, 0.0, camera=bent)
+    confidence = np.tile(np.linspace(0.1, 0.9, SHAPE[1], dtype=np.float32), (SHAPE[0], 1))
+    depth = replace(depth_of(keyframe, camera=bent, **FITTED), confidence=confidence)
+    gated = KeyframeGate(GateConfig()).assess(keyframe, depth, bent, 0.0)
+    rays = (keyframe.pixels - [bent.cx, bent.cy]) / [bent.fx, bent.fy]
+    raw = bent.project(np.column_stack([rays, np.ones(len(rays))]))
+    assert np.abs(raw - keyframe.pixels).max() > 20.0
+    column = np.rint((raw[:, 0] + 0.5) / CAMERA.width * SHAPE[1] - 0.5).astype(int)
+    assert gated.uncertainty == pytest.approx(1.0 - confidence[0, column], abs=1e-5)
+
+
 def test_the_configurations_tau_and_t_win():
     depth = depth_of(keyframe_of_wall(0, 0.0), **FITTED)
     assert KeyframeGate(GateConfig()).parameters(depth).tau == 0.2

@@ -270,3 +270,7 @@ def test_a_second_view_from_too_near_is_not_looked_at_again_at_once(monkeypatch:
     first.begin(7, 510 * MS)
     assert see(511) is SecondView.AGREES
     assert asked[-2:] == [501, 511]
+    said[0] = SecondView.TOO_NEAR
+    see(600)
+    see(30)
+    assert asked[-2:] == [600, 30], "a clock that was set back is not waited for"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import TrackingConfig
+from prism_edge.messages import HOME
 from prism_edge.tracking.keyframe_culling import (
     AT_ONCE,
     RECENT,
@@ -15,6 +16,7 @@ from prism_edge.tracking.keyframe_culling import (
     culling,
     drop_keyframe,
     keeping_bound,
+    take_out,
 )
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.redundancy import bridged
@@ -153,7 +155,7 @@ def test_beyond_the_number_all_redundant_neighbours_go_at_once():
 
 def test_what_goes_is_forgotten_step_by_step():
     world = walk(40)
-    parts, places = Parts.given({5: 5}), Relocaliser()
+    parts, places = Parts.given({9: 9}), Relocaliser()
     for k in world.keyframes:
         places.add_place(k, np.eye(40, dtype=np.float32)[k])
     config = TrackingConfig(max_keyframes=20, redundant_keyframes=MANY)
@@ -162,10 +164,22 @@ def test_what_goes_is_forgotten_step_by_step():
         (now,) = before - set(world.keyframes) - set(told)
         told.append(now)
         assert now not in places.index
-    assert told[:2] == [39 - RECENT, 5], "what stood in, and what is a part of its own"
+    assert told[:2] == [39 - RECENT, 9], "what stood in, and what is a part of its own"
     assert len(told) == 1 + AT_ONCE < 40 - 20
     assert parts.small(MANY) <= world.keyframes.keys()
     assert len(places.index) == len(world.keyframes)
+
+
+def test_what_is_taken_out_is_forgotten_with_its_part_and_its_place():
+    world, parts, places = walk(3), Parts(), Relocaliser()
+    parts.begin(2)
+    for k in world.keyframes:
+        places.add_place(k, np.eye(3, dtype=np.float32)[k])
+    take_out(world, parts, places, world.keyframes[2])
+    assert set(world.keyframes) == {0, 1}
+    assert parts.of(2) == HOME
+    assert [k in places.index for k in range(3)] == [True, True, False]
+    check(world)
 
 
 def passed_again(count: int) -> LocalMap:

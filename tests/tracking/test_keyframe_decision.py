@@ -54,6 +54,8 @@ def judge(frame, reference, seconds=0.5, reference_matches=200, depth=3.0, confi
         (frame_at(pose_at(0, 0, 0, 0, 0.1), matched=100), 0.5, "few matches"),
         (frame_at(pose_at(0.1), matched=119), 0.06, "few matches"),  # so few can't wait
         (frame_at(pose_at(0, 0, 0, 0, 0.1)), 2.0, "time"),
+        (frame_at(pose_at(0.031), matched=50), 0.5, "few matches"),  # a hundredth of the depth, 3
+        (frame_at(pose_at(0, 0, 0, 0, np.radians(2.1)), matched=50), 0.5, "few matches"),
     ],
 )
 def test_reasons(reference, frame, seconds, reason):
@@ -66,8 +68,8 @@ def test_reasons(reference, frame, seconds, reason):
         (frame_at(pose_at(0.1)), 0.5),  # nothing new
         (frame_at(pose_at(0.3), matched=150), 0.1),  # too soon
         (frame_at(pose_at(0.3), matched=119), 0.04),  # and so it is for any
-        (frame_at(pose_at(0.01), matched=50, covered=False), 60.0),  # has not moved
-        (frame_at(pose_at(0, 0, 0, 0, 0.02), matched=50), 60.0),  # hardly turned
+        (frame_at(pose_at(0.029), matched=50, covered=False), 60.0),  # has not moved
+        (frame_at(pose_at(0, 0, 0, 0, np.radians(1.9)), matched=50), 60.0),  # hardly turned
     ],
 )
 def test_no_reason(reference, frame, seconds):

@@ -14,7 +14,7 @@ from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.recovery import clearly_better, locate, match_keyframe, misled, recover
 from prism_edge.tracking.tracker import Tracker
-from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
+from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, flipped, pose_at
 from tests.tracking.footage import IDENTITY
 
 
@@ -33,6 +33,18 @@ def test_it_finds_a_camera_far_from_where_it_was_last_seen(map_and_cloud):
     assert np.abs(se3_log(inverse(true) @ pose)).max() < 0.02
     again = locate(world, CAMERA, features, world.keyframes[0], seed=0)
     assert np.array_equal(pose, again)
+
+
+def test_of_two_corners_that_look_like_one_point_it_is_the_liker(map_and_cloud):
+    """A chair like the next: the other is no match, however near it comes to one."""
+    world, cloud = map_and_cloud
+    features, _ = cloud.view(pose_at(0.3))
+    words = np.concatenate([flipped(cloud.rng, features.descriptors, 40), features.descriptors])
+    twice = np.tile(features.pixels, (2, 1)), np.tile(features.octaves, 2)
+    keypoints, ids = match_keyframe(Features.build(*twice, words, 640, 480), world.keyframes[0])
+    assert len(ids) > 100
+    assert len(np.unique(ids)) == len(ids)
+    assert (keypoints >= len(features)).all()
 
 
 def test_matches_are_mutual_and_right(map_and_cloud):

@@ -246,6 +246,17 @@ def test_a_turn_no_frame_makes_is_not_believed_though_both_see_the_same():
     assert attempt(lost, turned, 100) is not None, "ten images a second leave it the time"
 
 
+@pytest.mark.parametrize(("turned_deg", "found"), [(39.0, True), (41.0, False)])
+def test_the_frame_before_vouches_for_four_frames_motion_however_long_ago_it_was(turned_deg, found):
+    """In a wait of seconds a camera gets anywhere: what it then seems to see has one witness, not two."""
+    cloud = Cloud(600, seed=6)
+    cloud.positions[:, :2] *= 0.2  # about the middle: rolled, it hardly moves
+    world, _ = cloud.mapped([pose_at(), pose_at(0.1)])
+    lost, rolled = Lost(world, known=False), pose_at(0.0, 0.0, 0.0, 0.0, 0.0, np.radians(turned_deg))
+    assert lost.see(cloud.view(pose_at())[0]) is None
+    assert (lost.see(cloud.view(rolled)[0], 10_000) is not None) == found
+
+
 def test_a_place_that_only_looks_of_old_agree_on_is_passed_over(place):
     """The keyframe's corners are found, but its points have looked otherwise since."""
     cloud, world = place

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from prism_edge.tracking.submaps import HOME, Parts
 from tests.tracking.cloud import Cloud, pose_at
@@ -127,3 +128,26 @@ def test_a_loop_may_come_of_a_culled_part_however_much_of_home_has_gone_since():
     parts.forget(list(range(100, 1000)))
     assert parts.merge(11, 2)
     assert parts.of(10) == HOME
+
+
+@pytest.mark.parametrize("home", [True, False])
+def test_where_two_parts_know_the_points_the_camera_is_in_the_one_that_sees_most_of_them(home):
+    world, _ = Cloud(400, seed=0).mapped([pose_at(0.2 * i) for i in range(4)])
+    parts = Parts.given({2: 2, 3: 2})
+    few = world.keyframes[1 if home else 2].points[:60]
+    for k in (0, 1) if not home else (2, 3):  # of the other part none sees more than the last ten of them
+        points = world.keyframes[k].points
+        points[np.isin(points, few[:50])] = -1
+    assert {parts.of(k) for k in world.votes(few)} == {HOME, 2}
+    parts.enter(world, few)
+    assert parts.current == (HOME if home else 2)
+
+
+@pytest.mark.parametrize(("since", "known"), [(255, True), (256, False)])
+def test_of_culled_keyframes_the_last_256_still_say_which_part_a_loop_joins(since, known):
+    parts, culled = Parts(), list(range(11, 11 + 1 + since))
+    parts.begin(10)
+    for keyframe in culled:
+        parts.add(keyframe)
+    parts.forget(culled)
+    assert parts.of_both(11, 2) == (HOME, 10 if known else HOME)
