@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 
-import numpy as np
-
 USUAL_S = 1.0  # over so long the usual interval is looked for
 GAP_S = 0.5  # after which it is another
 FEWEST = 5  # images that tell it
@@ -23,7 +21,8 @@ class Pace:
     def __init__(self) -> None:
         self.step_s = self.longest_s = self.usual_s = 0.0
         self.since_ns = 0
-        self._seen: deque[tuple[int, int]] = deque()
+        self._seen: deque[tuple[int, int]] = deque()  # numbers and stamps
+        self._steps: deque[tuple[int, int]] = deque()  # between these: ns, images
 
     def see(self, index: int, stamp_ns: int) -> None:
         """An image has come."""
@@ -32,14 +31,18 @@ class Pace:
             last, self.since_ns = self._seen[-1]
             if index <= last or not 0 < stamp_ns - self.since_ns <= GAP_S * 1e9:
                 self._seen.clear()
+                self._steps.clear()
+            else:
+                self._steps.append((stamp_ns - self.since_ns, index - last))
         self._seen.append((index, stamp_ns))
         while stamp_ns - self._seen[0][1] > USUAL_S * 1e9:
             self._seen.popleft()
+            self._steps.popleft()
         if len(self._seen) < FEWEST:
             return
-        numbers, stamps = np.array(self._seen).T
-        steps, images = np.diff(stamps), np.diff(numbers)
-        usual = (stamps[-1] - stamps[0]) / (numbers[-1] - numbers[0])
-        self.usual_s = 1e-9 * float(usual)
-        if (steps < TOGETHER * usual * images).any():
-            self.step_s, self.longest_s = 1e-9 * float(usual * images[-1]), 1e-9 * float(steps.max())
+        first, began_ns = self._seen[0]
+        usual = 1e-9 * (stamp_ns - began_ns) / (index - first)
+        self.usual_s = usual
+        if min(took_ns / images for took_ns, images in self._steps) < TOGETHER * usual * 1e9:
+            self.step_s = usual * self._steps[-1][1]
+            self.longest_s = 1e-9 * max(took_ns for took_ns, _ in self._steps)
