@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import logging
 import os
 import sys
@@ -12,20 +13,27 @@ from collections.abc import Callable
 PATIENCE_S = 1.0
 
 log = logging.getLogger("prism_edge.bus")
-_unfinished: list[threading.Thread] = []
+_unfinished: list[threading.Event] = []  # each set once a bus that took long is left
 
 
 def leave(close: Callable[[], object], patience_s: float | None) -> None:
     """Do ``close`` in a thread of its own, and wait for it so long; None: until it is done."""
-    leaving = threading.Thread(target=close, name="leaving", daemon=True)
+    left = threading.Event()
+
+    def go() -> None:
+        try:
+            close()
+        finally:
+            left.set()
+
     try:
-        leaving.start()
+        # Not threading's, which waits for good for one that found no memory to begin with.
+        _thread.start_new_thread(go, ())
     except RuntimeError:  # from 3.12 on no thread begins once Python ends
         close()
         return
-    leaving.join(patience_s)
-    if leaving.is_alive():
-        _unfinished.append(leaving)
+    if not left.wait(patience_s):
+        _unfinished.append(left)
         log.warning("somebody does not read what he is sent, or all is slow: the bus is left all the same")
 
 
@@ -34,7 +42,7 @@ def ended(code: int) -> int:
 
     It ends here where a bus is still being left: Python's own end may not meet native code that comes back.
     """
-    if any(thread.is_alive() for thread in _unfinished):
+    if not all(left.is_set() for left in _unfinished):
         logging.shutdown()
         for stream in (sys.stdout, sys.stderr):
             try:

@@ -67,13 +67,14 @@ def played(config: SourceConfig, source: Source, truth: Path | None) -> Played:
     file = truth or (Path(os.path.abspath(own)) if own else None)
     guessed = source.camera_origin in [origin for origin, _ in GUESSES]
     images = images_of(config, listing) if listing else None
-    doubts = tuple(_doubts(named_path(config.uri), listing, bool(truth))) if listing else ()
+    doubts = tuple(_doubts(config, listing, bool(truth))) if listing else ()
     return Played(camera_of(source), layout, str(file) if file else None, guessed, images, doubts=doubts)
 
 
-def _doubts(folder: Path, listing: Listing, truth_given: bool) -> Iterator[str]:
+def _doubts(config: SourceConfig, listing: Listing, truth_given: bool) -> Iterator[str]:
     """What to know of a folder's images, and of true poses that are or are not read with them."""
-    if listing.doubt:
+    folder = named_path(config.uri)
+    if listing.doubt and not config.frames:  # else it may be of images that aren't played
         yield f"{folder}: {listing.doubt}"
     if truth_given:
         return

@@ -45,6 +45,11 @@ class ScaleEstimator:
         self.accepted = self.rejected = 0  # observations since this epoch began; refused are outliers
 
     @property
+    def epoch(self) -> int:
+        """Of the map that it is about; -1 before any."""
+        return -1 if self._epoch is None else self._epoch
+
+    @property
     def metric(self) -> bool:
         """Whether network depth has fixed this part's unit or met it; else scale is a guess."""
         return not self._filter.is_open

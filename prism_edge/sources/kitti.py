@@ -15,6 +15,7 @@ from prism_edge.sources.listing import Intrinsics, Listing, files_in, lines_of
 from prism_edge.sources.stamps import parse_seconds
 
 _CAMERAS = {"image_2": "P2", "image_0": "P0"}  # colour before grey
+_MOST_BESIDE = 0.6  # of a thinned sequence's images have their next beside them, as pairs that were kept
 _GLOBAL_MS = 0.0  # its cameras have global shutters
 TABLES = "calib.txt and times.txt come with the benchmark's data_odometry_calib.zip"
 
@@ -62,7 +63,7 @@ def _step(numbers: list[int]) -> int:
         return 1
     steps = [after - before for before, after in pairwise(numbers)]
     length = numbers[-1] - numbers[0]
-    thinned = 2 * len(numbers) <= length and np.median(steps) > 1
+    thinned = 2 * len(numbers) <= length and steps.count(1) <= _MOST_BESIDE * len(steps)
     return length // len(steps) if thinned or len(set(steps)) == 1 else 1
 
 

@@ -42,7 +42,7 @@ def find(folder: Path, rate_hz: float) -> Listing | None:
 
 def _gaps(numbers: list[int]) -> str:
     """What to know of numbers that are missing in between, where not every second, third, ... was kept."""
-    steps = [after - before for before, after in pairwise(numbers)]
+    steps = [after - before for before, after in pairwise(sorted(set(numbers)))]
     missing = sum(steps) - len(steps)
     if not missing or median(steps) > 1:
         return ""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections import deque
 
-USUAL_S = 1.0  # over so long the usual interval is looked for
-GAP_S = 0.5  # after which it is another
+USUAL_S, WHOLE_S = 1.0, 0.9  # over so long the usual interval is looked for; from which on it is known
+GAP_S = 0.5  # after which it is looked for anew: images that waited come in a burst
 FEWEST = 5  # images that tell it
-TOGETHER = 0.5  # of it: images that are less apart were not taken so
+TOGETHER = 0.25  # of it: images that are less apart were not taken so; a camera may change its rate
 
 
 class Pace:
@@ -21,6 +21,7 @@ class Pace:
     def __init__(self) -> None:
         self.step_s = self.longest_s = self.usual_s = 0.0
         self.since_ns = 0
+        self._known_s = 0.0  # the usual interval, as it was last seen for long enough
         self._seen: deque[tuple[int, int]] = deque()  # numbers and stamps
         self._steps: deque[tuple[int, int]] = deque()  # between these: ns, images
 
@@ -42,7 +43,11 @@ class Pace:
             return
         first, began_ns = self._seen[0]
         usual = 1e-9 * (stamp_ns - began_ns) / (index - first)
-        self.usual_s = usual
+        if stamp_ns - began_ns >= WHOLE_S * 1e9:
+            self._known_s = usual
+        elif not self._known_s:
+            return
+        self.usual_s = usual = max(usual, self._known_s)
         if min(took_ns / images for took_ns, images in self._steps) < TOGETHER * usual * 1e9:
             self.step_s = usual * self._steps[-1][1]
             self.longest_s = 1e-9 * max(took_ns for took_ns, _ in self._steps)

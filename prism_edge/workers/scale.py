@@ -124,11 +124,15 @@ class ScaleWorker:
             self._take_over(loaded)
         for told in self._begun.drain():  # it may be long until the new map's first keyframe
             if self._estimator.give_up(told.epoch):
+                for said in ("log_scale", "sigma", "warning"):
+                    self._bus.pulse.values.pop(said, None)
                 unknown = 0.0, self._initial_sigma, self._initial_sigma
                 self._bus.publish("scale", ros.scale(self._stamp_ns, self._map_frame, *unknown, metric=False))
 
     def _take_over(self, loaded: MapLoaded) -> None:
         """Said at once: where the map is left as it is, no keyframe will."""
+        if loaded.epoch < self._estimator.epoch:
+            return  # given up before it was heard of
         log_scale, sigma = loaded.log_scale, loaded.scale_sigma
         apart = {"bias_sigma": loaded.bias_sigma, "lost_sigma": loaded.lost_sigma}
         if loaded.metric:

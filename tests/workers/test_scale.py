@@ -152,8 +152,11 @@ def test_a_map_that_was_given_up_leaves_no_metres_behind(bus, start):
     bus.give("map_loaded", MapLoaded(3, np.log(1.3), 0.03, 0.1))
     start()
     bus.wait_for("scale", 1)
+    bus.pulse.values.update(log_scale="0.26", sigma="0.03", warning="that network is lost")
     bus.give("new_map", Epoch(3), Epoch(4), Epoch(2))  # late, and twice over
     bus.wait_for("scale", 2)
+    bus.give("map_loaded", MapLoaded(3, np.log(1.3), 0.03, 0.1))  # loaded before that, heard of after
+    assert not {"log_scale", "sigma", "warning"} & bus.pulse.values.keys()
     said = bus.of("scale")[1]
     assert (said.scale, said.sigma_log, said.metric, said.keyframe) == (1.0, 0.3, False, -1)
     old, new = (keyframe_of_wall(7, 2.0, epoch=epoch) for epoch in (3, 4))
