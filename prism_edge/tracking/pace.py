@@ -45,9 +45,8 @@ class Pace:
         usual = 1e-9 * (stamp_ns - began_ns) / (index - first)
         if stamp_ns - began_ns >= WHOLE_S * 1e9:
             self._known_s = usual
-        elif not self._known_s:
-            return
         self.usual_s = usual = max(usual, self._known_s)
-        if min(took_ns / images for took_ns, images in self._steps) < TOGETHER * usual * 1e9:
+        least_ns = min(took_ns / images for took_ns, images in self._steps)
+        if self._known_s and least_ns < TOGETHER * usual * 1e9:
             self.step_s = usual * self._steps[-1][1]
             self.longest_s = 1e-9 * max(took_ns for took_ns, _ in self._steps)
