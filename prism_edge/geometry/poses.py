@@ -121,8 +121,7 @@ def adjoint(pose: Array) -> Array:
 
 def swung(covariance: Array, arm: Array) -> Array:
     """Covariance (6, 6) of the pose of a point that is ``arm`` (3) away on the same body; same axes."""
-    carry = np.eye(6)
-    carry[:3, 3:] = -skew(arm)
+    carry = adjoint(from_rt(np.eye(3), -arm))
     return np.asarray(carry @ covariance @ carry.T)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from prism_edge.config import Config, DepthConfig, GateConfig, ScaleConfig, SupervisorConfig
-from prism_edge.messages import IDS_A_LIFE, Acknowledged, EndOfStream, Epoch, Gate, MapLoaded, Scale
+from prism_edge.messages import IDS_A_LIFE, Acknowledged, EndOfStream, Gate, MapLoaded, Scale
 from prism_edge.workers.cut_off import TOLD
 from prism_edge.workers.scale import ScaleWorker, main
 from tests.scale.scene import depth_of, keyframe_of_wall
@@ -45,20 +45,6 @@ def start(bus):
     for thread in threads:
         thread.join(DEADLINE_S)
         assert not thread.is_alive()
-
-
-@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
-def test_a_loaded_map_s_scale_is_said_at_once(bus, start, mode):
-    """A map that is only localised in makes no keyframes, whose scales would say it."""
-    bus.give("map_loaded", MapLoaded(1000, np.log(1.3), 0.03, 0.1, lost_sigma=2.0))
-    start(mode)
-    bus.wait_for("scale", 1)
-    (said,) = bus.of("scale")
-    assert said.scale == pytest.approx(1.3)
-    whole = pytest.approx(np.linalg.norm([0.03, 0.1, 2.0]))
-    assert (said.sigma_log, said.filter_sigma_log) == (whole, 0.03)
-    assert said.metric
-    assert said.keyframe == -1
 
 
 def test_a_scale_that_was_started_again_goes_on_from_what_the_backend_has_heard(bus, start):
@@ -131,50 +117,6 @@ def test_a_network_out_of_its_depth_shows_on_health_until_a_map_begins_that_it_a
     bus.give("depth", depth_of(again))
     bus.give("keyframe", again)
     until(lambda: "warning" not in bus.pulse.values)
-
-
-def test_a_map_of_whose_unit_nothing_is_known_is_not_said_to_be_metric(bus, start):
-    bus.give("map_loaded", MapLoaded(3, 0.0, 0.3, metric=False))
-    start()
-    bus.wait_for("scale", 1)
-    assert not bus.of("scale")[0].metric
-    keyframe = keyframe_of_wall(7, 2.0, epoch=3)
-    bus.give("depth", replace(depth_of(keyframe), valid=False, reason="constant"))
-    bus.give("keyframe", keyframe)  # after it: a keyframe whose depth is long in coming is answered without
-    bus.wait_for("scale", 2)
-    assert not bus.of("scale")[1].metric
-    (said,) = bus.of("log_scale")
-    assert (said.epoch, said.metric) == (3, False)
-
-
-def test_a_map_that_was_given_up_leaves_no_metres_behind(bus, start):
-    """Who asks for `scale` after a `reset` is not told that of the map before."""
-    bus.give("map_loaded", MapLoaded(3, np.log(1.3), 0.03, 0.1))
-    start()
-    bus.wait_for("scale", 1)
-    bus.pulse.values.update(log_scale="0.26", sigma="0.03", warning="that network is lost")
-    bus.give("new_map", Epoch(3), Epoch(4), Epoch(2))  # late, and twice over
-    bus.wait_for("scale", 2)
-    bus.give("map_loaded", MapLoaded(3, np.log(1.3), 0.03, 0.1))  # loaded before that, heard of after
-    assert not {"log_scale", "sigma", "warning"} & bus.pulse.values.keys()
-    said = bus.of("scale")[1]
-    assert (said.scale, said.sigma_log, said.metric, said.keyframe) == (1.0, 0.3, False, -1)
-    old, new = (keyframe_of_wall(7, 2.0, epoch=epoch) for epoch in (3, 4))
-    bus.give("depth", depth_of(old), depth_of(new))
-    bus.give("keyframe", old, new)
-    bus.wait_for("scale", 3)
-    assert [said.epoch for said in bus.of("log_scale")] == [4]
-    assert len(bus.of("scale")) == 3
-
-
-def test_where_no_metres_were_said_none_are_taken_back(bus, start):
-    bus.give("new_map", Epoch(1))
-    start()
-    keyframe = keyframe_of_wall(7, 2.0, epoch=1)
-    bus.give("depth", depth_of(keyframe))
-    bus.give("keyframe", keyframe)
-    bus.wait_for("scale", 1)
-    assert [said.keyframe for said in bus.of("scale")] == [7]
 
 
 @pytest.mark.parametrize("life", [0, 1])
