@@ -15,7 +15,7 @@ from prism_edge.topics import COMMANDS, TOPICS
 CHECKOUT = Path(__file__).resolve().parents[1]
 PACKAGE = CHECKOUT / "prism_edge"
 TABLES = {"config", "topics", "processes", "messages", "config_file", "errors", "vital"}
-TABLES |= {"named_path", "all_or_nothing"}
+TABLES |= {"named_path", "all_or_nothing", "huge_pages"}
 # What each part may import besides the tables, from the bottom up. The cores know nothing of the bus.
 BELOW = {
     "geometry": set(),

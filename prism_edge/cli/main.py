@@ -11,6 +11,7 @@ from prism_edge import __version__
 from prism_edge.bus.leaving import ended
 from prism_edge.cli.streams import drop_output, open_closed, print_anything
 from prism_edge.errors import report
+from prism_edge.huge_pages import begin_with_huge_pages
 
 # Name: module, one line of help. Only the module that is asked for is imported, so that help comes at once.
 COMMANDS = {
@@ -103,6 +104,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def script() -> int:
     """As :func:`main`, of a process that ends with it."""
+    if sys.argv[1:2] in (["run"], ["worker"]):  # what stays, and works through every image
+        begin_with_huge_pages(sys.orig_argv[1:])
     return ended(main())
 
 

@@ -17,6 +17,7 @@ from typing import Self
 import psutil
 
 from prism_edge.errors import EvaluationError, PrismError
+from prism_edge.huge_pages import with_huge_pages
 from prism_edge.workers.stopping import die_with
 
 # -P: the package that is installed, whatever lies in the folder that we are in.
@@ -52,6 +53,7 @@ class Daemon:
                     stdin=subprocess.DEVNULL,
                     stdout=output,
                     stderr=subprocess.STDOUT,
+                    env=with_huge_pages(os.environ),
                     start_new_session=True,  # Ctrl-C is for the evaluation, which then ends the daemon
                     preexec_fn=partial(die_with, os.getpid()),
                 )
