@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import resource
 import threading
 from collections.abc import Callable
+from pathlib import Path
 
+_STATM = Path("/proc/self/statm")
 # <malloc.h>
 _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
 
@@ -15,7 +18,8 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
 MAPPED_BYTES = 2 << 20  # a block this large goes back when it is freed
 KEPT_BYTES = 8 << 20  # free at the heap's end: an image's temporaries must not be mapped anew each time
 ARENAS = 2
-TRIM_S = 60.0
+FIRST_S, TRIM_S = 5.0, 60.0  # after a start, which takes more than what comes of it; and from then on
+GROWN_BYTES = 8 << 20
 
 
 def bound_heap() -> bool:
@@ -27,17 +31,35 @@ def bound_heap() -> bool:
     return False
 
 
-def keep_trimmed(stopped: threading.Event, every_s: float = TRIM_S) -> None:
-    """Give back, now and then, what is free in the midst of the heap too: solvers leave it full of holes.
+def keep_trimmed(stopped: threading.Event, first_s: float = FIRST_S, every_s: float = TRIM_S) -> None:
+    """Give back what is free within the heap too, once there is more: solvers leave it full of holes.
 
-    In a thread of its own, without the interpreter's lock; it takes some milliseconds.
+    Each time splits the heap's huge pages (huge_pages.py), and what work needs again comes in small ones: so
+    it is not done where the process is as large as it was a while after the last time. In a thread of its
+    own, without the interpreter's lock; it takes some milliseconds.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is None:
         return
 
     def go_on(trim: Callable[[int], int]) -> None:
+        if stopped.wait(first_s):
+            return
+        trim(0)
+        usual = 0  # bytes, a while after the last time; 0: not known yet
         while not stopped.wait(every_s):
-            trim(0)
+            now = _resident()
+            if not usual:
+                usual = now
+            elif now > usual + GROWN_BYTES:
+                trim(0)
+                usual = 0
 
     threading.Thread(target=go_on, args=(trim,), name="heap", daemon=True).start()
+
+
+def _resident() -> int:
+    """Bytes of this process in memory; 0 where the system doesn't say."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        return int(_STATM.read_text().split()[1]) * resource.getpagesize()
+    return 0

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import subprocess
 import sys
+import threading
+from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
+
+from prism_edge.workers import heap
 
 # Blocks below the threshold that glibc would have arrived at by itself, freed with something small behind.
 PEAK = """
@@ -68,3 +74,49 @@ def test_holes_in_the_midst_of_the_heap_are_given_back() -> None:
     done = subprocess.run([sys.executable, "-c", HOLES], capture_output=True, text=True)
     assert not done.stderr
     assert done.stdout.split() == ["True", "True"]
+
+
+MB = 1 << 20
+
+
+def trims(monkeypatch: pytest.MonkeyPatch, sizes: list[int]) -> list[int]:
+    """How large (MB) a process was when it gave back, of ``sizes`` look by look; 0: at first."""
+    stopped, seen, at = threading.Event(), [0], []
+    looks: Iterator[int] = iter(sizes)
+
+    def resident() -> int:
+        size = next(looks, None)
+        if size is None:
+            stopped.set()
+            return seen[-1]
+        seen.append(size * MB)
+        return seen[-1]
+
+    library = SimpleNamespace(malloc_trim=lambda pad: at.append(seen[-1] // MB))
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: library)
+    monkeypatch.setattr(heap, "_resident", resident)
+    heap.keep_trimmed(stopped, 0.001, 0.001)
+    for thread in threading.enumerate():
+        if thread.name == "heap":
+            thread.join(20.0)
+    assert stopped.is_set()
+    return at
+
+
+def test_what_stays_as_large_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert trims(monkeypatch, [100, 104, 107, 101, 108, 90, 107]) == [0], "its huge pages stay whole"
+
+
+def test_what_grows_gives_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert trims(monkeypatch, [100, 104, 109, 102, 105, 110, 111, 120, 118, 130]) == [0, 109, 111, 130]
+
+
+def test_what_work_takes_again_is_not_given_back_each_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert trims(monkeypatch, [100, 120, 119, 120, 119, 121, 126]) == [0, 120]
+
+
+def test_a_process_knows_its_size() -> None:
+    before = heap._resident()
+    block = bytearray(b"x" * (40 * MB))
+    assert heap._resident() - before > 30 * MB
+    del block
