@@ -52,7 +52,7 @@ if is_hidden "$(realpath -m ${destdir:+--no-symlinks} "$prefix")"; then
 fi
 
 destdir=${destdir:+$(realpath -m "$destdir")} destdir=${destdir%/}
-checkout=$(cd "$(dirname "$0")/.." && pwd)
+checkout=$(CDPATH="" cd "$(dirname "$0")/.." && pwd)
 root=$destdir$prefix
 units=$destdir/etc/systemd/system
 rules=$destdir/etc/udev/rules.d
@@ -87,7 +87,9 @@ saved=$(mktemp -d)
 sources=$(mktemp -d)
 files=("$units/prism-edge.service" "$units/prism-edge@.service" "$rules/60-prism-edge-oak.rules" "$command"
     "$settings/config.yaml.example")
-[[ -e $settings/config.yaml ]] || files+=("$settings/config.yaml")  # one that is there is never touched
+# One that is there is never touched, nor a link to one that is not mounted just now.
+is_there() { [[ -e $1 || -L $1 ]]; }
+is_there "$settings/config.yaml" || files+=("$settings/config.yaml")
 
 service() { [[ $systemctl == no ]] || systemctl "$@"; }
 
@@ -103,6 +105,9 @@ mapfile -t starting < <(units_that_are activating)  # mostly one whose camera is
 undo() {
     local code=$?
     trap - EXIT
+    # Who started it may be gone, with the terminal (ssh): all that follows is done, whoever hears of it.
+    trap '' INT TERM HUP PIPE
+    set +e
     rm -rf "$root/.current.new"
     if ((code)); then
         echo "install.sh: error: it failed; putting back what was there" >&2
@@ -149,10 +154,10 @@ name_final_paths() {
 }
 
 for file in "${files[@]}"; do
-    if [[ -e $file || -L $file ]]; then cp -a "$file" "$saved/"; fi
+    if is_there "$file"; then cp -a "$file" "$saved/"; fi
 done
 trap undo EXIT
-trap 'exit 130' INT TERM HUP
+trap 'exit 130' INT TERM HUP PIPE
 
 # -I: what is asked is the release, not what lies in the folder we are in or what PYTHONPATH names.
 echo "installing into $root/$new"
@@ -171,6 +176,12 @@ copy_sources
 [[ -z $destdir ]] || name_final_paths
 [[ -z $extras ]] || echo "$extras" > "$root/$new/extras"
 "$root/$new/bin/python" -I -m prism_edge.cli --version
+# Before any is stopped: one that refuses its own file would not come back with the release before it either.
+for unit in "${running[@]}" "${starting[@]}"; do
+    file=${unit#prism-edge@} file=$settings/${file%.service}.yaml
+    [[ $unit != prism-edge@* || ! -e $file ]] ||
+        "$root/$new/bin/python" -I -m prism_edge.cli config --check "$file"
+done
 
 written=yes
 mkdir -p "$units" "$rules" "${command%/*}" "$destdir/srv/prism-edge/models"
@@ -184,7 +195,7 @@ done
 ln -sfn "$prefix/current/bin/prism-edge" "$command"
 # An operator's file is never touched; what a release brings lies beside it.
 install -m 644 "$checkout/deploy/config.yaml" "$settings/config.yaml.example"
-[[ -e $settings/config.yaml ]] || install -m 644 "$checkout/deploy/config.yaml" "$settings/config.yaml"
+is_there "$settings/config.yaml" || install -m 644 "$checkout/deploy/config.yaml" "$settings/config.yaml"
 "$root/$new/bin/python" -I -m prism_edge.cli config --check "$settings/config.yaml"
 
 point_at "$new"

@@ -14,6 +14,7 @@ from pathlib import Path
 KERNEL = Path("/sys/kernel/mm/transparent_hugepage")
 LARGEST = 2 << 20  # bytes: with 64 kB of base pages a huge one has 512 MB, and each process would take some
 VARIABLE, TUNABLE = "GLIBC_TUNABLES", "glibc.malloc.hugetlb"
+BEGUN = "PRISM_EDGE_BEGUN"  # the process that has begun anew
 SINCE = (2, 35)  # of glibc
 
 
@@ -31,11 +32,13 @@ def with_huge_pages(environment: Mapping[str, str], kernel: Path = KERNEL) -> di
 def begin_with_huge_pages(arguments: Sequence[str]) -> None:
     """Begin the same program anew where that gives it huge pages; ``arguments`` are the interpreter's.
 
-    Same process, so that whoever started it finds it still; once, as then its environment has them.
+    Same process, so that whoever started it finds it still; once, whatever its environment has then: the C
+    library takes the variable away from a program with capabilities of its own (``setcap``).
     """
-    wanted = with_huge_pages(os.environ)
-    if wanted != dict(os.environ) and os.access(sys.executable, os.X_OK):
-        os.execve(sys.executable, [sys.executable, *arguments], wanted)
+    wanted, own = with_huge_pages(os.environ), str(os.getpid())
+    begun = os.environ.get(BEGUN) == own
+    if wanted != dict(os.environ) and not begun and os.access(sys.executable, os.X_OK):
+        os.execve(sys.executable, [sys.executable, *arguments], {**wanted, BEGUN: own})
 
 
 def _are_for_who_asks(kernel: Path) -> bool:

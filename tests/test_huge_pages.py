@@ -137,3 +137,15 @@ def test_a_program_that_is_not_to_be_found_goes_on_as_it_is(monkeypatch: pytest.
     monkeypatch.setattr(os, "execve", lambda *command: pytest.fail("begun"))
     monkeypatch.setattr(sys, "executable", "")
     begin_with_huge_pages(["-c", "pass"])
+
+
+def test_once_also_where_the_c_library_takes_the_variable_away(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As from a python with capabilities of its own: `setcap cap_sys_nice+ep`."""
+    begun: list[dict[str, str]] = []
+    monkeypatch.setattr(huge_pages, "with_huge_pages", lambda given: {**given, VARIABLE: "x"})
+    monkeypatch.setattr(os, "execve", lambda program, words, environment: begun.append(environment))
+    begin_with_huge_pages(["-c", "pass"])
+    left = {name: value for name, value in begun[0].items() if name != VARIABLE}
+    monkeypatch.setattr(os, "environ", left)
+    begin_with_huge_pages(["-c", "pass"])
+    assert len(begun) == 1

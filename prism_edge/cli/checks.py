@@ -185,6 +185,7 @@ def _round_trip(zenoh: Any) -> float | None:
     def settings(**entries: Any) -> Any:
         config = zenoh.Config()
         config.insert_json5("scouting/multicast/enabled", "false")
+        config.insert_json5("transport/shared_memory/enabled", "false")  # as the daemon's own
         for key, value in entries.items():
             config.insert_json5(key.replace("__", "/"), json.dumps(value))
         return config

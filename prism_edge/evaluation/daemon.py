@@ -6,7 +6,6 @@ import contextlib
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -18,10 +17,10 @@ import psutil
 
 from prism_edge.errors import EvaluationError, PrismError
 from prism_edge.huge_pages import with_huge_pages
+from prism_edge.workers.launch import own_module
 from prism_edge.workers.stopping import die_with
 
-# -P: the package that is installed, whatever lies in the folder that we are in.
-SUPERVISOR = (sys.executable, "-P", "-m", "prism_edge.supervisor")
+SUPERVISOR = tuple(own_module("prism_edge.supervisor"))
 _KILLED_S = 2.0  # for the kernel to clear away what was killed
 _ERROR = ": error: "  # how a process of the daemon begins its one line
 

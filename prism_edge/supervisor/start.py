@@ -11,7 +11,7 @@ from pathlib import Path
 
 from prism_edge.processes import Process
 from prism_edge.supervisor.child import Child
-from prism_edge.workers.launch import run_worker
+from prism_edge.workers.launch import own_module, run_worker
 
 Start = Callable[[Process, Path, int], Child]  # the last: how often it was started before
 
@@ -45,7 +45,6 @@ def can_fork() -> bool:
 
 def spawn_worker(process: Process, config_file: Path, life: int) -> Child:
     """As :func:`start_worker`, by a command line."""
-    # -P: the package that is installed, whatever lies in the folder that we are in.
-    command = [sys.executable, "-P", "-m", "prism_edge.workers", process.name]
+    command = [*own_module("prism_edge.workers"), process.name]
     command += ["--config", str(config_file), "--parent", str(os.getpid()), "--life", str(life)]
     return Child.spawn(command)

@@ -28,6 +28,16 @@ if TYPE_CHECKING:
 
 TITLE = "prism-edge"  # and the worker's name, where ps shows a command line
 _LOOK_S, _LINKED_S = 0.1, 1.0  # between looks for a link, and for one that needs no word
+# -P, and no more than this package by its path: whatever lies in the folder that we are in.
+_MODULE = (
+    "import runpy, sys; sys.path.insert(0, sys.argv.pop(1)); import prism_edge; del sys.path[0]; "
+    "runpy.run_module(sys.argv.pop(1), run_name='__main__', alter_sys=True)"
+)
+
+
+def own_module(name: str) -> list[str]:
+    """A command line that runs a module of this very package: of a checkout that nobody has installed, too."""
+    return [sys.executable, "-P", "-c", _MODULE, str(Path(__file__).resolve().parents[2]), name]
 
 
 def log_to_stderr(process: str, level: int = logging.INFO) -> None:

@@ -108,6 +108,26 @@ def test_a_failed_upgrade_leaves_all_as_it_was(installed: Path, fail: str) -> No
     assert (installed / "opt/prism-edge/current/bin/python").exists()
 
 
+def test_a_failed_upgrade_is_undone_though_nobody_hears_of_it(installed: Path) -> None:
+    """The terminal has gone (ssh over a robot's WiFi), or the log's disk is full."""
+    (installed / "etc/systemd/system" / UNITS[0]).write_text("the old unit\n")
+    before = tree(installed)
+    command = [CHECKOUT / "deploy/install.sh", "--destdir", installed, "--python", PYTHON]
+    environment = {**os.environ, "FAIL": "config", "REAL_PYTHON": sys.executable}
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=subprocess.PIPE, stderr=full, env=environment, timeout=60)
+    assert done.returncode != 0
+    assert tree(installed) == before
+
+
+def test_a_link_to_a_configuration_that_is_not_there_now_stays(installed: Path) -> None:
+    settings = installed / "etc/prism-edge/config.yaml"
+    settings.unlink()
+    settings.symlink_to("/data/not-mounted/config.yaml")
+    install(installed)
+    assert os.readlink(settings) == "/data/not-mounted/config.yaml"
+
+
 @pytest.fixture
 def prefix() -> Iterator[Path]:
     """A folder of this machine that the service may see: pytest's own lie in /tmp."""

@@ -130,3 +130,18 @@ def is_a_copy_of(root: psutil.Process, worker: psutil.Process) -> bool:
 def addresses(pid: int) -> set[str]:
     maps = Path(f"/proc/{pid}/maps").read_text().splitlines()
     return {line.split()[0] for line in maps if "zenoh" in line}
+
+
+def test_a_later_life_is_the_package_that_runs_wherever_that_was_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by `python -m prism_edge` in a checkout: no path of a new interpreter leads there."""
+    lines: list[list[str]] = []
+    monkeypatch.setattr(Child, "spawn", lambda line: lines.append(line))
+    spawn_worker(PROCESSES["tracker"], tmp_path / "config.yaml", 1)
+    (tmp_path / "prism_edge").mkdir()
+    (tmp_path / "prism_edge/__init__.py").write_text("raise SystemExit('another is asked')\n")
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    asked = subprocess.run([*lines[0], "--help"], env=environment, capture_output=True, text=True)
+    assert asked.returncode == 0, asked.stderr
+    assert "--parent PID" in asked.stdout
