@@ -189,13 +189,15 @@ def _unpack(data: bytes | memoryview, cls: type[Message]) -> Message:
     if version != VERSION:
         raise ValueError(f"layout version {version}, this is version {VERSION}")
     if floats != len(plan.floats):
-        raise ValueError(f"{floats} float fields instead of {len(plan.floats)}")
+        raise ValueError(f"{floats} float fields instead of {len(plan.floats)}: of another build?")
     start = _PREFIX.size + 8 * floats
     if length > MAX_HEADER or start + length > len(data):
         raise ValueError(f"a header of {length} bytes in {len(data)} bytes")
     name, values, shapes = _decode(bytes(data[start : start + length]).decode())
     if name != cls.__name__:
         raise ValueError(f"it says it is {name!r:.40}")
+    if (len(values), len(shapes)) != (len(plan.plain), len(plan.arrays)):
+        raise ValueError("it has other fields: its sender is of another build")
     given: dict[str, Any] = dict(zip(plan.floats, plan.unpack_floats(data, _PREFIX.size), strict=True))
     for plain, value in zip(plan.plain, values, strict=True):
         if not plain.accepts(value):

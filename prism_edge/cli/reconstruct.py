@@ -123,6 +123,11 @@ def run(args: argparse.Namespace) -> int:
     seen = viewpoints(found.world, found.metric)
     if not found.scale.is_known:
         say(f"{found.path}: warning: no depth has said how long its unit is: metres are a guess")
+    if found.metric.elsewhere:
+        count = found.metric.elsewhere
+        say(f"warning: left out: {count} keyframes, in parts whose place in map is not known")
+    if unstamped := found.metric.stamps.count(None):
+        say(f"warning: left out: {unstamped} keyframes, that an earlier build made, without a stamp")
     if not seen:
         raise MapError(f"{found.path}: none of its keyframes says when it was taken, or has a place in map")
     with Progress(None) as bar:

@@ -26,7 +26,9 @@ from prism_edge.sources import Image, Source, Unreadable, open_source
 from prism_edge.sources.mask import Shown, mask_for
 from prism_edge.tracking.features import OrbExtractor
 
-NO_PICTURE = "of whose time the recording has no picture"
+NO_PICTURE = (
+    "of whose time the recording has no picture: if its images have no stamps, give the run's source.rate_hz"
+)
 OTHER_PICTURE = "of whose time the recording's picture is another: the map may be of several recordings"
 UNREADABLE = "whose picture can't be read"
 NO_DEPTH = "of which the network gives no depth"

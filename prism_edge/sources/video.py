@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import cv2
+import numpy as np
 
 from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
@@ -26,6 +27,10 @@ NO_VIDEO = "is no video that can be read (and no folder of images)"
 NO_INDEX = (
     "has no index (moov): it was cut off while it was being recorded or copied; record it as .mkv, which "
     "can be read as far as it goes, or have the index made anew by a tool for that"
+)
+INTERLACED = (
+    "if a player shows more it is interlaced, of which OpenCV 5 gives nothing, without a word; make it "
+    "progressive (ffmpeg -i IN -vf bwdif OUT)"
 )
 CUT_SHORT = "it is damaged or was cut short"
 
@@ -88,9 +93,12 @@ class Video(Source):
         check_camera_size(self.camera, self.camera_origin, image.pixels, str(self._path))
         if (1.0 - _EARLY) * count < capture.get(cv2.CAP_PROP_PTS) < count:
             count = self._said_ns = 0  # Matroska's goes by its last stamp, wherever the first one is
-        stamps_ns = [self._position_ns()]
+        stamps_ns, alike = [self._position_ns()], True
         while len(stamps_ns) < _LOOKED_AT and self._advance() is not None:
             stamps_ns.append(self._position_ns())
+            alike = alike and np.array_equal(capture.retrieve()[1], image.pixels)
+        if alike and len(stamps_ns) > 1:
+            log.warning("%s begins with %d times one picture: %s", self._path, len(stamps_ns), INTERLACED)
         if stamps_ns[1:2] == [0]:
             if self._rate_hz:
                 self.period_ns = round(1e9 / self._rate_hz)

@@ -131,6 +131,11 @@ class Supervisor:
         check_robot_name(self._config.robot)
         check_loopback(self._config.bus.endpoint)
         check_network(self._config.network, self._config.bus.endpoint)
+        if self._config.network.endpoint:
+            from prism_edge.bus.certificates import mismatch  # which loads OpenSSL
+
+            if wrong := mismatch(self._config.network):
+                log.warning("nobody is going to link over the network: %s", wrong)
         check_port(self._config)
         if not self._config.depth.network:
             log.warning("depth %s", no_network().message)

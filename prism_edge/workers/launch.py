@@ -36,7 +36,7 @@ _MODULE = (
 
 
 def own_module(name: str) -> list[str]:
-    """A command line that runs a module of this very package: of a checkout that nobody has installed, too."""
+    """A command line that runs a module of this very package, of a checkout that is not installed, too."""
     return [sys.executable, "-P", "-c", _MODULE, str(Path(__file__).resolve().parents[2]), name]
 
 

@@ -241,3 +241,13 @@ def test_options_that_can_not_be_are_refused(call: Call, more: tuple[str, str]) 
 def test_help_says_what_the_reconstruction_is_made_with() -> None:
     assert (Options().voxel, Options().agreeing) == (reconstruct.VOXEL, reconstruct.AGREEING)
     assert reconstruct.MOST_AGREEING == MOST_BESIDE + 1
+
+
+def test_keyframes_that_the_map_can_not_place_or_date_are_counted(
+    call: Call, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    info, arrays = map_file.unpack((room / "room.prismmap").read_bytes())
+    stamps = [None if k < 2 else stamp for k, stamp in enumerate(info["stamps"])]
+    (tmp_path / "some.prismmap").write_bytes(map_file.pack({**info, "stamps": stamps}, arrays))
+    assert call("--no-pictures", "--width", 160, map=tmp_path / "some.prismmap") == 0
+    assert "left out: 2 keyframes, that an earlier build made, without a stamp" in capsys.readouterr().err

@@ -303,3 +303,29 @@ def test_what_is_no_video(tmp_path: Path, content: bytes, capfd: pytest.CaptureF
     with pytest.raises(SourceError, match=r"clip\.avi"), opened(path):
         pass
     assert capfd.readouterr().err == "", "FFmpeg's own words are nothing to a user"
+
+
+def interlaced(path: Path, flags: str) -> Path:
+    av = pytest.importorskip("av", reason="OpenCV can't write interlaced films")
+    tiny.write_video(path.with_name("beside.avi"))  # and the camera file
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg2video", rate=25, options={"flags": flags} if flags else {})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for i in range(20):
+            frame = av.VideoFrame.from_ndarray(tiny.picture(i % 8), format="bgr24").reformat(format="yuv420p")
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode(None))
+    return path
+
+
+@pytest.mark.parametrize("flags", ["+ildct+ilme", ""])
+def test_an_interlaced_film_of_which_opencv_shows_nothing_is_said(
+    flags: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with opened(interlaced(tmp_path / "clip.mkv", flags)) as source:
+        item, later = source.read(), source.read()
+    assert isinstance(item, Image)
+    assert isinstance(later, Image)
+    # Some releases of OpenCV convert them.
+    assert ("interlaced" in caplog.text) == np.array_equal(item.pixels, later.pixels)
+    assert flags or "interlaced" not in caplog.text

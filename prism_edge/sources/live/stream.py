@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import logging
+import os
 import time
 from collections import deque
 from collections.abc import Iterator
@@ -65,6 +66,8 @@ class StreamDriver:
     def connect(self) -> StreamConnection:
         """Raises CameraLostError where nobody answers, SourceError where it is the address that is wrong."""
         av = _pyav()
+        if self.url[:6].lower() == "rtsps:":  # FFmpeg's TLS below RTSP takes no option, but heeds this
+            os.environ["no_proxy"] = "*"
         options = {"protocol_whitelist": _PROTOCOLS, "fflags": "nobuffer"}
         if self.is_mjpeg:
             options["http_proxy"] = ""  # a camera is on our own network

@@ -364,3 +364,16 @@ def test_a_camera_may_sign_its_own_certificate_whatever_ffmpeg_comes_to_ask(
     with pytest.raises(CameraLostError, match="seen enough"):
         StreamDriver("https://camera/video").connect()
     assert asked["tls_verify"] == "0"
+
+
+def test_a_proxy_of_the_environment_is_passed_by(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("no_proxy", "")  # put back afterwards, whatever the driver made of it
+    with socket.create_server(("127.0.0.1", 0)) as camera, socket.create_server(("127.0.0.1", 0)) as proxy:
+        monkeypatch.setenv("http_proxy", f"http://127.0.0.1:{proxy.getsockname()[1]}")
+        with pytest.raises(CameraLostError):
+            StreamDriver(f"rtsps://127.0.0.1:{camera.getsockname()[1]}/x#timeout=0.5").connect()
+        proxy.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            proxy.accept()
+        camera.settimeout(0.1)
+        camera.accept()[0].close()
