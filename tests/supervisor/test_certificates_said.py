@@ -23,7 +23,8 @@ def test_one_that_nobody_is_going_to_take_is_said(
 ) -> None:
     """As one that has expired: links fail, and only who asks for them would hear of it."""
     for whose in ("ours", "theirs"):
-        subprocess.run([str(MAKE), str(tmp_path / whose), "robot"], check=True, timeout=60, capture_output=True)
+        command = [str(MAKE), str(tmp_path / whose), "robot"]
+        subprocess.run(command, check=True, timeout=60, capture_output=True)
     network = replace(
         config.network,
         endpoint=free_endpoint().replace("tcp/", "tls/"),
