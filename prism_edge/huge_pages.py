@@ -6,9 +6,10 @@ ran in between; on a virtual machine each look is two dozen reads. Of 2 MB each 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 KERNEL = Path("/sys/kernel/mm/transparent_hugepage")
@@ -29,16 +30,28 @@ def with_huge_pages(environment: Mapping[str, str], kernel: Path = KERNEL) -> di
     return {**environment, VARIABLE: f"{given}:{TUNABLE}=1".removeprefix(":")}
 
 
-def begin_with_huge_pages(arguments: Sequence[str]) -> None:
-    """Begin the same program anew where that gives it huge pages; ``arguments`` are the interpreter's.
+def begin_with_huge_pages() -> None:
+    """Begin the same command line anew where that gives it huge pages.
 
     Same process, so that whoever started it finds it still; once, whatever its environment has then: the C
     library takes the variable away from a program with capabilities of its own (``setcap``).
     """
     wanted, own = with_huge_pages(os.environ), str(os.getpid())
-    begun = os.environ.get(BEGUN) == own
-    if wanted != dict(os.environ) and not begun and os.access(sys.executable, os.X_OK):
-        os.execve(sys.executable, [sys.executable, *arguments], {**wanted, BEGUN: own})
+    if wanted == dict(os.environ) or os.environ.get(BEGUN) == own or not _is_all_there_is():
+        return
+    with contextlib.suppress(OSError):  # confined: it may not, and goes on as it is
+        os.execve(sys.executable, [sys.executable, *sys.orig_argv[1:]], {**wanted, BEGUN: own})
+
+
+def _is_all_there_is() -> bool:
+    """Whether the interpreter's command line leads here again, and nothing before is lost by that.
+
+    Not where another program calls us with words of its own, where a program came by stdin, which is read
+    already, or where a debugger has its breakpoints.
+    """
+    words = sys.argv[1:]
+    given = bool(words) and sys.orig_argv[-len(words) :] == words and sys.argv[0] != "-"
+    return given and not sys.gettrace() and os.access(sys.executable, os.X_OK)
 
 
 def _are_for_who_asks(kernel: Path) -> bool:

@@ -14,6 +14,7 @@ from prism_edge.cli.main import script
 from prism_edge.huge_pages import KERNEL, TUNABLE, VARIABLE, begin_with_huge_pages, with_huge_pages
 
 CHECKOUT = Path(__file__).resolve().parents[1]
+Begun = list[tuple[list[str], dict[str, str]]]
 ASKS = with_huge_pages({}) != {}  # whether this machine leaves the choice to programs
 
 
@@ -80,7 +81,7 @@ AGAIN = """
 import os, sys
 from prism_edge.huge_pages import begin_with_huge_pages
 print(os.getpid(), flush=True)
-begin_with_huge_pages(sys.orig_argv[1:])
+begin_with_huge_pages()
 print(os.environ.get("GLIBC_TUNABLES"), *sys.argv[1:])
 """
 
@@ -121,31 +122,86 @@ def test_what_asks_has_them_behind_its_images() -> None:
 def test_only_what_stays_begins_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str, begins: bool
 ) -> None:
-    begun: list[list[str]] = []
-    monkeypatch.setattr("prism_edge.cli.main.begin_with_huge_pages", lambda words: begun.append(words))
+    begun: list[str] = []
+    monkeypatch.setattr("prism_edge.cli.main.begin_with_huge_pages", lambda: begun.append(command))
     monkeypatch.setattr("prism_edge.cli.main.ended", lambda code: code)
     monkeypatch.setattr(sys, "argv", ["prism-edge", command, "--help"])
-    monkeypatch.setattr(sys, "orig_argv", ["python", "prism-edge", command, "--help"])
     with pytest.raises(SystemExit):
         script()
-    assert begun == ([["prism-edge", command, "--help"]] if begins else [])
+    assert begun == ([command] if begins else [])
     assert command in capsys.readouterr().out
 
 
-def test_a_program_that_is_not_to_be_found_goes_on_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(huge_pages, "with_huge_pages", lambda environment: {VARIABLE: "x"})
-    monkeypatch.setattr(os, "execve", lambda *command: pytest.fail("begun"))
-    monkeypatch.setattr(sys, "executable", "")
-    begin_with_huge_pages(["-c", "pass"])
-
-
-def test_once_also_where_the_c_library_takes_the_variable_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As from a python with capabilities of its own: `setcap cap_sys_nice+ep`."""
-    begun: list[dict[str, str]] = []
+@pytest.fixture
+def begun(monkeypatch: pytest.MonkeyPatch) -> Begun:
+    """Command lines and environments that were begun, of a `prism-edge run --stay` that may."""
+    lines: Begun = []
     monkeypatch.setattr(huge_pages, "with_huge_pages", lambda given: {**given, VARIABLE: "x"})
-    monkeypatch.setattr(os, "execve", lambda program, words, environment: begun.append(environment))
-    begin_with_huge_pages(["-c", "pass"])
-    left = {name: value for name, value in begun[0].items() if name != VARIABLE}
+    monkeypatch.setattr(os, "execve", lambda program, words, environment: lines.append((words, environment)))
+    monkeypatch.setattr(sys, "argv", ["/bin/prism-edge", "run", "--stay"])
+    monkeypatch.setattr(sys, "orig_argv", ["python", "-P", "/bin/prism-edge", "run", "--stay"])
+    return lines
+
+
+def test_it_is_the_interpreters_own_command_line(begun: Begun) -> None:
+    begin_with_huge_pages()
+    [(words, environment)] = begun
+    assert words == [sys.executable, "-P", "/bin/prism-edge", "run", "--stay"]
+    assert environment[VARIABLE] == "x"
+
+
+@pytest.mark.parametrize(
+    ("argv", "orig_argv"),
+    [
+        (["prism-edge", "run"], ["python", "robot.py"]),
+        (["prism-edge", "run"], ["python", "robot.py", "start"]),
+        (["-", "run"], ["python", "-", "run"]),
+    ],
+)
+def test_a_program_that_would_not_come_here_again_goes_on(
+    begun: Begun,
+    monkeypatch: pytest.MonkeyPatch,
+    argv: list[str],
+    orig_argv: list[str],
+) -> None:
+    """Another program that calls us, and one that was read from stdin."""
+    monkeypatch.setattr(sys, "argv", argv)
+    monkeypatch.setattr(sys, "orig_argv", orig_argv)
+    begin_with_huge_pages()
+    assert begun == []
+
+
+@pytest.mark.usefixtures("begun")
+def test_one_that_may_not_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    def execve(*command: object) -> None:
+        raise PermissionError("Operation not permitted")
+
+    monkeypatch.setattr(os, "execve", execve)
+    begin_with_huge_pages()
+
+
+def test_a_debugger_keeps_its_breakpoints(
+    begun: Begun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "gettrace", lambda: print)
+    begin_with_huge_pages()
+    assert begun == []
+
+
+def test_once_also_where_the_c_library_takes_the_variable_away(
+    begun: Begun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As from a python with capabilities of its own: `setcap cap_sys_nice+ep`."""
+    begin_with_huge_pages()
+    left = {name: value for name, value in begun[0][1].items() if name != VARIABLE}
     monkeypatch.setattr(os, "environ", left)
-    begin_with_huge_pages(["-c", "pass"])
+    begin_with_huge_pages()
     assert len(begun) == 1
+
+
+def test_a_program_that_is_not_to_be_found_goes_on_as_it_is(
+    begun: Begun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "executable", "")
+    begin_with_huge_pages()
+    assert begun == []

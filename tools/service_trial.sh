@@ -118,6 +118,17 @@ printf 'robot: rear\nsource: {uri: "v4l2:/dev/video9", camera: /srv/models/rear.
     'bus: {endpoint: "tcp/127.0.0.1:7450"}' | inside tee /etc/prism-edge/rear.yaml > /dev/null
 inside systemctl start --no-block prism-edge@rear
 is "one without its camera keeps trying" await 20 has_started_again prism-edge@rear
+{ cat "$work/config"; printf 'robot: front\nbus: {endpoint: "tcp/127.0.0.1:7460"}\n'; } |
+    inside tee /etc/prism-edge/front.yaml > /dev/null
+is "another camera's service starts beside it" inside systemctl start prism-edge@front
+echo 'robot: [' | inside tee /etc/prism-edge/front.yaml > /dev/null
+broken() { ! install_it; }
+supervisor=$(property MainPID)
+is "an upgrade that would find its file wrong fails" broken
+is "... before any service is stopped" test "$supervisor" = "$(property MainPID)"
+is "... this one, too" inside systemctl is-active prism-edge@front
+inside systemctl stop prism-edge@front
+inside rm /etc/prism-edge/front.yaml
 before=$(current)
 is "upgrade of the running service, beside it" install_it
 inside systemctl stop prism-edge@rear
@@ -132,7 +143,6 @@ is "... and the camera found in it" await 30 is_found_once_more
 is "... and poses in it" await 10 status_begins "ready, ok building"
 before=$(current)
 inside sed -i 's/^TimeoutStartSec=.*/TimeoutStartSec=1ms/' /opt/src/systemd/prism-edge.service
-broken() { ! install_it; }
 is "an upgrade whose service does not start fails" broken
 is "... and puts the release before it back" test "$before" = "$(current)"
 is "... which runs" await 40 state_is active

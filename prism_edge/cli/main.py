@@ -105,7 +105,7 @@ def main(arguments: list[str] | None = None) -> int:
 def script() -> int:
     """As :func:`main`, of a process that ends with it."""
     if sys.argv[1:2] in (["run"], ["worker"]):  # what stays, and works through every image
-        begin_with_huge_pages(sys.orig_argv[1:])
+        begin_with_huge_pages()
     return ended(main())
 
 

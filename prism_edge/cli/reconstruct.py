@@ -127,7 +127,7 @@ def run(args: argparse.Namespace) -> int:
         count = found.metric.elsewhere
         say(f"warning: left out: {count} keyframes, in parts whose place in map is not known")
     if unstamped := found.metric.stamps.count(None):
-        say(f"warning: left out: {unstamped} keyframes, that an earlier build made, without a stamp")
+        say(f"warning: left out: {unstamped} keyframes, whose stamps the map doesn't have")
     if not seen:
         raise MapError(f"{found.path}: none of its keyframes says when it was taken, or has a place in map")
     with Progress(None) as bar:

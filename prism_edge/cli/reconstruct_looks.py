@@ -26,9 +26,8 @@ from prism_edge.sources import Image, Source, Unreadable, open_source
 from prism_edge.sources.mask import Shown, mask_for
 from prism_edge.tracking.features import OrbExtractor
 
-NO_PICTURE = (
-    "of whose time the recording has no picture: if its images have no stamps, give the run's source.rate_hz"
-)
+NO_STAMPS = "if its images have no stamps, give the run's source.rate_hz"
+NO_PICTURE = f"of whose time the recording has no picture: {NO_STAMPS}"
 OTHER_PICTURE = "of whose time the recording's picture is another: the map may be of several recordings"
 UNREADABLE = "whose picture can't be read"
 NO_DEPTH = "of which the network gives no depth"
@@ -80,7 +79,8 @@ def gather(
             seen_so = taken.viewpoint, taken.rgb, metres, answer.confidence, answer.image_to_depth
             gathered.looks[taken.viewpoint.keyframe] = look(*seen_so, width, shown)
     if not pictures.found:
-        raise SourceError(f"{source.name} has no picture of any keyframe: is it the recording of this map?")
+        words = f"is it the recording of this map? And {NO_STAMPS}"
+        raise SourceError(f"{source.name} has no picture of any keyframe: {words}")
     return gathered
 
 

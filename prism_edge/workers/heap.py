@@ -20,6 +20,7 @@ KEPT_BYTES = 8 << 20  # free at the heap's end: an image's temporaries must not 
 ARENAS = 2
 FIRST_S, TRIM_S = 5.0, 60.0  # after a start, which takes more than what comes of it; and from then on
 GROWN_BYTES = 8 << 20
+SELDOM = 10  # looks after which it is done all the same
 
 
 def bound_heap() -> bool:
@@ -46,14 +47,14 @@ def keep_trimmed(stopped: threading.Event, first_s: float = FIRST_S, every_s: fl
         if stopped.wait(first_s):
             return
         trim(0)
-        usual = 0  # bytes, a while after the last time; 0: not known yet
+        usual, looks = 0, 0  # bytes, a while after the last time (0: not known yet), and looks since
         while not stopped.wait(every_s):
-            now = _resident()
+            now, looks = _resident(), looks + 1
             if not usual:
                 usual = now
-            elif now > usual + GROWN_BYTES:
+            elif now > usual + GROWN_BYTES or looks >= SELDOM:  # what was usual may have been a peak
                 trim(0)
-                usual = 0
+                usual = looks = 0
 
     threading.Thread(target=go_on, args=(trim,), name="heap", daemon=True).start()
 

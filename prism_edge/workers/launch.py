@@ -37,7 +37,7 @@ _MODULE = (
 
 def own_module(name: str) -> list[str]:
     """A command line that runs a module of this very package, of a checkout that is not installed, too."""
-    return [sys.executable, "-P", "-c", _MODULE, str(Path(__file__).resolve().parents[2]), name]
+    return [sys.executable, "-P", "-c", _MODULE, str(Path(__file__).absolute().parents[2]), name]
 
 
 def log_to_stderr(process: str, level: int = logging.INFO) -> None:

@@ -28,6 +28,16 @@ def ended(folder: Path) -> None:
     openssl(folder, "ca", "-batch", *by, *held, "-outdir", ".", "-in", "csr", "-notext", "-out", "ended.pem")
 
 
+def between(folder: Path) -> None:
+    """An authority that ours vouches for, and a robot's certificate by it."""
+    (folder / "is_ca").write_text("basicConstraints=critical,CA:TRUE\n")
+    for name, by, extension in (("inter", "ca", ("-extfile", "is_ca")), ("leaf", "inter", ())):
+        made = ("-newkey", "rsa:2048", "-nodes", "-keyout", f"{name}.key", "-subj", f"/CN={name}")
+        openssl(folder, "req", "-new", *made, "-out", "csr")
+        signed = ("-CA", f"{by}.pem", "-CAkey", f"{by}.key", "-CAcreateserial", *extension)
+        openssl(folder, "x509", "-req", "-in", "csr", *signed, "-out", f"{name}.pem")
+
+
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("lab")
@@ -41,6 +51,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
     ended(ours)
     openssl(ours, "pkey", "-in", "anna.key", "-aes256", "-passout", "pass:secret", "-out", "locked.key")
     (folder / "text.pem").write_text("no certificate\n")
+    between(ours)
     return folder
 
 
@@ -80,6 +91,8 @@ def test_a_certificate_is_taken_for_what_it_is_for(lab: Path, name: str, endpoin
         ("ours/ca.pem", "text.pem", "ours/anna.key", "no PEM pair without password"),
         ("ours/ca.pem", "ours/anna.pem", "text.pem", "no PEM pair without password"),
         ("ours/ca.pem", "ours/anna.pem", "ours/locked.key", "no PEM pair without password"),
+        ("ours", "ours/anna.pem", "ours/anna.key", "ours holds no PEM certificate"),
+        ("ours/ca.pem", "ours", "ours/anna.key", "no PEM pair without password"),
     ],
 )
 def test_what_does_not_belong_together_is_one_line(
@@ -94,3 +107,9 @@ def test_what_does_not_belong_together_is_one_line(
 def test_where_no_certificate_is_shown_there_is_nothing_to_say(lab: Path) -> None:
     assert mismatch(NetworkConfig()) == ""
     assert mismatch(NetworkConfig(ca=str(lab / "ours" / "ca.pem"))) == ""
+
+
+@pytest.mark.parametrize("endpoint", [LISTENS, ""])
+def test_an_authority_need_not_be_a_root(lab: Path, endpoint: str) -> None:
+    """As Zenoh has it, which links them: OpenSSL asks for the root, unless it is told."""
+    assert said_of(lab, "ours/inter.pem", "ours/leaf.pem", "ours/leaf.key", endpoint) == ""

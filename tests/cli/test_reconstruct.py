@@ -250,4 +250,4 @@ def test_keyframes_that_the_map_can_not_place_or_date_are_counted(
     stamps = [None if k < 2 else stamp for k, stamp in enumerate(info["stamps"])]
     (tmp_path / "some.prismmap").write_bytes(map_file.pack({**info, "stamps": stamps}, arrays))
     assert call("--no-pictures", "--width", 160, map=tmp_path / "some.prismmap") == 0
-    assert "left out: 2 keyframes, that an earlier build made, without a stamp" in capsys.readouterr().err
+    assert "left out: 2 keyframes, whose stamps the map doesn't have" in capsys.readouterr().err

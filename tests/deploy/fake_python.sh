@@ -22,7 +22,7 @@ case "$*" in
         mkdir -p "$sources/build/lib" "$sources/prism_edge.egg-info"
         touch "$sources/build/lib/built" "$sources/prism_edge.egg-info/PKG-INFO"
         ;;
-    "-I -m prism_edge.cli config --check "*) [[ ${FAIL:-} != config && $* != *"/${FAIL:-.}" ]] ;;
+    "-I -m prism_edge.cli config --check "*) [[ -e ${!#} && ${FAIL:-} != config ]] ;;
     "-I -m prism_edge.cli --version") [[ ${FAIL:-} != package ]] && echo "prism-edge 0" ;;
     "-m prism_edge.cli "*) ;; # a sound checkout in the present folder answers
     *) exit 64 ;;

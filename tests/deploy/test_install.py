@@ -124,7 +124,9 @@ def test_a_link_to_a_configuration_that_is_not_there_now_stays(installed: Path) 
     settings = installed / "etc/prism-edge/config.yaml"
     settings.unlink()
     settings.symlink_to("/data/not-mounted/config.yaml")
-    install(installed)
+    done = install(installed)
+    assert done.returncode == 0, done.stderr
+    assert "leads nowhere just now" in done.stderr
     assert os.readlink(settings) == "/data/not-mounted/config.yaml"
 
 

@@ -115,6 +115,11 @@ def test_what_work_takes_again_is_not_given_back_each_time(monkeypatch: pytest.M
     assert trims(monkeypatch, [100, 120, 119, 120, 119, 121, 126]) == [0, 120]
 
 
+def test_what_a_peak_left_is_given_back_after_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its holes count as usual where the first look finds it."""
+    assert trims(monkeypatch, [300] * heap.SELDOM + [80] * 5) == [0, 300]
+
+
 def test_a_process_knows_its_size() -> None:
     before = heap._resident()
     block = bytearray(b"x" * (40 * MB))
