@@ -27,3 +27,18 @@ def test_of_two_networks_the_later_one_s_metres_count():
     mapper.add_depth(*hear[3], "")
     mapper.add_depth(*hear[4], "another")
     assert units() == [False, False, False, False, True]
+
+
+def test_a_map_that_was_taken_up_has_the_metres_of_the_network_that_it_was_made_with():
+    """After a restart, too: what the other network said of keyframes' sizes is forgotten with its first."""
+    made, teller = Mapper(CONFIG), Teller()
+    for message in (teller.keyframe(pose_at(0.2 * i)) for i in range(3)):
+        made.absorb(message)
+        message.depths[:] = 3.0
+        made.add_depth(message, plane(3.0), WIDE, 0.0, float("nan"), "one")
+    info, arrays = made.stored(in_use=True)
+    for network, forgotten in (("one", False), ("another", True)):
+        mapper = Mapper(CONFIG)
+        mapper.restore({**info, "log_scale": 0.0, "scale_sigma": 0.1, "scale_by": "one"}, arrays)
+        mapper.add_late_depth(2, plane(3.0), WIDE, 0.0, float("nan"), network)
+        assert [mapper.world.keyframes[k].depth_units == 0.0 for k in (0, 1)] == [forgotten] * 2

@@ -48,6 +48,14 @@ def test_a_network_s_takes_the_scale_that_the_keyframe_s_points_have_by_now(walk
     assert walked[0].world.keyframes[2].depth_sigma == 0.0
 
 
+def test_it_is_no_matter_how_the_keyframe_lies_in_the_map_by_then(walked):
+    """Depth is along its own axis: a map that a loop has turned round has its points elsewhere in z."""
+    mapper, teller, told = walked
+    mapper.world.move(pose_at(0.5, -0.3, 4.0, 0.2, 1.0), set(mapper.world.keyframes))
+    ratios = late(mapper, teller, told[2], math.nan)
+    assert np.nanmedian(ratios) == pytest.approx(FACTOR, rel=0.02)
+
+
 def test_a_sensor_s_takes_the_map_s_own_scale(walked):
     ratios = late(*walked[:2], walked[2][2], 0.0)
     assert np.nanmedian(ratios) == pytest.approx(NETWORK, rel=0.02)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
+from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.messages import Keyframe
 from tests.backend.world import Teller, poses_of
@@ -71,3 +74,21 @@ def test_perfect_depth_has_some_noise_all_the_same() -> None:
         mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, 0.0, "")
     assert mapper.world.keyframes[0].depth_sigma > 0.0
     assert mapper.optimise(2, 0.0) is not None
+
+
+def test_a_lens_s_depth_is_where_its_raw_image_has_the_keypoint() -> None:
+    """Keypoints are undistorted, the network's picture is not: near its edge they are far apart."""
+    lens = Camera(640, 480, 300.0, 301.0, 321.0, 239.0, FISHEYE, (-0.012, 0.04, -0.03, 0.006))
+    teller, mapper = Teller(), Mapper(BackendConfig())
+    told = teller.keyframe(np.eye(4))
+    told = replace(told, camera_model=lens.model, camera=lens.to_array())
+    mapper.absorb(told)
+    slope = np.tile(np.linspace(2.0, 6.0, 160, dtype=np.float32), (120, 1))
+    mapper.add_depth(told, slope, WIDE, 0.0, 0.02, "")
+    depths = mapper.world.keyframes[0].depths
+    assert depths is not None
+    raw = lens.distort_pixels(told.pixels.astype(np.float64))
+    there = 2.0 + 4.0 * raw[:, 0] / 4.0 / 159.0
+    known = depths > 0
+    assert np.sum(known & (np.abs(raw - told.pixels).max(axis=1) > 20.0)) > 20
+    assert depths[known] == pytest.approx(there[known], abs=0.02)

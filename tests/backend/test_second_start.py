@@ -188,6 +188,22 @@ def test_what_is_pinned_stays_and_what_no_image_has_depth_for_goes_with_who_saw_
     assert places[bare] == pytest.approx(motion[:3, :3] @ before[bare] + motion[:3, 3])
 
 
+def test_a_bare_point_that_only_keyframes_which_move_see_moves_with_them() -> None:
+    world, _ = world_of(depth_noise=0.0)
+    bare = next(p for p in sorted(world.points) if len(world.points[p].keyframes) == NEWEST + 1)
+    for k in (0, 1):
+        world.drop_observation(k, bare)
+    for keyframe in list(world.keyframes.values())[2:]:
+        assert keyframe.depths is not None
+        keyframe.depths[keyframe.observed[bare]] = 0.0
+    before = world.points[bare].position.copy()
+    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), set(), 1.0)
+    assert found is not None
+    motion = found[0][2] @ inverse(world.keyframes[2].world_from_camera)
+    assert found[1][bare] == pytest.approx(motion[:3, :3] @ before + motion[:3, 3])
+    assert np.linalg.norm(found[1][bare] - before) > STEP / 3
+
+
 @pytest.mark.parametrize("with_depth", [0, LEAST - 1, LEAST])
 def test_a_keyframe_that_too_few_depths_place_is_placed_by_none(with_depth: int) -> None:
     world, _ = world_of(depth_noise=0.0)

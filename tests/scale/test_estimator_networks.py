@@ -88,8 +88,9 @@ def test_a_part_that_was_joined_says_nothing_more_of_the_network() -> None:
     assert back[0].sigma > 1.5, "it waits, and may be met again"
     assert player.estimator.doubt, "and health says why"
     assert player.play(50, 0.1, part=HOME)[-1].lost_sigma > 0.3
-    joined = player.play(60, 0.1, joined=(120, HOME))[-1]
-    assert joined.sigma < 0.3
+    joined = player.play(60, 0.1, joined=(120, HOME))
+    assert joined[0].lost_sigma < 0.1, "at once, and not only as the more is seen"
+    assert joined[-1].sigma < 0.3
     assert not player.estimator.doubt
 
 
@@ -163,3 +164,14 @@ def test_a_part_that_joins_a_map_of_a_lost_network_s_metres_doesn_t_make_them_su
     player.play(2, 0.1)
     player.play(10, 0.1, part=60)
     assert player.play(1, 0.1, joined=(60, HOME))[-1].lost_sigma > 0.5
+
+
+def test_a_map_that_does_not_say_its_network_s_bias_leaves_the_one_last_heard() -> None:
+    """Earlier builds' maps: metres that are off by 10 % are not sure to 5 %, with depth or before any."""
+    player = Player()
+    player.play(5, 0.1, bias=0.1)
+    player.estimator.take_over(1, 0.3, 0.05)
+    answer = player.estimator.process(keyframe_of_wall(9, 9.0, epoch=1), None)
+    assert answer is not None
+    assert answer[0].bias_sigma == 0.1
+    assert answer[0].sigma > 0.1

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
-from prism_edge.scale.least_squares import HUBER, plain_mean, weighted_least_squares
+from prism_edge.config import ScaleConfig
+from prism_edge.scale.filter import ScaleFilter
+from prism_edge.scale.least_squares import HUBER, Observation, plain_mean, weighted_least_squares
 
 SIGMA, FRAME = 0.25, 0.15
 
@@ -95,3 +97,17 @@ def test_the_ablation_is_the_plain_mean():
     result = plain_mean(values, SIGMA, FRAME, 3)
     assert result.log_scale == pytest.approx(values.mean())
     assert result.variance == pytest.approx(SIGMA**2 / 4 + FRAME**2)
+
+
+def test_what_an_image_scatters_beyond_the_usual_makes_the_filter_believe_it_less():
+    known = {}
+    for excess in (0.0, 0.3**2):
+        scale = ScaleFilter(ScaleConfig())
+        scale.fix_unit()
+        scale.predict(0.0, 0.0)
+        scale.predict(60.0, 0.0)  # what the first image shared with this one is over
+        assert scale.update(Observation(0.2, 0.07**2 + 1e-4 + excess, 1e-4, 100, excess))
+        known[excess] = scale
+    calm, wild = known.values()
+    assert 0.0 < wild.log_scale < 0.5 * calm.log_scale
+    assert wild.sigma > 1.2 * calm.sigma

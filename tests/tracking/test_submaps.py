@@ -151,3 +151,27 @@ def test_of_culled_keyframes_the_last_256_still_say_which_part_a_loop_joins(sinc
         parts.add(keyframe)
     parts.forget(culled)
     assert parts.of_both(11, 2) == (HOME, 10 if known else HOME)
+    assert parts.of_both(12, 2) == (HOME, 10), "one goes at a time"
+
+
+def test_what_several_keyframes_of_a_part_see_together_counts_for_it():
+    world, _ = Cloud(400, seed=0).mapped([pose_at(0.1 * i) for i in range(4)])
+    seen = world.keyframes[0].points.copy()
+    few = np.array([p for p in seen if all(p in k.points for k in world.keyframes.values())])[:60]
+    shares = few[:25], few[25:50], few[50:], few[:40]
+    for keyframe, mine in zip(world.keyframes.values(), shares, strict=True):
+        keyframe.points[np.isin(keyframe.points, np.setdiff1d(few, mine))] = -1
+    parts = Parts.given({3: 3})  # which sees 40 of them, more than any one of home's, whose three see 60
+    parts.current = 3
+    parts.enter(world, few)
+    assert parts.at_home
+
+
+def test_a_part_that_was_joined_to_home_counts_as_home():
+    world, _ = Cloud(60, seed=0).mapped([pose_at(0.02 * i) for i in range(6)])
+    parts = Parts.given({3: 3, 4: 3, 5: 3})
+    parts.current = 3
+    assert parts.merge(4, 1)
+    assert (parts.at_home, parts.size(world), parts.newest(world).id) == (True, 6, 5)
+    parts.begin(9)
+    assert parts.small(3) == set(), "no part of its own is left that might go"
