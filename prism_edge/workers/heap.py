@@ -18,7 +18,7 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD, _ARENA_MAX = -1, -3, -8
 MAPPED_BYTES = 2 << 20  # a block this large goes back when it is freed
 KEPT_BYTES = 8 << 20  # free at the heap's end: an image's temporaries must not be mapped anew each time
 ARENAS = 2
-FIRST_S, TRIM_S = 5.0, 60.0  # after a start, which takes more than what comes of it; and from then on
+TRIM_S = 60.0  # from look to look
 GROWN_BYTES = 8 << 20
 SELDOM = 10  # looks after which it is done all the same
 
@@ -32,7 +32,7 @@ def bound_heap() -> bool:
     return False
 
 
-def keep_trimmed(stopped: threading.Event, first_s: float = FIRST_S, every_s: float = TRIM_S) -> None:
+def keep_trimmed(stopped: threading.Event, every_s: float = TRIM_S) -> None:
     """Give back what is free within the heap too, once there is more: solvers leave it full of holes.
 
     Each time splits the heap's huge pages (huge_pages.py), and what work needs again comes in small ones: so
@@ -44,17 +44,15 @@ def keep_trimmed(stopped: threading.Event, first_s: float = FIRST_S, every_s: fl
         return
 
     def go_on(trim: Callable[[int], int]) -> None:
-        if stopped.wait(first_s):
-            return
-        trim(0)
         usual, looks = 0, 0  # bytes, a while after the last time (0: not known yet), and looks since
         while not stopped.wait(every_s):
             now, looks = _resident(), looks + 1
-            if not usual:
-                usual = now
-            elif now > usual + GROWN_BYTES or looks >= SELDOM:  # what was usual may have been a peak
+            # In the end all the same: what was usual may have been a peak, as where a network was loaded.
+            if looks >= SELDOM or (usual and now > usual + GROWN_BYTES):
                 trim(0)
                 usual = looks = 0
+            elif not usual:
+                usual = now
 
     threading.Thread(target=go_on, args=(trim,), name="heap", daemon=True).start()
 
