@@ -30,7 +30,7 @@ del blocks
 kept = []
 blocks = []
 for _ in range(20):
-    blocks.append(np.ones(3 << 20, np.uint8))
+    blocks.append(np.ones(9 << 20, np.uint8))
     kept.append(bytes(2000))
 del blocks
 print(resident() - before)
@@ -49,6 +49,37 @@ def growth_kb(how: str) -> int:
 def test_a_peak_is_given_back() -> None:
     assert growth_kb("unbound") > 10_000, "else there is nothing to bound here"
     assert growth_kb("bound") < 5000
+
+
+IMAGES = """
+import resource, sys
+import numpy as np
+from prism_edge.workers.heap import bound_heap
+if not bound_heap():
+    raise SystemExit(3)
+height, width = map(int, sys.argv[1:])
+def work():
+    colour = np.ones((height, width, 3), np.uint8)
+    other = colour.copy()
+    copied = other.tobytes()
+    grey = other.max(axis=2)
+for _ in range(3):
+    work()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(20):
+    work()
+print((resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before) / 20)
+"""
+
+
+@pytest.mark.parametrize("size", [(480, 640), (720, 1280), (1080, 1920)])
+def test_an_images_pages_are_not_mapped_anew_each_time(size: tuple[int, int]) -> None:
+    done = subprocess.run([sys.executable, "-c", IMAGES, *map(str, size)], capture_output=True, text=True)
+    if done.returncode == 3:
+        pytest.skip("not glibc")
+    assert not done.stderr
+    pages = 3 * size[0] * size[1] // 4096
+    assert float(done.stdout) < 0.2 * pages
 
 
 HOLES = """
