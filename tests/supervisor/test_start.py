@@ -102,20 +102,37 @@ def test_first_lives_are_forks_and_later_ones_are_not(
     assert not any(psutil.pid_exists(worker.pid) for worker in first.values())
 
 
+def later_life(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The command line by which a worker is started again."""
+    lines: list[list[str]] = []
+    monkeypatch.setattr(Child, "spawn", lines.append)
+    spawn_worker(PROCESSES["tracker"], Path("config.yaml"), 1)
+    return lines[0]
+
+
+def is_this_package(line: list[str], folder: Path, path: Path) -> None:
+    """The command line is answered by this package: run in a folder, with ``path`` for Python to look in."""
+    environment = {**os.environ, "PYTHONPATH": str(path)}
+    asked = subprocess.run([*line, "--help"], cwd=folder, env=environment, capture_output=True, text=True)
+    assert asked.returncode == 0, asked.stderr
+    assert "--parent PID" in asked.stdout
+
+
 def test_a_later_life_is_this_package_whatever_lies_in_the_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lines: list[list[str]] = []
-    monkeypatch.setattr(Child, "spawn", lambda line: lines.append(line))
-    spawn_worker(PROCESSES["tracker"], tmp_path / "config.yaml", 1)
     for name in ("prism_edge.py", "numpy.py"):
         (tmp_path / name).write_text("raise SystemExit('the folder is asked')\n")
-    environment = {**os.environ, "PYTHONPATH": str(CHECKOUT)}
-    asked = subprocess.run(
-        [*lines[0], "--help"], cwd=tmp_path, env=environment, capture_output=True, text=True
-    )
-    assert asked.returncode == 0, asked.stderr
-    assert "--parent PID" in asked.stdout
+    is_this_package(later_life(monkeypatch), tmp_path, CHECKOUT)
+
+
+def test_a_later_life_is_the_package_that_runs_wherever_that_was_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by `python -m prism_edge` in a checkout: no path of a new interpreter leads there."""
+    (tmp_path / "prism_edge").mkdir()
+    (tmp_path / "prism_edge/__init__.py").write_text("raise SystemExit('another is asked')\n")
+    is_this_package(later_life(monkeypatch), CHECKOUT, tmp_path)
 
 
 def titled(root: psutil.Process, title: str) -> list[psutil.Process]:
@@ -130,18 +147,3 @@ def is_a_copy_of(root: psutil.Process, worker: psutil.Process) -> bool:
 def addresses(pid: int) -> set[str]:
     maps = Path(f"/proc/{pid}/maps").read_text().splitlines()
     return {line.split()[0] for line in maps if "zenoh" in line}
-
-
-def test_a_later_life_is_the_package_that_runs_wherever_that_was_found(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As by `python -m prism_edge` in a checkout: no path of a new interpreter leads there."""
-    lines: list[list[str]] = []
-    monkeypatch.setattr(Child, "spawn", lambda line: lines.append(line))
-    spawn_worker(PROCESSES["tracker"], tmp_path / "config.yaml", 1)
-    (tmp_path / "prism_edge").mkdir()
-    (tmp_path / "prism_edge/__init__.py").write_text("raise SystemExit('another is asked')\n")
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    asked = subprocess.run([*lines[0], "--help"], env=environment, capture_output=True, text=True)
-    assert asked.returncode == 0, asked.stderr
-    assert "--parent PID" in asked.stdout
