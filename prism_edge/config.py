@@ -74,6 +74,7 @@ class SourceConfig:
     rate_hz: float = limits(
         0.0, 0.0, 1000.0, "play at this rate; 0: the recording's own stamps, else 30 Hz", least=0.01
     )
+    shrink: int = limits(1, 1, 8, "images are made so many times smaller, each way; 1: as they come")
     frames: int = limits(0, 0, 10**9, "play no more than the first so many frames of a recording; 0: all")
     wait_s: float = limits(0.0, 0.0, 3600.0, "release the first frame no sooner than this after ready")
     absent_s: float = limits(10.0, 0.0, 45.0, "longest wait, at the start, for a camera's first image")
@@ -125,7 +126,7 @@ class TrackingConfig:
         3.0, 0.0, 3600.0, "a camera lost for so long maps on its own; a younger map gives way; 0: never"
     )
     keyframe_ratio: float = limits(0.8, 0.1, 1.0, "new keyframe when matches fall below this share")
-    keyframe_min_s: float = limits(0.15, 0.0, 10.0, "least time between keyframes, whatever the most is")
+    keyframe_min_s: float = limits(0.15, 0.0, 10.0, "least time between keyframes; 0.05 where few match")
     keyframe_max_s: float = limits(
         1.5, 0.0, 60.0, "a moving camera makes a keyframe at least this often; not in a known place"
     )
@@ -229,7 +230,9 @@ class GateConfig:
 
     alpha: float = limits(0.5, 0.0, 1.0, "share of u_spatial in u, where the network gives confidence")
     tau: float = limits(0.0, 0.0, 10.0, "uncertainty at which a weight is 1/2; 0: the network's own")
-    temperature: float = limits(0.0, 0.0, 10.0, "softness of the gate; 0: the network's own")
+    temperature: float = limits(
+        0.0, 0.0, 10.0, "softness of the gate; 0: the network's own", least=0.0001
+    )
     memory: int = limits(4, 1, 20, "earlier keyframes that a new one is compared with")
     images: bool = field(default=False, metadata={"help": "publish u and w of each keyframe as images"})
 
@@ -259,7 +262,9 @@ class BackendConfig:
     ray_sigma_m: float = limits(
         0.01, 1e-4, 1.0, "noise of a point's distance from a ray (m), no less than a pixel"
     )
-    huber_ray_m: float = limits(0.05, 0.001, 10.0, "Huber threshold of that distance (m)")
+    huber_ray_m: float = limits(
+        0.05, 0.001, 10.0, "Huber threshold of that distance (m); as many sigmas where those are a pixel's"
+    )
     max_carried: int = limits(10_000, 0, 1_000_000, "poses kept of culled keyframes, the last culled")
 
 

@@ -108,7 +108,7 @@ def _source(source: SourceConfig) -> list[str]:
     except (ConfigError, SourceError) as error:
         missing.append(str(error))
     if has_mask and camera:
-        mask_for(mask, camera.width, camera.height)
+        mask_for(mask, camera.width, camera.height, source.shrink)
     elif has_mask:
         read_mask(mask)
     return missing + [f"camera: {doubt}" for doubt in (doubts(camera) if camera else [])]

@@ -27,6 +27,7 @@ from prism_edge.sources.mask import Shown, mask_for
 from prism_edge.tracking.features import OrbExtractor
 
 NO_STAMPS = "if its images have no stamps, give the run's source.rate_hz"
+SHRUNK = "if the run made its images smaller, give its source.shrink"
 NO_PICTURE = f"of whose time the recording has no picture: {NO_STAMPS}"
 OTHER_PICTURE = "of whose time the recording's picture is another: the map may be of several recordings"
 UNREADABLE = "whose picture can't be read"
@@ -58,7 +59,8 @@ def gather(
         raise SourceError(f"{source.name} is a camera, which has no past: give the recording of the map")
     depth = depth_for(config, mount)
     gathered = Gathered(depth.name, depth.dsug, depth.is_measured)
-    mask = cache(lambda width, height: mask_for(named_path(config.source.mask), width, height))
+    path, shrink = named_path(config.source.mask), config.source.shrink
+    mask = cache(lambda width, height: mask_for(path, width, height, shrink))
     if config.source.mask and len({_size(view) for view in seen}) == 1:
         mask(*_size(seen[0]))  # said before the first depth; of several sizes the recording has one
     pictures = Pictures(config, seen, gathered.without, mask if config.source.mask else None)
@@ -146,7 +148,8 @@ class Pictures:
         height, width = item.pixels.shape[:2]
         if (width, height) not in map(_size, self._seen):
             of = "{}x{}".format(*_size(view))
-            raise SourceError(f"{source.name} has pictures of {width}x{height}, but the map is of {of}")
+            words = f"{source.name} has pictures of {width}x{height}, but the map is of {of}"
+            raise SourceError(f"{words}: {SHRUNK}" if width > view.camera.width else words)
 
 
 def _size(view: Viewpoint) -> tuple[int, int]:

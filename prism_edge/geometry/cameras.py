@@ -113,6 +113,19 @@ class Camera:
         """The distortion-free pinhole with the same matrix: what undistorted pixels are seen by."""
         return replace(self, model=PINHOLE, distortion=())
 
+    def resized(self, width: int, height: int) -> Camera:
+        """The camera of the same image after it was made as large as that."""
+        across, down = width / self.width, height / self.height
+        return replace(
+            self,
+            width=width,
+            height=height,
+            fx=self.fx * across,
+            fy=self.fy * down,
+            cx=(self.cx + 0.5) * across - 0.5,
+            cy=(self.cy + 0.5) * down - 0.5,
+        )
+
     def bent(self, k1: float) -> Camera:
         """The same camera with another lens: ``k1`` is added to the first radial coefficient."""
         first, *others = self.distortion or (0.0,) * 4

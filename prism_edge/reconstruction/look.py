@@ -114,15 +114,7 @@ def _resampled(confidence: F32, x: F32, y: F32) -> F32:
 def _scaled(taken: Camera, width: int) -> Camera:
     """The ideal camera of a picture of that width."""
     scale = min(1.0, width / taken.width)
-    size = max(1, round(taken.width * scale)), max(1, round(taken.height * scale))
-    across, down = size[0] / taken.width, size[1] / taken.height
-    return Camera(
-        *size,
-        taken.fx * across,
-        taken.fy * down,
-        (taken.cx + 0.5) * across - 0.5,
-        (taken.cy + 0.5) * down - 0.5,
-    )
+    return taken.ideal().resized(max(1, round(taken.width * scale)), max(1, round(taken.height * scale)))
 
 
 def _held(taken: Camera, scaled: Camera) -> Camera:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
@@ -90,6 +91,15 @@ class Source(ABC):
     def leap(self, index: int) -> int:
         """Pass over what lies before an index, as far as that costs nothing; how many images that were."""
         return 0
+
+    @property
+    def connecting_s(self) -> float:
+        """How long opening may take beside the wait for a camera that isn't there."""
+        return 0.0
+
+    def stop_on(self, stopped: threading.Event) -> None:
+        """Once that is set, opening waits no longer for a camera that isn't there."""
+        return
 
     def read_ahead(self) -> None:
         """Before a wait for the next image: what follows may be brought nearer meanwhile."""

@@ -11,15 +11,17 @@ from numpy.typing import NDArray
 from prism_edge.errors import ConfigError
 from prism_edge.named_path import refuse_pipe
 from prism_edge.sources.image_file import as_stored
+from prism_edge.sources.shrunk import shrunk
 
 Shown = NDArray[np.bool_]  # (height, width): True where the world is seen
 
 LEAST_SHOWN = 0.1  # of the image: with less there is hardly a map to be made
 
 
-def read_mask(path: Path) -> Shown:
+def read_mask(path: Path, shrink: int = 1) -> Shown:
     """The mask that an image file holds: what is darker than half grey is not the world.
 
+    Where images are made smaller by ``shrink``, so is the mask: a pixel shows the world if all of it does.
     Raises ConfigError, naming the file, where it is no image or leaves less than LEAST_SHOWN of it.
     """
     try:
@@ -45,13 +47,13 @@ def read_mask(path: Path) -> Shown:
             f"mask {path} leaves {100.0 * shown.mean():.0f} % of the image; "
             "white is what is looked at, black what is not"
         )
-    return shown
+    return shown if shrink == 1 else shrunk(shown.astype(np.uint8) * np.uint8(255), shrink) == 255
 
 
-def mask_for(path: Path, width: int, height: int) -> Shown:
+def mask_for(path: Path, width: int, height: int, shrink: int = 1) -> Shown:
     """:func:`read_mask` for images of one size. Raises ConfigError, too, where the mask has another."""
-    shown = read_mask(path)
+    shown = read_mask(path, shrink)
     if shown.shape != (height, width):
-        size = f"{shown.shape[1]}x{shown.shape[0]}"
+        size = f"{shown.shape[1]}x{shown.shape[0]}" + (f" after source.shrink {shrink}" if shrink > 1 else "")
         raise ConfigError(f"mask {path} is {size}, but the camera's images are {width}x{height}")
     return shown

@@ -22,6 +22,7 @@ from prism_edge.sources.known_cameras import GUESSES
 from prism_edge.sources.listing import Intrinsics, Listing
 from prism_edge.sources.live.open import is_live, open_live
 from prism_edge.sources.loop import Looped
+from prism_edge.sources.shrunk import Shrunk
 from prism_edge.sources.sim import SimSource, is_simulated
 from prism_edge.sources.unrecognised import guess, no_video
 from prism_edge.sources.video import Video
@@ -47,11 +48,17 @@ def open_source(config: SourceConfig, calibrated: bool = True) -> Source:
     """The source that a configuration names, still closed.
 
     Where it needn't be ``calibrated``, or its camera is AUTO, missing intrinsics are no error: its camera is
-    then UNCALIBRATED, until whoever opened it gives it another.
+    then UNCALIBRATED, until whoever opened it gives it another. With ``shrink`` images and camera are
+    smaller than those of the recording.
     Raises SourceError where it is not there, not recognised, or empty, and ConfigError where its camera
     file is wrong or missing.
     """
-    calibrated = calibrated and config.camera != AUTO
+    source = _whole(config, calibrated and config.camera != AUTO)
+    return Shrunk(source, config.shrink) if config.shrink > 1 else source
+
+
+def _whole(config: SourceConfig, calibrated: bool) -> Source:
+    """:func:`open_source` before its images are made smaller."""
     if not config.uri:
         raise SourceError(f"no source given; name one of: {RECOGNISED}")
     path = named_path(config.uri)

@@ -21,14 +21,14 @@ log = logging.getLogger("prism_edge.tracker")
 class FrameCamera:
     """Looks at each frame before it is tracked; one that makes no sense is counted on `health`, said once."""
 
-    def __init__(self, pulse: Pulse, mask: str) -> None:
-        """``mask`` is source.mask; raises ConfigError where it is no mask."""
+    def __init__(self, pulse: Pulse, mask: str, shrink: int = 1) -> None:
+        """``mask`` and ``shrink`` are source's; raises ConfigError where the first is no mask."""
         self._pulse = pulse
         self.shown: NDArray[np.bool_] | None = None  # (height, width): where the world is; None: everywhere
         if mask:
             from prism_edge.sources.mask import read_mask  # the tracker needs nothing else of the sources
 
-            self.shown = read_mask(named_path(mask))
+            self.shown = read_mask(named_path(mask), shrink)
 
     def of(self, frame: Frame) -> Camera | None:
         """The frame's camera; None where no camera takes such a frame."""

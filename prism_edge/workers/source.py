@@ -20,7 +20,6 @@ from prism_edge.named_path import named_path
 from prism_edge.processes import LOADING_S, peers_of
 from prism_edge.sources import Absent, Image, Slot, Source, Unreadable, open_source
 from prism_edge.sources.checks import FrameChecks
-from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.live.open import check_mode
 from prism_edge.sources.live.wall_clock import since_boot_ns
 from prism_edge.sources.mask import mask_for
@@ -60,7 +59,8 @@ class SourceWorker:
         self._checks = FrameChecks(source.camera)
         self._camera = source.camera.to_array()
         camera, mask = source.camera, config.source.mask  # the tracker's, but here is who knows the size
-        seen = mask_for(named_path(mask), camera.width, camera.height) if mask else None
+        size = camera.width, camera.height
+        seen = mask_for(named_path(mask), *size, config.source.shrink) if mask else None
         self._own_parts = OwnPartsWatch(seen)
         self._doubts = doubts(source.camera)
         self._last_index = -1
@@ -351,8 +351,8 @@ def main(config: Config, bus: Bus) -> None:
                 return
             raise
         bus.pulse.working("opening the source", _OPENING_S)
-    if isinstance(source, LiveCamera):
-        source.stopped = bus.stopped
+    source.stop_on(bus.stopped)
+    if source.live:
         bus.pulse.working("opening the camera", _OPENING_S + source.connecting_s)
     with contextlib.ExitStack() as stack:
         try:

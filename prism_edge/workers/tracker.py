@@ -72,7 +72,7 @@ class TrackerWorker:
         self._maps = MapAdoption(config, bus)
         self._ends = bus.queue("end")
         self._tracker = Tracker(tracking_of(config), config.seed, bus.first_id)
-        self._camera = FrameCamera(bus.pulse, config.source.mask)
+        self._camera = FrameCamera(bus.pulse, config.source.mask, config.source.shrink)
         if self._camera.shown is not None:
             self._tracker.look_only_at(self._camera.shown)
         self._odometry, self._sight = MetricOdometry(), Sight()

@@ -21,7 +21,6 @@ from prism_edge.geometry.mount import base_from_camera, quarter_turns
 from prism_edge.messages import U8
 from prism_edge.sources import Image, open_source
 from prism_edge.sources.address import shown_address
-from prism_edge.sources.live.camera import LiveCamera
 from prism_edge.sources.open import AUTO_NEEDS
 
 log = logging.getLogger("prism_edge.source")
@@ -99,8 +98,7 @@ def _first_images(config: SourceConfig, stopped: threading.Event) -> Iterator[U8
     last_ns: int | None = None
     given = 0
     with closing(open_source(replace(config, loop=False))) as source:
-        if isinstance(source, LiveCamera):
-            source.stopped = stopped
+        source.stop_on(stopped)
         source.open()
         for _ in range(_MOST_READ):
             item = None if stopped.is_set() else source.read()

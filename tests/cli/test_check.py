@@ -160,6 +160,8 @@ def test_a_mask_of_another_size_is_an_error(
     write(file, f"source: {{uri: {source}, mask: {tmp_path / 'mask.png'}}}\n")
     assert main(["config", "--check", str(file)]) == 3
     assert "mask.png is 320x240, but the camera's images are 640x480" in capsys.readouterr().err
+    cv2.imwrite(str(tmp_path / "mask.png"), np.full((480, 640), 255, np.uint8))
+    assert main(["config", "--check", str(file), "--set", "source.shrink=2"]) == 0
 
 
 @pytest.mark.parametrize("source", ["'oak:'", "'oak:', camera: auto", "'v4l2:/dev/video7', camera: auto"])

@@ -62,6 +62,23 @@ def test_of_a_map_of_two_sizes_of_image_a_recording_gives_those_of_its_own(
     assert "mask.png is 640x480, but the camera's images are 320x240" in capsys.readouterr().err
 
 
+def test_a_run_that_made_its_images_smaller_is_reconstructed_from_those(
+    call: Call, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    larger = shutil.copytree(room / "seq", tmp_path / "seq")
+    for path in (larger / "rgb").iterdir():  # each pixel twice, each way: the mean of four is what it was
+        cv2.imwrite(str(path), cv2.imread(str(path)).repeat(2, axis=0).repeat(2, axis=1))
+    assert call("--no-pictures", "--width", 160, source=larger) == 4
+    assert "pictures of 640x480, but the map is of 320x240: if the run made its images smaller" in (
+        capsys.readouterr().err
+    )
+    cv2.imwrite(str(tmp_path / "mask.png"), np.full((480, 640), 255, np.uint8))
+    hidden = "--mask", tmp_path / "mask.png", "--set", "source.shrink=2"
+    assert call("--no-pictures", "--width", 160, "--voxel", 0.05, *hidden, source=larger) == 0
+    assert "8 of 8 keyframes" in capsys.readouterr().out
+    assert np.median(from_the_walls(cloud(tmp_path / "out.ply")[0])) < 0.01
+
+
 def test_a_recording_that_is_looped_in_the_configuration_ends(
     call: Call, room: Path, tmp_path: Path
 ) -> None:

@@ -18,6 +18,7 @@ from prism_edge.geometry.poses import so3_exp
 from prism_edge.sources.known_cameras import SEVEN_SCENES
 from prism_edge.sources.open import find_listing
 from prism_edge.sources.sensor_depth import SensorDepth
+from prism_edge.sources.shrunk import shrunk_camera
 from prism_edge.sources.truth import read_truth, truth_file
 
 PACKAGE = Path(__file__).resolve().parents[2] / "prism_edge"
@@ -321,6 +322,8 @@ def test_another_recorder_s_depth_is_taken_as_registered(
     seen = sensor.in_colour(0, camera)
     assert seen is not None
     assert (not np.array_equal(seen, sensor.read(0))) == apart
+    smaller = sensor.in_colour(0, shrunk_camera(camera, 3))  # of images made smaller: the same depth image
+    np.testing.assert_array_equal(smaller, seen)
 
 
 def test_seven_scenes_depth(tmp_path: Path) -> None:

@@ -28,6 +28,14 @@ def test_what_is_masked_is_not_looked_at(bus, world, tmp_path):
     assert positions(bus)[11] == pytest.approx(true_position(11), abs=0.06)
 
 
+def test_a_mask_of_larger_images_hides_the_same_of_smaller_ones(bus, world, tmp_path):
+    config = masked(tmp_path, 640, 480)
+    smaller = replace(config, source=replace(config.source, shrink=2))
+    run(bus, [frame(i) for i in range(12)], smaller)
+    assert "malformed" not in bus.pulse.values
+    assert max(k.pixels[:, 1].max() for k in bus.of("keyframe")) < 120
+
+
 def test_images_of_another_size_than_the_mask_are_passed_over(bus, world, tmp_path, caplog):
     run(bus, [frame(i) for i in range(3)], masked(tmp_path, 640, 480))
     assert bus.pulse.values["malformed"] == "3"

@@ -243,6 +243,20 @@ def test_a_mask_of_another_size_is_an_error_before_ready(
     assert "ready" not in bus.states
 
 
+def test_images_made_smaller_come_with_the_camera_that_would_have_taken_them(tmp_path: Path) -> None:
+    folder = tiny.write_tum(tmp_path / "robot")
+    cv2.imwrite(str(tmp_path / "mask.png"), np.full((48, 64), 255, np.uint8))  # of the images as they come
+    config = settings(folder, "lockstep", shrink=2, mask=str(tmp_path / "mask.png"))
+    with playing(config) as bus:
+        frames, end = acknowledging(bus, *OTHERS)
+    assert end.released == 5
+    for frame in frames:
+        np.testing.assert_allclose(frame.camera, [32, 24, 30, 30, 15.5, 11.5])
+        means = tiny.picture(frame.index).reshape(24, 2, 32, 2, 3).mean(axis=(1, 3))
+        of_means = pack(np.rint(means).astype(np.uint8))[0].astype(int)
+        np.testing.assert_allclose(frame.image, of_means, atol=2)  # which way halves are rounded is OpenCV's
+
+
 def bonnet(folder: Path) -> Path:
     """A TUM folder of 50 images, 0.3 s apart, of a camera that sways; the lower third never changes."""
     texture = block_texture(np.random.default_rng(0), 1200, 900)

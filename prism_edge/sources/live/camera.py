@@ -69,6 +69,9 @@ class LiveCamera(Source):
         self._reconnects = 0
         self._alive_s = self._image_s = 0.0  # last sign of life of the thread, and of the camera
 
+    def stop_on(self, stopped: threading.Event) -> None:
+        self.stopped = stopped
+
     @property
     def connecting_s(self) -> float:
         """How long one attempt may take, with the wait for its first image."""

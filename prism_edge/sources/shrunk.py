@@ -1,0 +1,87 @@
+"""A camera whose images are larger than can be tracked at its rate: each is made smaller as it comes."""
+
+from __future__ import annotations
+
+import threading
+
+import cv2
+import numpy as np
+
+from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.poses import Array
+from prism_edge.messages import U8
+from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
+from prism_edge.sources.checks import UNCALIBRATED
+
+
+class Shrunk(Source):
+    """Another source with images, and a camera, smaller by a whole number each way."""
+
+    def __init__(self, source: Source, factor: int) -> None:
+        self.camera_origin = source.camera_origin
+        self.live, self.synthetic = source.live, source.synthetic
+        self.decodes_skipped = source.decodes_skipped
+        self.camera = UNCALIBRATED
+        self._source, self._factor = source, factor
+        self._learn()
+
+    def open(self) -> None:
+        self._source.open()
+        self._learn()
+
+    def _learn(self) -> None:
+        """A video knows these once it is open, a camera with a calibration of its own once it is there."""
+        self.name = f"{self._source.name}, 1/{self._factor} of its size"
+        self.period_ns, self.frame_count = self._source.period_ns, self._source.frame_count
+        if self._source.camera is not UNCALIBRATED:
+            self.camera = shrunk_camera(self._source.camera, self._factor)
+
+    @property
+    def connecting_s(self) -> float:
+        return self._source.connecting_s
+
+    def stop_on(self, stopped: threading.Event) -> None:
+        self._source.stop_on(stopped)
+
+    def peek(self) -> Slot | None:
+        return self._source.peek()
+
+    def read(self) -> Image | Unreadable | Absent | None:
+        item = self._source.read()
+        if not isinstance(item, Image):
+            return item
+        pixels = shrunk(item.pixels, self._factor)
+        return Image(item.index, item.stamp_ns, pixels, item.captured_monotonic_ns)
+
+    def skip(self) -> bool:
+        return self._source.skip()
+
+    def leap(self, index: int) -> int:
+        return self._source.leap(index)
+
+    def read_ahead(self) -> None:
+        self._source.read_ahead()
+
+    def true_pose(self, index: int) -> Array | None:
+        return self._source.true_pose(index)
+
+    def health(self) -> dict[str, str]:
+        return self._source.health()
+
+    def close(self) -> None:
+        self._source.close()
+
+
+def shrunk(pixels: U8, factor: int) -> U8:
+    """An image (h, w) or (h, w, 3), smaller by ``factor``: each pixel the mean of those in its place."""
+    size = _size(pixels.shape[1], pixels.shape[0], factor)
+    return np.asarray(cv2.resize(pixels, size, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def shrunk_camera(camera: Camera, factor: int) -> Camera:
+    """The camera of :func:`shrunk` images, exact also where ``factor`` does not divide their size."""
+    return camera.resized(*_size(camera.width, camera.height, factor))
+
+
+def _size(width: int, height: int, factor: int) -> tuple[int, int]:
+    return max(width // factor, 1), max(height // factor, 1)
