@@ -20,6 +20,8 @@ def contradictions(config: Config) -> Iterator[str]:
         value, most = _value(config, low), _value(config, high)
         if value > most:
             yield f"{low}: {value:g} is more than {high} ({most:g}): {why}"
+    if config.is_lockstep and config.source.peers_s == 0.0:
+        yield "source.peers_s: 0 in lockstep: images would go out before the others listen, and be lost"
     has_network = bool(config.depth.network) or config.source.uri.startswith("sim:")  # one that comes along
     if "depth" in config.network.remote and not has_network:
         yield "network.remote: depth runs elsewhere, but depth.model is empty: name its network here too"

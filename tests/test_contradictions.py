@@ -27,6 +27,13 @@ def test_a_network_that_runs_elsewhere_is_named_here_too() -> None:
     assert list(contradictions(replace(away, source=SourceConfig(uri="sim:room")))) == []  # has one anyway
 
 
+def test_in_lockstep_the_first_image_waits_for_those_it_is_for() -> None:
+    at_once = replace(Config(), source=SourceConfig(peers_s=0.0))
+    assert list(contradictions(at_once)) == []
+    (said,) = contradictions(replace(at_once, mode="lockstep"))
+    assert said.startswith("source.peers_s: 0 in lockstep")
+
+
 @pytest.mark.parametrize(("low", "high"), [pair[:2] for pair in NOT_ABOVE])
 def test_each_pair_is_of_one_section_and_of_one_kind(low: str, high: str) -> None:
     assert KEYS[low].type is KEYS[high].type

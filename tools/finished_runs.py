@@ -27,7 +27,7 @@ from tools.recordings_now import Recording, recording_now
 Metrics = dict[str, Any]
 OWN_TRUTH = (None, "the sequence's own")
 # What an evaluation sets by itself.
-_NO_SETTINGS = {"bus.endpoint", "source.wait_s", "source.loop"}
+_NO_SETTINGS = {"bus.endpoint", "source.wait_s", "source.loop", "log.form", "log.level"}
 
 
 def finished(where: Path, words: Sequence[str], unscored: bool = False) -> Metrics | None:

@@ -69,7 +69,7 @@ def add_parser(subparsers: Any, help_line: str) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Play, show, sum up; returns the exit code. Raises PrismError."""
-    from prism_edge.config import SourceConfig
+    from prism_edge.config import FramesConfig, SourceConfig, TrackingConfig
     from prism_edge.evaluation.run import on_free_endpoint
     from prism_edge.sources.address import shown_address
     from prism_edge.sources.sim import is_simulated
@@ -77,9 +77,15 @@ def run(args: argparse.Namespace) -> int:
     config = config_from(args)
     if source_given(args) or not is_simulated(config.source.uri):  # a robot's own file is of its camera
         uri, plain = config.source.uri if source_given(args) else SOURCE, SourceConfig()
-        unset = (key for key in ("camera", "mask", "rate_hz") if not is_set(args, f"source.{key}"))
+        of_camera = ("camera", "mask", "rate_hz", "shrink", "loop")
+        unset = (key for key in of_camera if not is_set(args, f"source.{key}"))
         source = replace(config.source, uri=uri, **{key: getattr(plain, key) for key in unset})
-        config = with_network(replace(config, source=source))
+        frames, tracking = config.frames, config.tracking
+        if not is_set(args, "frames.base_from_camera_xyzw"):  # the simulated one is upright
+            frames = replace(frames, base_from_camera_xyzw=FramesConfig().base_from_camera_xyzw)
+        if not is_set(args, "tracking.readout_ms"):
+            tracking = replace(tracking, readout_ms=TrackingConfig().readout_ms)
+        config = with_network(replace(config, source=source, frames=frames, tracking=tracking))
     if not is_simulated(config.source.uri):
         shown = shown_address(config.source.uri)
         raise SourceError(f"{shown}: the demo plays simulated worlds; use `prism-edge eval`")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import signal
+from dataclasses import replace
 from types import FrameType
 from typing import Any
 
@@ -81,9 +82,8 @@ def effective(args: argparse.Namespace) -> Config:
     check_ablations(args.ablate)
     if args.frames:
         args.set.append(f"source.frames={args.frames}")
-    if args.ablate:
-        args.set.append(f"ablate=[{', '.join(args.ablate)}]")
-    return config_from(args)
+    config = config_from(args)
+    return replace(config, ablate=tuple(dict.fromkeys((*config.ablate, *args.ablate))))
 
 
 def check_ablations(names: list[str]) -> None:

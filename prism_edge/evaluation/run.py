@@ -14,7 +14,7 @@ from prism_edge.all_or_nothing import put_whole
 from prism_edge.bus.keys import check_endpoint, check_robot_name
 from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
-from prism_edge.config import WITHOUT_NETWORK, BusConfig, Config, SourceConfig
+from prism_edge.config import WITHOUT_NETWORK, BusConfig, Config, LogConfig, SourceConfig
 from prism_edge.errors import ConfigError, EvaluationError, say
 from prism_edge.evaluation.daemon import SUPERVISOR, Daemon
 from prism_edge.evaluation.files import digests_of, files_of
@@ -174,7 +174,9 @@ def as_it_runs(config: Config) -> Config:
     source = dataclasses.replace(config.source, wait_s=max(config.source.wait_s, _WAIT_S))
     check_robot_name(config.robot)
     check_endpoint(config.bus.endpoint)
-    return dataclasses.replace(config, source=source)
+    # What is to be known of the figures stands on the log, and is read there.
+    level = "debug" if config.log.level == "debug" else "info"
+    return dataclasses.replace(config, source=source, log=LogConfig("text", level))
 
 
 def _run(

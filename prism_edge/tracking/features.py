@@ -147,6 +147,6 @@ def _in_full_image(pixels: Array, octaves: Index, factors: Array, shape: tuple[i
     two pixels' centres coincide at (x + 1/2) / factor: up to a pixel lies between, and another at each level.
     """
     size = np.array([shape[1], shape[0]], np.float64)
-    level_size = np.rint(size / factors[:, None])
+    level_size = np.maximum(np.rint(size / factors[:, None]), 1.0)  # of some there is none
     factor = factors[octaves][:, None]
     return (pixels / factor + 0.5) * (size / level_size)[octaves] - 0.5

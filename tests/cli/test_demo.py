@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+from dataclasses import replace
 from types import SimpleNamespace
 
 import cv2
@@ -62,19 +63,27 @@ def test_it_plays_the_configuration_s_world_where_that_has_one(
 
 
 @pytest.mark.parametrize("arguments", [[], ["sim:loop"]])
-def test_a_robots_camera_and_mask_are_not_the_simulated_ones(arguments, tmp_path, monkeypatch) -> None:
+def test_a_robots_camera_and_its_mount_are_not_the_simulated_ones(arguments, tmp_path, monkeypatch) -> None:
     asked = []
 
     def play(config: Config, out: object) -> None:
-        asked.append(config.source)
+        asked.append(config)
         raise EvaluationError("far enough")
 
     monkeypatch.setattr(demo, "play", play)
     file = tmp_path / "robot.yaml"
-    theirs = "uri: 'v4l2:/dev/video0', camera: c.yaml, mask: m.png, rate_hz: 15, frames: 90"
-    file.write_text(f"source: {{{theirs}}}\n")
+    theirs = "uri: 'v4l2:/dev/video0', camera: c.yaml, mask: m.png, rate_hz: 15, frames: 90, shrink: 3"
+    file.write_text(
+        f"source: {{{theirs}, loop: true}}\ntracking: {{readout_ms: 30, levels: 5}}\n"
+        "frames: {base_from_camera_xyzw: [0.5, 0.5, 0.5, 0.5], base_from_camera_xyz: [0.1, 0, 0]}\n"
+    )
     main(["demo", *arguments, "--config", str(file), "--out", str(tmp_path / "out")])
-    assert asked == [SourceConfig(uri=arguments[0] if arguments else demo.SOURCE, frames=90)]
+    (config,) = asked
+    assert config.source == SourceConfig(uri=arguments[0] if arguments else demo.SOURCE, frames=90)
+    assert config.frames == replace(Config().frames, base_from_camera_xyz=(0.1, 0.0, 0.0))
+    assert config.tracking == replace(Config().tracking, levels=5)
+    main(["demo", *arguments, "--config", str(file), "--set", "tracking.readout_ms=20", "--out", "out"])
+    assert asked[1].tracking.readout_ms == 20.0, "what is asked for here is meant"
 
 
 @pytest.mark.parametrize(

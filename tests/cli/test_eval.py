@@ -40,6 +40,13 @@ def test_out_is_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     assert "--out" in capsys.readouterr().err
 
 
+def test_what_a_file_leaves_out_stays_out_beside_what_is_ablated(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text("ablate: [kalman]\n")
+    asked = ["eval", "sim:room", "--out", "x", "--config", str(tmp_path / "c.yaml")]
+    for more in (["--ablate", "wls"], ["--ablate", "wls", "--ablate", "kalman"]):
+        assert set(effective(build_parser("eval").parse_args([*asked, *more])).ablate) == {"kalman", "wls"}
+
+
 @pytest.mark.parametrize(
     ("arguments", "words", "code"),
     [

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
+from prism_edge.config import BusConfig, Config, DepthConfig, LogConfig, SourceConfig
 from prism_edge.config_file import load
 from prism_edge.errors import BusError, ConfigError, EvaluationError
 from prism_edge.evaluation import run as evaluation
@@ -151,6 +151,12 @@ def test_what_no_daemon_takes_leaves_earlier_results(
     with pytest.raises(error):
         score(monkeypatch, tiny_sequence, tmp_path, config=config)
     assert [file.name for file in tmp_path.iterdir()] == ["metrics.json"]
+
+
+@pytest.mark.parametrize("level", ["debug", "info", "warning", "error"])
+def test_what_is_to_be_known_of_the_figures_is_on_the_log_whatever_a_robot_logs(level: str) -> None:
+    log = evaluation.as_it_runs(Config(log=LogConfig("journal", level))).log
+    assert (log.form, log.level) == ("text", "debug" if level == "debug" else "info")
 
 
 @pytest.mark.parametrize(("wait_s", "waits_s"), [(0.0, 1.0), (5.0, 5.0)])

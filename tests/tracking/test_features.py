@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -205,6 +206,12 @@ def test_few_matches_bring_more_features_and_many_bring_fewer():
     for _ in range(10):
         extractor.want(50)
     assert 500 < found() <= 600
+
+
+@pytest.mark.filterwarnings("error")
+def test_levels_that_are_smaller_than_a_pixel_have_nothing():
+    config = TrackingConfig(levels=12, scale_factor=2.0)
+    assert len(OrbExtractor(config).extract(blocks(), CAMERA)) > 100
 
 
 def test_through_another_lens_keypoints_are_filed_where_they_then_are():
