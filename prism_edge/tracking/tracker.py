@@ -322,8 +322,7 @@ class Tracker:
         self, keyframe_id: int, depth: NDArray[np.float32], image_to_depth: Array, relative_sigma: float
     ) -> int:
         """Seed points from a keyframe's network depth (metres); returns how many."""
-        keyframe = self.world.keyframes.get(keyframe_id)
-        if keyframe is None:
+        if (keyframe := self.world.keyframes.get(keyframe_id)) is None:
             return 0
         first = (not self.initialised and self.last is None) or keyframe is self._waiting
         most = self._config.features if first or not self.initialised else self._config.features // 3
@@ -331,6 +330,7 @@ class Tracker:
         units = math.exp(-(self.log_scale if first else self.map_log_scale))
         ids = seed_from_depth(self.world, keyframe, depth, image_to_depth, units, relative_sigma, most)
         if first and len(ids) < self._config.min_matches:
+            log.info("a first image's depth gives %d points: too few (tracking.min_matches)", len(ids))
             self.first.has_no_depth(keyframe_id)
         elif first:
             self.first.has_depth()

@@ -123,13 +123,17 @@ def test_a_map_begins_however_long_the_network_takes_for_a_picture(takes_s: floa
 
 
 @pytest.mark.parametrize("answer", ["invalid", "nowhere of use"])
-def test_a_first_image_whose_depth_is_of_no_use_costs_a_moment(answer: str) -> None:
+def test_a_first_image_whose_depth_is_of_no_use_costs_a_moment(
+    answer: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
     run = Run()
     run.feed(0)
     if answer == "invalid":
         run.tracker.add_no_depth(0)
     else:
         assert run.tracker.add_depth(0, NOTHING, IDENTITY, 0.1) == 0
+        assert "depth gives 0 points: too few" in caplog.text
     at = 1
     while len(run.keyframes) < 2 and at < 30:
         assert run.feed(at).odometry == INITIALISING
