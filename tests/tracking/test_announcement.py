@@ -124,6 +124,24 @@ def test_changes_are_told_once():
         assert len(getattr(again, name)) == 0
 
 
+def test_what_is_seeded_in_a_keyframe_that_was_told_of_is_told_with_the_next():
+    """Its depth has come meanwhile: who hears of the points must hear of what saw them, too."""
+    cloud, world, heard = Cloud(300, seed=0), LocalMap(), GlobalMap()
+    keyframe, shown = cloud.keyframe(0, np.eye(4))
+    world.add_keyframe(keyframe)
+    tracker, half = teller(world), len(shown) // 2
+    for keypoints in (np.arange(half), np.arange(half, len(shown))):
+        heard.absorb(sent(tracker, keyframe))
+        places = cloud.positions[shown[keypoints]]
+        world.add_points(keyframe, keypoints, places, np.full(len(keypoints), 0.1), 0.0)
+    following, _ = cloud.keyframe(1, pose_at(0.2))
+    world.add_keyframe(following)
+    heard.absorb(sent(tracker, following))
+    observed = {p: seen_by[0] for p, seen_by in observations(world).items()}
+    assert len(observed) == len(shown)
+    assert heard.keyframes[0].observed == observed
+
+
 def test_a_late_observation_of_a_fused_point_is_the_survivor_s():
     cloud = Cloud(60, seed=1)
     world, _ = cloud.mapped([np.eye(4), pose_at(0.0)])

@@ -292,6 +292,11 @@ def test_keypoints_moved_for_a_rolling_shutter_place_the_frame_anew_without_thos
     assert (again.points[wrong] == -1).all()
     assert again.matched == (again.points >= 0).sum() >= 0.85 * len(matched)
     assert (frame.points[wrong] >= 0).all(), "the frame that it was made from is as it was"
+    pixels[matched[1::2]] += 60.0
+    half = Features.build(pixels, features.octaves, features.descriptors, CAMERA.width, CAMERA.height)
+    unsure = tracker.seen_again(world, frame, half)
+    assert 20 < unsure.matched < 0.6 * again.matched
+    assert np.trace(unsure.covariance) > 1.4 * np.trace(again.covariance), "as sure as what is left makes it"
     # Two pixels to the right and down: the camera has turned to the left and up by as much.
     turn = se3_log(inverse(frame.world_from_camera) @ again.world_from_camera)[3:]
     assert turn[:2] == pytest.approx([2.0 / 440.0, -2.0 / 500.0], abs=2e-3)

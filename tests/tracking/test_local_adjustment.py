@@ -177,6 +177,33 @@ def test_a_doubtful_depth_makes_a_pixel_doubtful_along_what_it_moves_it() -> Non
     assert found < 0.9 * local_adjustment.linearise(problem, poses, points).cost
 
 
+def test_a_pixel_says_less_of_pose_and_point_along_what_a_doubtful_depth_moves_it() -> None:
+    """Their information in explicit matrices, where all fits and no kernel counts."""
+    problem, poses, points = scene(2)
+    doubt = np.random.default_rng(5).normal(0.0, 0.02, points.shape)
+    sure = local_adjustment.linearise(problem, poses, points)
+    doubtful = local_adjustment.linearise(replace(problem, depth_error=doubt), poses, points)
+    for i, point in enumerate(problem.point):
+        smear = sure.by_point[i, :2] @ doubt[point]
+        known = np.linalg.inv(np.eye(2) + np.outer(smear, smear))
+        for its, had in ((doubtful.by_twist, sure.by_twist), (doubtful.by_point, sure.by_point)):
+            assert its[i, :2].T @ its[i, :2] == pytest.approx(had[i, :2].T @ known @ had[i, :2], rel=1e-6)
+
+
+def test_a_point_behind_a_camera_fits_no_pixel_there() -> None:
+    """Mirrored at the camera's centre it is on the very ray: that costs much, and pulls at nothing."""
+    problem, poses, points = scene()
+    mine = np.where(problem.view == 0, 1.0, 0.0)
+    depths = np.log(transform(inverse(poses[0]), points)[problem.point, 2])
+    problem = replace(problem, weight=mine, depth_weight=mine, log_depth=depths)
+    points[0] = 2.0 * poses[0, :3, 3] - points[0]
+    at = local_adjustment.linearise(problem, poses, points)
+    there = (problem.view == 0) & (problem.point == 0)
+    for column in (at.residual, at.by_twist, at.by_point):
+        assert not column[there].any()
+    assert at.cost == pytest.approx(HUBER * (2.0 * local_adjustment.BEHIND - HUBER))
+
+
 def one_held(says: float, sigma: float) -> tuple[Problem, np.ndarray, np.ndarray]:
     """All points free and one view held, so that rays leave the size open; the network finds all larger."""
     problem, poses, points = scene()
@@ -250,6 +277,29 @@ def test_a_doubtful_held_point_turns_no_view() -> None:
     assert sure is not None
     moved = 0.0 if unsure is None else off(unsure[0], poses)[0]
     assert moved < 0.5 * off(sure[0], poses)[0]
+
+
+def test_a_step_that_makes_it_worse_is_not_taken_and_the_next_is_a_shorter_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, poses, points = scene(noise=1.0)
+    begun = displaced(poses, points)
+    step_from, damped, costs = local_adjustment.gauss_newton, list[float](), list[float]()
+
+    def overshoots_once(
+        problem: Problem, at: local_adjustment.Linear, damping: float
+    ) -> local_adjustment.Step:
+        step = step_from(problem, at, damping)
+        damped.append(damping)
+        costs.append(at.cost)
+        if len(damped) > 1:
+            return step
+        return replace(step, twists=-3.0 * step.twists, shifts=-3.0 * step.shifts)
+
+    monkeypatch.setattr(local_adjustment, "gauss_newton", overshoots_once)
+    assert adjust(problem, *begun) is not None
+    assert damped[1] > 10.0 * damped[0]
+    assert costs[1] == costs[0] > costs[2]
 
 
 def test_what_fits_is_left_alone() -> None:

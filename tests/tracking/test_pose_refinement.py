@@ -162,6 +162,28 @@ def test_a_point_of_weight_nothing_does_not_pull():
     assert np.abs(error_of(pulled)).max() > 1e-4
 
 
+def test_a_step_that_makes_it_worse_is_taken_back_with_its_inliers_and_shorter_ones_are_tried():
+    """From a metre off and more the first step may go too far."""
+    rng, sigma, taken_back = np.random.default_rng(3), 40.0, 0
+    for _ in range(60):
+        points, pixels = scene(rng, 30)
+        start = TRUE @ se3_exp(rng.normal(0.0, (1.2, 1.2, 1.2, 0.1, 0.1, 0.1)))
+        one, more = (
+            refine_pose(CAMERA, start, points, pixels, np.full(30, sigma), rounds=1, iterations=most)
+            for most in (1, 6)
+        )
+        for found in (one, more):
+            local = transform(inverse(found.world_from_camera), points)
+            seen = (local[:, 2] > 1e-3) & (np.abs(local[:, :2]).max(axis=1) < 10.0 * local[:, 2])
+            off = np.full(30, np.inf)
+            off[seen] = np.linalg.norm(CAMERA.project(local[seen]) - pixels[seen], axis=1) / sigma
+            assert np.array_equal(found.inliers, off**2 < 5.991)
+        if np.array_equal(one.world_from_camera, start):
+            taken_back += 1
+            assert not np.array_equal(more.world_from_camera, start)
+    assert taken_back >= 4, "else this says nothing"
+
+
 def test_behind_is_no_way_out():
     """From a start that looks the other way, no step that hides points may count as better."""
     rng = np.random.default_rng(7)

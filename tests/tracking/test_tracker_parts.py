@@ -115,6 +115,7 @@ def test_a_loop_between_the_parts_brings_the_camera_home():
     visit(run, room, at=32)
     last = run.results[71]
     assert not last.in_map
+    assert not run.tracker.last_result.in_map, "nor is what repeats it"
     motion = pose_at(3.0, 0.5, -1.0, 0.2, 0.7, -0.1)
     part = run.tracker.parts.current
     bring_home(run, motion, size=1.0)

@@ -9,7 +9,7 @@ from prism_edge.backend.local_copy import local_copy
 from prism_edge.backend.mapper import Mapper
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, rotation_angle, transform
-from prism_edge.tracking.map_correction import apply_correction, take_over
+from prism_edge.tracking.map_correction import MIN_COMMON, apply_correction, take_over
 from prism_edge.tracking.submaps import Parts
 from tests.backend.ring import Ring
 from tests.synthetic.messages import map_update
@@ -96,6 +96,26 @@ def test_one_that_was_misplaced_comes_right_by_what_its_neighbours_made() -> Non
     )  # fmt: skip
     apply_correction(world, update, BY_POINTS, Parts())
     assert world.keyframes[2].world_from_camera == pytest.approx(POSES[2], abs=1e-3)
+
+
+def test_one_that_was_lost_is_not_held_back_by_points_of_its_own() -> None:
+    """Most of what it sees it made itself, where it was before: that goes along, and has no say."""
+    world, _ = Cloud(600, seed=1).mapped(POSES)
+    lost, table = world.keyframes[2], world.points
+    seen = lost.points[lost.observed()]
+    mine = table.rows(seen[MIN_COMMON + 10 :])
+    table.reference[mine] = lost.id
+    named = [0, 1, 3, 4, 5]
+    known = table.ids[np.isin(table.reference, named)].copy()
+    before = table.position[mine].copy()
+    update = map_update(
+        5, keyframes=np.array(named), poses=np.array([MOTION @ POSES[k] for k in named]), points=known,
+        positions=transform(MOTION, table.position[table.rows(known)]),
+        parallax_deg=np.zeros(len(known), np.float32), everything=True,
+    )  # fmt: skip
+    apply_correction(world, update, BY_POINTS, Parts())
+    assert lost.world_from_camera == pytest.approx(MOTION @ POSES[2], abs=1e-3)
+    assert table.position[mine] == pytest.approx(transform(MOTION, before), abs=1e-2)
 
 
 def test_a_window_s_update_does_not_say_that_it_names_everything() -> None:
