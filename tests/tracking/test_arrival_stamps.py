@@ -12,13 +12,15 @@ from prism_edge.tracking.tracker import Tracker
 from tests.tracking.test_rolling_shutter import drawn
 
 READOUT_MS = 26.0
-WORLD = "sim:room?seed=3&speed=0.4&readout=26&width=320&height=240&frames=60"
+WORLD = "sim:room?seed={}&speed=0.4&readout=26&width=320&height=240&frames=60"
 
 
+# As they were taken 0.71 and 0.42 degrees (OpenCV 4.14: 0.85, 0.51); moved as by a leap 0.82 to 5.74.
+@pytest.mark.parametrize(("seed", "most_deg"), [(4, 1.1), (7, 0.7)])
 @pytest.mark.parametrize("together", [2, 3])
-def test_rows_are_not_moved_as_by_a_leap(together: int) -> None:
+def test_rows_are_not_moved_as_by_a_leap(together: int, seed: int, most_deg: float) -> None:
     """Else a camera of which the readout is told is turned by degrees in the second of each two images."""
-    source, images = drawn(WORLD)
+    source, images = drawn(WORLD.format(seed))
     tracker, off = Tracker(TrackingConfig(readout_ms=READOUT_MS)), []
     for index, (_, grey) in enumerate(images):
         since = index % together  # they arrive, 2 ms apart, when the last of them has been taken
@@ -35,7 +37,7 @@ def test_rows_are_not_moved_as_by_a_leap(together: int) -> None:
             found = inverse(begun.world_from_camera) @ result.world_from_camera
             off.append(rotation_angle(found[:3, :3].T @ true[:3, :3]))
     assert len(off) > 50
-    assert max(off) < np.radians(2.0)  # 1.2 as they were taken
+    assert max(off) < np.radians(most_deg)
 
 
 def test_two_images_are_apart_by_what_their_rows_take() -> None:
