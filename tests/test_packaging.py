@@ -120,6 +120,23 @@ def test_no_other_python_takes_the_place_of_one_that_is_named(named: str, tmp_pa
     assert found.stderr == f"error: PYTHON={named} is no Python >= 3.11\n"
 
 
+def test_the_oldest_releases_are_tried_with_the_oldest_python(tmp_path: Path) -> None:
+    """Of some there are no wheels for a newer one; find_python.sh prefers newer ones."""
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name in ("oldest.sh", "find_python.sh"):
+        shutil.copy(CHECKOUT / "tools" / name, tools)
+    for name in ("python3.13", "python3.11"):
+        asked = f'case "$*" in "-m venv"*) echo {name}; exit 1 ;; esac'
+        (tmp_path / name).write_text(f'#!/bin/sh\n{asked}\nexec "{sys.executable}" "$@"\n')
+        (tmp_path / name).chmod(0o755)
+    path = f"{tmp_path}:/usr/bin:/bin"
+    made = subprocess.run(
+        ["/bin/bash", tools / "oldest.sh"], env={"PATH": path}, capture_output=True, text=True
+    )
+    assert made.stdout == "python3.11\n"
+
+
 def test_a_python_that_is_to_be_avoided_is_the_last_choice(tmp_path: Path) -> None:
     """By where it really lies: the installer's service sees no home, and shims point there."""
     home, other = tmp_path / "home", tmp_path / "other"

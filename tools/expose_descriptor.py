@@ -216,6 +216,7 @@ def write(
         onnx.save(model, str(made), save_as_external_data=external, location=weights.name)
         _compare(source, made, exposed)
         if external:
+            made.with_name(weights.name).chmod(made.stat().st_mode)  # they are written for their owner alone
             shutil.move(made.with_name(weights.name), weights)
         shutil.move(made, out)  # the graph last: it is what is looked for
     return exposed

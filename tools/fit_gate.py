@@ -27,7 +27,7 @@ if str(ROOT) not in sys.path:  # run from a checkout
 from prism_edge.bus.pack import as_sent, grey, rgb  # noqa: E402
 from prism_edge.config import Config, DepthConfig, GateConfig, SourceConfig  # noqa: E402
 from prism_edge.depth import DepthNetwork, open_network  # noqa: E402
-from prism_edge.errors import PrismError, SourceError  # noqa: E402
+from prism_edge.errors import ModelError, PrismError, SourceError  # noqa: E402
 from prism_edge.evaluation.trajectory import read_tum  # noqa: E402
 from prism_edge.scale.gate import DepthView, Gate, GateParameters  # noqa: E402
 from prism_edge.sources.base import Image  # noqa: E402
@@ -48,6 +48,7 @@ def keyframes(folder: Path, network: DepthNetwork, every: int, poses: Path | Non
     """Depth views and their features' raw pixels, in metres of the given poses. Raises SourceError."""
     extractor = OrbExtractor(Config().tracking)
     made: Keyframes = []
+    before = network.counters.get("unpaired", 0)
     with open_source(SourceConfig(uri=str(folder))) as source:
         truth = read_tum(poses) if poses else own_truth(str(folder))
         if not len(truth):
@@ -75,6 +76,10 @@ def keyframes(folder: Path, network: DepthNetwork, every: int, poses: Path | Non
                 1.0,
             )
             made.append((view, source.camera.distort_pixels(features.pixels)))
+    alone = network.counters.get("unpaired", 0) - before  # images without the confidence that is fitted to
+    if 2 * alone > len(made):
+        why = getattr(network, "doubt", "") or "the two don't fit"
+        raise ModelError(f"{folder}: {alone} of {len(made)} images were not paired: {why}")
     return made
 
 

@@ -4,7 +4,9 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 environment=.venv-oldest
-"$(tools/find_python.sh)" -m venv --clear "$environment"
+# The oldest Python too: of some of these releases there are no wheels for a newer one, and they don't build there.
+python="$(PYTHON="${PYTHON:-python3.11}" tools/find_python.sh)"
+"$python" -m venv --clear "$environment"
 # What only developers have is as new as it likes, but for onnx: the tests' networks are for that onnxruntime.
 "$environment/bin/python" - > "$environment/oldest.txt" << 'END'
 import tomllib

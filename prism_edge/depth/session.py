@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -72,6 +73,7 @@ class OnnxNetwork:
         self.dsug = self.card.dsug
         self.counters: dict[str, int] = {}
         self._doubted = False
+        self._sky_share = 0.0  # of the last image
         self._session: Any = None
         engines = with_own_engines(config or DepthConfig(), self.fingerprint)
         start(vetted, engines, self._first_image, inner)
@@ -106,7 +108,11 @@ class OnnxNetwork:
         if factor != 1.0:
             with np.errstate(over="ignore"):  # infinite depth is none, and said to be
                 raw = _with_depth(raw, raw.depth * np.float32(factor))
-        return checked(raw)
+        answer = checked(raw)
+        if not answer.valid and self._sky_share > 0.5:  # not the network, its mask did that
+            by = f"{self.card.sky_output!r} at or above sky_limit {self.card.sky_limit:g}"
+            answer = replace(answer, reason=f"{answer.reason}; {100 * self._sky_share:.0f} % is sky, {by}")
+        return answer
 
     def intrinsics(self, rgb: NDArray[np.uint8]) -> NDArray[np.float64] | None:
         """(4,) fx, fy, cx, cy in pixels of the image, as the network sees them; None where it says nothing.
@@ -168,14 +174,15 @@ class OnnxNetwork:
         image = tensor(rgb, self.card, placement)
         values = self._session.run(list(self._outputs.values()), {self._input: image})
         answer = dict(zip(self._outputs, values, strict=True))
-        depth = _plane(answer["depth"])
+        depth = _plane(answer["depth"], self._outputs["depth"])
         if "sky" in answer:
             # Inverse depth 0 is as good as any: what isn't there must be told apart from it.
             nothing = np.float32(0 if self.card.has_metres else np.nan)
-            sky = _plane(answer["sky"])
+            sky = _plane(answer["sky"], self._outputs["sky"])
             if sky.shape != depth.shape:
                 raise ModelError(f"sky is {sky.shape}, depth {depth.shape}; they must be of one size")
             depth = np.where(sky < self.card.sky_limit, depth, nothing)
+            self._sky_share = 1.0 - float(np.mean(sky < self.card.sky_limit))
         descriptor = no_descriptor()
         if self.card.has_inner_descriptor:
             descriptor = pool(answer["descriptor"], self.card.descriptor_pooling)
@@ -183,10 +190,10 @@ class OnnxNetwork:
                 layer = f"descriptor_layer {self.card.descriptor_layer!r}"
                 raise ModelError(f"{layer} gives {descriptor.size} numbers, more than {_LARGEST_DESCRIPTOR}")
         elif "descriptor" in answer:
-            descriptor = _descriptor(answer["descriptor"])
+            descriptor = _descriptor(answer["descriptor"], self._outputs["descriptor"])
         confidence = no_confidence()
         if "confidence" in answer:
-            confidence = _plane(answer["confidence"])
+            confidence = _plane(answer["confidence"], self._outputs["confidence"])
             self._doubt(confidence)
             confidence = in_its_range(confidence, self.card.confidence_kind)
         prediction = Prediction(
@@ -274,15 +281,15 @@ def _with_depth(prediction: Prediction, depth: NDArray[np.float32]) -> Predictio
     )
 
 
-def _plane(values: NDArray[Any]) -> NDArray[np.float32]:
+def _plane(values: NDArray[Any], name: str) -> NDArray[np.float32]:
     """The one plane (h, w) in an output of shape (1, 1, h, w), (1, h, w) or (h, w)."""
     if values.ndim < 2 or any(extent != 1 for extent in values.shape[:-2]) or min(values.shape[-2:]) < 2:
-        raise ModelError(f"an output of shape {list(values.shape)} is no map of one value a pixel")
+        raise ModelError(f"output {name!r} of shape {list(values.shape)} is no map of one value a pixel")
     return np.asarray(values.reshape(values.shape[-2:]), dtype=np.float32)
 
 
-def _descriptor(values: NDArray[Any]) -> NDArray[np.float32]:
+def _descriptor(values: NDArray[Any], name: str) -> NDArray[np.float32]:
     """The one vector (n,) in an output of shape (1, n), (n,) or with more extents of 1."""
     if values.size > _LARGEST_DESCRIPTOR or values.size != max(values.shape, default=0):
-        raise ModelError(f"an output of shape {list(values.shape)} is no descriptor of one vector")
+        raise ModelError(f"output {name!r} of shape {list(values.shape)} is no descriptor of one vector")
     return np.asarray(values, dtype=np.float32).ravel()

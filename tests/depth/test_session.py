@@ -159,6 +159,14 @@ def test_sky_has_no_depth(tmp_path: Path):
     assert np.all(answer.depth[:, :5] > 0)
 
 
+def test_a_picture_that_is_all_sky_is_said_to_be(tmp_path: Path):
+    graph = tiny_graph(what := TinyNetwork())
+    save(tmp_path / "sky.onnx", graph, replace(what.card(), sky_output="depth", sky_limit=0.0))
+    answer = OnnxNetwork(tmp_path / "sky.onnx").infer(slanted_wall()[0], CAMERA)
+    assert not answer.valid
+    assert "100 % is sky, 'depth' at or above sky_limit 0" in answer.reason
+
+
 def test_sky_of_another_size_than_depth_is_refused(tmp_path: Path):
     graph, card = two_outputs()
     graph.node.append(helper.make_node("MaxPool", ["depth"], ["sky"], kernel_shape=[2, 2], strides=[2, 2]))

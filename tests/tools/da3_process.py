@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import resource
 import sys
 from pathlib import Path
 
@@ -136,11 +137,15 @@ def refusals(folder: str) -> None:
         "no metres": ([*small, out, "--scale-bias-sigma", "0.3"], {}),
         "images first": ([unread, out, "--model", "da3-small", "--images", str(files / "absent")], {}),
         "images": ([*small, out, "--images", str(files / "published")], {}),
+        "no folder to write to": ([*small, "/proc/refused.onnx"], {}),
+        "full disk": ([*small, out], {"largest": 10_000_000}),
         "parity": ([*small, out, "--external-data"], {"bound": 1e-12}),
     }
     said = {}
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
     for what, (arguments, changes) in calls.items():
         parity.BOUNDS[convert.FP32] = changes.get("bound", 1e-4)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (changes.get("largest", most), most))
         error = io.StringIO()
         with contextlib.redirect_stderr(error), contextlib.redirect_stdout(io.StringIO()):
             code = tool.main(arguments)

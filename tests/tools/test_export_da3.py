@@ -188,6 +188,8 @@ def test_what_cannot_be_exported_is_refused_in_one_line_and_leaves_no_file(expor
         "no metres": "leave --scale-bias-sigma out",
         "images first": "no such file or folder",
         "images": "images are needed",
+        "no folder to write to": "/proc",
+        "full disk": "File too large",
         "parity": "the file is not kept",
     }
     said = json.loads(run(PROCESS, "refusals", folder))

@@ -198,6 +198,8 @@ def test_weights_of_gigabytes_are_not_handed_to_onnx_as_one_message(tmp_path, mo
     assert given
     assert max(given) < 100_000
     assert out.with_name("places.onnx.data").stat().st_size >= 200_000
+    # whoever may read the one may read the other
+    assert out.with_name("places.onnx.data").stat().st_mode == out.stat().st_mode
     assert OnnxNetwork(out).card.descriptor_output == expose_descriptor.OUTPUT
 
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 
+from prism_edge.depth.contract import card_from_metadata
+from prism_edge.depth.folders import data_folder
 from prism_edge.errors import SourceError
 from prism_edge.scale.gate import DepthView, weigh
 from tests.scale.scene import CAMERA, IMAGE_TO_DEPTH, SHAPE, depth_of_wall
@@ -62,6 +66,21 @@ def test_what_can_not_be_fitted_to_ends_in_one_line(more, tmp_path: Path, capsys
 def test_a_folder_that_is_not_there_is_what_is_said(tmp_path: Path, capsys):
     assert fit_gate.main([str(tmp_path / "nowhere"), "--model", "prism_nano"]) != 0
     assert "does not exist" in capsys.readouterr().err
+
+
+def test_a_pair_that_is_none_is_said_and_not_fitted_to(tmp_path: Path, capsys):
+    """Depth that is called inverse depth: the metric network stands alone, and without any confidence."""
+    model = onnx.load(data_folder() / "prism-nano.onnx")
+    own = card_from_metadata({prop.key: prop.value for prop in model.metadata_props}, "nano")
+    kind = {"depth_kind": "inverse_relative", "canonical_focal_length": None, "scale_bias_sigma": None}
+    wrong = tmp_path / "wrong.onnx"
+    onnx.helper.set_model_props(model, replace(own, name="wrong", **kind).to_metadata())
+    onnx.save(model, wrong)
+    world = "sim:room?seed=1&frames=121&width=320&height=240"
+    assert fit_gate.main([world, "--model", f"nested:{wrong},prism_nano", "--every", "20"]) == 5
+    said = capsys.readouterr()
+    assert "were not paired" in said.err
+    assert "dsug_tau" not in said.out
 
 
 @pytest.mark.realdata

@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from prism_edge.depth.contract import FOCAL_NORMALISED
 from prism_edge.depth.inner_tensor import GRID
-from prism_edge.errors import ModelError, PrismError
+from prism_edge.errors import FAILING_FILE, ModelError, PrismError, in_words
 
 try:
     import onnx  # noqa: F401
@@ -70,9 +70,9 @@ def main(arguments: list[str] | None = None) -> int:
             raise ModelError(f"{names[0]} has no metres: leave --scale-bias-sigma out")
         check(job, variants)
         export(replace(job, checkpoints=_loaded(args, names)))
-    except PrismError as error:
-        print(f"export_da3: error: {error}", file=sys.stderr)
-        return error.exit_code
+    except (PrismError, OSError) as error:
+        print(f"export_da3: error: {in_words(error)}", file=sys.stderr)
+        return error.exit_code if isinstance(error, PrismError) else FAILING_FILE
     return 0
 
 

@@ -47,7 +47,9 @@ def trace(network: nn.Module, example: Sequence[Tensor], inputs: Sequence[str], 
             )
         fold(raw, path)
         remove(raw)
-    except RuntimeError as error:
+    except OSError:
+        raise
+    except Exception as error:  # torch's and onnxruntime's, without a common root
         raise ModelError(f"{path.name}: can't be exported ({first_line(error, 150)})") from None
     return path
 
@@ -66,7 +68,17 @@ def fold(source: Path, out: Path) -> None:
 
 
 def in_precision(source: Path, precision: str) -> onnx.ModelProto:
-    """The network of the fp32 file ``source`` in one of PRECISIONS."""
+    """The network of the fp32 file ``source`` in one of PRECISIONS. Raises ModelError, OSError."""
+    try:
+        return _in_precision(source, precision)
+    except OSError:
+        raise
+    except Exception as error:  # onnx's, onnxruntime's and protobuf's: of a file cut off by a full disk, too
+        why = first_line(error, 150)
+        raise ModelError(f"{source.name}: {precision} can't be made of it ({why})") from None
+
+
+def _in_precision(source: Path, precision: str) -> onnx.ModelProto:
     if precision == FP16:
         # Types of all tensors, by way of a file: in memory it is limited to what one message can hold.
         typed = source.with_name("typed.onnx")
