@@ -45,6 +45,7 @@ from prism_edge.workers.ablated import tracking_of
 from prism_edge.workers.answers_due import PATIENCE_S, AnswersDue
 from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.frame_camera import FrameCamera
+from prism_edge.workers.keeping_up import KeepingUp
 from prism_edge.workers.map_adoption import MapAdoption
 from prism_edge.workers.pictures import Pictures
 from prism_edge.workers.pose_publisher import PosePublisher
@@ -83,6 +84,7 @@ class TrackerWorker:
         self._update_sequence = -1
         self._answers = AnswersDue(bus, self._inboxes, self._peers, config.lockstep)
         self._last_index, self._dropped, self._between = -1, 0, 0
+        self._keeping_up = KeepingUp(bus.pulse)
         self._pictures = Pictures(bus, "depth" in self._peers, base_from_camera(config.frames))
         self._now_ns = 0  # stamp of the newest frame
         # The map of a run that was cut off: the first image says whether it is this camera's.
@@ -132,13 +134,15 @@ class TrackerWorker:
         """All that becomes of a frame; without ``judge`` no keyframe but one that begins a map."""
         # A copy of what was released before it, which may have been dropped: then it is news.
         follows = frame.index == self._last_index + 1
-        if self._last_index >= 0 or not self._bus.first_id:  # while we were down, we dropped nothing
-            self._dropped += max(frame.index - self._last_index - 1, 0)
+        counts = self._last_index >= 0 or not self._bus.first_id  # while we were down, we dropped nothing
+        dropped = max(frame.index - self._last_index - 1, 0) if counts else 0
+        self._dropped += dropped
         since_ns, self._last_index, self._now_ns = frame.stamp_ns - self._now_ns, frame.index, frame.stamp_ns
         camera = self._camera.of(frame)
         if camera is None:
             self._tick(frame, self._so_far(), published=False)
             return
+        self._keeping_up.saw(frame.stamp_ns, dropped, camera)
         if self._unproven:
             self._prove(camera)
         tracker, before = self._tracker, self._tracker.last_pose()
