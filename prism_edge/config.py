@@ -231,7 +231,7 @@ class GateConfig:
     alpha: float = limits(0.5, 0.0, 1.0, "share of u_spatial in u, where the network gives confidence")
     tau: float = limits(0.0, 0.0, 10.0, "uncertainty at which a weight is 1/2; 0: the network's own")
     temperature: float = limits(
-        0.0, 0.0, 10.0, "softness of the gate; 0: the network's own", least=0.0001
+        0.0, 0.0, 10.0, "softness of the gate; 0: the network's own", least=0.000001
     )
     memory: int = limits(4, 1, 20, "earlier keyframes that a new one is compared with")
     images: bool = field(default=False, metadata={"help": "publish u and w of each keyframe as images"})

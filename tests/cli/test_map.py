@@ -356,7 +356,7 @@ def no_keyframes(path: Path) -> None:
         (lambda path: path.write_bytes(b""), "does not begin as a map"),
         (lambda path: path.write_bytes(b"ply\n" * 100), "does not begin as a map"),
         (lambda path: path.write_bytes(path.read_bytes()[:-100]), "truncated?"),
-        (lambda path: path.write_bytes(path.read_bytes()[:-1] + b"\0"), "damaged?"),
+        (lambda path: path.write_bytes(path.read_bytes()[:-8] + b"spoiled!"), "damaged?"),
         (lambda path: (path.unlink(), os.mkfifo(path)), "is no file"),
         (lambda path: os.truncate(path, map_file.LARGEST_FILE + 1), "a map has at most"),
         (lambda path: (path.unlink(), path.mkdir()), "Is a directory"),

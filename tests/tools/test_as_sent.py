@@ -26,6 +26,7 @@ class Watched:
     bias_sigma = 0.1
 
     def __init__(self) -> None:
+        self.counters: dict[str, int] = {}
         self.colours: list[np.ndarray] = []
         self.greys: list[np.ndarray] = []
 

@@ -88,7 +88,7 @@ def test_the_gate_is_fitted_with_the_pose_of_each_image(filmed: Path) -> None:
         valid=True, depth=np.ones((48, 64), np.float32), image_to_depth=np.array([1.0, 0.0, 1.0, 0.0]),
         confidence=np.zeros((0, 0), np.float32),
     )  # fmt: skip
-    network: Any = SimpleNamespace(infer=lambda rgb, camera: answer)
+    network: Any = SimpleNamespace(infer=lambda rgb, camera: answer, counters={})
     made = fit_gate.keyframes(filmed, network, 2, None)
     assert [view.world_from_camera for view, _ in made] == pytest.approx(expected(9)[::2], abs=1e-5)
 
