@@ -22,6 +22,7 @@ from prism_edge.sources.live.open import check_mode, is_live
 from prism_edge.sources.live.stream import is_stream
 from prism_edge.sources.mask import mask_for, read_mask
 from prism_edge.sources.open import AUTO, AUTO_NEEDS, camera_files, open_source
+from prism_edge.sources.shrunk import shrunk_camera
 from prism_edge.sources.sim import is_simulated
 from prism_edge.supervisor.metrics import check_port
 from prism_edge.supervisor.restart import least_s
@@ -92,7 +93,8 @@ def _source(source: SourceConfig) -> list[str]:
     camera = None
     if source.camera != AUTO:
         named = [named_path(source.camera)] if source.camera else camera_files(source.uri)
-        camera = next((read_camera(path) for path in named if os.path.isfile(path)), None)
+        known = next((read_camera(path) for path in named if os.path.isfile(path)), None)
+        camera = shrunk_camera(known, source.shrink) if known else None
     mask = named_path(source.mask)
     has_mask = bool(source.mask) and os.path.exists(mask)
     if source.mask and not has_mask:

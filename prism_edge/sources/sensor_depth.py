@@ -71,9 +71,7 @@ class SensorDepth:
 
     def is_apart(self, camera: Camera) -> bool:
         """Whether the images are of 7-Scenes' depth camera, and ``camera`` the colour camera beside it."""
-        published = SEVEN_SCENES[1]
-        whole = camera.resized(published.width, published.height)
-        return self._apart or (self._alike and np.allclose(_pinhole(whole), _pinhole(published)))
+        return self._apart or (self._alike and np.allclose(_pinhole(camera), _pinhole(SEVEN_SCENES[1])))
 
     def file(self, index: int) -> Path | None:
         """The depth image of colour image ``index``; None where there is none within 20 ms."""
@@ -93,7 +91,9 @@ class SensorDepth:
 
 
 def _pinhole(camera: Camera) -> tuple[float, ...]:
-    return camera.fx, camera.fy, camera.cx, camera.cy
+    """In shares of the image, of whatever size that is."""
+    across, down = camera.width, camera.height
+    return camera.fx / across, camera.fy / down, (camera.cx + 0.5) / across, (camera.cy + 0.5) / down
 
 
 def image_to_depth(depth: F32, camera: Camera) -> NDArray[np.float64]:

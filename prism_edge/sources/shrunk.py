@@ -33,8 +33,12 @@ class Shrunk(Source):
         """A video knows these once it is open, a camera with a calibration of its own once it is there."""
         self.name = f"{self._source.name}, 1/{self._factor} of its size"
         self.period_ns, self.frame_count = self._source.period_ns, self._source.frame_count
-        if self._source.camera is not UNCALIBRATED:
-            self.camera = shrunk_camera(self._source.camera, self._factor)
+        self._whole: tuple[int, int] | None = None  # width and height as they come; None: not known yet
+        self._misfit = ""  # how the newest image's size is another
+        whole = self._source.camera
+        if whole is not UNCALIBRATED:
+            self._whole = whole.width, whole.height
+            self.camera = shrunk_camera(whole, self._factor)
 
     @property
     def connecting_s(self) -> float:
@@ -50,6 +54,12 @@ class Shrunk(Source):
         item = self._source.read()
         if not isinstance(item, Image):
             return item
+        size = item.pixels.shape[1], item.pixels.shape[0]
+        self._whole = self._whole or size
+        # One of nearly that size would be as large as the others afterwards, and not theirs.
+        self._misfit = "" if size == self._whole else "{}x{} instead of {}x{}".format(*size, *self._whole)
+        if self._misfit:
+            return Unreadable(item.index, item.stamp_ns, f"image {item.index} is {self._misfit}")
         pixels = shrunk(item.pixels, self._factor)
         return Image(item.index, item.stamp_ns, pixels, item.captured_monotonic_ns)
 
@@ -66,7 +76,10 @@ class Shrunk(Source):
         return self._source.true_pose(index)
 
     def health(self) -> dict[str, str]:
-        return self._source.health()
+        """The source's own, which can't know of an estimated camera how large its images are to be."""
+        values = self._source.health()
+        unsaid = self.live and self._misfit and "warning" not in values
+        return values | ({"warning": f"the camera sends {self._misfit}"} if unsaid else {})
 
     def close(self) -> None:
         self._source.close()

@@ -39,7 +39,8 @@ class FrameCamera:
             if grey(frame).shape != size:
                 problem = "its image is smaller than its camera says"
             elif self.shown is not None and self.shown.shape != size:
-                problem = "the mask is for images of another size"
+                is_for = "{1}x{0}".format(*self.shown.shape)
+                problem = f"the mask is for images of another size, {is_for} (source.mask, source.shrink)"
             else:
                 return camera
         except ConfigError as error:

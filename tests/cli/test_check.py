@@ -162,6 +162,10 @@ def test_a_mask_of_another_size_is_an_error(
     assert "mask.png is 320x240, but the camera's images are 640x480" in capsys.readouterr().err
     cv2.imwrite(str(tmp_path / "mask.png"), np.full((480, 640), 255, np.uint8))
     assert main(["config", "--check", str(file), "--set", "source.shrink=2"]) == 0
+    elsewhere = "--set", f"source.uri={tmp_path / 'drive.mkv'}"  # a recording that this machine lacks
+    capsys.readouterr()
+    assert main(["config", "--check", str(file), "--set", "source.shrink=2", *elsewhere]) == 0
+    assert "does not exist" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("source", ["'oak:'", "'oak:', camera: auto", "'v4l2:/dev/video7', camera: auto"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from sources import tiny_datasets as tiny
-from sources.live.bench import CAMERA, QUICK, Bench, steady
+from sources.live.bench import CAMERA, QUICK, Bench, picture, steady
 
 from prism_edge.config import SourceConfig
 from prism_edge.errors import ConfigError, SourceError
@@ -20,6 +21,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.sources import Image, Source, Unreadable, open_source
 from prism_edge.sources.checks import UNCALIBRATED
 from prism_edge.sources.live.camera import LiveCamera
+from prism_edge.sources.live.driver import Grab
 from prism_edge.sources.mask import mask_for, read_mask
 from prism_edge.sources.shrunk import Shrunk, shrunk, shrunk_camera
 from tests.waiting import until
@@ -158,6 +160,31 @@ def test_a_camera_that_knows_its_lens_is_made_smaller_once_it_is_there() -> None
     assert source.camera is UNCALIBRATED
     with source:
         assert source.camera == shrunk_camera(CAMERA, 2)
+
+
+def test_an_estimated_camera_that_comes_back_in_another_size_is_said_to() -> None:
+    def script(number: int) -> Grab:
+        now, size = time.monotonic_ns(), ((64, 48) if number < 5 else (32, 24))
+        time.sleep(0.002)
+        return Grab(now, lambda: picture(number, *size))
+
+    source = Shrunk(LiveCamera(Bench(script), UNCALIBRATED, "not calibrated", QUICK), 2)
+    source.camera = shrunk_camera(CAMERA, 2)
+    with source:
+        said = until(lambda: source.read() and source.health().get("warning"))
+    assert said == "the camera sends 32x24 instead of 64x48"
+
+
+def test_an_image_of_nearly_the_same_size_is_refused(tmp_path: Path) -> None:
+    """A third as large all of these are 21 x 16."""
+    folder = tiny.write_tum(tmp_path)
+    odd = sorted((folder / "rgb").iterdir())[2]
+    tiny.write_image(odd, tiny.picture(2, 65, 50))
+    with open_source(SourceConfig(uri=str(folder), shrink=3)) as source:
+        items = [source.read() for _ in range(5)]
+    assert [type(item) for item in items] == [Image, Image, Unreadable, Image, Image]
+    assert isinstance(items[2], Unreadable)
+    assert items[2].reason == "image 2 is 65x50 instead of 64x48"
 
 
 def test_a_mask_is_drawn_over_the_images_as_they_come(tmp_path: Path) -> None:

@@ -326,6 +326,15 @@ def test_another_recorder_s_depth_is_taken_as_registered(
     np.testing.assert_array_equal(smaller, seen)
 
 
+@pytest.mark.parametrize(("width", "height"), [(480, 848), (1242, 375)])
+def test_depth_is_read_whatever_shape_its_images_have(tmp_path: Path, width: int, height: int) -> None:
+    """A camera on its side, say: 7-Scenes' own, stretched to such a shape, would be none."""
+    folder = tiny.write_tum(tmp_path)
+    write_depth(folder, ["1305031102.175304"])
+    camera = Camera(width, height, 700.0, 700.0, width / 2, height / 2)
+    assert not SensorDepth(folder).is_apart(camera)
+
+
 def test_seven_scenes_depth(tmp_path: Path) -> None:
     folder = tiny.write_seven_scenes(tmp_path, count=2)
     raw = np.array([[1500, 0], [65535, 3000]], np.uint16)
