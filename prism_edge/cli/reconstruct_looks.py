@@ -13,7 +13,7 @@ import numpy as np
 from prism_edge.cli.reconstruct_depth import Taken, depth_for
 from prism_edge.config import Config
 from prism_edge.depth.contract import INVERSE_RELATIVE
-from prism_edge.errors import ConfigError, SourceError
+from prism_edge.errors import SourceError
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import U8
 from prism_edge.named_path import named_path
@@ -60,14 +60,7 @@ def gather(
     depth = depth_for(config, mount)
     gathered = Gathered(depth.name, depth.dsug, depth.is_measured)
     path, shrink = named_path(config.source.mask), config.source.shrink
-
-    @cache
-    def mask(width: int, height: int) -> Shown:
-        try:
-            return mask_for(path, width, height, shrink)
-        except ConfigError as error:
-            raise ConfigError(f"{error}; {SHRUNK}") from None
-
+    mask = cache(lambda width, height: mask_for(path, width, height, shrink, f": {SHRUNK}"))
     if config.source.mask and len({_size(view) for view in seen}) == 1:
         mask(*_size(seen[0]))  # said before the first depth; of several sizes the recording has one
     pictures = Pictures(config, seen, gathered.without, mask if config.source.mask else None)

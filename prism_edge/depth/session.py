@@ -181,8 +181,8 @@ class OnnxNetwork:
             sky = _plane(answer["sky"], self._outputs["sky"])
             if sky.shape != depth.shape:
                 raise ModelError(f"sky is {sky.shape}, depth {depth.shape}; they must be of one size")
-            depth = np.where(sky < self.card.sky_limit, depth, nothing)
-            self._sky_share = 1.0 - float(np.mean(sky < self.card.sky_limit))
+            below = sky < self.card.sky_limit
+            depth, self._sky_share = np.where(below, depth, nothing), 1.0 - float(below.mean())
         descriptor = no_descriptor()
         if self.card.has_inner_descriptor:
             descriptor = pool(answer["descriptor"], self.card.descriptor_pooling)

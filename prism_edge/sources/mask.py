@@ -50,10 +50,10 @@ def read_mask(path: Path, shrink: int = 1) -> Shown:
     return shown if shrink == 1 else shrunk(shown.astype(np.uint8) * np.uint8(255), shrink) == 255
 
 
-def mask_for(path: Path, width: int, height: int, shrink: int = 1) -> Shown:
-    """:func:`read_mask` for images of one size. Raises ConfigError, too, where the mask has another."""
+def mask_for(path: Path, width: int, height: int, shrink: int = 1, hint: str = "") -> Shown:
+    """:func:`read_mask` for images of one size. Raises ConfigError, too, ``hint`` behind, for another."""
     shown = read_mask(path, shrink)
     if shown.shape != (height, width):
         size = f"{shown.shape[1]}x{shown.shape[0]}" + (f" after source.shrink {shrink}" if shrink > 1 else "")
-        raise ConfigError(f"mask {path} is {size}, but the camera's images are {width}x{height}")
+        raise ConfigError(f"mask {path} is {size}, but the camera's images are {width}x{height}{hint}")
     return shown

@@ -8,6 +8,7 @@ import pytest
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.workers.keeping_up import KeepingUp
+from tests.workers.tracker_bench import frame, run
 
 CAMERA = Camera(1280, 720, 900.0, 900.0, 639.5, 359.5)
 FRAME_NS = 33_333_333
@@ -66,3 +67,10 @@ def test_stamps_of_another_clock_begin_anew() -> None:
 
 def test_of_a_slow_camera_a_single_image_is_no_share() -> None:
     assert Stream().play(120.0, every=2, frame_ns=1_000_000_000) == ""
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_the_tracker_counts_what_it_never_saw(bus, world, step: int) -> None:
+    """Thirty images in twelve seconds, of which with step 2 each other one was replaced by a newer."""
+    run(bus, [frame(step * i, of=i % 12, stamp_ns=400_000_000 * i) for i in range(30)])
+    assert ("% of the images were dropped" in bus.pulse.values.get("warning", "")) == (step == 2)
