@@ -109,12 +109,16 @@ def test_lockstep_goes_on_without_what_never_comes(monkeypatch, caplog):
     assert "keyframe 0 is incomplete" in caplog.text
 
 
-def test_lockstep_needs_no_depth_where_there_is_no_network():
+def test_lockstep_needs_no_depth_where_there_is_no_network(caplog):
+    """A scale process is there all the same: a loaded map has metres."""
     _, told = keyframes(3)
     bus = ListBus("tracked")
     bus.give("keyframe", *told)
+    bus.give("log_scale", *(scale_of(keyframe) for keyframe in told))
+    bus.give("gate", *(gate_of(keyframe) for keyframe in told))
     bus.give("tracked", *(tick(i, i) for i in range(3)))
     worker.main(replace(NO_DEPTH, mode="lockstep"), bus)
+    assert "incomplete" not in caplog.text
     assert [u.based_on for u in bus.of("map_update")] == [0, 1, 2]
     assert len(bus.of("acknowledged")) == 3
 
