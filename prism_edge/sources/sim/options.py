@@ -35,7 +35,7 @@ class Options:
     actors: int = limits(0, 0, 3, "people who walk about")
     noise: float = limits(1.0, 0.0, 10.0, "sensor noise, times 2.5 grey levels; 0: none")
     blur: float = limits(1.0, 0.0, 10.0, "exposure time that smears motion, times 8 ms; 0: none")
-    exposure: float = limits(1.0, 0.0, 3.0, "changes of exposure, times a fifth of a stop and more; 0: none")
+    exposure: float = limits(1.0, 0.0, 3.0, "changes of exposure, times half a stop; 0: none")
     readout: float = limits(0.0, -100.0, 100.0, "ms from the first row to the last; 0: all at once")
     unlike: float = limits(0.3, 0.0, 1.0, "how much a step, or stretch of corridor, differs from the next")
     follow: str = text("", "a TUM file (metres, z up, camera optical) whose way the camera goes, in a room")
