@@ -241,7 +241,9 @@ def _below(rows: list[Row]) -> list[str]:
             theirs = "all" if paper.frames is None else paper.frames
             whose = f"{row.folder.name} has {frames} frames, and the paper's figures are of {theirs}"
             said.append(f"{whose}: they are left out.")
-    return said + [text for row in rows for text in warnings(row)]
+    said += [text for row in rows for text in warnings(row)]
+    # A set: the table's dataset has one note, which is of the paper's figures.
+    return said + sorted({NOTES[row.dataset] for row, paper in papers if paper and row.dataset in NOTES})
 
 
 def model_name(model: str) -> str:
@@ -262,12 +264,12 @@ def tables(rows: list[Row], args: argparse.Namespace) -> str:
     heads = ("sequence", *OURS, *PAPERS)
     for dataset in dict.fromkeys(row.dataset for row in rows):
         unit = "m" if dataset.startswith("KITTI") else "cm"
+        of_it = [row for row in rows if row.dataset == dataset]
         parts.append(
             f"### {dataset}\n\n"
             f"| {' | '.join(heads)} |\n{'|---' * len(heads)}|\n".replace("UNIT", unit)
-            + "\n".join(line(row) for row in rows if row.dataset == dataset)
-            + "".join(f"\n\n{text}" for text in _below([row for row in rows if row.dataset == dataset]))
-            + (f"\n\n{NOTES[dataset]}" if dataset in NOTES else "")
+            + "\n".join(map(line, of_it))
+            + "".join(f"\n\n{text}" for text in _below(of_it))
         )
     return "\n\n".join(parts)
 

@@ -133,6 +133,13 @@ def test_the_papers_figures_stand_beside_recordings_of_their_length_alone(tmp_pa
     assert out.count("\n† Of a sequence whose number of frames") == 1
 
 
+def test_a_note_on_the_papers_figures_stands_where_there_are_any(tmp_path: Path, ran, capsys):
+    for place in ("sequences/03", "sequences/07"):
+        folder = layout(tmp_path / place, "kitti")
+        assert benchmark.main([str(folder), "--model", "net.onnx", "--out", str(tmp_path / "out")]) == 0
+        assert ("of the first 500 frames" in capsys.readouterr().out) == place.endswith("03")
+
+
 def test_a_folder_that_fails_has_the_reason_in_its_line_and_the_others_go_on(tmp_path: Path, ran, capsys):
     folders = [tmp_path / "broken", layout(tmp_path / "desk", "tum")]
     words = [*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--lockstep"]
