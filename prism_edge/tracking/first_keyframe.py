@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import logging
+
 from prism_edge.tracking.first_map import CAN_WAIT_MATCHES, SecondView, begin_structure
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+
+log = logging.getLogger("prism_edge.tracking")
 
 DEPTH_PATIENCE_S = 10.0  # no answer at all for this long: the network never got the picture
 SLOWER = 2.0  # times as long as an answer took that came too late the next one is waited for
@@ -27,6 +31,7 @@ class FirstKeyframe:
         self._too_near_ns: int | None = None
         self._patience_s = DEPTH_PATIENCE_S
         self._given_up: dict[int, int] = {}  # when each was made that gave way without an answer
+        self._said = ""  # why the last one gave way, which is said once where no map begins for long
 
     def begin(self, keyframe: int, stamp_ns: int) -> None:
         """It has been made."""
@@ -37,6 +42,7 @@ class FirstKeyframe:
         self, world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, seed: int, stamp_ns: int
     ) -> SecondView:
         """What a frame says of the first map (:func:`begin_structure`); not asked each time it can wait."""
+        self._said = ""
         asked_ns = self._too_near_ns
         waits = asked_ns is not None and 0 <= stamp_ns - asked_ns < LOOK_AGAIN_NS
         if waits and frame.matched >= CAN_WAIT_MATCHES:
@@ -47,7 +53,7 @@ class FirstKeyframe:
 
     def has_depth(self) -> None:
         """Points have been seeded from its depth."""
-        self._depth_ns, self._retry_s = self._now_ns, RETRY_S
+        self._depth_ns, self._useless, self._retry_s = self._now_ns, False, RETRY_S
 
     def has_no_depth(self, keyframe: int) -> None:
         """Its depth, if it is this keyframe's, is of no use: another image may be better."""
@@ -69,16 +75,20 @@ class FirstKeyframe:
         """A frame was not tracked beside it: whether another keyframe is to take its place."""
         self._now_ns = stamp_ns
         if self._depth_ns is not None:
-            return (stamp_ns - self._depth_ns) * 1e-9 > TRACKING_PATIENCE_S
-        waited_s = (stamp_ns - self._began_ns) * 1e-9
-        if not self._useless:
-            if waited_s <= self._patience_s:
-                return False
+            why, since_ns, patience_s = "could not be tracked", self._depth_ns, TRACKING_PATIENCE_S
+        elif self._useless:
+            why, since_ns, patience_s = "has depth of no use", self._began_ns, self._retry_s
+        else:
+            why, since_ns, patience_s = "has had no depth", self._began_ns, self._patience_s
+        if (stamp_ns - since_ns) * 1e-9 <= patience_s:
+            return False
+        if self._useless:
+            self._retry_s = min(2.0 * self._retry_s, DEPTH_PATIENCE_S)
+        elif self._depth_ns is None:
             self._given_up[self._id] = self._began_ns
             if len(self._given_up) > GIVEN_UP:
                 del self._given_up[next(iter(self._given_up))]
-            return True
-        if waited_s <= self._retry_s:
-            return False
-        self._retry_s = min(2.0 * self._retry_s, DEPTH_PATIENCE_S)
+        if why != self._said:
+            log.info("the first keyframe %s: another takes its place", why)
+        self._said = why
         return True

@@ -127,7 +127,6 @@ class Tracker:
         if frame is None:
             if not self.initialised:
                 if self.first.gives_way(stamp_ns):
-                    log.info("the first keyframe could not be tracked: starting again")
                     self._restart(self._begins_at)
                 return nothing(INITIALISING)
             if silent_s > self._config.lost_after_s and not self._search.lost:

@@ -98,6 +98,32 @@ def test_nobody_waits_for_ever() -> None:
     assert first.gives_way(900_000 * MS + round(1.001 * MOST_PATIENCE_S * 1000) * MS)
 
 
+def test_why_it_gave_way_is_said_once_until_a_map_has_begun(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Without a network, or before a wall, one gives way to another for as long as the daemon runs."""
+    caplog.set_level("INFO")
+    monkeypatch.setattr(first_keyframe, "begin_structure", lambda *_: SecondView.AGREES)
+    first, nobody = FirstKeyframe(), SimpleNamespace(matched=200)
+
+    def gave_way(times: int, answer: Any = lambda _: None) -> list[str]:
+        caplog.clear()
+        for number in range(times):
+            first.begin(number, 0)
+            answer(number)
+            assert first.gives_way(60_000 * MS)
+        return caplog.messages
+
+    ends = "another takes its place"
+    assert gave_way(5) == [f"the first keyframe has had no depth: {ends}"]
+    assert gave_way(5, first.has_no_depth) == [f"the first keyframe has depth of no use: {ends}"]
+    could_not = gave_way(5, lambda _: first.has_depth())
+    assert could_not == [f"the first keyframe could not be tracked: {ends}"]
+    assert gave_way(2, lambda _: first.has_depth()) == []
+    first.second_view(nobody, nobody, nobody, 0, 0)  # type: ignore[arg-type]
+    assert len(gave_way(2, lambda _: first.has_depth())) == 1
+
+
 @pytest.mark.parametrize("takes_s", [9.5, 12.5])
 def test_a_map_begins_however_long_the_network_takes_for_a_picture(takes_s: float) -> None:
     """It works on the newest picture, one after the other, and answers for maps that were given up too."""
