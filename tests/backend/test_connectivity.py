@@ -111,6 +111,14 @@ def test_a_loop_ties_what_shares_nothing() -> None:
     assert tied_parts(world, [(3, 7)]) == [set(range(6)), {100, 101, 102}]  # with one that has gone: none
 
 
+def test_a_loop_whose_either_end_was_culled_ties_nothing() -> None:
+    world = two_chains()
+    tied = ties(world, [(0, 999), (999, 0), (102, 5)])
+    assert all({a, b} <= world.keyframes.keys() for a, b in tied)
+    assert tied[5, 102] == LOOPED, "the older first, whichever looked"
+    assert 102 in ways(world, tied, 0)
+
+
 def test_a_chance_match_ties_nothing() -> None:
     """A few points that both parts see by mistake make them no one map, though they hang together."""
     world = two_chains()

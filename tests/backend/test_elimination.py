@@ -8,7 +8,7 @@ import pytest
 from gtsam.symbol_shorthand import L, X
 
 from prism_edge.backend import elimination
-from prism_edge.backend.elimination import ONE_BY_ONE, points_first, solver
+from prism_edge.backend.elimination import ONE_BY_ONE, covariance_of_last, points_first, solver
 from prism_edge.backend.factors import held
 from prism_edge.backend.lens import ALIKE, LENS, found
 from prism_edge.geometry.cameras import Camera
@@ -70,6 +70,18 @@ def test_the_variance_of_what_comes_last_is_its_marginal():
     marginal = gtsam.Marginals(graph, solved).marginalCovariance(LENS)[1, 1]
     assert lens is not None
     assert (lens.sigma / ALIKE) ** 2 == pytest.approx(marginal, rel=1e-3)
+
+
+def test_what_hangs_together_within_what_comes_last_is_in_its_covariance():
+    """A pose whose turn and way go together, as before points all on one side."""
+    graph, values = problem(with_lens=False)
+    ordering = points_first(POINTS, range(len(POSES)))
+    graph.remove(graph.size() - 1)  # the last pose is free now, but for the unit
+    loose = gtsam.noiseModel.Isotropic.Sigma(6, 0.05)
+    graph.add(gtsam.PriorFactorPose3(X(4), gtsam.Pose3(POSES[4]), loose))
+    solved = gtsam.LevenbergMarquardtOptimizer(graph, values, solver(ordering, len(POSES))).optimize()
+    marginal = gtsam.Marginals(graph, solved).marginalCovariance(X(4))
+    assert covariance_of_last(graph, solved, ordering) == pytest.approx(marginal, rel=1e-3, abs=1e-12)
 
 
 def test_where_only_small_steps_lead_down_a_heavy_error_is_damped_until_they_are_taken():

@@ -94,6 +94,18 @@ def test_metric_depth_is_huber_of_the_range_error(ratio, weight, units_per_metre
     assert least - 1e-9 <= error <= most + 1e-9
 
 
+def test_a_sensor_s_depth_is_as_sure_as_the_sensor_has_it():
+    """Not as a network would be: ten times as sure costs a hundred times as much."""
+    pixel = CAMERA.project(transform(inverse(POSE), POINT[None]))[0]
+    keyframe = keyframe_of(pixel, 0, 2.5 * 1.001)
+    costs = []
+    for sigma in (CONFIG.depth_sigma / 10.0, 0.0):  # 0: the source doesn't say
+        keyframe.depth_sigma = sigma
+        factor = FactorFactory(CONFIG, 1.0).metric_depth(X(0), L(0), keyframe, 0)
+        costs.append(factor.error(values_of(POSE, POINT)))
+    assert costs[0] / costs[1] == pytest.approx(100.0, rel=0.25)  # both sigmas are rounded
+
+
 @pytest.mark.parametrize(("k1", "dx", "dy"), [(0.0, 3.0, -2.0), (-0.08, 0.0, 0.0), (0.05, -1.0, 9.0)])
 def test_through_a_lens_it_is_huber_of_the_error_of_the_pixel_as_taken(k1, dx, dy):
     """r -> r (1 + k1 r^2), from a camera that has another lens so far, and pixels that are not square."""

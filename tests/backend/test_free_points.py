@@ -104,6 +104,34 @@ def test_a_query_is_placed_though_its_points_are_off_in_depth():
     assert np.sqrt(np.diag(np.linalg.inv(found.information))[:3]).max() < 0.05
 
 
+def test_a_few_gross_mismatches_do_not_take_a_query_along():
+    world, query, pairs = seen_again()
+    query.pixels = query.pixels.copy()
+    query.pixels[[i for i, _ in pairs[:4]]] += (80.0, -50.0)
+    off = se3_log(inverse(placed(world, query, pairs, [QUERY]).world_from_query) @ QUERY)
+    assert np.linalg.norm(off[:3]) < 0.05
+    assert np.linalg.norm(off[3:]) < np.radians(0.5)
+
+
+def test_a_step_is_that_of_pose_and_points_together():
+    """Eliminated or not, it is the same system that is solved."""
+    world, query, pairs = seen_again()
+    off_along_rays(world, pairs, 0.4)
+    places = np.array([world.points[p].position for _, p in pairs])
+    at = _Reduced.at(_views(world, query, pairs), QUERY @ pose_at(0.02, 0.01), places)
+    n = 3 * len(pairs)
+    whole = np.zeros((6 + n, 6 + n))
+    whole[:6, :6] = at.of_pose
+    whole[:6, 6:] = at.between.transpose(1, 0, 2).reshape(6, n)
+    whole[6:, :6] = whole[:6, 6:].T
+    for i, block in enumerate(at.of_points):
+        whole[6 + 3 * i : 9 + 3 * i, 6 + 3 * i : 9 + 3 * i] = block
+    step = -np.linalg.solve(whole, np.r_[at.by_pose, at.by_points.ravel()])
+    twist, shifts = at.step(1e-12)
+    assert twist == pytest.approx(step[:6], rel=1e-3, abs=1e-6)
+    assert shifts.ravel() == pytest.approx(step[6:], rel=1e-3, abs=1e-5)
+
+
 def test_what_a_placed_query_says_is_the_curvature_of_its_cost_with_points_that_follow():
     world, query, pairs = seen_again()
     found = placed(world, query, pairs, [query.world_from_camera])

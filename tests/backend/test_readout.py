@@ -222,6 +222,17 @@ def test_no_more_is_taken_out_than_a_camera_can_have():
     assert world.readout_ms == -100.0
 
 
+def test_keypoints_are_moved_by_what_the_map_then_says_was_taken_out_and_no_more():
+    """The tracker moves its own by that: both would see two worlds."""
+    at_most, beyond = (world_of(0.0, keyframes=2) for _ in range(2))
+    take_out(at_most, readout.LONGEST_READOUT_MS)
+    take_out(beyond, 3.0 * readout.LONGEST_READOUT_MS)
+    take_out(beyond, 5.0)  # nothing is left of what a camera can have
+    assert beyond.readout_ms == at_most.readout_ms
+    for k, keyframe in at_most.keyframes.items():
+        assert np.array_equal(beyond.keyframes[k].pixels, keyframe.pixels)
+
+
 def test_a_keyframe_of_a_part_that_grew_is_moved_as_much():
     world, grown = world_of(26.0, keyframes=2), threefold(world_of(26.0, keyframes=2))
     take_out(world, 26.0)

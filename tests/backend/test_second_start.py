@@ -101,6 +101,20 @@ def test_depths_with_near_and_far_exchanged_do_not_lead_a_right_map_astray() -> 
     assert worst(solved(world, CONFIG), teller) < 0.06
 
 
+def test_what_depths_begin_with_is_left_where_it_fits_no_better(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """However long the map's own start took: a network that is wrong throughout must not turn it over."""
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(module, "STRUGGLED", 0)
+    world, teller = world_of(reverse=False)
+    for keyframe in world.keyframes.values():
+        assert keyframe.depths is not None
+        keyframe.depths = 2.0 * FAR - keyframe.depths
+    assert worst(solved(world, CONFIG), teller) < 0.06
+    assert not caplog.messages
+
+
 def test_where_the_map_s_own_start_is_soon_done_there_is_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """It sits where it belongs, and to solve all twice would take the time of all."""
     asked: list[float] = []

@@ -35,6 +35,19 @@ def test_poses_that_are_held_are_no_variables_but_where_depth_is_a_factor_of_the
     assert variables(world, several) == {*several.free, *several.held}, "a sensor's depth"
 
 
+@pytest.mark.parametrize("sensor", [True, False])
+def test_where_several_poses_are_held_only_a_sensor_s_depth_is_a_factor(sensor: bool) -> None:
+    """Of the free ones, too; a network's would draw far points in."""
+    world, _ = world_of([pose_at(0.2 * i) for i in range(9)])
+    several = Window([5, 6, 7, 8], [1, 2, 3], sorted(world.points))
+    for k in several.free:
+        world.keyframes[k].depth_sigma = 0.05 if sensor else 0.0
+    graph = module.assemble(world, several, CONFIG, 1.0, use_depth=True, use_rays=True).graph
+    kinds = [type(graph.at(i)).__name__ for i in range(graph.size())]
+    seen = sum(len(world.keyframes[k].observed) for k in several.free)
+    assert sum("RangeFactor" in kind for kind in kinds) == (seen if sensor else 0)
+
+
 @pytest.mark.parametrize("shallow", [False, True])
 def test_a_known_pose_holds_as_one_under_a_prior_does(shallow: bool) -> None:
     """Reprojections and, of points with little parallax, rays, beside the same graph with all poses in it."""

@@ -250,3 +250,18 @@ def test_drift_in_the_map_is_no_more_than_the_walk_since_it_began():
         world.walk_to(number, pose_at(x), [number - 1] if number else [])
     drift.advance(pose_at(3.0), result(pose_at(4.0), 0, pose_at(40.0)), 0.0)
     assert drift.here.metres2 == pytest.approx(0.02**2 * 4.0)
+
+
+@pytest.mark.parametrize(("made", "now"), [(10.0, 0.5), (0.5, 10.0)])
+def test_the_way_from_a_keyframe_counts_under_the_lesser_parallax_of_its_two_ends(made, now):
+    """A frame that sees hardly any is as badly placed beside a keyframe that saw much, and the reverse."""
+    drift = Drift(replace(CONFIG, drift_of_motion=0.05))
+    world = World(drift)
+    world.walk_to(0, np.eye(4), [])
+    world.walk_to(1, pose_at(1.0), [0], made)
+    drift.total += Walk(9.0, 9.0)  # what `odom` has walked bounds neither
+    there = world.drift_at(1)
+    drift.advance(None, replace(result(pose_at(1.8), 1, pose_at(0.8)), parallax_deg=now), 0.0)
+    share = 0.05 / min(made, now)
+    step = (0.02**2 + share**2 * 0.8) * 0.8
+    assert drift.here.metres2 == pytest.approx(there.metres2 + step)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from prism_edge.geometry.poses import inverse, rotation_angle
+from prism_edge.geometry.poses import inverse, rotation_angle, transform
 from prism_edge.tracking import first_map
 from prism_edge.tracking.first_map import CAN_WAIT_MATCHES, SecondView, begin_structure
 from prism_edge.tracking.frame_tracking import TrackedFrame
@@ -282,3 +282,25 @@ def test_two_views_that_contradict_depth_leave_nothing_of_what_was_tracked_and_a
     assert table.known(frame.points[at]).all()
     corner_of = dict(zip(first.points.tolist(), cloud.view(pose_at())[1].tolist(), strict=True))
     assert [corner_of[point] for point in frame.points[at].tolist()] == shown[at].tolist()
+
+
+def test_a_part_that_begins_elsewhere_has_its_second_view_beside_its_first():
+    """Not where it would be beside the origin; its points neither."""
+    start = pose_at(3.0, -1.0, 2.0, 0.1, 0.8, -0.2)
+    second = start @ pose_at(0.5, 0.1, 0.0, 0.0, -0.05)
+    cloud = Cloud(2000)
+    cloud.positions = transform(start, cloud.positions)
+    world, _ = cloud.mapped([start], parallax_deg=0.0)
+    first, table = world.newest(), world.points
+    local = transform(inverse(start), table.position)
+    table.position[:] = transform(start, local * (3.0 / local[:, 2])[:, None])  # all of one depth
+    features, _ = cloud.view(second, noise_px=0.3)
+    points = np.full(len(features), NO_POINT, np.int64)
+    frame = TrackedFrame(CAMERA, features, start @ pose_at(0.2), points, np.zeros((6, 6)), 60)
+    assert begin_structure(world, first, frame, seed=0) is SecondView.CONTRADICTS
+    turned = frame.world_from_camera[:3, :3].T @ second[:3, :3]
+    assert np.degrees(rotation_angle(turned)) < 0.5
+    at = np.flatnonzero(frame.points != NO_POINT)
+    assert len(at) > 100
+    seen = transform(inverse(frame.world_from_camera), table.position[table.rows(frame.points[at])])
+    assert np.linalg.norm(CAMERA.project(seen) - features.pixels[at], axis=1).max() < 3.0

@@ -7,7 +7,13 @@ import pytest
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, rotation_angle, se3_exp, transform
-from prism_edge.tracking.initialisation import REPROJECTION_PX, _reprojects, reconstruct
+from prism_edge.tracking.initialisation import (
+    MIN_POINTS,
+    REPROJECTION_PX,
+    _reprojects,
+    essential_pose,
+    reconstruct,
+)
 
 CAMERA = Camera(640, 480, 525.0, 525.0, 320.0, 240.0)
 SECOND = se3_exp(np.array([0.5, 0.1, 0.2, 0.02, -0.06, 0.03]))  # first_from_second
@@ -177,3 +183,27 @@ def test_exact_points_reproject_and_those_a_few_pixels_off_do_not():
     for axis in ((1.0, 0.0), (0.0, 1.0)):
         off = (REPROJECTION_PX + 1.0) * np.array(axis)
         assert not _reprojects(camera, SECOND, points, pixels + off).any()
+
+
+def test_an_essential_matrix_alone_says_where_the_second_view_is_in_the_first():
+    """Not the first in the second: what is refined from there may end in another valley."""
+    first, second, _ = views(SECOND)
+    found = essential_pose(CAMERA, first, second, seed=0)
+    assert found is not None
+    pose, fits = found
+    assert fits.mean() > 0.8
+    assert rotation_angle(pose[:3, :3].T @ SECOND[:3, :3]) < np.radians(1.0)
+    assert pose[:3, 3] @ SECOND[:3, 3] > np.cos(np.radians(10.0)) * np.linalg.norm(SECOND[:3, 3])
+
+
+def test_few_points_with_parallax_are_no_structure():
+    """Those that are far, however many, tell of a turn alone."""
+    rng = np.random.default_rng(4)
+    near, far = 40, 300
+    assert near < MIN_POINTS
+    depths = np.r_[rng.uniform(2.0, 4.0, near), rng.uniform(200.0, 300.0, far)]
+    plane = rng.uniform((-0.4, -0.3), (0.4, 0.3), (near + far, 2))
+    points = np.column_stack([plane, np.ones(near + far)]) * depths[:, None]
+    first, second = CAMERA.project(points), CAMERA.project(transform(inverse(SECOND), points))
+    assert reconstruct(CAMERA, first, second, depths, SECOND, seed=0) is None
+    assert reconstruct(CAMERA, first, second, depths, SECOND, seed=0, least=near - 10) is not None

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from prism_edge.geometry.poses import inverse, se3_exp, se3_log
-from prism_edge.tracking.motion import ConstantVelocity
+from prism_edge.tracking.motion import LONGEST_S, MOST_AT_ONCE, ConstantVelocity
 
 START = se3_exp(np.array([1.0, -2.0, 0.5, 0.3, 0.1, -0.2]))
 
@@ -50,3 +50,48 @@ def test_frames_that_tell_next_to_nothing_teach_nothing_of_how_the_camera_speeds
         after = expected.world_from_camera
         motion.follow(None, after, 40_000_000 * k, np.eye(6) * 1e4, expected)
     assert motion._density == pytest.approx(before, rel=0.02)
+
+
+def test_of_a_camera_that_has_just_been_found_nothing_is_expected() -> None:
+    """Not that it stands: its first frame says where it is, and nothing of where it goes."""
+    motion = ConstantVelocity()
+    motion.follow(None, START, 0)
+    motion.follow(None, START, 40_000_000, np.eye(6) * 1e-6)
+    assert motion.expect(START, 80_000_000, 2.0) is None
+
+
+@pytest.mark.parametrize(("apart_s", "known"), [(LONGEST_S - 0.01, True), (LONGEST_S, False)])
+def test_two_frames_long_apart_say_nothing_of_how_fast_a_camera_is(apart_s: float, known: bool) -> None:
+    motion = ConstantVelocity()
+    motion.follow(None, START, 0)
+    motion.follow(START, START @ se3_exp(np.full(6, 0.1)), round(apart_s * 1e9), np.eye(6) * 1e-6)
+    assert motion.twist.any() == known
+    assert (motion.expect(START, round((apart_s + 0.04) * 1e9), 2.0) is not None) == known
+
+
+@pytest.mark.parametrize("depth", [0.0, np.inf, np.nan])
+def test_where_nothing_says_how_far_the_scene_is_it_may_be_a_metre(depth: float) -> None:
+    """Else a camera would be as good as nailed down, or anywhere."""
+    motion = ConstantVelocity()
+    motion.follow(None, START, 0)
+    motion.follow(START, START @ se3_exp(np.full(6, 0.02)), 40_000_000, np.eye(6) * 1e-6)
+    vague, said = (motion.expect(START, 80_000_000, of) for of in (depth, 1.0))
+    assert vague is not None
+    assert said is not None
+    assert vague.information == pytest.approx(said.information)
+
+
+def test_one_leap_teaches_no_more_than_so_much_of_how_the_camera_speeds_up() -> None:
+    """A camera that was knocked, or a frame that was placed wrongly, is soon followed as before."""
+    motion, step = ConstantVelocity(), se3_exp(np.full(6, 0.02))
+    motion.follow(None, START, 0)
+    after = START @ step
+    motion.follow(START, after, 40_000_000, np.eye(6) * 1e-6)
+    before = motion._density.copy()
+    expected = motion.expect(after, 80_000_000, 2.0)
+    assert expected is not None
+    leap = expected.world_from_camera @ se3_exp(np.array([3.0, 0.0, 0.0, 0.0, 2.0, 0.0]))
+    motion.follow(after, leap, 80_000_000, np.eye(6) * 1e-6, expected)
+    grown = motion._density / before
+    assert (grown > 1.0).all()
+    assert (grown < np.exp(0.04 / 0.3 * MOST_AT_ONCE)).all()

@@ -205,3 +205,15 @@ def test_a_velocity_is_known_over_a_few_dropped_images(dropped: int) -> None:
     assert odometry.interval_s == pytest.approx(gap * 1e-9)
     assert odometry.twist[0] == pytest.approx(0.1 / (gap * 1e-9))
     assert np.abs(odometry.twist[1:]).max() < 1e-9
+
+
+def test_where_images_come_together_a_velocity_is_of_what_came_after_another_map_began_alone():
+    """Nobody knows the way to its first frame: as part of the steps it would be a camera that stood."""
+    odometry, tenth = MetricOdometry(), SECOND // 10
+    odometry.advance(None, np.eye(4), 0.0, 0, longer_s=0.5)
+    for i in (1, 2, 3):
+        odometry.advance(pose_at(0.1 * (i - 1)), pose_at(0.1 * i), 0.0, i * tenth, longer_s=0.5)
+    odometry.advance(None, pose_at(9.0), 0.0, 6 * tenth, longer_s=0.5)
+    odometry.advance(pose_at(9.0), pose_at(9.1), 0.0, 7 * tenth, longer_s=0.5)
+    assert odometry.twist[0] == pytest.approx(1.0)
+    assert odometry.interval_s == pytest.approx(0.1)

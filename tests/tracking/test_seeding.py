@@ -98,6 +98,38 @@ def test_a_keyframe_keeps_the_metres_that_are_of_use_and_no_others():
     assert keyframe.metres.tolist() == np.where(good, metres, 0.0).tolist()
 
 
+def test_what_is_seeded_beside_points_that_rays_place_follows_them_and_is_as_sure():
+    """The network finds one half of the image a sixth larger: no one ratio is right for both."""
+    camera, depth = CAMERAS[0], picture_of_wall(CAMERAS[0])
+    depth[:, 80:] *= 1.18
+    world, keyframe = keyframe_of(camera, np.eye(4), count=400)
+    firm = np.arange(200)
+    rays = camera.normalise(keyframe.features.pixels[firm])
+    places = np.column_stack([rays, np.ones(len(firm))]) * wall(rays)[:, None]
+    world.add_points(keyframe, firm, places, np.full(len(firm), 0.01), 5.0)
+    rows = world.points.rows(seed_from_depth(world, keyframe, depth, np.array(WIDE), 1.0, 0.5, 1000))
+    assert len(rows) > 150
+    off = world.points.position[rows] @ (0.2, 0.1, 1.0) / 3.0 - 1.0
+    aside = np.abs(keyframe.features.pixels[world.points.reference_keypoint[rows], 0] - 320.0) > 60.0
+    assert np.abs(off[aside]).mean() < 0.03  # one ratio: 0.08
+    assert np.median(world.points.log_depth_sigma[rows]) < 0.1
+
+
+def test_points_where_the_network_has_no_depth_say_nothing_of_its_scale():
+    camera, depth = CAMERAS[0], picture_of_wall(CAMERAS[0])
+    world, keyframe = keyframe_of(camera, np.eye(4))
+    firm = np.arange(40)
+    rays = camera.normalise(keyframe.features.pixels[firm])
+    places = np.column_stack([rays, np.ones(len(firm))]) * wall(rays)[:, None]
+    world.add_points(keyframe, firm, places, np.full(len(firm), 0.01), 5.0)
+    for x, y in keyframe.features.pixels[firm[:10]]:
+        depth[round(y * WIDE[2] + WIDE[3]), round(x * WIDE[0] + WIDE[1])] = 0.0
+    ids = seed_from_depth(world, keyframe, depth, np.array(WIDE), 1.0, 0.2, 1000)
+    assert len(ids) > 90
+    off = world.points.position[world.points.rows(ids)] @ (0.2, 0.1, 1.0) - 3.0
+    assert np.abs(off).max() < 0.03
+
+
 def test_few_or_seeded_points_do_not():
     camera = CAMERAS[0]
     for count, parallax in ((10, 5.0), (40, 0.0)):

@@ -16,7 +16,7 @@ from prism_edge.bus.pack import pack
 from prism_edge.config import Config, DepthConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.errors import ModelError
-from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage
+from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage, probe_of
 from prism_edge.workers import depth as worker
 from prism_edge.workers.depth import DepthWorker, answer, main
 from tests.synthetic.messages import tick
@@ -279,6 +279,51 @@ def test_lockstep_does_without_a_picture_that_never_comes(tiny: str):
     assert [depth.keyframe for depth in bus.of("depth")] == [4]
     assert [m.index for t, m in bus.sent if t == "acknowledged"] == [0, 1]
     assert bus.pulse.values["dropped"] == "1"
+
+
+def test_lockstep_answers_what_a_lost_camera_shows_before_its_frame_is_done(tiny: str):
+    """It is recognised by that; what came early in between is for its own frame."""
+    bus, config = lockstep(tiny)
+    shown = [replace(picture(i), keyframe=probe_of(i)) for i in (3, 4)]
+    bus.give("keyframe_image", picture(7), *reversed(shown))
+    ticks = [replace(tick(i), probe=True) for i in (3, 4)]
+    bus.give("tracked", *ticks, tick(5, keyframe=7))
+    DepthWorker(config, bus, patience_s=0.05).run()
+    order = [message.index if isinstance(message, Acknowledged) else "depth" for _, message in bus.sent]
+    assert order == ["depth", 3, "depth", 4, "depth", 5]
+    assert [depth.keyframe for depth in bus.of("depth")] == [probe_of(3), probe_of(4), 7]
+    assert bus.pulse.values["dropped"] == "0"
+
+
+def test_a_network_that_answers_again_is_warned_of_no_more(tiny: str, monkeypatch):
+    network = open_network(tiny, DepthConfig())
+    good = network.infer
+    monkeypatch.setattr(worker, "open_depth", lambda config: network)
+    bus, config = live(tiny)
+    depth_worker = DepthWorker(config, bus)
+    monkeypatch.setattr(network, "infer", lambda *picture: 1 / 0)
+    depth_worker._answer(picture(1))
+    assert "no usable depth" in bus.pulse.values["warning"]
+    monkeypatch.setattr(network, "infer", good)
+    depth_worker._answer(picture(2))
+    assert [depth.valid for depth in bus.of("depth")] == [False, True]
+    assert "warning" not in bus.pulse.values
+
+
+def test_an_answer_says_of_its_picture_and_its_network_what_they_are(tiny: str):
+    """All but the metres is believed on its word: by the gate, the scale and the backend."""
+    network = open_network(tiny, DepthConfig())
+    sure = replace(network.infer(np.zeros((480, 640, 3), np.uint8), CAMERA), confidence=np.full((2, 3), 0.5))
+    said = Mock(identity="one@2", bias_sigma=0.07, dsug=(0.3, 0.8), frame_sigma=0.02)
+    said.infer.return_value = sure
+    depth = answer(said, picture(3))
+    assert (depth.model, depth.bias_sigma, depth.frame_sigma) == ("one@2", 0.07, 0.02)
+    assert (depth.dsug_tau, depth.dsug_temperature) == (0.3, 0.8)
+    assert depth.confidence is sure.confidence
+    said.infer.side_effect = RuntimeError
+    for failed in (answer(said, picture(3)), answer(None, picture(3))):
+        assert not failed.valid
+        assert (failed.keyframe, failed.stamp_ns, failed.epoch) == (3, depth.stamp_ns, 2)
 
 
 def test_two_lockstep_runs_are_identical(tiny: str):

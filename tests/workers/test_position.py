@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from prism_edge.workers.position import NAME, Position, Sent
+from prism_edge.workers.position import NAME, Before, Position, Sent
 
 
 def test_the_last_is_found_by_the_next_life(tmp_path: Path) -> None:
@@ -31,3 +31,16 @@ def test_where_nothing_can_be_kept_nothing_is(tmp_path: Path) -> None:
         position.note(Sent(1, 2, 3))
         assert position.read() is None
     assert (tmp_path / "other").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("tracked", "sent"), [((10, 500), (12, 700)), ((12, 700), (10, 500)), (None, (12, 700))]
+)
+def test_a_source_goes_on_after_whichever_came_last_of_what_was_tracked_and_what_went_out(
+    tracked: tuple[int, int] | None, sent: tuple[int, int]
+) -> None:
+    """Stamps that began again between the two would be of images that have been seen."""
+    before = Before.of(tracked, Sent(*sent, since_boot_ns=100))
+    assert before is not None
+    assert (before.index, before.stamp_ns) == (12, 700)
+    assert before.ahead_ns == sent[1] - 100

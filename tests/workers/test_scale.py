@@ -264,6 +264,30 @@ def test_a_keyframe_after_a_long_time_is_not_answered_before_its_depth(bus, star
     ]
 
 
+@pytest.mark.parametrize(
+    ("mode", "begun", "said"),
+    [("realtime", True, [0, 5, 6, 7]), ("lockstep", True, [0]), ("realtime", False, [])],
+)
+def test_keyframes_that_come_often_hide_no_silence_of_the_network(bus, monkeypatch, mode, begun, said):
+    """One a second, none of which ever gets its depth: after three the metres are said to be less sure.
+
+    Not in lockstep, which waits for each; nor where nothing has said a metre yet.
+    """
+    clock = SimpleNamespace(monotonic=lambda: clock.now_s, now_s=100.0)
+    monkeypatch.setattr("prism_edge.workers.scale.time", clock)
+    worker = ScaleWorker(Config(mode=mode, scale=SCALE, depth=DepthConfig(model="wall")), bus)
+    keyframes = [keyframe_of_wall(k, 20.0 * k) for k in range(8)]
+    if begun:
+        bus.give("depth", depth_of(keyframes[0]))
+    for keyframe in keyframes[0 if begun else 1 :]:
+        bus.give("keyframe", keyframe)
+        worker._take_depth(0.0)
+        clock.now_s += 1.0
+    assert [message.keyframe for message in bus.of("scale")] == said
+    sigmas = [message.filter_sigma_log for message in bus.of("scale")]
+    assert sigmas == sorted(set(sigmas))
+
+
 def test_without_any_depth_there_is_no_scale_to_speak_of(bus, start, monkeypatch):
     monkeypatch.setattr("prism_edge.workers.scale._SILENT_S", -1.0)
     bus.give("keyframe", *[keyframe_of_wall(k, 0.4 * k) for k in range(2)])
