@@ -175,7 +175,7 @@ class Mapper:
         if solution is None:
             return None
         measured = any(self.world.keyframes[k].depth_sigma > 0 for k in window.free)
-        if len(window.held) == 1 and not measured:
+        if solution.unit_is_free and not measured:
             keep_unit(self.world, window.held[0], solution.poses, solution.points)
         return self._take_over(newest, solution, started)
 

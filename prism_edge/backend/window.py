@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 import gtsam
@@ -12,7 +12,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from prism_edge.backend.factors import FactorFactory, held
-from prism_edge.backend.global_map import GlobalMap
+from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.second_start import clearly_less, second_start
 from prism_edge.backend.settling import Problem, Ray, Settled, costs_of, settle
 from prism_edge.backend.sizes import astray, size_factors, sizes
@@ -28,6 +28,7 @@ IN_LENS = 0.002  # of the depth of the scene, along z: nearer there is nothing b
 BESIDE = 0.02  # of the depth of the scene: from one spot, for its points
 STRUGGLED = 8  # iterations: of 21 second starts that were taken none came where the first took fewer
 UNPLACED = 0.25  # of a point's parallax: a window that has less of it can't say how far the point is
+LEAST_SAID = 20  # points of a window that one pose holds which say how large it is; fewer may all be wrong
 HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
 
 
@@ -38,6 +39,7 @@ class Window:
     free: list[int]
     held: list[int]
     points: list[int]
+    reaches_out: bool = False  # what the one sees that is held, keyframes outside do too
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,7 @@ class Solution:
     parallax_deg: dict[int, float]
     outliers: list[tuple[int, int]]  # keyframe, point
     iterations: int
+    unit_is_free: bool = False  # nothing said how large all of it is: that is the solver's doing
 
 
 def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Window:
@@ -56,7 +59,8 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
 
     What stands in for an older keyframe is free alone: in a room that a camera stays in, each window would
     move those that placed it by a fraction of a millimetre, and in an hour the map by centimetres.
-    Exactly one pose is held while the window is the whole map: scale then rests on metric depth alone.
+    Exactly one pose is held while the window is the whole map: scale then rests on metric depth alone. After
+    a quick turn it may be one, too, of the map that lies behind.
     """
     sharing = world.neighbours(newest)
     free = [newest, *([] if world.keyframes[newest].stands_in else sharing[: config.window - 1])]
@@ -83,7 +87,8 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
         free = [k for k in free if k not in anchors]
     members = set(free) | set(anchors)
     points = sorted(p for p in chosen if len(world.points[p].keyframes & members) >= 2)
-    return Window(sorted(free), sorted(anchors), points)
+    reaches_out = len(anchors) == 1 and not members.issuperset(world.neighbours(anchors[0]))
+    return Window(sorted(free), sorted(anchors), points, reaches_out)
 
 
 def apart(world: GlobalMap, free: list[int], ranked: list[int], most: int) -> list[int]:
@@ -124,10 +129,15 @@ def assemble(
     held all stand at one spot, on which the camera turned, the little ways between them are noise and not a
     measure: then only the first stays, and the others nearly. At a point whose rays differ by less than 3
     degrees a ray is in place of the reprojection, which would say the same.
+
+    Where the one pose that is held is of a map behind a quick turn, that map's metres are the new ground's:
+    not those of its own points, which so few others tie to the map that they may be of any size.
     """
     graph, values, observations, rays = gtsam.NonlinearFactorGraph(), gtsam.Values(), [], []
     factors = FactorFactory(config, units_per_metre)
     members = {k: (X(k), world.keyframes[k]) for k in window.free + window.held}
+    if window.reaches_out:
+        members = {k: (key, _laid_by(units_per_metre, keyframe)) for k, (key, keyframe) in members.items()}
     scale_is_free = len(window.held) == 1
     measured = any(world.keyframes[k].depth_sigma > 0 for k in window.held)
     told: list[int] = []
@@ -151,6 +161,7 @@ def assemble(
     wrong = astray(world, set(told), votes, window.points, log_units)
     # What the new ground keeps alone is not to be held where the others have it.
     placed = placed_elsewhere(world, window) - {p for k, p in wrong if k not in told}
+    said = 0
     for p in window.points:
         point, point_key = world.points[p], L(p)
         values.insert(point_key, point.position)
@@ -166,6 +177,7 @@ def assemble(
             deep = use_depth and keyframe.depths is not None and keyframe.depths[keypoint] > 0
             if deep and (scale_is_free or keyframe.depth_sigma > 0):
                 graph.add(factors.metric_depth(pose_key, point_key, keyframe, keypoint))
+                said += k not in window.held
             if deep and shallow and use_rays:
                 rays.append(Ray(k, p, keypoint))
             elif k in standing:
@@ -175,17 +187,32 @@ def assemble(
     for factor in size_factors(votes, log_units):
         graph.add(factor)
     variables = sorted(members.keys() - standing.keys())
-    return Problem(graph, values, observations, rays, factors, standing, variables, window.points, placed)
+    is_sized = bool(placed) or (window.reaches_out and said >= LEAST_SAID)
+    return Problem(
+        graph, values, observations, rays, factors, standing, variables, window.points, placed, is_sized
+    )
+
+
+def _laid_by(units_per_metre: float, keyframe: GlobalKeyframe) -> GlobalKeyframe:
+    """The keyframe with its network's depths by one unit for all, not by that of its own points."""
+    if keyframe.depths is None or keyframe.depth_units <= 0.0:
+        return keyframe
+    return replace(keyframe, depths=keyframe.depths * (units_per_metre / keyframe.depth_units))
 
 
 def placed_elsewhere(world: GlobalMap, window: Window) -> set[int]:
-    """Points that keyframes outside of the window place, and those in it can't: they stay where they are."""
+    """Points that keyframes outside of the window place, and those in it can't: they stay where they are.
+
+    Beside one pose, which leaves a window any size, only where they are enough to say it.
+    """
     known = {p: world.points[p].position for p in window.points}
     known = {p: x for p, x in known.items() if world.points[p].parallax_deg >= DEPTH_PARALLAX_DEG}
-    if not known or len(window.held) == 1:
+    alone = len(window.held) == 1
+    if not known or (alone and not window.reaches_out):
         return set()
     seen = widest_parallax(world, known, set(window.free) | set(window.held))
-    return {p for p, angle in seen.items() if angle < UNPLACED * world.points[p].parallax_deg}
+    placed = {p for p, angle in seen.items() if angle < UNPLACED * world.points[p].parallax_deg}
+    return set() if alone and len(placed) < LEAST_SAID else placed
 
 
 def solve(
@@ -212,7 +239,8 @@ def solve(
     wrong = outliers(world, found, points, problem.observations, config)
     poses = {k: found[k] for k in window.free}
     parallax = widest_parallax(world, points)
-    return Solution(poses, points, parallax, wrong, solved.iterations)
+    unit_is_free = len(window.held) == 1 and not problem.is_sized
+    return Solution(poses, points, parallax, wrong, solved.iterations, unit_is_free)
 
 
 def _or_from_depth(
