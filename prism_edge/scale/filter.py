@@ -30,6 +30,7 @@ from prism_edge.scale.spread import PRIOR_WEIGHT, FrameSpread
 # A belief that rests on n observations falls to as many that contradict it and agree with one another,
 # at least the first number of them and at most the second.
 REOPEN_AFTER = (5, 30)
+CONTESTED_AFTER = 3  # of them it is in doubt, the more the more of them have come
 SAID_FROM = 0.5  # of lost_sigma that was only told
 TOLD = "metres are those of a network that did not know what it saw: worth little (docs/TROUBLESHOOTING.md)"
 _LEAST_VARIANCE = 1e-12  # float32 depths know no better; keeps the update from dividing 0 by 0
@@ -53,6 +54,7 @@ class ScaleFilter:
         self._support = 0  # observations that the present belief rests on
         self._unit_fixed = self._taken_over = False
         self._contradicting: deque[float] = deque(maxlen=REOPEN_AFTER[1])
+        self.contested_sigma = 0.0  # what x may be off by, where observations refused in a row agree
         self._begins_at = begins_at
         self._state = np.array([begins_at, 0.0])  # x, f
         self._covariance = np.diag([config.initial_sigma**2, config.frame_sigma**2])
@@ -212,6 +214,7 @@ class ScaleFilter:
         came = copy.deepcopy(other)
         came._state = came._state - np.array([log_unit, 0.0])
         came._contradicting.clear()  # in the other unit
+        came.contested_sigma = 0.0
         came._travelled = self._travelled
         came.widen(sigma)
         if self.is_open:
@@ -242,6 +245,7 @@ class ScaleFilter:
         if outlier and not self._reopen(z, innovation, variance):
             return False
         self._contradicting.clear()
+        self.contested_sigma = 0.0
         self._correct(_OF_BOTH, innovation, variance)
         self._spread.take(z - self.log_scale, self.learned_sigma, 1.0 - self.correlation(self._elapsed_s))
         self._elapsed_s = 0.0
@@ -264,14 +268,24 @@ class ScaleFilter:
         if not self.is_open:
             fewest, most = REOPEN_AFTER
             needed = min(max(self._support, fewest), most)
-            recent = np.array(self._contradicting)[-needed:]
             agreed = self._config.gate_sigmas * math.sqrt(self._config.frame_sigma**2 + variance)
-            if len(recent) < needed or np.abs(recent - np.median(recent)).max() > agreed:
+            agreeing = self._agreeing(min(needed, len(self._contradicting)), agreed)
+            if len(agreeing) < needed:
+                off = abs(float(np.median(agreeing)) - self.log_scale) if len(agreeing) else 0.0
+                self.contested_sigma = off * len(agreeing) / needed
                 return False
         self._covariance = self._covariance + np.diag([innovation**2 + self._config.initial_sigma**2, 0.0])
         self._support = 0
         self._spread = FrameSpread(max(self._thought, self._config.frame_sigma))
         return True
+
+    def _agreeing(self, most: int, within: float) -> Array:
+        """The latest observations refused in a row that agree, ``most`` of them; none where they are few."""
+        for count in range(most, CONTESTED_AFTER - 1, -1):
+            recent = np.array(self._contradicting)[-count:]
+            if np.abs(recent - np.median(recent)).max() <= within:
+                return recent
+        return np.zeros(0)
 
 
 def is_late(behind_s: float) -> bool:
