@@ -37,13 +37,14 @@ def second_start(
     points: Sequence[int],
     pinned: Set[int],
     units_per_metre: float,
+    as_laid: bool = True,
 ) -> tuple[dict[int, Array], dict[int, Array]] | None:
     """Poses (4, 4) of the ``free`` keyframes and places (3,) of the points; None where depth can't give them.
 
     The held keyframes stay where they are, and the ``pinned`` points. ``units_per_metre``: where no image's
-    depth has been laid on the map.
+    depth has been laid on the map, or (``as_laid`` false) on points that are of the wrong size.
     """
-    units = _units(world, [*held, *free]) or units_per_metre
+    units = (as_laid and _units(world, [*held, *free])) or units_per_metre
     depths = {k: _depths(world.keyframes[k], units) for k in (*held, *free)}
     poses = {k: world.keyframes[k].world_from_camera for k in held}
     ties = _ties(world, depths)

@@ -44,7 +44,7 @@ class Problem:
     variables: list[int]  # the other keyframes
     points: list[int]
     pinned: set[int]  # points that stay where they are
-    is_sized: bool = True  # something beside one held pose says how large it is
+    unit_is_free: bool = False  # nothing says how large all of it is
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The map's unit stays what it was: a bundle adjustment with one pose held may not change it."""
+"""The map's unit stays what it was: a bundle adjustment that nothing else sizes may not change it."""
 
 from __future__ import annotations
 

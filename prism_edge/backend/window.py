@@ -86,8 +86,12 @@ def choose_window(world: GlobalMap, newest: int, config: BackendConfig) -> Windo
         anchors = [min(free)]
         free = [k for k in free if k not in anchors]
     members = set(free) | set(anchors)
+    # Not where one of several was asked for: those that could hold it as well tie its size.
+    reaches_out = len(anchors) == 1 and len(ranked) < 2
+    reaches_out = reaches_out and not members.issuperset(world.neighbours(anchors[0]))
+    if reaches_out:  # what is left out would stay of the size that all else has no more
+        chosen.update(*(world.keyframes[k].observed for k in free))
     points = sorted(p for p in chosen if len(world.points[p].keyframes & members) >= 2)
-    reaches_out = len(anchors) == 1 and not members.issuperset(world.neighbours(anchors[0]))
     return Window(sorted(free), sorted(anchors), points, reaches_out)
 
 
@@ -161,7 +165,7 @@ def assemble(
     wrong = astray(world, set(told), votes, window.points, log_units)
     # What the new ground keeps alone is not to be held where the others have it.
     placed = placed_elsewhere(world, window) - {p for k, p in wrong if k not in told}
-    said = 0
+    said: set[int] = set()
     for p in window.points:
         point, point_key = world.points[p], L(p)
         values.insert(point_key, point.position)
@@ -177,7 +181,8 @@ def assemble(
             deep = use_depth and keyframe.depths is not None and keyframe.depths[keypoint] > 0
             if deep and (scale_is_free or keyframe.depth_sigma > 0):
                 graph.add(factors.metric_depth(pose_key, point_key, keyframe, keypoint))
-                said += k not in window.held
+                if k not in window.held and (keyframe.depth_units > 0 or keyframe.depth_sigma > 0):
+                    said.add(p)
             if deep and shallow and use_rays:
                 rays.append(Ray(k, p, keypoint))
             elif k in standing:
@@ -187,9 +192,10 @@ def assemble(
     for factor in size_factors(votes, log_units):
         graph.add(factor)
     variables = sorted(members.keys() - standing.keys())
-    is_sized = bool(placed) or (window.reaches_out and said >= LEAST_SAID)
+    is_sized = bool(placed) or (window.reaches_out and len(said) >= LEAST_SAID)
+    free_unit = len(window.held) == 1 and not is_sized
     return Problem(
-        graph, values, observations, rays, factors, standing, variables, window.points, placed, is_sized
+        graph, values, observations, rays, factors, standing, variables, window.points, placed, free_unit
     )
 
 
@@ -239,8 +245,7 @@ def solve(
     wrong = outliers(world, found, points, problem.observations, config)
     poses = {k: found[k] for k in window.free}
     parallax = widest_parallax(world, points)
-    unit_is_free = len(window.held) == 1 and not problem.is_sized
-    return Solution(poses, points, parallax, wrong, solved.iterations, unit_is_free)
+    return Solution(poses, points, parallax, wrong, solved.iterations, problem.unit_is_free)
 
 
 def _or_from_depth(
@@ -252,7 +257,8 @@ def _or_from_depth(
     solved: Settled,
 ) -> Settled:
     """What a window comes to, or where it comes from the network's depths if that fits clearly better."""
-    start = second_start(world, window.held, window.free, window.points, problem.pinned, units_per_metre)
+    known = window.held, window.free, window.points, problem.pinned
+    start = second_start(world, *known, units_per_metre, as_laid=not window.reaches_out)
     if start is None:
         return solved
     values = gtsam.Values()

@@ -197,6 +197,8 @@ class ScaleFilter:
         known = math.hypot(self.learned_sigma, bias_sigma, self.lost_sigma)
         self._config, self._thought, self._spread = config, frame_sigma, FrameSpread(frame_sigma)
         self._state[1], self._told_lost = 0.0, 0.0
+        self._contradicting.clear()  # in the other's metres
+        self.contested_sigma = 0.0
         self._covariance = np.diag([(known / (self._learned or 1.0)) ** 2, self._config.frame_sigma**2])
 
     def widen(self, sigma: float) -> None:
@@ -214,7 +216,6 @@ class ScaleFilter:
         came = copy.deepcopy(other)
         came._state = came._state - np.array([log_unit, 0.0])
         came._contradicting.clear()  # in the other unit
-        came.contested_sigma = 0.0
         came._travelled = self._travelled
         came.widen(sigma)
         if self.is_open:
@@ -224,6 +225,7 @@ class ScaleFilter:
         last._correct(_OF_X, first.log_scale - last.log_scale, first.sigma**2 + _LEAST_VARIANCE)
         last._spread = max(self._spread, came._spread, key=lambda spread: spread.weight)
         last._told_lost = max(self._told_lost, came._told_lost)
+        last._contradicting, last.contested_sigma = copy.copy(self._contradicting), self.contested_sigma
         last.accepted = self.accepted + other.accepted
         last._support = self._support + other._support
         return last
@@ -271,8 +273,9 @@ class ScaleFilter:
             agreed = self._config.gate_sigmas * math.sqrt(self._config.frame_sigma**2 + variance)
             agreeing = self._agreeing(min(needed, len(self._contradicting)), agreed)
             if len(agreeing) < needed:
-                off = abs(float(np.median(agreeing)) - self.log_scale) if len(agreeing) else 0.0
-                self.contested_sigma = off * len(agreeing) / needed
+                if len(agreeing):  # a stray one takes no doubt away
+                    off = abs(float(np.median(agreeing)) - self.log_scale)
+                    self.contested_sigma = off * len(agreeing) / needed
                 return False
         self._covariance = self._covariance + np.diag([innovation**2 + self._config.initial_sigma**2, 0.0])
         self._support = 0

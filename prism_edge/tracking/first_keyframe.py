@@ -31,7 +31,7 @@ class FirstKeyframe:
         self._too_near_ns: int | None = None
         self._patience_s = DEPTH_PATIENCE_S
         self._given_up: dict[int, int] = {}  # when each was made that gave way without an answer
-        self._said = ""  # why the last one gave way, which is said once where no map begins for long
+        self._said = set[str]()  # why others gave way, each said once where no map begins for long
 
     def begin(self, keyframe: int, stamp_ns: int) -> None:
         """It has been made."""
@@ -42,7 +42,7 @@ class FirstKeyframe:
         self, world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, seed: int, stamp_ns: int
     ) -> SecondView:
         """What a frame says of the first map (:func:`begin_structure`); not asked each time it can wait."""
-        self._said = ""
+        self._said.clear()
         asked_ns = self._too_near_ns
         waits = asked_ns is not None and 0 <= stamp_ns - asked_ns < LOOK_AGAIN_NS
         if waits and frame.matched >= CAN_WAIT_MATCHES:
@@ -88,7 +88,7 @@ class FirstKeyframe:
             self._given_up[self._id] = self._began_ns
             if len(self._given_up) > GIVEN_UP:
                 del self._given_up[next(iter(self._given_up))]
-        if why != self._said:
-            log.info("the first keyframe %s: another takes its place", why)
-        self._said = why
+        if why not in self._said:
+            log.info("the first keyframe %s: it gives way", why)
+        self._said.add(why)
         return True

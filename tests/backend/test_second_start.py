@@ -118,7 +118,7 @@ def test_what_depths_begin_with_is_left_where_it_fits_no_better(
 def test_where_the_map_s_own_start_is_soon_done_there_is_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """It sits where it belongs, and to solve all twice would take the time of all."""
     asked: list[float] = []
-    monkeypatch.setattr(module, "second_start", lambda *said: asked.append(said[-1]))
+    monkeypatch.setattr(module, "second_start", lambda *said, as_laid: asked.append(said[-1]))
     for reverse in (False, True):
         solved(world_of(reverse)[0], CONFIG)
         assert bool(asked) == reverse

@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from prism_edge.backend import window as module
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.mapper import Mapper
+from prism_edge.backend.second_start import second_start
 from prism_edge.backend.window import LEAST_SAID, Window, choose_window, placed_elsewhere, solve
 from prism_edge.geometry.poses import Array
 from tests.backend.test_window import CONFIG, world_of
@@ -56,8 +58,8 @@ def window_of(world: GlobalMap) -> Window:
     return window
 
 
-def mapper_of(world: GlobalMap, use_depth: bool = True) -> Mapper:
-    mapper = Mapper(OFTEN, use_depth)
+def mapper_of(world: GlobalMap, use_depth: bool = True, **options: int) -> Mapper:
+    mapper = Mapper(replace(OFTEN, **options), use_depth)
     mapper.world = world
     return mapper
 
@@ -94,6 +96,71 @@ def test_where_nobody_says_how_large_it_is_it_stays_as_it_was() -> None:
     for mapper in (mapper_of(without, use_depth=False), mapper_of(few)):
         mapper.optimise(HELD + 4, 0.0)
         assert driven(poses_of(mapper)) == pytest.approx(0.4, abs=0.01)
+
+
+def test_points_beyond_those_that_a_window_wants_grow_as_well() -> None:
+    """Left out they would stay where they were, a tenth as far as all about them."""
+    mapper, right = mapper_of(turned(0.1), observations=20), turned(1.0)
+    mapper.optimise(HELD + 4, 0.0)
+    seen = [p for p in right.points if right.points[p].keyframes >= {7, 8}]
+    assert len(seen) > 40
+    off = [mapper.world.points[p].position - right.points[p].position for p in seen]
+    assert np.linalg.norm(off, axis=1).max() < 0.3
+
+
+def test_a_few_points_do_not_say_it_however_often_they_are_seen() -> None:
+    world = turned(1.0)
+    often = [p for p, point in world.points.items() if point.keyframes >= {6, 7, 8}][:5]
+    for k in range(HELD + 1, HELD + 5):
+        keyframe = world.keyframes[k]
+        shown = [keyframe.observed[p] for p in often if p in keyframe.observed]
+        wrong = np.zeros(len(keyframe.pixels))
+        wrong[shown] = 3.0 * keyframe.depths[shown]
+        keyframe.depths = wrong
+    mapper = mapper_of(world)
+    mapper.optimise(HELD + 4, 0.0)
+    assert driven(poses_of(mapper)) == pytest.approx(1.0, abs=0.02)
+
+
+def test_depths_whose_metres_nobody_knows_say_nothing_of_it() -> None:
+    """Another network's, laid on the wrong points, would agree with them."""
+    world = turned(0.4)
+    for keyframe in world.keyframes.values():
+        keyframe.depth_units = 0.0
+    solution = solve(world, window_of(world), OFTEN, 1.0, use_depth=True)
+    assert solution is not None
+    assert solution.unit_is_free
+
+
+def test_a_window_that_may_hold_one_pose_alone_hangs_on_no_one() -> None:
+    world, _ = world_of([pose_at(0.2 * i) for i in range(9)])
+    one = replace(CONFIG, window=4, fixed=1)
+    assert not choose_window(world, 8, one).reaches_out
+    mapper = mapper_of(world, window=4, fixed=1)
+    before = world.keyframes[8].world_from_camera[0, 3] - world.keyframes[7].world_from_camera[0, 3]
+    mapper.optimise(8, -np.log(1.3))
+    after = world.keyframes[8].world_from_camera[0, 3] - world.keyframes[7].world_from_camera[0, 3]
+    assert after == pytest.approx(before, rel=0.02)
+
+
+def test_a_second_start_has_the_map_s_metres_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not those that its images were laid by, on points of the wrong size."""
+    starts = []
+
+    def noted(*known: object, as_laid: bool) -> None:
+        starts.append(as_laid)
+
+    monkeypatch.setattr(module, "STRUGGLED", 0)
+    monkeypatch.setattr(module, "second_start", noted)
+    world = turned(0.1)
+    solve(world, window_of(world), OFTEN, 1.0, use_depth=True)
+    solve(world, replace(window_of(world), reaches_out=False), OFTEN, 1.0, use_depth=True)
+    assert starts == [False, True]
+    window = window_of(world)
+    monkeypatch.undo()
+    known = window.held, window.free, window.points, set()
+    found = second_start(world, *known, 1.0, as_laid=False), second_start(world, *known, 1.0)
+    assert [driven(poses) for poses, _ in found] == pytest.approx([1.0, 0.1], rel=0.1)
 
 
 def test_a_map_that_begins_has_its_own_unit_whatever_the_metres_are() -> None:

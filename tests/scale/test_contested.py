@@ -8,7 +8,7 @@ import pytest
 from prism_edge.scale.estimator import ScaleEstimator
 from prism_edge.scale.filter import CONTESTED_AFTER, REOPEN_AFTER, ScaleFilter
 from tests.scale.test_estimator import CONFIG, play
-from tests.scale.test_filter import played, seen
+from tests.scale.test_filter import STILL, played, seen
 
 OFF = float(np.log(10.0))
 
@@ -54,6 +54,31 @@ def test_of_such_the_latest_that_agree_count() -> None:
     scale = played(np.arange(20) * 0.3, np.zeros(20), unit=False)
     told = refused(scale, [1.0, 1.0, 3.0, 3.0, 3.0, 3.0])
     assert told[-1] == pytest.approx(3.0 * 4 / 20, rel=0.05)
+
+
+def test_a_stray_one_among_them_takes_no_doubt_away() -> None:
+    scale = played(np.arange(12) * 0.3, np.zeros(12), unit=False)
+    told = refused(scale, [OFF] * 8 + [-OFF])
+    assert told[-1] == told[-2] > 1.0
+
+
+def test_another_network_s_metres_are_another_matter() -> None:
+    scale = played(np.arange(12) * 0.3, np.zeros(12), unit=False)
+    refused(scale, [OFF] * 8)
+    scale.meet_another(0.1, 0.15, STILL)
+    assert scale.contested_sigma == 0.0
+    scale.widen(-scale.sigma)  # hardly in doubt about the next one
+    told = refused(scale, [OFF] * CONTESTED_AFTER)
+    assert told[:-1] == [0.0] * (CONTESTED_AFTER - 1)
+
+
+def test_a_part_that_joins_leaves_the_doubt_as_it_is() -> None:
+    """Whichever was seen last."""
+    for late in (0.0, 100.0):
+        home = played(np.arange(12) * 0.3, np.zeros(12), unit=False)
+        refused(home, [OFF] * 8)
+        part = played(late + np.arange(12) * 0.3, np.zeros(12), unit=False)
+        assert home.joined(part, 0.0, 0.01).contested_sigma == home.contested_sigma > 1.0
 
 
 def test_the_published_sigma_has_it() -> None:
