@@ -28,7 +28,7 @@ IN_LENS = 0.002  # of the depth of the scene, along z: nearer there is nothing b
 BESIDE = 0.02  # of the depth of the scene: from one spot, for its points
 STRUGGLED = 8  # iterations: of 21 second starts that were taken none came where the first took fewer
 UNPLACED = 0.25  # of a point's parallax: a window that has less of it can't say how far the point is
-LEAST_SAID = 20  # points of a window that one pose holds which say how large it is; fewer may all be wrong
+LEAST_SAID = 20  # points that say how large a window is which one pose holds; fewer may all be wrong
 HELD_POINT = gtsam.noiseModel.Isotropic.Sigma(3, 1e-6)
 
 
@@ -39,7 +39,7 @@ class Window:
     free: list[int]
     held: list[int]
     points: list[int]
-    reaches_out: bool = False  # what the one sees that is held, keyframes outside do too
+    reaches_out: bool = False  # one is held, and what that one sees keyframes outside see, too
 
 
 @dataclass(frozen=True)
@@ -193,9 +193,9 @@ def assemble(
         graph.add(factor)
     variables = sorted(members.keys() - standing.keys())
     is_sized = bool(placed) or (window.reaches_out and len(said) >= LEAST_SAID)
-    free_unit = len(window.held) == 1 and not is_sized
+    of_any_unit = scale_is_free and not is_sized
     return Problem(
-        graph, values, observations, rays, factors, standing, variables, window.points, placed, free_unit
+        graph, values, observations, rays, factors, standing, variables, window.points, placed, of_any_unit
     )
 
 

@@ -127,9 +127,7 @@ class ScaleEstimator:
             epoch=keyframe.epoch,
             log_scale=here.steady.log_scale,
             map_log_scale=here.of_map.log_scale,
-            sigma=math.hypot(
-                scale.learned_sigma, self._bias_sigma, held, lost_sigma, scale.contested_sigma
-            ),
+            sigma=math.hypot(scale.learned_sigma, self._bias_sigma, held, lost_sigma, scale.contested_sigma),
             lost_sigma=lost_sigma,
             filter_sigma=scale.learned_sigma,
             bias_sigma=self._bias_sigma,

@@ -67,7 +67,6 @@ def test_another_network_s_metres_are_another_matter() -> None:
     refused(scale, [OFF] * 8)
     scale.meet_another(0.1, 0.15, STILL)
     assert scale.contested_sigma == 0.0
-    scale.widen(-scale.sigma)  # hardly in doubt about the next one
     told = refused(scale, [OFF] * CONTESTED_AFTER)
     assert told[:-1] == [0.0] * (CONTESTED_AFTER - 1)
 
