@@ -168,6 +168,9 @@ class CovarianceConfig:
     turn_per_sqrt_m: float = limits(
         0.001, 0.0, 1.0, "and radians per square root of a metre travelled"
     )
+    turn_of_motion: float = limits(
+        1.0, 0.0, 10.0, "and of what a way across the view is off by, as an angle at the scene's depth"
+    )
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """A recording played otherwise: backwards, mirrored, thinned, there and back (other sequences for free).
 
     python tools/make_variant.py FOLDER OUT [--backwards] [--mirrored] [--every N] [--ways N] [--bonnet]
-        [--light SHARE] [--poses TUM] [--camera FILE]
+        [--light SHARE] [--middle SHARE] [--first N] [--count N] [--poses TUM] [--camera FILE]
 
 FOLDER is any folder of images that `prism-edge run` plays. OUT becomes a folder of the TUM RGB-D layout:
 images, rgb.txt and, where FOLDER has true poses, groundtruth.txt with them as this camera would have moved;
@@ -10,7 +10,9 @@ between; images left out leave their time free. With several ways it turns back 
 camera is in a known place from the second way on. A mirrored image is that of a mirrored world: M T M for a
 pose T, M = diag(-1, 1, 1). With --bonnet the lowest fifth of each image is the robot itself, full of corners
 and always the same; with --light there is so much of the light, and the noise that goes with it, Poisson's, a
-grey level a photon. --poses is another reference to be carried along: OUT/reference.tum.
+grey level a photon. --middle keeps so much of the width and of the height, about the image's middle: a camera
+of a narrow view. --first and --count take a piece: so many images from number N on. --poses is another
+reference to be carried along: OUT/reference.tum.
 """
 
 from __future__ import annotations
@@ -53,6 +55,14 @@ class Variant:
     ways: int = 1
     bonnet: bool = False
     light: float = 1.0
+    middle: float = 1.0
+    first: int = 0
+    count: int = 0  # 0: all
+
+    def takes(self, index: int) -> bool:
+        """Whether it has image ``index`` of the recording."""
+        into = index - self.first
+        return into >= 0 and into % self.every == 0 and (self.count == 0 or into < self.count)
 
     def stamps(self, stamp_ns: int, first_ns: int, last_ns: int) -> list[int]:
         """When an image comes now: once on each way, and once where one way becomes the next."""
@@ -67,18 +77,27 @@ class Variant:
 
     def image(self, taken: NDArray[np.uint8], index: int) -> NDArray[np.uint8]:
         """What it takes, of image ``index`` (h, w) or (h, w, 3)."""
-        pixels = np.ascontiguousarray(taken[:, ::-1]) if self.mirrored else taken.copy()
+        left, top, width, height = self._kept(taken.shape[1], taken.shape[0])
+        pixels = taken[top : top + height, left : left + width]
+        pixels = (pixels[:, ::-1] if self.mirrored else pixels).copy()
         if self.bonnet:
             pixels[-(len(pixels) // BONNET_SHARE) :] = bonnet(pixels)
         return dimmed(pixels, self.light, index)
 
     def camera(self, taken: Camera) -> Camera:
         """The camera that takes these images; time that goes both ways leaves no order of its rows."""
-        cx = taken.width - 1.0 - taken.cx if self.mirrored else taken.cx
+        left, top, width, height = self._kept(taken.width, taken.height)
+        cx, cy = taken.cx - left, taken.cy - top
         said_ms = 0.0 if self.ways > 1 else taken.readout_ms
-        if said_ms is not None and self.backwards:
-            said_ms = -said_ms
-        return replace(taken, cx=cx, readout_ms=said_ms)
+        if said_ms is not None:
+            said_ms *= (-1.0 if self.backwards else 1.0) * height / taken.height
+        cx = width - 1.0 - cx if self.mirrored else cx
+        return replace(taken, width=width, height=height, cx=cx, cy=cy, readout_ms=said_ms)
+
+    def _kept(self, width: int, height: int) -> tuple[int, int, int, int]:
+        """Left, top, width and height of what is kept of an image."""
+        kept = [max(round(self.middle * side), 1) for side in (width, height)]
+        return (width - kept[0]) // 2, (height - kept[1]) // 2, kept[0], kept[1]
 
 
 def bonnet(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -93,8 +112,12 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None, c
     """Writes the recording; returns how many images it has. Raises PrismError for unusable folders."""
     if not 0.0 < variant.light <= 1.0:
         raise SystemExit("--light: a share of the light, above 0, 1 at most")
+    if not 0.0 < variant.middle <= 1.0:
+        raise SystemExit("--middle: a share of the image's sides, above 0, 1 at most")
     if variant.every < 1 or variant.ways < 1:
         raise SystemExit("--every, --ways: a number, 1 or more")
+    if variant.first < 0 or variant.count < 0:
+        raise SystemExit("--first, --count: a number, 0 or more")
     empty(out)
     reference = None if poses is None else read_tum(poses)
     truth = own_truth(folder)
@@ -106,7 +129,7 @@ def write(folder: str, out: Path, variant: Variant, poses: Path | None = None, c
         (out / "rgb").mkdir(parents=True, exist_ok=True)
         describe(variant.camera(source.camera), out / "camera.yaml")
         while (image := source.read()) is not None:
-            if not isinstance(image, Image) or image.index % variant.every:
+            if not isinstance(image, Image) or not variant.takes(image.index):
                 continue
             if taken and image.stamp_ns <= taken[-1][0]:  # the daemon would leave it out, too
                 continue
@@ -146,10 +169,14 @@ def main() -> None:
     parser.add_argument("--ways", type=int, default=1, help="2: there and back; 3: there again")
     parser.add_argument("--bonnet", action="store_true", help="the robot itself below, never moving")
     parser.add_argument("--light", type=float, default=1.0, metavar="SHARE", help="so much of the light")
+    parser.add_argument("--middle", type=float, default=1.0, metavar="SHARE", help="so much of its sides")
+    parser.add_argument("--first", type=int, default=0, metavar="N", help="begin with image N (default 0)")
+    parser.add_argument("--count", type=int, default=0, metavar="N", help="of so many images (default: all)")
     parser.add_argument("--poses", type=Path, metavar="TUM", help="a reference to carry along")
     parser.add_argument("--camera", default="", metavar="FILE", help="camera file; default: the recording's")
     given = parser.parse_args()
-    variant = Variant(given.backwards, given.mirrored, given.every, given.ways, given.bonnet, given.light)
+    played = given.backwards, given.mirrored, given.every, given.ways, given.bonnet, given.light
+    variant = Variant(*played, given.middle, given.first, given.count)
     try:
         count = write(given.folder, given.out, variant, given.poses, given.camera)
     except (PrismError, OSError) as error:

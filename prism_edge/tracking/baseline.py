@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.point_table import TRIANGULATED_DEG, Index, PointTable
@@ -20,6 +21,7 @@ UNOBSERVED = 0.35  # of the scene's depth: what is moved by twice as much shows,
 BEST = 0.25  # of the matched points: what the map's shape rests on
 LEAST_PARALLAX_DEG = 0.5  # below it depths are the network's, and no worse for less
 FITTED_FOCAL_PX = 525.0  # of the cameras that covariance.drift_* were fitted with
+NARROW = 0.27  # breadth of points all over a view of 42 by 32 degrees
 
 
 class Baselines:
@@ -59,6 +61,19 @@ def best_parallax(table: PointTable, rows: Index, focal_px: float) -> float:
     rank = int((1.0 - BEST) * (len(rows) - 1))
     parallax = float(np.partition(table.parallax_deg[rows], rank)[rank])
     return max(parallax / angle_error(focal_px), LEAST_PARALLAX_DEG)
+
+
+def shift_as_turn(camera: Camera, pixels: Array) -> float:
+    """How much of what a way across the view is off by a turn makes up for, 0 to 1; ``pixels`` (n, 2).
+
+    A shift and a turn about the scene's depth move the middle of an image alike (the bas-relief ambiguity),
+    and its rim the more differently the farther out it is: all of it, where points lie no farther apart than
+    NARROW (root mean square from their middle, at z = 1), less in proportion where they do.
+    """
+    if len(pixels) == 0:
+        return 1.0
+    breadth = math.sqrt(float(camera.on_plane(pixels).var(axis=0).sum()))
+    return NARROW / max(breadth, NARROW)
 
 
 def angle_error(focal_px: float) -> float:

@@ -5,10 +5,12 @@ Between two places that share points the map's error grows like a random walk. I
 share of its way, and the next second's by another. That share is ``drift_of_motion`` where the points that
 carry the frame were placed under a degree of parallax, less in proportion where under more, and beside it
 what keyframes show of the map's scale here. Of rotation it grows by ``drift_per_sqrt_rad``^2, by parallax as
-well, for each radian turned and ``turn_per_sqrt_m``^2 for each metre. The whole walk is what `odom` has. In
-the map a keyframe that sees known points drifted little more than its neighbours: its drift is that of the
-shortest way through keyframes that share points, from the first one. Each step counts under the lesser
-parallax of its two ends, of each as it was made: points that are seen better since leave it where it is.
+well, for each radian turned and ``turn_per_sqrt_m``^2 for each metre; and for what a way across the view is
+off by a turn makes up, the more so the narrower the view is (baseline.py), so that what is seen stays where
+it is in the image. The whole walk is what `odom` has. In the map a keyframe that sees known points drifted
+little more than its neighbours: its drift is that of the shortest way through keyframes that share points,
+from the first one. Each step counts under the lesser parallax of its two ends, of each as it was made: points
+that are seen better since leave it where it is.
 
 Way and turning are summed from frame to frame, but from one place that the camera has clearly left to the
 next to no more than MOST_DETOUR times what lies between: a camera that stands trembles, and goes nowhere.
@@ -80,7 +82,8 @@ class Drift:
         self._lately = np.zeros(3)  # seconds, metres and radians gone; what is long ago counts for little
         self._stamp_ns: int | None = None
         self.local_sigma = 0.0  # of the log scale here about the published one, as last heard
-        self._parallax_deg = 1.0  # of what the last frame saw
+        self._parallax_deg = self._shift_as_turn = 1.0  # of what the last frame saw
+        self._depth = 0.0  # of the scene there, map units; 0: not known
         self.total = self.here = NO_DRIFT
         self._travelled = self._travelled_at_anchor = 0.0
         self._at_anchor, self._since_anchor = NO_DRIFT, np.eye(4)
@@ -122,7 +125,8 @@ class Drift:
 
         ``depth`` is the scene's, in map units: beside it the camera has clearly moved or has not.
         """
-        self._parallax_deg = result.parallax_deg
+        self._parallax_deg, self._shift_as_turn = result.parallax_deg, result.shift_as_turn
+        self._depth = depth
         if result.world_from_camera is not None and before is not None:
             motion = inverse(before) @ result.world_from_camera
             self._pace(motion, log_scale, stamp_ns)
@@ -198,16 +202,24 @@ class Drift:
 
     def _of(self, motion: Array, log_scale: float, parallax_deg: float | None = None) -> Walk:
         """What is added between two places that differ by ``motion`` (4, 4), map units."""
-        way = float(np.linalg.norm(motion[:3, 3]))
-        return self._walk(way, rotation_angle(motion[:3, :3]), log_scale, parallax_deg)
+        way, across = (float(np.linalg.norm(motion[:n, 3])) for n in (3, 2))
+        return self._walk(way, across, rotation_angle(motion[:3, :3]), log_scale, parallax_deg)
 
-    def _walk(self, way: float, angle: float, log_scale: float, parallax_deg: float | None = None) -> Walk:
-        """What is added over a way (map units) and a turn (rad), under the last frame's parallax if none."""
-        c, way, under = self._config, math.exp(log_scale) * way, parallax_deg or self._parallax_deg
+    def _walk(
+        self, way: float, across: float, angle: float, log_scale: float, parallax_deg: float | None = None
+    ) -> Walk:
+        """What is added over a way, ``across`` of it across the view (map units), and a turn (rad).
+
+        Under the last frame's parallax if none is given.
+        """
+        c, metres, under = self._config, math.exp(log_scale) * way, parallax_deg or self._parallax_deg
         share2 = (c.drift_of_motion / under) ** 2 + self.local_sigma**2
-        per_m = c.drift_per_sqrt_m**2 + share2 * max(COHERENT_S * self._speed, min(way, COHERENT_M))
-        per_rad = (c.drift_per_sqrt_rad / under) ** 2
-        return Walk(per_m * way, per_rad * angle + c.turn_per_sqrt_m**2 * way)
+        off_by2 = share2 * max(COHERENT_S * self._speed, min(metres, COHERENT_M)) * metres
+        radians2 = (c.drift_per_sqrt_rad / under) ** 2 * angle + c.turn_per_sqrt_m**2 * metres
+        if metres > 0.0 and self._depth > 0.0:
+            depth = math.exp(log_scale) * self._depth
+            radians2 += off_by2 * (c.turn_of_motion * self._shift_as_turn * across / way / depth) ** 2
+        return Walk(c.drift_per_sqrt_m**2 * metres + off_by2, radians2)
 
     def _go(self, motion: Array, log_scale: float, depth: float) -> None:
         """Take a frame's motion into the way."""
@@ -216,7 +228,7 @@ class Drift:
         angle = rotation_angle(self._since_anchor[:3, :3])
         clear = MOVED_BASELINE * depth
         most, most_angle = MOST_DETOUR * max(way, clear), MOST_DETOUR * max(angle, MOVED_ANGLE)
-        bound = self._at_anchor + self._walk(most, most_angle, log_scale)
+        bound = self._at_anchor + self._walk(most, most, most_angle, log_scale)
         self.total = self.total.grown(self._of(motion, log_scale), bound)
         self._travelled = max(self._travelled, min(self._travelled + step, self._travelled_at_anchor + most))
         if way > clear or angle > MOVED_ANGLE:
@@ -248,14 +260,15 @@ class Drift:
         if not others:
             return []
         here, there = first.world_from_camera, np.array([k.world_from_camera for k in others])
-        ways = np.linalg.norm(there[:, :3, 3] - here[:3, 3], axis=1)
+        offsets = (there[:, :3, 3] - here[:3, 3]) @ here[:3, :3]
+        ways, across = (np.linalg.norm(offsets[:, :n], axis=1) for n in (3, 2))
         # Two rotations' matrices differ by sqrt(8) sin(angle / 2).
         chords = np.linalg.norm(there[:, :3, :3] - here[:3, :3], axis=(1, 2)) / math.sqrt(8.0)
         turns = 2.0 * np.arcsin(np.minimum(chords, 1.0))
         mine = self._parallaxes.get(first.id, self._parallax_deg)
         under = [min(mine, self._parallaxes.get(k.id, mine)) for k in others]
-        each = zip(ways.tolist(), turns.tolist(), under, strict=True)
-        return [self._walk(way, turn, log_scale, parallax_deg) for way, turn, parallax_deg in each]
+        each = zip(ways.tolist(), across.tolist(), turns.tolist(), under, strict=True)
+        return [self._walk(way, aside, turn, log_scale, deg) for way, aside, turn, deg in each]
 
 
 def _near(world: LocalMap, keyframe: LocalKeyframe) -> list[LocalKeyframe]:

@@ -163,6 +163,35 @@ def test_in_little_light_images_are_darker_and_noisier(tmp_path):
         assert np.mean((dark - expected) ** 2) == pytest.approx(expected.mean(), rel=0.05), "Poisson's"
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_narrower_camera_sees_the_same_in_its_middle(tmp_path, mirrored):
+    source = write_sequence(tmp_path / "in", frames=2, width=163, height=120)
+    before, _, taken = played(source, camera=False)
+    variant = Variant(middle=0.6, mirrored=mirrored)
+    write(str(source), tmp_path / "out", variant)
+    now, _, camera = played(tmp_path / "out")
+    assert (camera.width, camera.height) == now[0].shape[1::-1] == (98, 72)
+    point = np.array([[0.02, -0.03, 1.0]])
+    u, v = np.rint(taken.project(point)[0]).astype(int)
+    seen = camera.project(point * ((-1.0 if mirrored else 1.0), 1.0, 1.0))[0]
+    assert np.array_equal(now[0][round(seen[1]), round(seen[0])], before[0][v, u])
+    assert np.array_equal(now[0][:, ::-1] if mirrored else now[0], before[0][24:96, 32:130])
+    told = replace(taken, readout_ms=20.0)
+    assert replace(variant, backwards=True).camera(told).readout_ms == pytest.approx(-12.0)
+
+
+def test_a_piece_keeps_its_stamps_and_poses(tmp_path):
+    source = write_sequence(tmp_path / "in", frames=9, width=160, height=120)
+    before, stamps, _ = played(source, camera=False)
+    assert write(str(source), tmp_path / "out", Variant(every=2, first=1, count=5)) == 3
+    now, new_stamps, _ = played(tmp_path / "out")
+    assert all(np.array_equal(image, before[i]) for image, i in zip(now, (1, 3, 5), strict=True))
+    assert new_stamps == [stamps[i] for i in (1, 3, 5)]
+    assert read_truth(str(tmp_path / "out"))[1] == pytest.approx(
+        np.array(read_truth(str(source))[1])[[1, 3, 5]], abs=1e-6
+    )
+
+
 def test_a_bonnet_is_the_same_in_every_image_and_hides_no_more_than_a_fifth(tmp_path):
     source = write_sequence(tmp_path / "in", frames=3, width=160, height=120)
     write(str(source), tmp_path / "out", Variant(bonnet=True))
@@ -175,7 +204,17 @@ def test_a_bonnet_is_the_same_in_every_image_and_hides_no_more_than_a_fifth(tmp_
 
 @pytest.mark.parametrize(
     ("argument", "says"),
-    [("--every=0", "1 or more"), ("--ways=0", "1 or more"), ("--light=0", "--light"), ("nothing", "nothing")],
+    [
+        ("--every=0", "1 or more"),
+        ("--ways=0", "1 or more"),
+        ("--light=0", "--light"),
+        ("--middle=0", "--middle"),
+        ("--middle=1.1", "--middle"),
+        ("--first=-1", "--first"),
+        ("--count=-1", "--count"),
+        ("--first=2", "no image"),
+        ("nothing", "nothing"),
+    ],
 )
 def test_what_makes_no_sense_is_one_line(tmp_path, monkeypatch, argument, says):
     source = write_sequence(tmp_path / "in", frames=2, width=160, height=120)
