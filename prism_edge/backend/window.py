@@ -13,7 +13,7 @@ from gtsam.symbol_shorthand import L, X
 
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
-from prism_edge.backend.second_start import clearly_less, second_start
+from prism_edge.backend.second_start import clearly_less, is_exchanged, mirrored, of_network, second_start
 from prism_edge.backend.settling import Problem, Ray, Settled, costs_of, settle
 from prism_edge.backend.sizes import astray, size_factors, sizes
 from prism_edge.backend.ties import at_one_spot, median_range, untied
@@ -236,10 +236,16 @@ def solve(
     solved = settle(world, problem, problem.values, config.iterations)
     if solved is None:
         return None
-    if use_depth and solved.iterations >= STRUGGLED and len(window.held) < config.fixed:  # on new ground
-        solved = _or_from_depth(world, window, problem, config.iterations, units_per_metre, solved)
-    found = {k: solved.values.atPose3(X(k)).matrix() for k in problem.variables}
-    points = {p: np.asarray(solved.values.atPoint3(L(p))) for p in window.points}
+    found, points = _places(problem, solved)
+    if use_depth and len(window.held) < config.fixed:  # on new ground
+        exchanged, members = is_exchanged(world, found, points), [*window.held, *window.free]
+        if exchanged or solved.iterations >= STRUGGLED:
+            depths = of_network(world, members, units_per_metre, as_laid=not window.reaches_out)
+            solved = _or_from(depths, "depth has it", world, window, problem, config.iterations, solved)
+        if exchanged:
+            depths = mirrored(world, members, window.points)
+            solved = _or_from(depths, "its mirror image", world, window, problem, config.iterations, solved)
+        found, points = _places(problem, solved)
     if not all(np.isfinite(list(places.values())).all() for places in (found, points)):
         return None
     wrong = outliers(world, found, points, problem.observations, config)
@@ -248,17 +254,23 @@ def solve(
     return Solution(poses, points, parallax, wrong, solved.iterations, problem.unit_is_free)
 
 
-def _or_from_depth(
+def _places(problem: Problem, solved: Settled) -> tuple[dict[int, Array], dict[int, Array]]:
+    """Poses (4, 4) of its keyframes and places (3,) of its points."""
+    found = {k: solved.values.atPose3(X(k)).matrix() for k in problem.variables}
+    return found, {p: np.asarray(solved.values.atPoint3(L(p))) for p in problem.points}
+
+
+def _or_from(
+    depths: dict[int, Array],
+    how: str,
     world: GlobalMap,
     window: Window,
     problem: Problem,
     iterations: int,
-    units_per_metre: float,
     solved: Settled,
 ) -> Settled:
-    """What a window comes to, or where it comes from the network's depths if that fits clearly better."""
-    known = window.held, window.free, window.points, problem.pinned
-    start = second_start(world, *known, units_per_metre, as_laid=not window.reaches_out)
+    """What a window comes to, or where it comes from such depths if that fits clearly better."""
+    start = second_start(world, window.held, window.free, window.points, problem.pinned, depths)
     if start is None:
         return solved
     values = gtsam.Values()
@@ -273,7 +285,7 @@ def _or_from_depth(
     if not clearly_less(cost, before):
         return solved
     newest = max(window.free)
-    log.info("keyframe %d: its window fits better as depth has it (cost %.0f to %.0f)", newest, before, cost)
+    log.info("keyframe %d: its window fits better as %s (cost %.0f to %.0f)", newest, how, before, cost)
     return other
 
 

@@ -14,6 +14,8 @@ import numpy as np
 from prism_edge.geometry.poses import Array
 
 MIN_ALIGNED = 20  # triangulated points that make an image's own ratio better than the filter's
+MIN_ORDERED = 60  # that say whether near and far are where the network has them
+FLAT = 0.08  # sigma of log depth: what has less has no near and far
 ALWAYS_CREDIBLE_SPREAD = 0.15  # a scene of one depth says nothing against a network
 LEAST_EXPLAINED = 0.8  # of the spread of log depth may be left in the ratio
 REACH = 0.045  # of the image's size: how far a point's ratio holds
@@ -44,6 +46,19 @@ def agreement(map_depths: Array, network_depths: Array) -> Agreement:
     bound = max(ALWAYS_CREDIBLE_SPREAD, LEAST_EXPLAINED * robust_sigma(log_depths))
     spread = robust_sigma(ratios)
     return Agreement(float(np.exp(np.median(ratios))), spread < bound, spread)
+
+
+def order(map_depths: Array, network_depths: Array) -> float | None:
+    """How alike a map and a network order points (n,) from near to far: rank correlation, -1 to 1.
+
+    None of few points, or where either has them all much as far away.
+    """
+    if len(map_depths) < MIN_ORDERED:
+        return None
+    if min(float(np.log(depths).std()) for depths in (map_depths, network_depths)) < FLAT:
+        return None
+    of_map, of_network = (np.argsort(np.argsort(depths)) for depths in (map_depths, network_depths))
+    return float(np.corrcoef(of_map, of_network)[0, 1])
 
 
 def robust_sigma(values: Array) -> float:

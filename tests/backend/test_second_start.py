@@ -10,7 +10,19 @@ import pytest
 
 from prism_edge.backend import window as module
 from prism_edge.backend.global_map import GlobalMap
-from prism_edge.backend.second_start import LEAST, LESS, SHARE, clearly_less, second_start
+from prism_edge.backend.second_start import (
+    FARTHEST,
+    LEAST,
+    LESS,
+    SHARE,
+    WITNESSES,
+    Start,
+    clearly_less,
+    is_exchanged,
+    mirrored,
+    of_network,
+    second_start,
+)
 from prism_edge.backend.window import Solution, choose_window, solve
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_log
@@ -25,13 +37,13 @@ KNOWN_GROUND = replace(CONFIG, fixed=1)  # where one pose that holds a window is
 
 
 def world_of(
-    reverse: bool = True, depth_noise: float = 0.05, noise_px: float = 0.5
+    reverse: bool = True, depth_noise: float = 0.05, noise_px: float = 0.5, deep: float = DEEP
 ) -> tuple[GlobalMap, Teller]:
     """A camera steps aside before a shallow scene; reversed, the map has it the other way."""
     rng = np.random.default_rng(3)
     teller, world = Teller(250, noise_px=noise_px), GlobalMap()
     cloud = teller.cloud
-    depth = FAR + rng.uniform(-DEEP, DEEP, len(cloud.positions))
+    depth = FAR + rng.uniform(-deep, deep, len(cloud.positions))
     rays = rng.uniform((-0.3, -0.3), (0.4, 0.3), (len(depth), 2))
     cloud.positions = np.column_stack([rays * FAR, depth])
     for pose in ASIDE:
@@ -43,7 +55,7 @@ def world_of(
         keyframe.depth_units = 1.0
         keyframe.world_from_camera = ASIDE[k].copy()
     for p, point in world.points.items():
-        point.position = cloud.positions[p].copy()
+        point.position, point.parallax_deg = cloud.positions[p].copy(), 2.0
     if reverse:
         for k, keyframe in world.keyframes.items():
             keyframe.world_from_camera = pose_at(-STEP * k, 0.0, 0.0, 0.0, 2.0 * STEP * k / FAR)
@@ -57,6 +69,18 @@ def solved(world: GlobalMap, config: BackendConfig) -> Solution:
     solution = solve(world, choose_window(world, NEWEST, config), config, 1.0, True)
     assert solution is not None
     return solution
+
+
+def from_network(
+    world: GlobalMap,
+    held: list[int],
+    free: list[int],
+    points: list[int],
+    pinned: set[int],
+    units_per_metre: float = 1.0,
+) -> Start | None:
+    depths = of_network(world, [*held, *free], units_per_metre)
+    return second_start(world, held, free, points, pinned, depths)
 
 
 def test_a_reversed_map_stays_so_by_itself_and_is_left_for_what_depths_begin_with(
@@ -75,10 +99,10 @@ def test_it_comes_to_the_same_whichever_way_the_world_is_turned() -> None:
     """Depths are unsure along the rays of who has them, wherever these point in the map."""
     world, _ = world_of(reverse=False)
     free, points = list(range(1, NEWEST + 1)), sorted(world.points)
-    there = second_start(world, [0], free, points, set(), 1.0)
+    there = from_network(world, [0], free, points, set(), 1.0)
     turn = pose_at(3.0, -1.0, 2.0, 0.0, np.radians(90.0))
     world.move(turn, set(world.keyframes))
-    turned = second_start(world, [0], free, points, set(), 1.0)
+    turned = from_network(world, [0], free, points, set(), 1.0)
     assert there is not None
     assert turned is not None
     for k in free:
@@ -117,8 +141,8 @@ def test_what_depths_begin_with_is_left_where_it_fits_no_better(
 
 def test_where_the_map_s_own_start_is_soon_done_there_is_no_other(monkeypatch: pytest.MonkeyPatch) -> None:
     """It sits where it belongs, and to solve all twice would take the time of all."""
-    asked: list[float] = []
-    monkeypatch.setattr(module, "second_start", lambda *said, as_laid: asked.append(said[-1]))
+    asked: list[object] = []
+    monkeypatch.setattr(module, "second_start", lambda *said: asked.append(said))
     for reverse in (False, True):
         solved(world_of(reverse)[0], CONFIG)
         assert bool(asked) == reverse
@@ -140,7 +164,7 @@ def test_depths_alone_place_keyframes_and_points(units: float) -> None:
         own = units * (1.0 + 0.1 * (k - 2))
         keyframe.depths, keyframe.depth_units = keyframe.depths * own, own
     free, points = list(range(1, NEWEST + 1)), sorted(world.points)
-    found = second_start(world, [0], free, points, set(), 1.0)
+    found = from_network(world, [0], free, points, set(), 1.0)
     assert found is not None
     poses, places = found
     assert list(poses) == free
@@ -165,7 +189,7 @@ def test_metres_that_do_not_fit_the_map_may_be_right_all_the_same(aligned: int) 
             assert keyframe.depths is not None
             keyframe.depths, keyframe.depth_units = 2.0 * keyframe.depths, 2.0
     free = list(range(1, NEWEST + 1))
-    found = second_start(world, [0], free, sorted(world.points), set(), 3.0)
+    found = from_network(world, [0], free, sorted(world.points), set(), 3.0)
     assert found is not None
     units = 2.0 if aligned else 3.0
     for k in free:
@@ -180,7 +204,7 @@ def test_who_shares_little_with_those_held_waits_for_those_between() -> None:
     for p in sorted(world.points):
         for k in world.points[p].keyframes - {p % NEWEST, p % NEWEST + 1}:
             world.drop_observation(k, p)
-    found = second_start(world, [NEWEST], list(range(NEWEST)), sorted(world.points), set(), 1.0)
+    found = from_network(world, [NEWEST], list(range(NEWEST)), sorted(world.points), set(), 1.0)
     assert found is not None
     assert worst(Solution(found[0], {}, {}, [], 0), teller) < 0.02
 
@@ -193,7 +217,7 @@ def test_what_is_pinned_stays_and_what_no_image_has_depth_for_goes_with_who_saw_
         if bare in keyframe.observed:
             keyframe.depths[keyframe.observed[bare]] = 0.0
     before = {p: world.points[p].position.copy() for p in (pinned, bare)}
-    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), {pinned}, 1.0)
+    found = from_network(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), {pinned}, 1.0)
     assert found is not None
     poses, places = found
     assert np.array_equal(places[pinned], before[pinned])
@@ -211,7 +235,7 @@ def test_a_bare_point_that_only_keyframes_which_move_see_moves_with_them() -> No
         assert keyframe.depths is not None
         keyframe.depths[keyframe.observed[bare]] = 0.0
     before = world.points[bare].position.copy()
-    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), set(), 1.0)
+    found = from_network(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), set(), 1.0)
     assert found is not None
     motion = found[0][2] @ inverse(world.keyframes[2].world_from_camera)
     assert found[1][bare] == pytest.approx(motion[:3, :3] @ before + motion[:3, 3])
@@ -227,7 +251,7 @@ def test_a_keyframe_that_too_few_depths_place_is_placed_by_none(with_depth: int)
         kept = [keyframe.observed[p] for p in shared[:with_depth]]
         rest = np.setdiff1d(np.arange(len(keyframe.depths)), kept)
         keyframe.depths[rest] = 0.0
-    found = second_start(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), set(), 1.0)
+    found = from_network(world, [0], list(range(1, NEWEST + 1)), sorted(world.points), set(), 1.0)
     assert (found is not None) == (with_depth >= LEAST)
 
 
@@ -236,3 +260,68 @@ def test_less_is_by_more_than_a_solver_s_noise(before: float) -> None:
     least = max(LESS, SHARE * before)
     assert clearly_less(before - 1.01 * least, before)
     assert not clearly_less(before - 0.99 * least, before)
+
+
+def test_a_map_that_has_settled_the_other_way_is_left_for_its_mirror_image(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Depths that know the order of things and little else begin in no valley at all."""
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(module, "STRUGGLED", 1000)
+    monkeypatch.setattr(module, "of_network", lambda world, members, *_, **__: nothing(world))
+    world, teller = world_of(deep=1.0)
+    assert worst(solved(world, CONFIG), teller) < 0.05
+    (line,) = caplog.messages
+    assert line.startswith(f"keyframe {NEWEST}: its window fits better as its mirror image")
+    assert worst(solved(world_of(deep=1.0)[0], KNOWN_GROUND), teller) > 4 * STEP
+
+
+def nothing(world: GlobalMap) -> dict[int, np.ndarray]:
+    return {k: np.zeros(len(keyframe.pixels)) for k, keyframe in world.keyframes.items()}
+
+
+def test_a_right_map_is_not_left_for_its_mirror_image(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Whatever the network says of near and far: the pixels decide."""
+    caplog.set_level(logging.INFO)
+    monkeypatch.setattr(module, "is_exchanged", lambda *_: True)
+    world, teller = world_of(reverse=False, deep=1.0)
+    assert worst(solved(world, CONFIG), teller) < 0.06
+    assert not caplog.messages
+
+
+@pytest.mark.parametrize("reverse", [False, True])
+@pytest.mark.parametrize("unfitting", [False, True])
+def test_the_network_tells_which_way_round_a_map_is(reverse: bool, unfitting: bool) -> None:
+    world, _ = world_of(reverse, depth_noise=0.1, deep=1.0)
+    poses = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()}
+    places = {p: point.position for p, point in world.points.items()}
+    if unfitting:
+        for keyframe in world.keyframes.values():
+            keyframe.unfitting, keyframe.depths, keyframe.depth_units = keyframe.depths, None, 0.0
+    assert is_exchanged(world, poses, places) == reverse
+    few = dict(list(poses.items())[: WITNESSES - 1])
+    assert not is_exchanged(world, few, places), "too few witnesses"
+    for point in world.points.values():
+        point.parallax_deg = 0.5
+    assert not is_exchanged(world, poses, places), "seeds lie where the network has them"
+
+
+def test_inverse_depths_are_mirrored_at_their_median() -> None:
+    world, teller = world_of(reverse=False, noise_px=0.0)
+    keyframe = world.keyframes[2]
+    points = sorted(keyframe.observed)[:-1]
+    left = max(keyframe.observed)
+    depths = mirrored(world, [2], points)[2]
+    assert depths[keyframe.observed[left]] == 0.0
+    keypoints = [keyframe.observed[p] for p in points]
+    true = teller.cloud.positions[points, 2]
+    middle = np.median(1.0 / true)
+    assert 1.0 / depths[keypoints] == pytest.approx(2.0 * middle - 1.0 / true)
+    # What is nearer than half of the middle has its mirror image beyond infinity.
+    world.points[points[0]].position = 0.1 * world.points[points[0]].position + 0.9 * ASIDE[2][:3, 3]
+    world.points[points[1]].position = np.array([0.0, 0.0, -1.0])
+    depths = mirrored(world, [2], points)[2]
+    assert depths[keypoints[0]] == pytest.approx(FARTHEST * np.median(true), rel=0.01)
+    assert depths[keypoints[1]] == 0.0, "behind the camera"

@@ -10,7 +10,7 @@ import pytest
 from prism_edge.backend import window as module
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.mapper import Mapper
-from prism_edge.backend.second_start import second_start
+from prism_edge.backend.second_start import of_network, second_start
 from prism_edge.backend.window import LEAST_SAID, Window, choose_window, placed_elsewhere, solve
 from prism_edge.geometry.poses import Array
 from tests.backend.test_window import CONFIG, world_of
@@ -145,21 +145,24 @@ def test_a_window_that_may_hold_one_pose_alone_hangs_on_no_one() -> None:
 
 def test_a_second_start_has_the_map_s_metres_too(monkeypatch: pytest.MonkeyPatch) -> None:
     """Not those that its images were laid by, on points of the wrong size."""
-    starts = []
+    starts: list[bool] = []
+    world = turned(0.1)
 
-    def noted(*known: object, as_laid: bool) -> None:
+    def noted(*known: object, as_laid: bool) -> dict[int, np.ndarray]:
         starts.append(as_laid)
+        return {k: np.zeros(len(keyframe.pixels)) for k, keyframe in world.keyframes.items()}
 
     monkeypatch.setattr(module, "STRUGGLED", 0)
-    monkeypatch.setattr(module, "second_start", noted)
+    monkeypatch.setattr(module, "of_network", noted)
     world = turned(0.1)
     solve(world, window_of(world), OFTEN, 1.0, use_depth=True)
     solve(world, replace(window_of(world), reaches_out=False), OFTEN, 1.0, use_depth=True)
     assert starts == [False, True]
     window = window_of(world)
     monkeypatch.undo()
-    known = window.held, window.free, window.points, set()
-    found = second_start(world, *known, 1.0, as_laid=False), second_start(world, *known, 1.0)
+    known, members = (window.held, window.free, window.points, set()), [*window.held, *window.free]
+    depths = of_network(world, members, 1.0, as_laid=False), of_network(world, members, 1.0)
+    found = [second_start(world, *known, laid) for laid in depths]
     assert [driven(poses) for poses, _ in found] == pytest.approx([1.0, 0.1], rel=0.1)
 
 

@@ -7,7 +7,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from prism_edge.tracking.depth_alignment import FAR_SHARE, LEAST_SIGMA, DepthAlignment, _kernel, agreement
+from prism_edge.tracking.depth_alignment import (
+    FAR_SHARE,
+    FLAT,
+    LEAST_SIGMA,
+    MIN_ORDERED,
+    DepthAlignment,
+    _kernel,
+    agreement,
+    order,
+)
 
 SIZE = (640, 480)
 
@@ -117,3 +126,26 @@ def test_a_point_s_weight_is_a_bell_as_wide_as_its_reach_and_a_tail_sqrt_8_times
     near, far = (np.exp(-(away**2) / (2.0 * width**2)) for width in (reach, np.sqrt(8.0) * reach))
     weights = _kernel(at, np.array([[300.0, 200.0]]), reach)
     assert weights[:, 0] == pytest.approx(near + FAR_SHARE * far, rel=1e-4)
+
+
+def scattered(count: int = MIN_ORDERED, sigma: float = 0.5, seed: int = 0) -> np.ndarray:
+    return np.exp(sigma * np.random.default_rng(seed).normal(size=count))
+
+
+@given(st.floats(0.3, 3.0), st.floats(0.01, 100.0), st.integers(0, 1000))
+def test_an_order_knows_no_size_and_no_flattening(flattened, size, seed):
+    of_map = scattered(seed=seed)
+    assert order(of_map, size * of_map**flattened) == pytest.approx(1.0)
+    assert order(of_map, size * of_map**-flattened) == pytest.approx(-1.0)
+
+
+def test_what_has_nothing_to_do_with_each_other_has_no_order():
+    assert abs(order(scattered(2000, seed=1), scattered(2000, seed=2))) < 0.06
+
+
+def test_few_points_and_walls_seen_from_the_front_have_no_order():
+    many = scattered()
+    assert order(many[1:], many[1:]) is None
+    wall = np.exp(np.log(many) * 0.98 * FLAT / np.log(many).std())
+    assert order(many, wall) is order(wall, many) is None
+    assert order(many, wall ** (1.1 / 0.98)) == pytest.approx(1.0)
