@@ -45,15 +45,15 @@ def is_exchanged(world: GlobalMap, poses: dict[int, Array], places: dict[int, Ar
     ``poses`` (4, 4) of the keyframes, ``places`` (3,) of points. A network that is wrong by any factor still
     tells near from far.
     """
-    depths = {k: _depths(world.keyframes[k], 1.0) for k in poses}
+    depths = of_network(world, list(poses), 1.0, as_laid=False)
     said = []
     for k, pose in poses.items():
         observed = world.keyframes[k].observed
         seen = [p for p in observed if p in places and world.points[p].parallax_deg >= TRIANGULATED_DEG]
         told = depths[k][[observed[p] for p in seen]] if seen else np.zeros(0)
-        local = np.array([places[p] for p in seen]).reshape(-1, 3) - pose[:3, 3]
-        known = (told > 0.0) & (local @ pose[:3, 2] > 0.0)
-        alike = order((local @ pose[:3, 2])[known], told[known])
+        along = (np.array([places[p] for p in seen]).reshape(-1, 3) - pose[:3, 3]) @ pose[:3, 2]
+        known = (told > 0.0) & (along > 0.0)
+        alike = order(along[known], told[known])
         said += [] if alike is None else [alike]
     return len(said) >= WITNESSES and sum(said) < 0.0
 

@@ -123,7 +123,8 @@ class Drift:
     ) -> None:
         """A frame has been tracked; ``before`` is where the present map has the one before it.
 
-        ``depth`` is the scene's, in map units: beside it the camera has clearly moved or has not.
+        ``depth`` is the scene's, in map units: beside it the camera has clearly moved
+        or has not, and what a way is off by is an angle.
         """
         self._parallax_deg, self._shift_as_turn = result.parallax_deg, result.shift_as_turn
         self._depth = depth
