@@ -31,7 +31,7 @@ from prism_edge.depth import open_network
 from prism_edge.evaluation.scores import score
 from prism_edge.evaluation.trajectory import Trajectory, read_tum
 from prism_edge.sources.truth import read_truth
-from tools.finished_runs import Metrics, finished
+from tools.finished_runs import Metrics, finished, frames_with_a_pose
 from tools.measure_depth import mean_ratio, measure
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -95,11 +95,11 @@ def slower_beside_global(metrics: Metrics) -> float | None:
 
 
 def judged_percent(every: int = 1) -> Callable[[Metrics], float | None]:
-    """Share of the tracked frames that the final figures rest on; ``every`` so manieth image has truth."""
+    """Share of the frames with a pose that the final figures rest on; ``every`` so manieth has truth."""
 
     def figure(metrics: Metrics) -> float | None:
-        tracked = int(metrics["tracked"])
-        return 100.0 * every * float(metrics["final"]["pairs"]) / tracked if tracked else None
+        posed = frames_with_a_pose(metrics)
+        return 100.0 * every * float(metrics["final"]["pairs"]) / posed if posed else None
 
     return figure
 

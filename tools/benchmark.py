@@ -18,6 +18,7 @@ import argparse
 import io
 import json
 import os
+import re
 import sys
 from collections.abc import Callable
 from contextlib import redirect_stderr, redirect_stdout
@@ -40,10 +41,16 @@ from prism_edge.named_path import named_path  # noqa: E402
 from prism_edge.sources.open import find_listing  # noqa: E402
 from prism_edge.sources.sim import is_simulated  # noqa: E402
 from tools.accuracy import at  # noqa: E402
-from tools.finished_runs import Metrics, finished, others_used_the_machine  # noqa: E402
+from tools.finished_runs import (  # noqa: E402
+    Metrics,
+    finished,
+    frames_with_a_pose,
+    others_used_the_machine,
+)
 from tools.published_figures import NOTES, Published, dataset_of, published  # noqa: E402
 
 OTHER = "Other folders"
+_CONTROLS = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # what a progress bar tells a terminal
 # Columns; ATE in the dataset's unit.
 OURS = ("frames", "path, m", "coverage", "true poses found", "live, UNIT", "final, UNIT")
 OURS += ("live t_rel, %", "live r_rel, deg/100 m")
@@ -86,7 +93,8 @@ class _Overheard(io.StringIO):
 
     def last_line(self) -> str:
         """The last line that says something."""
-        lines = [line.strip() for line in self.getvalue().splitlines() if line.strip()]
+        text = _CONTROLS.sub("", self.getvalue())
+        lines = [line.strip() for line in text.splitlines() if line.strip()]
         return lines[-1].removeprefix("prism-edge: error: ") if lines else ""
 
 
@@ -166,9 +174,12 @@ def _drift(row: Row, key: str) -> str:
 
 
 def _met(row: Row) -> str:
-    """Live and final poses that have a true one at their time, of the frames tracked."""
+    """Live and final poses that have a true one at their time, of the frames that have such poses."""
     paths = (("live", "pairs"), ("final", "pairs"), ("tracked",))
     live, final, tracked = (_figure(row, at(*path), ".0f") for path in paths)
+    posed = _figure(row, frames_with_a_pose, ".0f")
+    if posed != tracked:
+        return f"{live} of {tracked} and {final} of {posed}"
     return f"{live} of {tracked}" if live == final else f"{live} and {final} of {tracked}"
 
 
@@ -182,11 +193,15 @@ def _number(value: float | None, factor: float = 1.0) -> str:
     return "-" if value is None else f"{factor * value:g}"
 
 
+def _name(row: Row) -> str:
+    """What a row is called: 7-Scenes has a seq-01 in each scene."""
+    return str(Path(*row.folder.parts[-2:]))
+
+
 def line(row: Row) -> str:
     """A folder's line in its dataset's table."""
     paper = published(row.dataset, row.folder)
-    name = str(Path(*row.folder.parts[-2:]))
-    name += f" ({paper.sequence})" if paper else ""
+    name = _name(row) + (f" ({paper.sequence})" if paper else "")
     outdoors = row.dataset.startswith("KITTI")
     factor, paper_factor = (1.0, 0.01) if outdoors else (100.0, 1.0)
     cells = [name]
@@ -203,7 +218,7 @@ def line(row: Row) -> str:
             _drift(row, "t_rel_percent"),
             _drift(row, "r_rel_deg_per_100m"),
         ]
-    if paper is None or not row.is_whole(paper):
+    if paper is None or not (row.runs and row.is_whole(paper)):
         cells += ["-", "-"]
     else:
         mark = UNKNOWN_LENGTH[0] * (paper.frames is None)
@@ -214,16 +229,16 @@ def line(row: Row) -> str:
 
 def warnings(row: Row) -> list[str]:
     """What its runs warn of, each once; a run of an earlier build has none, and may be of another commit."""
-    said = [f"{row.folder.name}: {text}." for run in row.runs for text in run.get("warnings", [])]
+    said = [f"{_name(row)}: {text}." for run in row.runs for text in run.get("warnings", [])]
     busy = [run for run in row.runs if others_used_the_machine(run)]
     if busy:
         said.append(
-            f"{row.folder.name}: others used the machine during {len(busy)} of {len(row.runs)} run(s), which "
+            f"{_name(row)}: others used the machine during {len(busy)} of {len(row.runs)} run(s), which "
             "costs frames, and so coverage and accuracy."
         )
     if row.reused:
         said.append(
-            f"{row.folder.name}: {row.reused} of {len(row.runs)} run(s) were there already, of this version "
+            f"{_name(row)}: {row.reused} of {len(row.runs)} run(s) were there already, of this version "
             f"({versions()['prism_edge']}) but maybe of another commit."
         )
     return list(dict.fromkeys(said))
@@ -239,7 +254,7 @@ def _below(rows: list[Row]) -> list[str]:
         if paper and not row.is_whole(paper):
             frames = _figure(row, at("frames"), ".0f")
             theirs = "all" if paper.frames is None else paper.frames
-            whose = f"{row.folder.name} has {frames} frames, and the paper's figures are of {theirs}"
+            whose = f"{_name(row)} has {frames} frames, and the paper's figures are of {theirs}"
             said.append(f"{whose}: they are left out.")
     said += [text for row in rows for text in warnings(row)]
     # A set: the table's dataset has one note, which is of the paper's figures.

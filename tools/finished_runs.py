@@ -62,6 +62,11 @@ def others_used_the_machine(metrics: Metrics) -> bool:
     return mode != "lockstep" and (metrics.get("foreign_cpu") or 0.0) > VOID_ABOVE
 
 
+def frames_with_a_pose(metrics: Metrics) -> int:
+    """Frames that had a pose as they came, or have one since a loop placed them."""
+    return int(metrics["tracked"]) + int(metrics.get("final_later") or 0)  # earlier builds' runs don't say
+
+
 def differences(where: Path, words: Sequence[str], metrics: Metrics) -> list[str]:
     """What `prism-edge WORDS` would have otherwise than a run in that folder: settings, versions, files."""
     args = build_parser("eval").parse_args(list(words))

@@ -36,6 +36,16 @@ def not_in_the_map(missing: int, tracked: int) -> list[str]:
     return [f"{missing} of {tracked} tracked frames are not in the finished map (final.tum)"]
 
 
+def placed_later(later: int) -> list[str]:
+    """What to say where the final errors are of frames that no subscriber had a pose of."""
+    if not later:
+        return []
+    return [
+        f"{later} frames without a pose as they came are in final.tum, as a loop has placed them since: "
+        "final errors are over more frames than live ones"
+    ]
+
+
 def guessed_camera(played: Played) -> list[str]:
     """What to say where nothing names the camera."""
     if not played.guessed or played.camera is None:

@@ -22,6 +22,7 @@ from prism_edge.evaluation.doubts import (
     no_truth,
     not_in_the_map,
     not_played,
+    placed_later,
     unfinished,
 )
 from prism_edge.evaluation.loops import judge_loops
@@ -71,6 +72,7 @@ def metrics(
     refused = not_played(flow["unreadable_frames"], flow["frames"])
     processed = len({frame.index for frame in recording.frames})
     settled = snapshot is not None and snapshot.settled
+    later = sum(stamp not in recording.published for stamp in final.stamps.tolist())
     report = {
         **flow,
         "ready_s": ready_s,
@@ -79,6 +81,7 @@ def metrics(
         **_consistency(nees, whole, scores["final"]["scale_ratio"], recording),
         "final_settled": settled,
         "final_missing": final_missing,
+        "final_later": later,
         "truth": truth_name if truth is not None else None,
         "truth_file": played.truth_file if truth is not None else None,
         "path_m": None if truth is None else path_length(_stamps(recording), truth),
@@ -107,6 +110,7 @@ def metrics(
             *guessed_camera(played),
             *played.doubts,
             *not_in_the_map(final_missing, len(recording.tracked)),
+            *placed_later(later),
             *unfinished(settled or snapshot is None),
             *([] if truth is not None else no_truth(played.layout)),
         ],

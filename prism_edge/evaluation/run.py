@@ -159,7 +159,10 @@ def _playable(config: SourceConfig) -> Source:
 
 def _extent(source: Source) -> tuple[Slot | None, int | None]:
     with contextlib.nullcontext() if source.synthetic else source:
-        return source.peek(), source.frame_count
+        count = source.frame_count
+        while (first := source.peek()) is not None and first.out_of_line:  # no moment of the recording
+            source.skip()
+        return first, count
 
 
 def on_free_endpoint(config: Config) -> Config:

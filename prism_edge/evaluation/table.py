@@ -32,7 +32,8 @@ def show(metrics: dict[str, Any], out: Path) -> None:
         values = [_number(metrics[which][key], factor, unit) for which in _BOTH]
         errors.add_row(label, *(text + " *" * star for text, star in zip(values, starred, strict=True)))
     if metrics["truth"]:
-        met = (f"{metrics[which]['pairs']} of {metrics['tracked']}" for which in _BOTH)
+        placed = (metrics["tracked"], metrics["tracked"] + metrics["final_later"])
+        met = (f"{metrics[which]['pairs']} of {of}" for which, of in zip(_BOTH, placed, strict=True))
         errors.add_row("true poses found", *met)
         errors.add_row("true path", _number(metrics["path_m"], 1.0, "m"), "")
     console.print(errors)
@@ -82,4 +83,8 @@ def _found(of_camera: dict[str, float | None]) -> str:
 
 
 def _number(value: float | None, factor: float = 1.0, unit: str = "") -> str:
-    return "-" if value is None else f"{factor * value:.3g} {unit}".rstrip()
+    if value is None:
+        return "-"
+    shown = factor * value
+    text = f"{shown:.3g}" if abs(shown) < 999.5 else f"{shown:.0f}"  # KITTI is kilometres long
+    return f"{text} {unit}".rstrip()

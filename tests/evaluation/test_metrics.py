@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -326,3 +327,22 @@ def test_the_tables_errors_are_in_the_units_that_it_names(
 @pytest.mark.parametrize(("model", "monocular"), [("", True), ("network.onnx", True), ("sensor", False)])
 def test_whether_one_camera_did_it_alone_is_said(model: str, monocular: bool) -> None:
     assert report(config=Config(depth=DepthConfig(model=model)))["monocular"] is monocular
+
+
+def test_frames_that_a_loop_has_placed_since_are_said(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    known = circle(1.1)
+    both = Trajectory(np.concatenate([known.stamps, known.stamps + 60 * NS]), np.tile(known.poses, (2, 1, 1)))
+    found = report(final=both, truth=both)
+    assert (found["tracked"], found["final_later"]) == (N, N)
+    assert any(text.startswith(f"{N} frames without a pose as they came") for text in found["warnings"])
+    show(found, tmp_path)
+    assert f"{2 * N} of {2 * N}" in capsys.readouterr().out
+    assert report()["final_later"] == 0
+    assert not any("as they came" in text for text in report()["warnings"])
+
+
+def test_kilometres_are_written_out(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    show(report() | {"path_m": 3724.2}, tmp_path)
+    assert "3724 m" in capsys.readouterr().out

@@ -109,6 +109,21 @@ def test_a_recording_s_extent_is_read_from_it(tiny_sequence: Path) -> None:
     assert (first.index, first.stamp_ns, frames) == (0, 100 * NS, 24)
 
 
+def test_a_recording_begins_with_the_first_stamp_that_can_be_right(
+    tiny_sequence: Path, tmp_path: Path
+) -> None:
+    folder = shutil.copytree(tiny_sequence, tmp_path / "late")
+    lines = (folder / "rgb.txt").read_text().splitlines()
+    rows = [line.split() for line in lines if not line.startswith("#")]
+    stamps = [0.0, *(1305031100.0 + float(stamp) for stamp, _ in rows[1:])]
+    listed = (f"{stamp:.6f} {image}\n" for stamp, (_, image) in zip(stamps, rows, strict=True))
+    (folder / "rgb.txt").write_text("".join(listed))
+    first, frames = extent(SourceConfig(uri=str(folder)))
+    assert first is not None
+    assert first.stamp_ns > NS
+    assert (first.index, frames) == (1, len(rows))
+
+
 @pytest.mark.parametrize("world", ["room", "loop"])
 def test_a_simulated_world_is_not_built_to_learn_its_extent(world: str, monkeypatch: Any) -> None:
     uri = f"sim:{world}"

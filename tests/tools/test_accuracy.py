@@ -199,3 +199,9 @@ def test_a_kept_run_that_is_void_is_run_again(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr(accuracy, "prism_edge", lambda words: 8)
     with pytest.raises(accuracy.RunFailedError):
         accuracy.play(TSUKUBA, tmp_path, tmp_path, keep=True)
+
+
+def test_poses_that_a_loop_has_placed_since_make_up_for_no_unjudged_ones() -> None:
+    judged = accuracy.judged_percent()
+    assert judged(changed(final={"pairs": 495})) == 50.0
+    assert judged(changed(final={"pairs": 990}, final_later=990)) == 50.0

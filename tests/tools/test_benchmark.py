@@ -128,8 +128,8 @@ def test_the_papers_figures_stand_beside_recordings_of_their_length_alone(tmp_pa
     out = capsys.readouterr().out
     assert row(out, "freiburg1_rpy")[-2:] == row(out, "sequences_whole/03")[-2:] == ["-", "-"]
     assert row(out, "walking_static")[-2:] == ["1.9 / 2.7†", "-"]
-    assert "\nrgbd_dataset_freiburg1_rpy has 40 frames, and the paper's figures are of 723: they are" in out
-    assert "\n03 has 801 frames, and the paper's figures are of 500: they are left out.\n" in out
+    assert "\ncut/rgbd_dataset_freiburg1_rpy has 40 frames, and the paper's figures are of 723: they" in out
+    assert "\nsequences_whole/03 has 801 frames, and the paper's figures are of 500: they are left out" in out
     assert out.count("\n† Of a sequence whose number of frames") == 1
 
 
@@ -164,7 +164,41 @@ def test_what_a_run_warns_of_is_said_below_its_table(tmp_path: Path, ran, capsys
     folders = [layout(tmp_path / name, "tum") for name in ("elsewhen", "desk")]
     words = [*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out"), "--runs", "2"]
     assert benchmark.main(words) == 0
-    assert capsys.readouterr().out.count("\nelsewhen: 3 of 100 poses have a true one.\n") == 1
+    assert capsys.readouterr().out.count("/elsewhen: 3 of 100 poses have a true one.\n") == 1
+
+
+def test_what_is_said_below_a_table_names_the_scene_as_the_table_does(tmp_path: Path, ran, capsys):
+    folders = [layout(tmp_path / scene / "seq-09", "scenes") for scene in ("chess", "fire")]
+    assert benchmark.main([*map(str, folders), "--model", "net.onnx", "--out", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    for scene in ("chess", "fire"):
+        assert row(out, f"{scene}/seq-09")
+        assert f"\n{scene}/seq-09 has 40 frames" in out
+
+
+def test_poses_that_came_with_a_loop_count_among_the_final_ones():
+    found = benchmark.Row(Path("desk"), "TUM RGB-D")
+    found.runs.append({"live": {"pairs": 30}, "final": {"pairs": 45}, "tracked": 30, "final_later": 15})
+    assert benchmark._met(found) == "30 of 30 and 45 of 45"
+    del found.runs[0]["final_later"]  # a run of an earlier build
+    assert benchmark._met(found) == "30 and 45 of 30"
+
+
+def test_no_figures_of_the_paper_stand_beside_a_run_that_failed(tmp_path: Path):
+    folder = layout(tmp_path / "sequences" / "03", "kitti")
+    failed = benchmark.Row(folder, benchmark.row_of(folder).dataset, failure="its calib.txt lacks P2")
+    assert benchmark.line(failed).split(" | ")[-2:] == ["-", "- |"]
+
+
+def test_what_a_progress_bar_tells_a_terminal_is_no_part_of_an_error(tmp_path: Path, capsys, monkeypatch):
+    def evaluate(words: list[str]) -> int:
+        print("\x1b[2K\x1b[?25hprism-edge: error: there is no image", file=sys.stderr)
+        return 4
+
+    monkeypatch.setattr(benchmark, "prism_edge", evaluate)
+    words = [str(layout(tmp_path / "desk", "tum")), "--model", "net.onnx", "--out", str(tmp_path / "out")]
+    assert benchmark.main(words) == 1
+    assert row(capsys.readouterr().out, "desk")[1] == "failed: there is no image"
 
 
 def test_a_machine_that_others_used_is_said(tmp_path: Path, ran, capsys):
@@ -202,7 +236,7 @@ def test_a_finished_run_with_the_same_settings_is_not_repeated(tmp_path: Path, r
     assert benchmark.main([*words, "net.onnx"]) == 0
     assert benchmark.main([*words, "net.onnx"]) == 0
     assert len(ran) == 1
-    assert "\ndesk: 1 of 1 run(s) were there already, of this version" in capsys.readouterr().out
+    assert "/desk: 1 of 1 run(s) were there already, of this version" in capsys.readouterr().out
     assert benchmark.main([*words, "other.onnx"]) == 0
     assert len(ran) == 2
     assert benchmark.main([*words, "other.onnx", "--lockstep"]) == 0
