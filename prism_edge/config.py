@@ -6,13 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 
-def limits(
-    default: Any,
-    low: float | None = None,
-    high: float | None = None,
-    help: str = "",
-    least: float | None = None,
-) -> Any:
+def limits(default: Any, low: float, high: float, help: str, least: float | None = None) -> Any:
     """A dataclass field with bounds (inclusive) that the loader enforces, and a line of help.
 
     ``least``: where 0 has a meaning of its own, the smallest number beside it.

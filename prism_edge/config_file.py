@@ -10,6 +10,7 @@ import re
 import typing
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import yaml
@@ -53,11 +54,9 @@ def dump(config: Config, explain: bool = False) -> str:
         if head != section:
             lines += ([""] if explain else []) + [f"{head}:"]
             section = head
-        value: Any = config
-        for part in leaf.key.split("."):
-            value = getattr(value, part)
+        value = _scalar_text(attrgetter(leaf.key)(config))
         comment = f"  # {leaf.help}" if explain and leaf.help else ""
-        lines.append(("  " if head else "") + f"{name}: {_scalar_text(value)}{comment}")
+        lines.append(("  " if head else "") + f"{name}: {value}{comment}")
     return "\n".join(lines) + "\n"
 
 
@@ -97,9 +96,7 @@ class Leaf:
 
     def _range(self) -> str:
         low = self.low if self.least is None else self.least
-        if low is not None and self.high is not None:
-            return f" from {low:.12g} to {self.high:.12g}"
-        return "" if self.low is None else f" of at least {self.low:.12g}"
+        return "" if low is None else f" from {low:.12g} to {self.high:.12g}"
 
 
 def leaves(tree: type = Config, prefix: str = "", reload: tuple[str, ...] = ()) -> Iterator[Leaf]:
@@ -140,9 +137,8 @@ def _check_names(config: Config, place: str) -> None:
     for leaf in _LEAVES.values():
         if not leaf.name:
             continue
-        section, _, key = leaf.key.rpartition(".")
-        name = getattr(getattr(config, section), key)
-        other = first.setdefault((section, name), leaf.key)
+        name = attrgetter(leaf.key)(config)
+        other = first.setdefault((leaf.key.rpartition(".")[0], name), leaf.key)
         if other != leaf.key:
             raise ConfigError(f"{place}{leaf.key}: is {name!r} like {other}; each needs a name of its own")
 

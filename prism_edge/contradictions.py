@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import reduce
-from typing import Any
+from operator import attrgetter
 
 from prism_edge.config import Config
 
@@ -17,7 +16,7 @@ NOT_ABOVE = (
 def contradictions(config: Config) -> Iterator[str]:
     """A line for each pair of keys that can't go together."""
     for low, high, why in NOT_ABOVE:
-        value, most = _value(config, low), _value(config, high)
+        value, most = attrgetter(low, high)(config)
         if value > most:
             yield f"{low}: {value:g} is more than {high} ({most:g}): {why}"
     if config.is_lockstep and config.source.peers_s == 0.0:
@@ -25,7 +24,3 @@ def contradictions(config: Config) -> Iterator[str]:
     has_network = bool(config.depth.network) or config.source.uri.startswith("sim:")  # one that comes along
     if "depth" in config.network.remote and not has_network:
         yield "network.remote: depth runs elsewhere, but depth.model is empty: name its network here too"
-
-
-def _value(config: Config, key: str) -> Any:
-    return reduce(getattr, key.split("."), config)

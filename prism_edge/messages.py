@@ -50,11 +50,16 @@ def array(dtype: str, *shape: int) -> Any:
 
 
 def optional(dtype: str, *shape: int) -> Any:
-    """An array field that is empty where it isn't given."""
+    """An array field that is empty, or zeros where its shape is fixed, where it isn't given."""
     empty = tuple(max(n, 0) for n in shape)
     return field(
         default_factory=lambda: np.zeros(empty, dtype), metadata={"dtype": dtype, "shape": shape}
     )
+
+
+def identity() -> Any:
+    """A pose (4, 4) that is the identity where it isn't given."""
+    return field(default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)})
 
 
 @dataclass(frozen=True)
@@ -142,9 +147,7 @@ class Keyframe:
     fused_from: I64 = array("int64", -1)
     fused_into: I64 = array("int64", -1)
     anchor: int = -1  # the keyframe before, and where the tracker has it: what the poses here are relative to
-    world_from_anchor: F64 = field(
-        default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
-    )
+    world_from_anchor: F64 = identity()
     trust: F32 = optional("float32", -1)  # weight in (0, 1] of each keypoint's point, 0 for none
     travelled: float = 0.0  # path length since start, map units
     log_scale: float = math.nan  # of the map's unit there, as the tracker had it (NaN: earlier builds)
@@ -155,13 +158,11 @@ class Keyframe:
     joined: I64 = optional("int64", -1, 2)  # parts that were since the keyframe before: the newer, the older,
     joined_units: F64 = optional("float64", -1, 2)  # ... and of each what MapUpdate.loop_units says
     # How the camera moved, a second, in its own frame and map units, translation first; 0: nothing is known.
-    twist: F64 = field(default_factory=lambda: np.zeros(6), metadata={"dtype": "float64", "shape": (6,)})
+    twist: F64 = optional("float64", 6)
     readout_ms: float = 0.0  # of the rolling shutter that its keypoints were moved for,
     readout_said: bool = False  # ... and whether the camera's file, or the configuration, says so
     # Where the camera sat on the robot that began the map, metres: `map` is that times the map's world.
-    base_from_camera: F64 = field(
-        default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
-    )
+    base_from_camera: F64 = identity()
 
 
 def probe_of(index: int) -> int:
@@ -211,9 +212,9 @@ class Depth:
     depth: F32 = array("float32", -1, -1)  # metres
     confidence: F32 = array("float32", -1, -1)  # (0, 0) where the network gives none
     descriptor: F32 = array("float32", -1)  # of norm 1; empty where the network gives none
-    dsug_tau: float = float("nan")  # uncertainty gate as fitted for this network, nan where it is not
-    dsug_temperature: float = float("nan")
-    frame_sigma: float = float("nan")  # log-scale error that its pixels share; nan: scale.frame_sigma
+    dsug_tau: float = math.nan  # uncertainty gate as fitted for this network, nan where it is not
+    dsug_temperature: float = math.nan
+    frame_sigma: float = math.nan  # log-scale error that its pixels share; nan: scale.frame_sigma
 
     @property
     def says_bias(self) -> bool:
@@ -323,9 +324,7 @@ class MapSnapshot:
     loop_candidates: I64 = optional("int64", -1)
     loop_poses: F64 = optional("float64", -1, 4, 4)  # candidate_from_query, map units
     loop_inliers: I64 = optional("int64", -1)
-    base_from_camera: F64 = field(  # as in Keyframe, of this map
-        default_factory=lambda: np.eye(4), metadata={"dtype": "float64", "shape": (4, 4)}
-    )
+    base_from_camera: F64 = identity()  # as in Keyframe, of this map
     camera: F64 = optional("float64", -1)  # the newest keyframe's, with the lens that was found
     readout_ms: float = 0.0  # as in MapUpdate
 

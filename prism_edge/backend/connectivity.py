@@ -8,13 +8,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.geometry.poses import rotation_angle
 from prism_edge.messages import HOME
+from prism_edge.tracking.point_table import Ids
 
-Ids = NDArray[np.int64]
 Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and how many points they share
 
 MANY_SHARED = 50  # every such pair is tied; of the others each keyframe with its best few

@@ -23,9 +23,8 @@ from prism_edge.geometry.poses import Array, inverse, normalised, rotation_angle
 from prism_edge.tracking.depth_alignment import robust_sigma
 from prism_edge.tracking.matching import match_corners, match_projected
 from prism_edge.tracking.perspective_pose import perspective_pose
+from prism_edge.tracking.point_table import Index
 from prism_edge.tracking.pose_refinement import refine_pose
-
-Index = NDArray[np.intp]
 
 MIN_MATCHES, MIN_EPIPOLAR, MIN_PNP = 20, 15, 10
 EPIPOLAR_PX, PNP_PX = 2.0, 5.0

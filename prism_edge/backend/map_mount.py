@@ -29,10 +29,9 @@ def mount_of(info: Info) -> Array | None:
 
     Raises MapError where it says one that can't be.
     """
-    told = info.get(FIELD)
-    if told is None and FIELD not in info:
+    if FIELD not in info:
         return None
-    mount = _numbers(told)
+    mount = _numbers(info[FIELD])
     if mount is None or not _is_rigid(mount):
         raise MapError(f"the map's {FIELD} is no pose of a camera on a robot")
     return mount

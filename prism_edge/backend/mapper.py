@@ -23,7 +23,7 @@ from prism_edge.config import BackendConfig
 from prism_edge.errors import MapError
 from prism_edge.geometry.cameras import PINHOLE, Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
-from prism_edge.messages import LARGEST_ID, Gate, Keyframe, MapUpdate, same_network
+from prism_edge.messages import LARGEST_ID, Depth, Gate, Keyframe, MapUpdate, same_network
 from prism_edge.tracking.depth_alignment import MIN_ALIGNED, agreement
 from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.point_table import TRIANGULATED_DEG
@@ -99,16 +99,8 @@ class Mapper:
         for gone in message.culled_keyframes.tolist():
             self.loops.index.remove(gone)
 
-    def add_depth(
-        self,
-        message: Keyframe,
-        depth: NDArray[np.float32],
-        image_to_depth: Array,
-        log_scale: float,
-        frame_sigma: float,
-        network: str,
-    ) -> None:
-        """Attach depth (metres) of a ``network`` to a keyframe's keypoints, in map units.
+    def add_depth(self, message: Keyframe, depth: Depth, log_scale: float) -> None:
+        """Attach a network's depth to a keyframe's keypoints, in map units.
 
         A network's scale wavers from frame to frame, much more than its relative depth is wrong. So each
         keyframe has a log scale of its own: that of its triangulated points, where there are enough. Depths
@@ -117,31 +109,21 @@ class Mapper:
         """
         keyframe = self.world.keyframes.get(message.id)
         if keyframe is not None:
-            self._hear(network)
-            _attach_depth(
-                keyframe, message.depths, message.parallax_deg, depth, image_to_depth, log_scale, frame_sigma
-            )
+            self._hear(depth.model)
+            _attach_depth(keyframe, message.depths, message.parallax_deg, depth, log_scale)
 
-    def add_late_depth(
-        self,
-        number: int,
-        depth: NDArray[np.float32],
-        image_to_depth: Array,
-        log_scale: float,
-        frame_sigma: float,
-        network: str,
-    ) -> None:
+    def add_late_depth(self, depth: Depth, log_scale: float) -> None:
         """As :meth:`add_depth`, of a keyframe solved since: held against the map as it is now."""
-        keyframe = self.world.keyframes.get(number)
+        keyframe = self.world.keyframes.get(depth.keyframe)
         if keyframe is not None:
-            self._hear(network)
+            self._hear(depth.model)
             points = {keypoint: self.world.points[p] for p, keypoint in keyframe.observed.items()}
             rows = list(points)
             places = np.array([points[i].position for i in rows]).reshape(-1, 3)
             known, parallax_deg = np.zeros(len(keyframe.pixels)), np.zeros(len(keyframe.pixels))
             known[rows] = transform(inverse(keyframe.world_from_camera), places)[:, 2]
             parallax_deg[rows] = [points[i].parallax_deg for i in rows]
-            _attach_depth(keyframe, known, parallax_deg, depth, image_to_depth, log_scale, frame_sigma)
+            _attach_depth(keyframe, known, parallax_deg, depth, log_scale)
 
     def _hear(self, network: str) -> None:
         """Another network's metres are not those of the one before: of two, the later's count."""
@@ -300,18 +282,17 @@ def _attach_depth(
     keyframe: GlobalKeyframe,
     known: NDArray[np.floating[Any]],
     parallax_deg: NDArray[np.floating[Any]],
-    depth: NDArray[np.float32],
-    image_to_depth: Array,
+    depth: Depth,
     log_scale: float,
-    frame_sigma: float,
 ) -> None:
     """``known`` (n,) along z and ``parallax_deg`` (n,) are of keypoints' points, map units; 0 for none."""
-    good, network = sample_depth(depth, image_to_depth, keyframe.camera.distort_pixels(keyframe.pixels))
+    raw = keyframe.camera.distort_pixels(keyframe.pixels)
+    good, network = sample_depth(depth.depth, depth.image_to_depth, raw)
     own = np.where(good, network, 0.0)
     firm = good & (parallax_deg >= TRIANGULATED_DEG) & (known > 0)
     factor = float(np.exp(-log_scale))
-    if math.isfinite(frame_sigma) and frame_sigma >= 0.0:
-        keyframe.depth_sigma = max(frame_sigma, LEAST_DEPTH_SIGMA)
+    if math.isfinite(depth.frame_sigma) and depth.frame_sigma >= 0.0:
+        keyframe.depth_sigma = max(depth.frame_sigma, LEAST_DEPTH_SIGMA)
     elif firm.sum() >= MIN_ALIGNED:
         agreed = agreement(known[firm].astype(np.float64), own[firm])
         if not agreed.informative:

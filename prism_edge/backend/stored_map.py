@@ -32,8 +32,7 @@ grown            f8 (K)      by how much a loop has lengthened its part since it
 ================ =========== ================================================================
 
 The last four are not in saved maps, which builds before them read as well. When keyframes were taken, and
-which part of the map they are of, is told beside the arrays (map_stamps.py, map_parts.py), as is a
-rolling shutter that was found (map_readout.py).
+more of the kind, is told beside the arrays (map_facts.py).
 """
 
 from __future__ import annotations
@@ -45,11 +44,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.backend.global_map import UNKNOWN, GlobalKeyframe, GlobalMap, GlobalPoint
+from prism_edge.backend.map_facts import (
+    growth_info,
+    growth_told,
+    parts_info,
+    parts_told,
+    readout_info,
+    readout_told,
+    stamps_info,
+    stamps_told,
+    stand_ins_info,
+    stand_ins_told,
+)
 from prism_edge.backend.map_file import Arrays, Info
-from prism_edge.backend.map_parts import growth_info, growth_told, parts_info, parts_told
-from prism_edge.backend.map_readout import readout_info, readout_told
-from prism_edge.backend.map_stamps import stamps_info, stamps_of
-from prism_edge.backend.map_stand_ins import stand_ins_info, stand_ins_told
 from prism_edge.errors import ConfigError, MapError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import are_rotations, normalised
@@ -172,7 +179,8 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     _check_values(arrays)
     cameras = _cameras(info, arrays["cameras"])
     _check_room(cameras, arrays)
-    stamps, away, standing = stamps_of(info, len(arrays["keyframes"])), parts_told(info), stand_ins_told(info)
+    stamps = stamps_told(info, len(arrays["keyframes"]))
+    away, standing = parts_told(info), stand_ins_told(info)
     if away and away.keys() >= set(arrays["keyframes"].tolist()):
         away = None  # none is at home: earlier builds wrote that too
     world = GlobalMap(max_carried)

@@ -15,9 +15,7 @@ from numpy.typing import NDArray
 
 from prism_edge.bus.ros_types import SCALE, type_store
 from prism_edge.errors import BusError, first_line
-from prism_edge.geometry.poses import from_rt, quaternion_from_rotation, rotation_from_quaternion
-
-Array = NDArray[np.float64]
+from prism_edge.geometry.poses import Array, from_rt, quaternion_from_rotation, rotation_from_quaternion
 
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"

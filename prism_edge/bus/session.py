@@ -129,14 +129,26 @@ class Bus:
 
     def latest(self, topic: str) -> Inbox:
         """An inbox that keeps only the newest message."""
-        return self._subscribe(topic, 1)
+        return self.queue(topic, 1)
 
     def queue(self, topic: str, capacity: int = 256, rouses: Inbox | None = None) -> Inbox:
         """An inbox with every message in order. If it is full, the oldest is lost, counted and logged.
 
         What arrives ends a wait for something in the inbox that it ``rouses``.
         """
-        return self._subscribe(topic, capacity, rouses)
+        key = keys.key(self.robot, TOPICS[topic])
+        subscriber = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(capacity))
+        inbox = Inbox(
+            subscriber,
+            capacity,
+            lambda sample: self._unpack(topic, sample),
+            self.stopped,
+            (lambda: self._overflowed(topic)) if capacity > 1 else None,
+            None if rouses is None else rouses.rouse,
+        )
+        with self._lock:
+            self._inboxes.append(inbox)
+        return inbox
 
     def answer(self, topic: str, function: Callable[[], Any | None]) -> None:
         """Answers get()s on the topic's key with what ``function`` returns (None: no answer).
@@ -261,21 +273,6 @@ class Bus:
     def _reply_with(self, topic: str, payload: Callable[[], bytes | None]) -> Answer:
         told = TOPICS[topic]
         return Answer(self._session, keys.key(self.robot, told), payload, encoding(told), told.internal)
-
-    def _subscribe(self, topic: str, capacity: int, rouses: Inbox | None = None) -> Inbox:
-        key = keys.key(self.robot, TOPICS[topic])
-        subscriber = self._session.declare_subscriber(key, zenoh.handlers.RingChannel(capacity))
-        inbox = Inbox(
-            subscriber,
-            capacity,
-            lambda sample: self._unpack(topic, sample),
-            self.stopped,
-            (lambda: self._overflowed(topic)) if capacity > 1 else None,
-            None if rouses is None else rouses.rouse,
-        )
-        with self._lock:
-            self._inboxes.append(inbox)
-        return inbox
 
     def _overflowed(self, topic: str) -> None:
         if self.pulse.count(f"lost {topic}") == 1:

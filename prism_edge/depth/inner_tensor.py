@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.errors import ModelError
-
-F32 = NDArray[np.float32]
+from prism_edge.messages import F32
 
 # How a tensor becomes a vector: of a map (1, C, h, w), or of tokens (1, n, C).
 TOKEN, MEAN, MAX, GEM, GRID = "token", "mean", "max", "gem", "grid"

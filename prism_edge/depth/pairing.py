@@ -20,8 +20,8 @@ from prism_edge.depth.providers import CPU, native_line
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
+from prism_edge.messages import F32
 
-F32 = NDArray[np.float32]
 F64 = NDArray[np.float64]
 
 log = logging.getLogger("prism_edge.depth")

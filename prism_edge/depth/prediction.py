@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-F32 = NDArray[np.float32]
+from prism_edge.messages import F32
 
 LEAST_VALID = 0.2  # share of pixels below which a depth map is no use
 LEAST_SPREAD = 1e-4  # relative spread below which it is constant

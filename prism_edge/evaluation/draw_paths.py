@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.messages import U8
+
 F64 = NDArray[np.float64]
-U8 = NDArray[np.uint8]
 Colour = tuple[int, int, int]  # blue, green, red
 
 WHITE, GRID, INK = (255, 255, 255), (225, 225, 225), (60, 60, 60)

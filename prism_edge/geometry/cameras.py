@@ -135,13 +135,14 @@ class Camera:
         """Whether one may be the other with its lens found anew (:meth:`bent`): a pinhole, else the same."""
         if self == other or self.model != PINHOLE:
             return self == other
-        mine, its = ((*c.distortion, *(0.0,) * (8 - len(c.distortion))) for c in (self, other))
-        same = self._matrix_and_size == other._matrix_and_size and other.model == PINHOLE
+        same = other.model == PINHOLE and self.ideal() == other.ideal()
+        mine, its = self._eight, other._eight
         return same and mine[1:] == its[1:] and abs(mine[0] - its[0]) <= MOST_BENT
 
     @property
-    def _matrix_and_size(self) -> tuple[float, ...]:
-        return self.width, self.height, self.fx, self.fy, self.cx, self.cy
+    def _eight(self) -> tuple[float, ...]:
+        """All coefficients that a pinhole camera may have."""
+        return (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
 
     def pixels_of(self, other: Camera, pixels: Array) -> Array:
         """Ideal pixels (n, 2) as this camera has them, of ``other``'s of the same image."""
@@ -178,14 +179,14 @@ class Camera:
         return self.to_pixels(self._distort(self.on_plane(ideal)))
 
     def _distort(self, xy: Array) -> Array:
-        if not any(self.distortion) and self.model == PINHOLE:
+        if self.is_ideal:
             return xy
         if self.model == FISHEYE:
             r = np.hypot(xy[:, 0], xy[:, 1])
             bent = fisheye.radius_of(np.arctan(r), self.distortion)
             scale = np.where(r > 1e-9, bent / np.maximum(r, 1e-9), 1.0)
             return xy * scale[:, None]
-        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+        k1, k2, p1, p2, k3, k4, k5, k6 = self._eight
         x, y = xy[:, 0], xy[:, 1]
         r2 = x * x + y * y
         radial = (1 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1 + r2 * (k4 + r2 * (k5 + r2 * k6)))
@@ -201,7 +202,7 @@ class Camera:
             straight = np.tan(fisheye.theta_of(radius, self.distortion))
             scale = np.where(radius > 1e-9, straight / np.maximum(radius, 1e-9), 1.0)
             return distorted * scale[:, None]
-        k1, k2, p1, p2, k3, *upper = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+        k1, k2, p1, p2, k3, *upper = self._eight
         if not (p1 or p2 or any(upper)):
             return undistort_radial(distorted, k1, k2, k3)
         xy = distorted.copy()
@@ -215,7 +216,7 @@ class Camera:
 
     def _newton_step(self, xy: Array, error: Array) -> Array:
         """What to add to ``xy`` (n, 2) so that its distortion changes by ``error`` (n, 2)."""
-        k1, k2, p1, p2, k3, k4, k5, k6 = (*self.distortion, *(0.0,) * (8 - len(self.distortion)))
+        k1, k2, p1, p2, k3, k4, k5, k6 = self._eight
         x, y = xy[:, 0], xy[:, 1]
         r2 = x * x + y * y
         upper, lower = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from prism_edge.depth.pairing import fit_depth, fit_inverse_depth, metres
 from prism_edge.geometry.poses import Array
+from prism_edge.messages import F32
 from prism_edge.reconstruction.viewpoints import Viewpoint
 from prism_edge.scale.gate import nearest
 from prism_edge.tracking.depth_alignment import MIN_ALIGNED, DepthAlignment
 from prism_edge.tracking.seeding import sample_depth
-
-F32 = NDArray[np.float32]
 
 _STEP = 4  # pixels at most between those that the ratio is worked out at
 _OF_REACH = 0.4  # between them at most: the ratio bends over one reach of a point

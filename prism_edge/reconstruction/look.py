@@ -12,11 +12,9 @@ from prism_edge.depth.prediction import OPEN, PROBABILITY, in_its_range
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.field_of_view import in_image
 from prism_edge.geometry.poses import Array
+from prism_edge.messages import F32, U8
 from prism_edge.reconstruction.viewpoints import Viewpoint
 from prism_edge.scale.gate import DepthView, image_pixels, is_open_ended
-
-F32 = NDArray[np.float32]
-U8 = NDArray[np.uint8]
 
 WIDEST = 1.5  # of a ray on the plane z = 1: 56 degrees off the axis
 _RIM = 65  # points of each side of an image

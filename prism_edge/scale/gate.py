@@ -13,15 +13,13 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, transform
-
-Floats = NDArray[np.floating[Any]]
+from prism_edge.scale.samples import Floats
 
 GRID = 24  # pixels across and down that a pair's median ratio is taken over
 MIN_COMMON = 40  # of them that must be seen by both

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array
-
-Floats = NDArray[np.floating[Any]]
+from prism_edge.scale.samples import Floats
 
 HUBER = 1.345  # in sigmas: 95 % efficient on a Gaussian
 _ITERATIONS = 20

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from prism_edge.geometry.poses import Array
 from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
+from prism_edge.sources.wrapped import Wrapped
 
 
-class Beginning(Source):
+class Beginning(Wrapped):
     """Of another source what it gives at the indices below ``frames``, unreadable ones included."""
 
     def __init__(self, source: Source, frames: int) -> None:
-        self.name = f"{source.name}, its first {frames} frames"
-        self.camera = source.camera
-        self.camera_origin = source.camera_origin
-        self.synthetic = source.synthetic
-        self.decodes_skipped = source.decodes_skipped
-        self._source, self._frames = source, frames
+        super().__init__(source)
+        self.name, self._frames = f"{source.name}, its first {frames} frames", frames
         self._learn()
 
     def open(self) -> None:
@@ -37,15 +33,3 @@ class Beginning(Source):
 
     def skip(self) -> bool:
         return self.peek() is not None and self._source.skip()
-
-    def read_ahead(self) -> None:
-        self._source.read_ahead()
-
-    def true_pose(self, index: int) -> Array | None:
-        return self._source.true_pose(index)
-
-    def health(self) -> dict[str, str]:
-        return self._source.health()
-
-    def close(self) -> None:
-        self._source.close()

@@ -6,19 +6,15 @@ from dataclasses import replace
 
 from prism_edge.geometry.poses import Array
 from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
+from prism_edge.sources.wrapped import Wrapped
 
 
-class Looped(Source):
+class Looped(Wrapped):
     """Starts again at the end, with indices and stamps that go on: one period after the last."""
 
     def __init__(self, source: Source) -> None:
-        self.name = f"{source.name}, looped"
-        self.camera = source.camera
-        self.camera_origin = source.camera_origin
-        self.frame_count = None
-        self.period_ns = source.period_ns
-        self.decodes_skipped = source.decodes_skipped
-        self._source = source
+        super().__init__(source)
+        self.name, self.frame_count = f"{source.name}, looped", None
         self._index_offset = self._stamp_offset = 0
         self._passed: list[Slot] = []  # first, and newest so far, of this round
         self._round = 0, 0  # images and nanoseconds of a whole one; none before the first has ended
@@ -69,15 +65,9 @@ class Looped(Source):
         self._stamp_offset += rounds * length_ns
         return rounds * images
 
-    def read_ahead(self) -> None:
-        self._source.read_ahead()
-
     def true_pose(self, index: int) -> Array | None:
         """Of an image of this round; the worker asks right after it has read it."""
         return self._source.true_pose(index - self._index_offset)
-
-    def close(self) -> None:
-        self._source.close()
 
     def _pass(self, slot: Slot) -> None:
         first, newest = self._passed or (slot, slot)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-F32 = NDArray[np.float32]
+from prism_edge.messages import F32
 
 WIDTH = 320  # pixels across, of what is compared: in smaller images, what is far ahead stands still
 APART_NS = 300_000_000  # between two images that are compared

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import threading
-
 import cv2
 import numpy as np
 
 from prism_edge.geometry.cameras import Camera
-from prism_edge.geometry.poses import Array
 from prism_edge.messages import U8
-from prism_edge.sources.base import Absent, Image, Slot, Source, Unreadable
+from prism_edge.sources.base import Absent, Image, Source, Unreadable
 from prism_edge.sources.checks import UNCALIBRATED
+from prism_edge.sources.wrapped import Wrapped
 
 
-class Shrunk(Source):
+class Shrunk(Wrapped):
     """Another source with images, and a camera, smaller by a whole number each way."""
 
     def __init__(self, source: Source, factor: int) -> None:
-        self.camera_origin = source.camera_origin
-        self.live, self.synthetic = source.live, source.synthetic
-        self.decodes_skipped = source.decodes_skipped
-        self.camera = UNCALIBRATED
-        self._source, self._factor = source, factor
+        super().__init__(source)
+        self.camera, self._factor = UNCALIBRATED, factor
         self._learn()
 
     def open(self) -> None:
@@ -40,16 +35,6 @@ class Shrunk(Source):
             self._whole = whole.width, whole.height
             self.camera = shrunk_camera(whole, self._factor)
 
-    @property
-    def connecting_s(self) -> float:
-        return self._source.connecting_s
-
-    def stop_on(self, stopped: threading.Event) -> None:
-        self._source.stop_on(stopped)
-
-    def peek(self) -> Slot | None:
-        return self._source.peek()
-
     def read(self) -> Image | Unreadable | Absent | None:
         item = self._source.read()
         if not isinstance(item, Image):
@@ -63,26 +48,11 @@ class Shrunk(Source):
         pixels = shrunk(item.pixels, self._factor)
         return Image(item.index, item.stamp_ns, pixels, item.captured_monotonic_ns)
 
-    def skip(self) -> bool:
-        return self._source.skip()
-
-    def leap(self, index: int) -> int:
-        return self._source.leap(index)
-
-    def read_ahead(self) -> None:
-        self._source.read_ahead()
-
-    def true_pose(self, index: int) -> Array | None:
-        return self._source.true_pose(index)
-
     def health(self) -> dict[str, str]:
         """The source's own, which can't know of an estimated camera how large its images are to be."""
         values = self._source.health()
         unsaid = self.live and self._misfit and "warning" not in values
         return values | ({"warning": f"the camera sends {self._misfit}"} if unsaid else {})
-
-    def close(self) -> None:
-        self._source.close()
 
 
 def shrunk(pixels: U8, factor: int) -> U8:

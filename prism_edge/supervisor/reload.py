@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 from prism_edge.config import Config
@@ -33,8 +34,8 @@ def difference(running: Config, wanted: Config) -> Change:
     restart: set[str] = set()
     processes = processes_for(running)
     for leaf in leaves():
-        value = get(wanted, leaf.key)
-        if value == get(running, leaf.key):
+        value = attrgetter(leaf.key)(wanted)
+        if value == attrgetter(leaf.key)(running):
             continue
         changed = put(config, leaf.key, value)
         if not leaf.reload or processes_for(changed) != processes:
@@ -51,14 +52,6 @@ def difference(running: Config, wanted: Config) -> Change:
     return Change(
         config, tuple(applied), tuple(refused), frozenset(here), tuple(elsewhere), frozenset(remote)
     )
-
-
-def get(config: Config, key: str) -> Any:
-    """The value of a dotted key."""
-    value: Any = config
-    for part in key.split("."):
-        value = getattr(value, part)
-    return value
 
 
 def put(tree: Any, key: str, value: Any) -> Any:

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array
-
-Index = NDArray[np.intp]
+from prism_edge.tracking.point_table import Index
 
 SAMPLES, STEP = 5, 1.5  # a side; pixels of the keypoint's own level: its window is 7 x 7
 MARGIN = 4  # of those pixels: what a keypoint must be away from the border

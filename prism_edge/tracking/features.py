@@ -13,10 +13,10 @@ from prism_edge.geometry.field_of_view import has_ideal_pixel
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.corners import are_corners
 from prism_edge.tracking.orb_pyramid import OrbPyramid
+from prism_edge.tracking.point_table import Index
 from prism_edge.tracking.sorting import order_of
 from prism_edge.tracking.spreading import spread
 
-Index = NDArray[np.intp]
 CELL = 16  # pixels; about the radius of a search, so that one touches few cells
 FEW_MATCHES, MANY_MATCHES, GROWTH = 170, 200, 1.2
 TOO_FEW = 0.75  # of the features that are wanted at least

@@ -7,12 +7,13 @@ from enum import Enum
 
 import numpy as np
 
-from prism_edge.geometry.poses import Array, inverse, transform
+from prism_edge.geometry.poses import inverse, transform
 from prism_edge.tracking import mapping
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.initialisation import MIN_POINTS
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
-from prism_edge.tracking.matching import Index, match_corners
+from prism_edge.tracking.matching import match_corners
+from prism_edge.tracking.point_table import Index
 from prism_edge.tracking.second_look import two_views
 from prism_edge.tracking.triangulation import rays
 from prism_edge.tracking.two_view_pose import lead_apart
@@ -52,7 +53,9 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
         wait = can_wait or _is_misled(first, frame, before, now)
         return SecondView.TOO_NEAR if wait else SecondView.AGREES
     if not views.contradicts or views.good.mean() < LEAST_SHARE:
-        wait = can_wait and _is_apart(first, frame, views.first_from_second)
+        # Under little parallax a turn one way and a step the other look alike, near and far exchanged.
+        tracked = inverse(first.world_from_camera) @ frame.world_from_camera
+        wait = can_wait and lead_apart(tracked, views.first_from_second, APART)
         return SecondView.TOO_NEAR if wait else SecondView.AGREES
     log.info("network depth scatters by %.2f: the first map rests on two views", views.depth_spread)
     frame.world_from_camera = first.world_from_camera @ views.first_from_second
@@ -68,14 +71,6 @@ def begin_structure(world: LocalMap, first: LocalKeyframe, frame: TrackedFrame, 
     kept = np.isin(table.ids, ids[good])
     world.cull_points(np.flatnonzero(table.alive & ~kept & (table.reference == first.id)))
     return SecondView.CONTRADICTS
-
-
-def _is_apart(first: LocalKeyframe, frame: TrackedFrame, first_from_second: Array) -> bool:
-    """Whether what matches alone have (first_from_second, 4 x 4) leads elsewhere than the tracked way.
-
-    Under little parallax a turn one way and a step the other look alike, with near and far exchanged.
-    """
-    return lead_apart(inverse(first.world_from_camera) @ frame.world_from_camera, first_from_second, APART)
 
 
 def _is_misled(first: LocalKeyframe, frame: TrackedFrame, before: Index, now: Index) -> bool:

@@ -35,8 +35,8 @@ def keeping_bound(
     """
     bounds = config.max_keyframes, config.redundant_keyframes
     for gone in chain(cull_stand_in(world), culling(world, *bounds, parts.small(RECENT), AT_ONCE)):
-        places.forget([gone])
-        parts.forget([gone])
+        places.forget(gone)
+        parts.forget(gone)
         yield
     world.points.squeeze()
 
@@ -128,8 +128,8 @@ def drop_keyframe(world: LocalMap, keyframe: LocalKeyframe) -> None:
 def take_out(world: LocalMap, parts: Parts, places: Relocaliser, keyframe: LocalKeyframe) -> None:
     """Drop a keyframe, and with it what its part and the places that can be recognised know of it."""
     drop_keyframe(world, keyframe)
-    parts.forget([keyframe.id])
-    places.forget([keyframe.id])
+    parts.forget(keyframe.id)
+    places.forget(keyframe.id)
 
 
 def _hand_on_references(world: LocalMap, gone: int) -> None:

@@ -11,12 +11,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array, se3_exp
+from prism_edge.tracking.point_table import Index
 from prism_edge.tracking.pose_refinement import HUBER
 
-Index = NDArray[np.intp]
 STEPS = 4
 SETTLED = 1e-3  # a step that gains no larger share of the cost is the last
 LEAST_DEPTH = 1e-3

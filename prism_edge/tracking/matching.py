@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.tracking.features import CELL, Features
+from prism_edge.tracking.point_table import Index
 from prism_edge.tracking.sorting import order_of
 
-Index = NDArray[np.intp]
 MATCH_DISTANCE, MATCH_RATIO, FARTHEST = 60, 0.8, 256
 _ROWS = 32
 _SHIFT = 40

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.poses import Array
+from prism_edge.tracking.point_table import Index
 
 Grey: TypeAlias = NDArray[np.uint8]
-Index = NDArray[np.intp]
 
 PATCH = 31  # pixels of a level that a descriptor looks at
 BORDER = 19  # what a keypoint is away from its level's: more than corners.py's margin

@@ -13,9 +13,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from prism_edge.messages import same_network
-
-F32 = NDArray[np.float32]
+from prism_edge.messages import F32, same_network
 
 log = logging.getLogger("prism_edge.tracking")
 

@@ -51,6 +51,23 @@ def locate(
     return perspective_pose(positions, features.pixels[keypoints], camera.matrix, PNP_PX, 0.99, MIN_INLIERS)
 
 
+def placed_at(
+    world: LocalMap,
+    frames: FrameTracker,
+    camera: Camera,
+    features: Features,
+    keyframe: LocalKeyframe,
+    least: int,
+    seed: int,
+) -> TrackedFrame | None:
+    """The frame where it fits what a keyframe sees, and what those see that share points with it."""
+    pose = locate(world, camera, features, keyframe, seed)
+    if pose is None:
+        return None
+    frames.refresh_local_map(world, keyframe.points[keyframe.observed()])
+    return frames.track(world, camera, features, pose, None, least)
+
+
 def recover(
     world: LocalMap,
     frames: FrameTracker,
@@ -65,12 +82,8 @@ def recover(
     Looks alone follow what moves, too: a place where the camera can't have gone (``frames.expected``) is
     believed only where many of the points have stood their time, and are not where they were expected.
     """
-    for keyframe in [newest, *world.covisible(newest, 3)][:3]:
-        pose = locate(world, camera, features, keyframe, seed)
-        if pose is None:
-            continue
-        frames.refresh_local_map(world, keyframe.points[keyframe.observed()])
-        frame = frames.track(world, camera, features, pose, None, least)
+    for keyframe in [newest, *world.covisible(newest, 2)]:
+        frame = placed_at(world, frames, camera, features, keyframe, least, seed)
         if frame is not None and frame.matched >= least and not _made_up(world, frames, frame):
             return frame
     return None

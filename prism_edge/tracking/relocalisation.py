@@ -18,9 +18,9 @@ from prism_edge.geometry.poses import inverse, rotation_angle
 from prism_edge.messages import F32
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
-from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.place_index import PlaceIndex
-from prism_edge.tracking.recovery import locate
+from prism_edge.tracking.recovery import placed_at
 
 TRIES = 2  # keyframes tried with a frame; each takes some 10 ms
 RANKED = 8  # keyframes of the network's ranking that are tried, one with each frame
@@ -55,10 +55,9 @@ class Relocaliser:
         """Note what the network says of a keyframe."""
         self.index.add(keyframe, descriptor, network)
 
-    def forget(self, keyframes: list[int]) -> None:
-        """Keyframes that have left the map."""
-        for keyframe in keyframes:
-            self.index.remove(keyframe)
+    def forget(self, keyframe: int) -> None:
+        """A keyframe has left the map."""
+        self.index.remove(keyframe)
 
     def heard(self, world: LocalMap, descriptor: F32, network: str = "") -> None:
         """The network's word on the lost camera's picture: what it names is tried next."""
@@ -107,7 +106,9 @@ class Relocaliser:
                 self._tentative = best
                 return None
         for keyframe in self._next(world):
-            frame = self._at(world, frames, camera, features, world.keyframes[keyframe], least)
+            self._tried.add(keyframe)
+            there = world.keyframes[keyframe]
+            frame = placed_at(world, frames, camera, features, there, least, self._seed)
             least_matched = enough if best is None else max(enough, BETTER * best.matched)
             if frame is not None and frame.matched >= least_matched:
                 best, doubtful = frame, False
@@ -122,23 +123,6 @@ class Relocaliser:
     @staticmethod
     def _convinces(world: LocalMap, frames: FrameTracker, frame: TrackedFrame) -> bool:
         return frame.matched >= CONVINCING * frames.usually_found(world, frame)
-
-    def _at(
-        self,
-        world: LocalMap,
-        frames: FrameTracker,
-        camera: Camera,
-        features: Features,
-        keyframe: LocalKeyframe,
-        least: int,
-    ) -> TrackedFrame | None:
-        """The frame where it fits what a keyframe sees."""
-        self._tried.add(keyframe.id)
-        pose = locate(world, camera, features, keyframe, self._seed)
-        if pose is None:
-            return None
-        frames.refresh_local_map(world, keyframe.points[keyframe.observed()])
-        return frames.track(world, camera, features, pose, None, least)
 
     def _placed(
         self,

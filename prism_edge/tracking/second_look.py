@@ -10,8 +10,8 @@ from prism_edge.geometry.poses import Array, inverse
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.initialisation import TwoViews, reconstruct
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
-from prism_edge.tracking.matching import Index, match_corners
-from prism_edge.tracking.point_table import Ids
+from prism_edge.tracking.matching import match_corners
+from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.point_trust import MIN_PROVEN
 from prism_edge.tracking.submaps import Parts
 

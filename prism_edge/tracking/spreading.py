@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from prism_edge.tracking.point_table import Index
 from prism_edge.tracking.sorting import order_of
-
-Index = NDArray[np.intp]
 
 CELL = 32  # pixels a side
 CROWD = 3.0  # times a cell's even share of what is wanted: no cell has more

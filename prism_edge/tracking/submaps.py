@@ -52,13 +52,12 @@ class Parts:
         self.current = keyframe
         self.add(keyframe)
 
-    def forget(self, keyframes: list[int]) -> None:
-        """Keyframes that have left the map."""
-        for keyframe in keyframes:
-            part = self._of.pop(keyframe, HOME)
-            if part != HOME:
-                self._culled[keyframe] = part
-        while len(self._culled) > CULLED:
+    def forget(self, keyframe: int) -> None:
+        """A keyframe has left the map."""
+        part = self._of.pop(keyframe, HOME)
+        if part != HOME:
+            self._culled[keyframe] = part
+        if len(self._culled) > CULLED:
             del self._culled[next(iter(self._culled))]
 
     def enter(self, world: LocalMap, points: Ids) -> None:

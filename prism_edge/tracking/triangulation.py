@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, skew
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.matching import best_pairs, hamming
+from prism_edge.tracking.point_table import Index
 
-Index = NDArray[np.intp]
 MARGIN_PX = 10.0  # beyond the ends of an epipolar segment
 BEFORE = 1e-3  # of the least depth: what a point is before a camera by, at least
 MATCH_DISTANCE, MATCH_RATIO = 50, 0.85  # of 256 bits; of the next best's

@@ -195,10 +195,7 @@ class BackendWorker:
         """
         useful = depth.valid and self._use_depth
         if useful:
-            self._mapper.add_late_depth(
-                depth.keyframe, depth.depth, depth.image_to_depth, self._units.log_scale,
-                depth.frame_sigma, depth.model,
-            )
+            self._mapper.add_late_depth(depth, self._units.log_scale)
         if not self._close_loops:
             return useful
         known = self._mapper.loops.add_place(depth.keyframe, depth.descriptor, depth.model)
@@ -230,10 +227,7 @@ class BackendWorker:
         if gate is not None:
             self._mapper.add_gate(gate)
         if depth is not None and depth.valid and depth.epoch == keyframe.epoch and self._use_depth:
-            self._mapper.add_depth(
-                keyframe, depth.depth, depth.image_to_depth, self._units.log_scale,
-                depth.frame_sigma, depth.model,
-            )
+            self._mapper.add_depth(keyframe, depth, self._units.log_scale)
         if depth is not None and depth.epoch == keyframe.epoch and self._close_loops:
             self._mapper.loops.add_place(keyframe.id, depth.descriptor, depth.model)
         self._keeper.note(keyframe, self._home_scale)

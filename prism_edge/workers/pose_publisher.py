@@ -12,7 +12,7 @@ from prism_edge.config import FramesConfig
 from prism_edge.geometry.mount import base_from_camera
 from prism_edge.geometry.poses import Array, adjoint, inverse, scaled, swung
 from prism_edge.tracking.drift import NO_DRIFT, Walk
-from prism_edge.tracking.odometry import ACCELERATION
+from prism_edge.tracking.odometry import ACCELERATION, MetricOdometry
 from prism_edge.tracking.tracker import FrameResult
 
 UNKNOWN_SPEED = 100.0  # m/s and rad/s: sigma of a velocity that nothing was measured of
@@ -38,25 +38,20 @@ class PosePublisher:
         self,
         stamp_ns: int,
         result: FrameResult,
-        odom_from_camera: Array,
-        twist: Array,
-        interval_s: float,
+        odometry: MetricOdometry,
         log_scale: float,
         scale_sigma: float,
         odom_error: Array,
         drift: Walk = NO_DRIFT,
         walk: Walk = NO_DRIFT,
         mount_of_map: Array | None = None,
-        unseen: Array | None = None,
     ) -> None:
         """Send the three messages of one frame; ``result`` must have a pose (map units).
 
-        ``twist`` (6) is the camera's, m/s and rad/s, as measured over ``interval_s`` (0: it isn't known).
-        ``scale_sigma`` is that of the log scale; ``odom_error`` (3) is by what it puts the camera off in
-        `odom`, metres along the axes of its start. ``drift`` is what the map may have drifted there since
-        its beginning, ``walk`` what `odom` has. ``mount_of_map`` (4, 4) is base_from_camera of who began the
-        map, where that may be another than ours. ``unseen`` (6, 6; m, rad; the camera's axes) is of how
-        far it has gone since the image that the pose is of.
+        ``odometry`` has come to it. ``scale_sigma`` is that of the log scale; ``odom_error`` (3) is by what
+        it puts the camera off in `odom`, metres along the axes of its start. ``drift`` is what the map may
+        have drifted there since its beginning, ``walk`` what `odom` has. ``mount_of_map`` (4, 4) is
+        base_from_camera of who began the map, where that may be another than ours.
         Where its place in the map is not known there is no `pose`, and `tf` ends at `odom`.
         """
         assert result.world_from_camera is not None
@@ -65,11 +60,10 @@ class PosePublisher:
         begun_with = self._mount if mount_of_map is None else mount_of_map
         world_from_camera = scaled(result.world_from_camera, metres)
         map_from_base = self._based(world_from_camera, begun_with)
-        odom_from_base = self._based(odom_from_camera, self._mount)
-        own, velocity = self._covariance(result, metres), self._carry @ twist
+        odom_from_base = self._based(odometry.odom_from_camera, self._mount)
+        own, velocity = self._covariance(result, metres), self._carry @ odometry.twist
         aside = own + self._moment_s**2 * np.outer(velocity, velocity)
-        if unseen is not None:
-            aside += self._carry @ unseen @ self._carry.T
+        aside += self._carry @ odometry.unseen @ self._carry.T
         # Scale multiplies the camera's path since the start; where it sits on the robot is known in metres.
         start = self._mount[:3, :3]
         walked = begun_with[:3, :3] @ world_from_camera[:3, 3]
@@ -77,7 +71,8 @@ class PosePublisher:
         in_odom = with_scale_error(turned(aside, odom_from_base), start @ odom_error, 1.0)
         names = self._frames
         # Two poses in a row are aside by the same moment, so that their difference knows nothing of it.
-        velocity_covariance = self._velocity_covariance(own, start @ twist[:3], interval_s, scale_sigma)
+        scaled_velocity, interval_s = start @ odometry.twist[:3], odometry.interval_s
+        velocity_covariance = self._velocity_covariance(own, scaled_velocity, interval_s, scale_sigma)
         if result.in_map:
             in_map = in_map + self._of_base(drift, map_from_base)
             pose = ros.pose_with_covariance(stamp_ns, names.map, map_from_base, in_map)

@@ -233,16 +233,13 @@ class TrackerWorker:
         self._publisher.publish(
             frame.stamp_ns,
             result,
-            self._odometry.odom_from_camera,
-            self._odometry.twist,
-            self._odometry.interval_s,
+            self._odometry,
             tracker.log_scale,
             self._scale.sigma,
             self._scale.odom_error,
             self._drift.here,
             self._drift.total,
             self._maps.mount(tracker.epoch),
-            self._odometry.unseen,
         )
 
     def _probe(self, frame: Frame) -> bool:

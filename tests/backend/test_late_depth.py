@@ -10,7 +10,7 @@ import pytest
 from prism_edge.backend.mapper import LEAST_DEPTH_SIGMA, Mapper
 from prism_edge.config import BackendConfig
 from tests.backend.test_measured_depth import WIDE, true_depth
-from tests.backend.world import Teller
+from tests.backend.world import Teller, told_depth
 from tests.tracking.cloud import pose_at
 
 FACTOR = 1.3  # by which a loop has stretched the map meanwhile
@@ -36,7 +36,7 @@ def walked() -> tuple[Mapper, Teller, list]:
 def late(mapper: Mapper, teller: Teller, keyframe, frame_sigma: float) -> np.ndarray:
     """What each of its keypoints has for a depth then, over the true one; nan for none."""
     depth = NETWORK * true_depth(teller, keyframe)
-    mapper.add_late_depth(keyframe.id, depth, WIDE, 0.0, frame_sigma, "")
+    mapper.add_late_depth(told_depth(depth, WIDE, frame_sigma, "", keyframe.id), 0.0)
     found = mapper.world.keyframes[keyframe.id].depths
     assert found is not None
     return np.where(found > 0, found / keyframe.depths, np.nan)
@@ -66,9 +66,9 @@ def test_it_is_no_matter_where_the_keyframe_sees_nothing_or_is_gone(walked):
     mapper, teller, told = walked
     for p in list(mapper.world.keyframes[3].observed):
         mapper.world.drop_observation(3, p)
-    mapper.add_late_depth(3, true_depth(teller, told[3]), WIDE, np.log(2.0), math.nan, "")
+    mapper.add_late_depth(told_depth(true_depth(teller, told[3]), WIDE, math.nan, "", 3), np.log(2.0))
     depths = mapper.world.keyframes[3].depths
     assert depths is not None
     assert np.nanmedian(depths / told[3].depths) == pytest.approx(0.5, rel=0.02)
-    mapper.add_late_depth(99, true_depth(teller, told[3]), WIDE, 0.0, math.nan, "")
+    mapper.add_late_depth(told_depth(true_depth(teller, told[3]), WIDE, math.nan, "", 99), 0.0)
     assert 99 not in mapper.world.keyframes

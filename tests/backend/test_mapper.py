@@ -16,7 +16,7 @@ from prism_edge.bus import codec
 from prism_edge.config import BackendConfig
 from prism_edge.geometry.poses import inverse, se3_exp, transform
 from prism_edge.messages import HOME, Gate, MapUpdate
-from tests.backend.world import Teller, check, depth_at_keypoints, poses_of, quiet, step
+from tests.backend.world import Teller, check, depth_at_keypoints, poses_of, quiet, step, told_depth
 from tests.tracking.cloud import pose_at
 
 CONFIG = BackendConfig(observations=300)
@@ -48,7 +48,7 @@ def test_a_keyframe_s_depth_comes_in_map_units_by_its_own_scale(firm):
     mapper.absorb(message)
     depth = plane(3.0)
     depth[:, :20] = 6.0  # a few points disagree
-    mapper.add_depth(message, depth, WIDE, np.log(1.2), math.nan, "")
+    mapper.add_depth(message, told_depth(depth, WIDE, math.nan, ""), np.log(1.2))
     depths = mapper.world.keyframes[0].depths
     x = message.pixels[:, 0]
     units_per_metre = 2.0 / 3.0 if firm else 1.0 / 1.2
@@ -64,7 +64,7 @@ def test_invalid_pixels_have_no_depth():
     mapper.absorb(message)
     depth = plane()
     depth[:, :80] = np.nan
-    mapper.add_depth(message, depth, WIDE, 0.0, math.nan, "")
+    mapper.add_depth(message, told_depth(depth, WIDE, math.nan, ""), 0.0)
     depths = mapper.world.keyframes[0].depths
     x = message.pixels[:, 0]
     assert not depths[x < 300].any()
@@ -76,16 +76,17 @@ def test_a_network_that_does_not_tell_near_from_far_is_left_out():
     mapper = Mapper(CONFIG)
     message = Teller().keyframe(np.eye(4))
     mapper.absorb(message)
-    mapper.add_depth(message, plane(3.0), WIDE, 0.0, math.nan, "")
+    mapper.add_depth(message, told_depth(plane(3.0), WIDE, math.nan, ""), 0.0)
     assert mapper.world.keyframes[0].depths is None
     kept = mapper.world.keyframes[0].unfitting
     assert kept is not None
     assert set(kept.tolist()) - {0.0} == {3.0}, "it is kept, as the map may be what is wrong"
-    mapper.add_depth(message, plane(3.0), WIDE, 0.0, math.nan, "one")
-    mapper.add_late_depth(99, plane(3.0), WIDE, 0.0, math.nan, "another")  # of a keyframe that is gone
+    mapper.add_depth(message, told_depth(plane(3.0), WIDE, math.nan, "one"), 0.0)
+    told = told_depth(plane(3.0), WIDE, math.nan, "another", 99)
+    mapper.add_late_depth(told, 0.0)  # of a keyframe that is gone
     assert mapper.world.keyframes[0].unfitting is not None
     mapper.absorb(replace(quiet(message), id=1))
-    mapper.add_late_depth(1, plane(3.0), WIDE, 0.0, math.nan, "another")
+    mapper.add_late_depth(told_depth(plane(3.0), WIDE, math.nan, "another", 1), 0.0)
     assert mapper.world.keyframes[0].unfitting is None, "other metres than the later network's"
 
 
@@ -93,7 +94,7 @@ def test_depth_of_a_keyframe_that_is_gone_is_no_matter():
     mapper = Mapper(CONFIG)
     teller = Teller()
     mapper.absorb(teller.keyframe(np.eye(4)))
-    mapper.add_depth(teller.keyframe(pose_at(0.2)), plane(), WIDE, 0.0, math.nan, "")
+    mapper.add_depth(teller.keyframe(pose_at(0.2)), told_depth(plane(), WIDE, math.nan, ""), 0.0)
     assert list(mapper.world.keyframes) == [0]
 
 
@@ -263,7 +264,7 @@ def test_a_sensor_s_depth_has_no_unit_of_the_image_s_own(sigma, units):
     mapper, message = Mapper(CONFIG), Teller().keyframe(np.eye(4))
     seeded = replace(message, parallax_deg=np.zeros_like(message.parallax_deg))
     mapper.absorb(seeded)
-    mapper.add_depth(seeded, plane(), WIDE, 0.0, sigma, "")
+    mapper.add_depth(seeded, told_depth(plane(), WIDE, sigma, ""), 0.0)
     assert mapper.world.keyframes[0].depth_units == units
 
 

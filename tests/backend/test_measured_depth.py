@@ -12,7 +12,7 @@ from prism_edge.config import BackendConfig
 from prism_edge.geometry.cameras import FISHEYE, Camera
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.messages import Keyframe
-from tests.backend.world import Teller, poses_of
+from tests.backend.world import Teller, poses_of, told_depth
 from tests.tracking.cloud import pose_at
 
 TOO_LARGE = 1.1
@@ -36,7 +36,7 @@ def walked(frame_sigma: float) -> float:
     for i in range(6):
         keyframe = teller.keyframe(pose_at(0.2 * i, 0.0, 0.0, 0.0, -0.03 * i))
         mapper.absorb(keyframe)
-        mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, frame_sigma, "")
+        mapper.add_depth(keyframe, told_depth(true_depth(teller, keyframe), WIDE, frame_sigma, ""), 0.0)
     for k in mapper.world.keyframes.values():
         k.world_from_camera = k.world_from_camera.copy()
         k.world_from_camera[:3, 3] *= TOO_LARGE
@@ -62,7 +62,7 @@ def test_a_sigma_that_is_none_is_passed_over(nonsense: float) -> None:
     mapper, teller = Mapper(BackendConfig()), Teller()
     keyframe = teller.keyframe(np.eye(4))
     mapper.absorb(keyframe)
-    mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, nonsense, "")
+    mapper.add_depth(keyframe, told_depth(true_depth(teller, keyframe), WIDE, nonsense, ""), 0.0)
     assert mapper.world.keyframes[0].depth_sigma == 0.0
 
 
@@ -71,7 +71,7 @@ def test_perfect_depth_has_some_noise_all_the_same() -> None:
     for i in range(3):
         keyframe = teller.keyframe(pose_at(0.2 * i))
         mapper.absorb(keyframe)
-        mapper.add_depth(keyframe, true_depth(teller, keyframe), WIDE, 0.0, 0.0, "")
+        mapper.add_depth(keyframe, told_depth(true_depth(teller, keyframe), WIDE, 0.0, ""), 0.0)
     assert mapper.world.keyframes[0].depth_sigma > 0.0
     assert mapper.optimise(2, 0.0) is not None
 
@@ -84,7 +84,7 @@ def test_a_lens_s_depth_is_where_its_raw_image_has_the_keypoint() -> None:
     told = replace(told, camera_model=lens.model, camera=lens.to_array())
     mapper.absorb(told)
     slope = np.tile(np.linspace(2.0, 6.0, 160, dtype=np.float32), (120, 1))
-    mapper.add_depth(told, slope, WIDE, 0.0, 0.02, "")
+    mapper.add_depth(told, told_depth(slope, WIDE, 0.02, ""), 0.0)
     depths = mapper.world.keyframes[0].depths
     assert depths is not None
     raw = lens.distort_pixels(told.pixels.astype(np.float64))

@@ -10,7 +10,7 @@ import numpy as np
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap, GlobalPoint
 from prism_edge.backend.mapper import Mapper
 from prism_edge.geometry.poses import inverse, transform
-from prism_edge.messages import Keyframe, MapUpdate
+from prism_edge.messages import Depth, Keyframe, MapUpdate
 from tests.synthetic.messages import blank
 from tests.tracking.cloud import CAMERA, Cloud
 
@@ -91,12 +91,21 @@ def quiet(message: Keyframe, **changes: object) -> Keyframe:
     return replace(message, **(empty | follows | arrays))
 
 
+def told_depth(
+    depth: np.ndarray, image_to_depth: np.ndarray, frame_sigma: float, model: str, keyframe: int = 0
+) -> Depth:
+    """A network's answer."""
+    rest = np.zeros((0, 0), np.float32), np.zeros(0, np.float32)
+    said = keyframe, 0, 0, model, 0.0, 0.0, True, ""
+    return Depth(*said, image_to_depth, depth, *rest, frame_sigma=frame_sigma)
+
+
 def step(
     mapper: Mapper, message: Keyframe, depth: np.ndarray, image_to_depth: np.ndarray
 ) -> MapUpdate | None:
     """What the worker does with a keyframe and its depth, while the map's unit is a metre."""
     mapper.absorb(message)
-    mapper.add_depth(message, depth, image_to_depth, 0.0, math.nan, "")
+    mapper.add_depth(message, told_depth(depth, image_to_depth, math.nan, ""), 0.0)
     return mapper.optimise(message.id, 0.0)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import map_file
+from prism_edge.backend.map_facts import STAMPS
 from prism_edge.backend.map_mount import FIELD as MOUNT
-from prism_edge.backend.map_stamps import FIELD as STAMPS
 from prism_edge.bus import ros
 from prism_edge.cli.main import main
 from prism_edge.config import FramesConfig, StateConfig
@@ -21,6 +21,7 @@ from prism_edge.evaluation.trajectory import read_tum
 from prism_edge.geometry.mount import base_from_camera
 from prism_edge.geometry.poses import inverse
 from prism_edge.messages import OK
+from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import FrameResult
 from prism_edge.workers.backend import BackendWorker
 from prism_edge.workers.pose_publisher import PosePublisher
@@ -127,9 +128,8 @@ class TestExport:
         publisher, nothing = PosePublisher(sent, FRAMES), np.zeros(3)  # type: ignore[arg-type]
         for stamp, pose in zip(info[STAMPS], arrays["poses"], strict=True):
             result = FrameResult(OK, pose, np.eye(6), 0, np.eye(4), 100)
-            publisher.publish(
-                stamp, result, np.eye(4), np.zeros(6), 0.1, info["log_scale"], 0.1, nothing, mount_of_map=SEAT
-            )
+            scale = info["log_scale"], 0.1
+            publisher.publish(stamp, result, MetricOdometry(), *scale, nothing, mount_of_map=SEAT)
         for message, pose in zip(sent.of("pose"), read_tum(out).poses, strict=True):
             np.testing.assert_allclose(ros.pose_matrix(message.pose.pose), pose, atol=1e-7)
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 
 import pytest
 
 from prism_edge.config import Config, DepthConfig
 from prism_edge.config_file import leaves
 from prism_edge.processes import PROCESSES
-from prism_edge.supervisor.reload import difference, get, put
+from prism_edge.supervisor.reload import difference, put
 
 RUNNING = Config(depth=DepthConfig(model="a.onnx"))
 
@@ -31,7 +32,7 @@ def test_nothing_changed() -> None:
 )
 def test_what_can_change_is_taken_up(key: str, value: object, restart: set[str]) -> None:
     change = difference(RUNNING, put(RUNNING, key, value))
-    assert get(change.config, key) == value
+    assert attrgetter(key)(change.config) == value
     assert (change.applied, change.refused, change.restart) == ((key,), (), restart)
 
 

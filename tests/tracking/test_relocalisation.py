@@ -215,7 +215,7 @@ def test_keyframes_that_have_gone_are_passed_over(place):
     lost = Lost(world)
     lost.relocaliser.heard(world, looks(HEADINGS[3]))
     del world.keyframes[3]
-    lost.relocaliser.forget([3])
+    lost.relocaliser.forget(3)
     tried = [k for _ in range(LAP) for k in lost.relocaliser._next(world)]
     assert 3 not in tried
     assert set(tried) == set(world.keyframes)

@@ -80,7 +80,7 @@ def test_what_has_left_the_map_is_forgotten():
     parts = Parts()
     parts.begin(2)
     del world.keyframes[2]
-    parts.forget([2])
+    parts.forget(2)
     assert parts.of(2) == HOME
     assert parts.newest(world).id == 1, "of the map, where the part has none left"
 
@@ -90,7 +90,7 @@ def test_a_loop_of_a_keyframe_that_has_just_left_the_map_joins_its_part():
     for first in (60, 70):
         parts.begin(first)
         parts.add(first + 1)
-        parts.forget([first + 1])
+        parts.forget(first + 1)
     assert parts.merge(61, 3, np.array([0.1, 0.01]))
     assert (parts.of(60), parts.of(70), parts.at_home) == (HOME, 70, False)
     assert parts.take_joined() == [(60, HOME, 0.1, 0.01)]
@@ -123,9 +123,10 @@ def test_a_loop_may_come_of_a_culled_part_however_much_of_home_has_gone_since():
     parts = Parts()
     parts.begin(10)
     parts.add(11)
-    parts.forget([11])
+    parts.forget(11)
     parts.current = HOME
-    parts.forget(list(range(100, 1000)))
+    for other in range(100, 1000):
+        parts.forget(other)
     assert parts.merge(11, 2)
     assert parts.of(10) == HOME
 
@@ -149,7 +150,8 @@ def test_of_culled_keyframes_the_last_256_still_say_which_part_a_loop_joins(sinc
     parts.begin(10)
     for keyframe in culled:
         parts.add(keyframe)
-    parts.forget(culled)
+    for keyframe in culled:
+        parts.forget(keyframe)
     assert parts.of_both(11, 2) == (HOME, 10 if known else HOME)
     assert parts.of_both(12, 2) == (HOME, 10), "one goes at a time"
 

@@ -13,7 +13,7 @@ from prism_edge.bus import codec
 from prism_edge.config import BackendConfig
 from prism_edge.messages import Frame, Keyframe, MapUpdate
 from prism_edge.tracking.map_correction import flaw
-from tests.backend.world import Teller, poses_of, quiet
+from tests.backend.world import Teller, poses_of, quiet, told_depth
 from tests.tracking.cloud import pose_at
 from tests.workers.whole_system import WholeSystem, finite, numbers_of
 
@@ -106,7 +106,7 @@ def test_a_degenerate_window_gives_finite_numbers_and_the_next_one_works(scene: 
     for pose in poses:
         keyframe = teller.keyframe(pose)
         mapper.absorb(keyframe)
-        mapper.add_depth(keyframe, depth, np.array([0.1, 0.0, 0.1, 0.0]), 0.0, math.nan, "")
+        mapper.add_depth(keyframe, told_depth(depth, np.array([0.1, 0.0, 0.1, 0.0]), math.nan, ""), 0.0)
         mapper.loops.add_place(keyframe.id, one_for_all)
         assert sound(mapper.optimise(keyframe.id, 0.0))
         assert mapper.loops.look(keyframe.id) is None
@@ -133,7 +133,7 @@ def test_a_keyframe_without_features_is_taken_in_and_passed_over() -> None:
     empty = quiet(told[-1])
     mapper.absorb(empty)
     depth = np.full((48, 64), 3.0, np.float32)
-    mapper.add_depth(empty, depth, np.array([0.1, 0.0, 0.1, 0.0]), 0.0, math.nan, "")
+    mapper.add_depth(empty, told_depth(depth, np.array([0.1, 0.0, 0.1, 0.0]), math.nan, ""), 0.0)
     mapper.loops.add_place(empty.id, np.ones(16, np.float32))
     assert sound(mapper.optimise(empty.id, 0.0))
     assert mapper.loops.look(empty.id) is None

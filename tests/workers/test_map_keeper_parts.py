@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from prism_edge.backend import map_file
+from prism_edge.backend.map_facts import growth_info, growth_told
 from prism_edge.backend.map_file import Arrays, Info
-from prism_edge.backend.map_parts import growth_info, growth_told
 from prism_edge.errors import MapError
 from prism_edge.geometry.poses import inverse, transform
 from prism_edge.messages import HOME

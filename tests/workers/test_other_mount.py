@@ -22,6 +22,7 @@ from prism_edge.geometry.poses import inverse, se3_exp
 from prism_edge.messages import OK, Keyframe, MapLoaded, WholeMap
 from prism_edge.topics import TOPICS
 from prism_edge.tracking.drift import Walk
+from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import FrameResult
 from prism_edge.workers import backend
 from prism_edge.workers.pose_publisher import PosePublisher
@@ -55,8 +56,10 @@ def published(frames: FramesConfig, pose: np.ndarray, odom: np.ndarray, mount: n
     )
     result = FrameResult(OK, pose, COVARIANCE, 0, np.eye(4), 100)
     walked, drift = np.array([0.3, -0.2, 0.9]), Walk(0.01, 0.002)
+    odometry = MetricOdometry()
+    odometry.odom_from_camera, odometry.twist, odometry.interval_s = odom, np.arange(6.0), 0.1
     PosePublisher(bus, frames).publish(  # type: ignore[arg-type]
-        STAMP, result, odom, np.arange(6.0), 0.1, 0.4, 0.05, walked, drift, drift, mount
+        STAMP, result, odometry, 0.4, 0.05, walked, drift, drift, mount
     )
     return {
         topic: ros.deserialise(TOPICS[topic].type, ros.serialise(TOPICS[topic].type, message))

@@ -13,6 +13,7 @@ from prism_edge.geometry.poses import from_rt, inverse, rotation_from_quaternion
 from prism_edge.messages import OK
 from prism_edge.topics import TOPICS
 from prism_edge.tracking.drift import Walk
+from prism_edge.tracking.odometry import MetricOdometry
 from prism_edge.tracking.tracker import FrameResult
 from prism_edge.workers.pose_publisher import (
     ACCELERATION,
@@ -42,6 +43,15 @@ def mount(frames: FramesConfig) -> np.ndarray:
     return from_rt(rotation, np.array(frames.base_from_camera_xyz))
 
 
+def odometry(odom_from_camera=None, twist=None, interval_s=0.1, unseen=None):
+    """What has come to a place, by default without having moved."""
+    there = MetricOdometry()
+    there.odom_from_camera = np.eye(4) if odom_from_camera is None else odom_from_camera
+    there.twist, there.interval_s = np.zeros(6) if twist is None else twist, interval_s
+    there.unseen = np.zeros((6, 6)) if unseen is None else unseen
+    return there
+
+
 def publish(
     pose,
     frames=None,
@@ -62,10 +72,11 @@ def publish(
         publish_if_heard=lambda topic, make: sent.update({topic: make()}),
     )
     result = FrameResult(OK, pose, covariance, 0, np.eye(4), 100, in_map)
-    odom, twist = pose if odom is None else odom, np.zeros(6) if twist is None else twist
+    odom = pose if odom is None else odom
     publisher = PosePublisher(bus, frames or FramesConfig(), moment_s=moment_s)
     error = sigma * odom[:3, 3]
-    publisher.publish(STAMP, result, odom, twist, interval_s, log_scale, sigma, error, unseen=unseen)
+    moved = odometry(odom, twist, interval_s, unseen)
+    publisher.publish(STAMP, result, moved, log_scale, sigma, error)
     return {
         topic: ros.deserialise(TOPICS[topic].type, ros.serialise(TOPICS[topic].type, message))
         for topic, message in sent.items()
@@ -321,7 +332,7 @@ def test_a_translation_that_nothing_observes_is_as_unknown_whatever_the_refineme
     )
     result = FrameResult(OK, np.eye(4), COVARIANCE, 0, np.eye(4), 100, unobserved=0.7)
     PosePublisher(bus, FramesConfig(), refinement).publish(
-        STAMP, result, np.eye(4), np.zeros(6), 0.1, np.log(2.0), 0.0, np.zeros(3)
+        STAMP, result, odometry(), np.log(2.0), 0.0, np.zeros(3)
     )
     for topic in ("pose", "odom"):
         assert np.sqrt(np.diag(matrix(sent[topic]))[:3]) == pytest.approx([1.4] * 3, abs=1e-3)
@@ -337,7 +348,7 @@ def test_drift_is_added_to_the_pose_and_the_walk_to_odometry():
     publisher = PosePublisher(bus, MOUNTED, refinement=0.25)
     result = FrameResult(OK, np.eye(4), COVARIANCE, 0, np.eye(4), 100)
     here, walk = Walk(4e-4, 9e-6), Walk(7e-4, 1e-5)
-    publisher.publish(STAMP, result, np.eye(4), np.zeros(6), 0.1, 0.0, 0.1, np.zeros(3), here, walk)
+    publisher.publish(STAMP, result, odometry(), 0.0, 0.1, np.zeros(3), here, walk)
     own = 0.25 * matrix(publish(np.eye(4), MOUNTED)["pose"])
     # The camera drifts so: what turns it swings the base, which is about it as far as the mount says.
     base_from_camera = mount(MOUNTED)

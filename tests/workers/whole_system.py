@@ -96,8 +96,7 @@ class WholeSystem:
         self.mapper.add_gate(gate)
         if depth is not None:
             if depth.valid:
-                told = keyframe, depth.depth, depth.image_to_depth, scale.log_scale
-                self.mapper.add_depth(*told, depth.frame_sigma, depth.model)
+                self.mapper.add_depth(keyframe, depth, scale.log_scale)
             self.mapper.loops.add_place(keyframe.id, depth.descriptor)
         update = self.mapper.optimise(keyframe.id, scale.log_scale)
         closed = self.mapper.loops.look(keyframe.id)

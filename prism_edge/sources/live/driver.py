@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
+from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import U8
 
@@ -50,3 +51,18 @@ class Driver(Protocol):
 
     def connect(self) -> Connection:
         """Raises CameraLostError where it isn't there, SourceError where it is but can't be used."""
+
+
+def size_for(width: int, height: int, camera: Camera | None, uri: str) -> tuple[int, int]:
+    """Width and height of the images to ask for: those that the address says, or that a camera file is for.
+
+    0 and 0 where neither says any. Raises ConfigError where they contradict one another.
+    """
+    if camera is None:
+        return width, height
+    if width and (width, height) != (camera.width, camera.height):
+        raise ConfigError(
+            f"{uri} asks for {width}x{height}, but the camera file is for "
+            f"{camera.width}x{camera.height}; leave width and height out"
+        )
+    return camera.width, camera.height

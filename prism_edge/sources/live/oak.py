@@ -15,7 +15,7 @@ from prism_edge.config import limits, one_of
 from prism_edge.errors import ConfigError, SourceError, first_line
 from prism_edge.geometry.cameras import FISHEYE, PINHOLE, Camera
 from prism_edge.sources.address import parse_options
-from prism_edge.sources.live.driver import CameraLostError, Grab
+from prism_edge.sources.live.driver import CameraLostError, Grab, size_for
 
 log = logging.getLogger("prism_edge.sources")
 
@@ -59,15 +59,8 @@ class OakDriver:
         options = Options(**parse_options(f"{SCHEME}{self._id}", query, Options))
         if bool(options.width) != bool(options.height):
             raise SourceError(f"{uri}: width and height go together")
-        size = (640, 480) if camera is None else (camera.width, camera.height)
-        if camera is not None and options.width and (options.width, options.height) != size:
-            raise ConfigError(
-                f"{uri} asks for {options.width}x{options.height}, but the camera file is for "
-                f"{size[0]}x{size[1]}; leave width and height out"
-            )
-        if not options.width:
-            options = replace(options, width=size[0], height=size[1])
-        self.options = options
+        width, height = size_for(options.width, options.height, camera, uri)
+        self.options = options = replace(options, width=width or 640, height=height or 480)
         self.name = f"OAK {self._id}".strip()
         self.period_ns = round(1e9 / options.rate)
         self.dead_s = options.timeout

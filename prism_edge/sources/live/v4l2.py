@@ -9,12 +9,12 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from prism_edge.errors import ConfigError, SourceError
+from prism_edge.errors import SourceError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.address import parse_options
 from prism_edge.sources.base import DEFAULT_RATE_HZ
 from prism_edge.sources.live import v4l2_abi as abi
-from prism_edge.sources.live.driver import CameraLostError, Grab
+from prism_edge.sources.live.driver import CameraLostError, Grab, size_for
 from prism_edge.sources.live.v4l2_device import Device, Mode
 from prism_edge.sources.live.v4l2_kernel import Kernel
 from prism_edge.sources.live.v4l2_pixels import to_image
@@ -46,15 +46,8 @@ class V4l2Driver:
         options = Options(**parse_options(f"{SCHEME}{self.path}", query, Options))
         if bool(options.width) != bool(options.height):
             raise SourceError(f"{SCHEME}{self.path}: width and height go together")
-        if camera is not None:
-            size = camera.width, camera.height
-            if options.width and (options.width, options.height) != size:
-                raise ConfigError(
-                    f"{uri} asks for {options.width}x{options.height}, but the camera file is for "
-                    f"{size[0]}x{size[1]}; leave width and height out"
-                )
-            options = replace(options, width=size[0], height=size[1])
-        self.options = options
+        width, height = size_for(options.width, options.height, camera, uri)
+        self.options = options = replace(options, width=width, height=height)
         self.name = f"camera {self.path}"
         self.period_ns = round(1e9 / (options.rate or DEFAULT_RATE_HZ))
         self.dead_s = options.timeout
