@@ -76,7 +76,7 @@ class BackendWorker:
             self._home_scale = recovered
         # A whole run's map, not a life's: the new scale filter does not know its unit.
         self._untold = recovered is not None and not bus.life
-        self._snapshot = self._take_snapshot()
+        self._show()
         bus.answer("map_snapshot", lambda: self._snapshot)
         bus.answer("whole_map", self._whole.ask)
         bus.answer("map_loaded", self._known_unit)
@@ -115,7 +115,7 @@ class BackendWorker:
         if not self._arrivals:
             self._keeper.tidy(self._home_scale)
             self._settled = True
-            self._snapshot = self._take_snapshot()
+            self._show()
             self._rest()
 
     def _tidy(self) -> None:
@@ -166,6 +166,7 @@ class BackendWorker:
                 self._loaded.remind(self._home_scale)
         late = set()
         for depth in self._depths.drain():
+            self._keeper.heard_network = depth.model or self._keeper.heard_network
             if depth.epoch == self._mapper.epoch and depth.keyframe in self._mapper.world.keyframes:
                 if self._take_late(depth):
                     late.add(depth.keyframe)
@@ -216,7 +217,7 @@ class BackendWorker:
         self._unsolved = self._late = None
         self._untold = False
         self._keeper.forget()
-        self._snapshot = self._take_snapshot()
+        self._show()
 
     def _absorb(self, keyframe: Keyframe) -> None:
         if keyframe.epoch != self._mapper.epoch:
@@ -253,8 +254,7 @@ class BackendWorker:
             self._bus.publish("map_update", update)
             self._keeper.note_solved(update, self._home_scale)
             self._bus.pulse.values["solve_ms"] = f"{update.solve_ms:.0f}"
-        self._snapshot = self._take_snapshot()
-        show_map(self._bus.pulse.values, self._mapper.world, len(self._arrivals))
+        self._show()
         self._bus.pulse.idle()
         return update
 
@@ -289,7 +289,7 @@ class BackendWorker:
         update = self._mapper.whole(max(self._mapper.world.keyframes), changes, closed=closed)
         self._bus.publish("map_update", update)
         self._keeper.overhauled()
-        self._snapshot = self._take_snapshot()
+        self._show()
 
     def _adjust_further(self) -> bool:
         """One step of the global adjustment; whether its result is in the map."""
@@ -348,7 +348,7 @@ class BackendWorker:
             self._rest()
         self._arrivals.give_up()
         self._unsolved = self._late = None
-        self._snapshot = self._take_snapshot()
+        self._show()
         self._loaded.tell(self._home_scale)
         return Reply(True, f"{said}; looking for the camera in it")
 
@@ -371,8 +371,10 @@ class BackendWorker:
                 self._unsolved = newest
         return self._keeper.whole(self._home_scale)
 
-    def _take_snapshot(self) -> MapSnapshot:
-        return snapshot(self._mapper, self._settled, self._home_scale.log_scale)
+    def _show(self) -> None:
+        """What the map has come to: on `health`, and for whoever asks for it."""
+        show_map(self._bus.pulse.values, self._mapper.world, len(self._arrivals))
+        self._snapshot: MapSnapshot = snapshot(self._mapper, self._settled, self._home_scale.log_scale)
 
 
 def main(config: Config, bus: Bus) -> None:

@@ -12,8 +12,9 @@ def show_map(values: dict[str, str], world: GlobalMap, behind: int) -> None:
     ``behind``: keyframes that wait.
     """
     values.update(keyframes=str(len(world.keyframes)), points=str(len(world.points)), behind=str(behind))
+    for found in ("k1", "readout_ms"):
+        values.pop(found, None)
     if world.camera is not None:
         values["k1"] = f"{radial(world.camera):.4f}"
-    values.pop("readout_ms", None)
     if world.readout_ms:
         values["readout_ms"] = f"{world.readout_ms:.1f}"

@@ -14,6 +14,7 @@ import numpy as np
 
 from prism_edge import __version__
 from prism_edge.backend import map_file
+from prism_edge.backend.connectivity import parts_of
 from prism_edge.backend.journal import Journal
 from prism_edge.backend.map_file import Arrays, Info
 from prism_edge.backend.map_mount import difference, mount_of
@@ -49,6 +50,7 @@ class MapKeeper:
         self._failed_s, self._wait_s = float("-inf"), AGAIN_S
         self._overhauled = False
         self._network, self._noted_network = ConfiguredNetwork(config, bus), ""
+        self.heard_network = ""  # as it calls itself in this run's depths; a loaded map's may be another
         self._run = "" if bus.run_directory is None else bus.run_directory.name
         folder = journal_folder(config, bus)
         if folder is not None:
@@ -93,9 +95,9 @@ class MapKeeper:
             return None
         world = self._mapper.world
         log.info("recovered %d keyframes and %d points", len(world.keyframes), len(world.points))
-        if odd := difference(mount_of(info), self._mount):
-            log.warning("the map that was left was %s", odd)
         if foreign:
+            if odd := difference(mount_of(info), self._mount):
+                log.warning("the map that was left was %s", odd)
             self._units.go_home()  # where that run's camera was last, this one's is not
             self._bus.pulse.values["recovered"] = f"{len(world.keyframes)} keyframes of an earlier run"
         return scale
@@ -226,7 +228,7 @@ class MapKeeper:
 
     def _places_are_foreign(self, info: Info) -> bool:
         """Whether another network than ours has described a stored map's places, as far as is known here."""
-        theirs, ours = info.get("places_of"), self._mapper.loops.index.network
+        theirs, ours = info.get("places_of"), self.heard_network
         # As it calls itself; where ours is yet to speak, PlaceIndex will see.
         if isinstance(theirs, str) and theirs:
             return bool(ours) and not same_network(theirs, ours)
@@ -263,7 +265,9 @@ class MapKeeper:
             raise MapError(f"can't make {path.parent}: {error.strerror or error}") from None
         earlier = ", in place of an earlier map of that name" if os.path.exists(path) else ""
         map_file.write(path, data)
-        counts = f"{len(world.keyframes)} keyframes, {len(world.points)} points"
+        apart = len(parts_of(world))
+        unplaced = f" ({apart} of them apart, without a place in map)" if apart else ""
+        counts = f"{len(world.keyframes)} keyframes{unplaced}, {len(world.points)} points"
         return f"saved {name}: {counts}, {len(data) / 1e6:.1f} MB{earlier}"
 
     def _packed(self, scale: KnownScale, in_use: bool, **info: str | int) -> bytes:

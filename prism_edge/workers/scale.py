@@ -124,8 +124,7 @@ class ScaleWorker:
             self._take_over(loaded)
         for told in self._begun.drain():  # it may be long until the new map's first keyframe
             if self._estimator.give_up(told.epoch):
-                for said in ("log_scale", "sigma", "warning"):
-                    self._bus.pulse.values.pop(said, None)
+                self._nothing_on_health()
                 unknown = 0.0, self._initial_sigma, self._initial_sigma
                 self._bus.publish("scale", ros.scale(self._stamp_ns, self._map_frame, *unknown, metric=False))
 
@@ -135,11 +134,13 @@ class ScaleWorker:
             return  # given up before it was heard of
         log_scale, sigma = loaded.log_scale, loaded.scale_sigma
         apart = {"bias_sigma": loaded.bias_sigma, "lost_sigma": loaded.lost_sigma}
+        known = log_scale, math.hypot(sigma, *apart.values()), sigma
         if loaded.metric:
             self._estimator.take_over(loaded.epoch, log_scale, sigma, network=loaded.network, **apart)
+            self._on_health(*known[:2], "the map that was taken up")
         else:
             self._estimator.begin(loaded.epoch)
-        known = log_scale, math.hypot(sigma, *apart.values()), sigma
+            self._nothing_on_health()
         self._bus.publish("scale", ros.scale(self._stamp_ns, self._map_frame, *known, metric=loaded.metric))
 
     def _do_without_depth(self, keyframe_id: int) -> None:
@@ -155,22 +156,27 @@ class ScaleWorker:
             self._publish(answer[0])
 
     def _publish(self, scale: Scale) -> None:
-        self._bus.pulse.values.update(log_scale=f"{scale.log_scale:.4f}", sigma=f"{scale.sigma:.4f}")
-        self._doubt(scale.keyframe)
+        self._on_health(scale.log_scale, scale.sigma, f"keyframe {scale.keyframe}")
         self._bus.publish("log_scale", scale)
         if "depth" in self._peers or self._estimator.metric:  # else nothing will ever say a metre
             self._bus.publish("scale", self._public(scale))
 
-    def _doubt(self, keyframe: int) -> None:
-        """Says where a network seems to be out of its depth: on `health` while it is so, on the log once."""
-        doubt = self._estimator.doubt
+    def _on_health(self, log_scale: float, sigma: float, where: str) -> None:
+        """The metres, and as long as a network seems to be out of its depth, that; logged once."""
+        values, doubt = self._bus.pulse.values, self._estimator.doubt
+        values.update(log_scale=f"{log_scale:.4f}", sigma=f"{sigma:.4f}")
         if not doubt:
-            self._bus.pulse.values.pop("warning", None)
+            values.pop("warning", None)
             return
-        self._bus.pulse.values["warning"] = doubt
+        values["warning"] = doubt
         if not self._doubted:
-            log.warning("keyframe %d: %s", keyframe, doubt)
+            log.warning("%s: %s", where, doubt)
         self._doubted = True
+
+    def _nothing_on_health(self) -> None:
+        """No metres are known of the map that there is now."""
+        for said in ("log_scale", "sigma", "warning"):
+            self._bus.pulse.values.pop(said, None)
 
     def _handle(self, keyframe: Keyframe, depth: Depth | None) -> None:
         self._served.append(keyframe.id)

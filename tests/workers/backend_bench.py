@@ -88,5 +88,5 @@ def live(
     for name in ask:
         bus.desk.ask("save_map", name)
     made._desk.serve()
-    made._snapshot = made._take_snapshot()
+    made._show()
     return bus

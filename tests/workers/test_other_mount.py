@@ -173,7 +173,7 @@ def test_poses_in_a_loaded_map_are_those_of_our_base(
     assert told
     assert all(np.array_equal(k.base_from_camera, MADE_WITH) for k in told)
     made._absorb(told[0])
-    made._snapshot = made._take_snapshot()
+    made._show()
     np.testing.assert_array_equal(made._snapshot.base_from_camera, MADE_WITH)
     assert made._save_map("again").ok
     info, _ = map_file.unpack(map_path(config_of(folder, OURS).state, "again").read_bytes())
@@ -204,7 +204,8 @@ def test_a_backend_that_lost_the_map_hears_its_mount_again(
     made = backend.BackendWorker(config_of(tmp_path, OURS), ListBus("keyframe"))
     for keyframe in tracked(life):
         made._absorb(keyframe)
-    np.testing.assert_array_equal(made._take_snapshot().base_from_camera, MADE_WITH)
+    made._show()
+    np.testing.assert_array_equal(made._snapshot.base_from_camera, MADE_WITH)
 
 
 def test_a_new_map_is_ours(taken_up: tuple[backend.BackendWorker, WholeMap]) -> None:
@@ -291,8 +292,10 @@ def test_a_run_that_was_cut_off_leaves_its_mount_in_the_journal(
         assert ("elsewhere" if known else "the present one is taken") in caplog.text
     again = runs.backend([replace(told[5], epoch=0)], teller, goes_on=True, again=True, frames=OURS)
     np.testing.assert_array_equal(snapshot(again).base_from_camera, expected)
+    caplog.clear()
     life = runs.backend([], teller, life=1, again=True, frames=OURS)
     np.testing.assert_array_equal(snapshot(life).base_from_camera, expected)
+    assert "that was left" not in caplog.text, "it is this run's own by now"
 
 
 def test_a_journal_with_a_mount_that_can_not_be_is_none(

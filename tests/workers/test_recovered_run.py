@@ -52,7 +52,7 @@ class Runs:
         made = worker.BackendWorker(replace(self.config, **changes), bus)  # type: ignore[arg-type]
         hear(made, bus, told, teller)
         made.run()
-        made._snapshot = made._take_snapshot()
+        made._show()
         return bus
 
     def rewrite(self, **info: object) -> None:

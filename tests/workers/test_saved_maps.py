@@ -175,6 +175,45 @@ class TestSaving:
         assert "without" not in made._load_map("lab").said
         assert len(made._mapper.loops.index) == 3
 
+    @pytest.mark.parametrize("has_spoken", [False, True])
+    def test_our_network_s_map_keeps_its_places_behind_another_network_s(
+        self, tmp_path: Path, has_spoken: bool
+    ) -> None:
+        """Ours is whose depths come in this run, not who described the map that there is."""
+        teller, told = keyframes(5)
+        looks, ours, theirs = np.eye(8, dtype=np.float32), "exact@0123456789ab", "other@0123456789ab"
+        for name, network in (("ours", ours), ("theirs", theirs)):
+            info, arrays = described(told, looks, network)
+            path = map_path(CONFIG.state, name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            known = {**info, **KnownScale().info, "model": network.partition("@")[0]}
+            path.write_bytes(map_file.pack(known, arrays))
+        config = replace(CONFIG, tracking=TrackingConfig(levels=8, scale_factor=told[0].scale_factor))
+        bus = ListBus("keyframe")
+        made = worker.BackendWorker(config, bus)
+        if has_spoken:
+            bus.give("depth", depth_of(told[0], teller, descriptor=looks[0], model=ours))
+            bus.give("keyframe", told[0])
+            made._realtime()
+        said = []
+        for name in ("theirs", "theirs", "ours"):
+            left_out = "without another depth network's words" in made._load_map(name).said
+            said.append((left_out, len(made._mapper.loops.index)))
+        assert said[-1] == (False, 5)
+        assert said[:2] == ([(True, 0)] * 2 if has_spoken else [(False, 5)] * 2)
+
+    def test_what_has_no_place_in_the_map_is_said(self, tmp_path: Path) -> None:
+        teller, told = keyframes(5)
+        bus = live(tmp_path, told, teller)
+        made = bus.desk.handlers["save_map"].__self__  # type: ignore[attr-defined]
+        assert made._save_map("lab").said.startswith("saved lab: 5 keyframes, ")
+        for number in (3, 4):
+            made._mapper.world.keyframes[number].part = 3
+            for point in list(made._mapper.world.keyframes[number].observed):
+                made._mapper.world.drop_observation(number, point)
+        said = made._save_map("lab").said
+        assert said.startswith("saved lab: 5 keyframes (2 of them apart, without a place in map), ")
+
     def test_no_map_no_file(self, tmp_path: Path) -> None:
         bus = live(tmp_path, [], keyframes(1)[0], ask=("lab",))
         assert [(r.ok, r.said) for r in bus.desk.replies] == [(False, "there is no map to save yet")]

@@ -28,6 +28,25 @@ def test_a_loaded_map_s_scale_is_said_at_once(bus, start, mode):
     assert said.keyframe == -1
 
 
+@pytest.mark.parametrize(("lost_sigma", "warned"), [(0.0, ""), (2.0, "worth little")])
+def test_health_shows_a_loaded_map_s_metres_and_what_is_doubtful_about_them(bus, start, lost_sigma, warned):
+    bus.pulse.values.update(log_scale="0.9000", sigma="0.5000", warning="the map before")
+    bus.give("map_loaded", MapLoaded(1000, np.log(1.3), 0.03, 0.04, lost_sigma=lost_sigma))
+    start()
+    bus.wait_for("scale", 1)
+    assert bus.pulse.values["log_scale"] == "0.2624"
+    assert bus.pulse.values["sigma"] == f"{np.hypot(0.05, lost_sigma):.4f}"
+    assert warned in bus.pulse.values["warning"] if warned else "warning" not in bus.pulse.values
+
+
+def test_health_shows_no_metres_of_a_loaded_map_that_has_none(bus, start):
+    bus.pulse.values.update(log_scale="0.9000", sigma="0.5000", warning="the map before")
+    bus.give("map_loaded", MapLoaded(3, 0.0, 0.3, metric=False))
+    start()
+    bus.wait_for("scale", 1)
+    assert not bus.pulse.values.keys() & {"log_scale", "sigma", "warning"}
+
+
 def test_a_map_of_whose_unit_nothing_is_known_is_not_said_to_be_metric(bus, start):
     bus.give("map_loaded", MapLoaded(3, 0.0, 0.3, metric=False))
     start()
