@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 
 
@@ -13,6 +14,8 @@ def put_whole(path: Path, data: bytes) -> None:
         temporary = beside(file)
         try:
             temporary.write_bytes(data)
+            if file.exists():  # who may read it stays its owner's to say
+                shutil.copymode(file, temporary)
             temporary.replace(file)
         finally:  # of whoever loses patience, too
             temporary.unlink(missing_ok=True)

@@ -99,7 +99,7 @@ def measure(
                     pixels = dimmed(image.pixels, light, slot.index)
                     predicted = network.infer(rgb(as_sent(pixels, source.camera)), source.camera)
                     score = score_frame(image.stamp_ns, predicted, truth, source.camera)
-                    why = predicted.reason or f"fewer than {LEAST_PIXELS} pixels have both depths"
+                    why = predicted.reason or "too few pixels have both depths"
                 except Exception as error:  # native code raises anything; the other frames have their scores
                     why = f"an inference failed: {native_line(error)}"
             if score is None:
@@ -123,7 +123,7 @@ def score_frame(
         truth, x.astype(np.float32), y.astype(np.float32), cv2.INTER_NEAREST, None, cv2.BORDER_CONSTANT, 0
     )
     both = (seen > NEAREST) & (seen < FARTHEST) & (predicted.depth > 0)
-    if not predicted.valid or both.sum() < LEAST_PIXELS:
+    if not predicted.valid or both.sum() < min(LEAST_PIXELS, predicted.depth.size // 4):
         return None
     ratio = seen[both].astype(np.float64) / predicted.depth[both]
     return FrameScore(

@@ -26,7 +26,7 @@ from prism_edge.sources import Image, Source, Unreadable, open_source
 from prism_edge.sources.mask import Shown, mask_for
 from prism_edge.tracking.features import OrbExtractor
 
-NO_STAMPS = "if its images have no stamps, give the run's source.rate_hz"
+NO_STAMPS = "if its images have no stamps, give the run's source.rate_hz; if it was looped, source.loop"
 SHRUNK = "if the run made its images smaller, give its source.shrink"
 NO_PICTURE = f"of whose time the recording has no picture: {NO_STAMPS}"
 OTHER_PICTURE = "of whose time the recording's picture is another: the map may be of several recordings"
@@ -54,7 +54,7 @@ def gather(
     Raises SourceError where the recording is not the map's, and ModelError.
     """
     # The camera is the map's: a robot's own file names one, which a simulated world would refuse.
-    source = open_source(replace(config.source, loop=False, camera=""), calibrated=False)
+    source = open_source(replace(config.source, camera=""), calibrated=False)
     if source.live:
         raise SourceError(f"{source.name} is a camera, which has no past: give the recording of the map")
     depth = depth_for(config, mount)
@@ -98,7 +98,7 @@ class Pictures:
     ) -> None:
         """``mask`` gives what of images (width, height) shows the world."""
         self.found = 0
-        self._tracking, self._mask = config.tracking, mask
+        self._tracking, self._mask, self._is_looped = config.tracking, mask, config.source.loop
         self._extractors: dict[tuple[int, int], OrbExtractor] = {}
         self._seen, self._without = seen, without
 
@@ -107,7 +107,10 @@ class Pictures:
         at: dict[int, list[Viewpoint]] = {}
         for view in self._seen:
             at.setdefault(view.stamp_ns, []).append(view)
+        last = max(at, default=0)
         while at and (slot := source.peek()) is not None:
+            if self._is_looped and slot.stamp_ns > last:  # it has no end of its own
+                break
             # A video's next stamp is a guess before it is read, which skipping would hardly be cheaper than.
             if not source.decodes_skipped and slot.stamp_ns not in at:
                 source.skip()

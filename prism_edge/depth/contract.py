@@ -16,12 +16,13 @@ from typing import Any
 import yaml
 
 from prism_edge.depth.inner_tensor import POOLINGS
+from prism_edge.depth.onnx_file import CARD_PREFIX
 from prism_edge.depth.prediction import OPEN, PROBABILITY
 from prism_edge.errors import YAML_MISFITS, ModelError
 from prism_edge.messages import MOST_BIAS
 
 CONTRACT = 1  # version of the schema
-PREFIX = "prism_edge."
+PREFIX = CARD_PREFIX
 METRIC, FOCAL_NORMALISED = "metric", "focal_normalised"
 RELATIVE, INVERSE_RELATIVE = "relative", "inverse_relative"
 KINDS = (METRIC, FOCAL_NORMALISED, RELATIVE, INVERSE_RELATIVE)
@@ -228,6 +229,8 @@ def _check_whole(card: ModelCard, where: str) -> None:
         raise ModelError(f"{where}: dsug_tau and dsug_temperature come together or not at all")
     if card.confidence_kind and not card.confidence_output:
         raise ModelError(f"{where}: confidence_kind needs a confidence_output")
+    if card.sky_limit != ModelCard.sky_limit and not card.sky_output:
+        raise ModelError(f"{where}: sky_limit needs a sky_output")
     if card.descriptor_pooling and not (card.descriptor_output or card.descriptor_layer):
         raise ModelError(f"{where}: descriptor_pooling needs a descriptor_output or a descriptor_layer")
     if card.has_inner_descriptor and not card.descriptor_pooling:

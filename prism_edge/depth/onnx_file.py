@@ -27,6 +27,7 @@ _OPSET_DOMAIN, _OPSET_VERSION = 1, 2
 _ENTRY_KEY, _ENTRY_VALUE = 1, 2
 _VARINT, _FIXED64, _LENGTH, _FIXED32 = 0, 1, 2, 5
 
+CARD_PREFIX = "prism_edge."  # of a card's keys in metadata (depth/contract.py)
 DEEPEST = 16  # graphs within graphs; exported networks have two
 MOST_ENTRIES = 1_000  # of metadata
 LONGEST_TEXT = 65_536  # bytes
@@ -84,6 +85,8 @@ def _model_field(outline: Outline, number: int, value: int | Bytes) -> None:
             raise _NotOnnxError("more metadata than any model has")
         parts = dict(_fields(_message(value)))
         key, said = _text(parts.get(_ENTRY_KEY, b"")), parts.get(_ENTRY_VALUE, b"")
+        if key.startswith(CARD_PREFIX) and key in outline.metadata:  # of two scales the last would count
+            raise _NotOnnxError(f"its metadata say {key[:60]} twice")
         if isinstance(said, int) or len(said) <= LONGEST_TEXT:  # else somebody's training log: no card's
             outline.metadata[key] = _text(said)
     elif number == _MODEL_FUNCTIONS:

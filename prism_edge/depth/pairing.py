@@ -29,6 +29,7 @@ log = logging.getLogger("prism_edge.depth")
 GRID = (64, 48)  # columns and rows of samples: enough for two unknowns
 LEAST_SAMPLES = 100
 WORST_SPREAD = 0.4  # median relative residual beyond which the networks contradict each other
+_LEAST = float(np.finfo(np.float32).tiny)  # of a relative depth: its inverse is a number, too
 _NEARLY_ALL = 0.98  # share of positive relative depths from which their inverse is tried
 _ITERATIONS = 10
 _RECENT, _TELLING = 20, 5  # images that tell whether two networks are a pair; so many of them at least
@@ -194,9 +195,9 @@ class PairedNetwork:
         # Beyond the farthest the metric network saw, inverse depth near zero blows up.
         values = raw.depth
         if is_depth:
-            inverse = 1.0 / np.maximum(values, 1e-6)
-            there = np.isfinite(values) & (values != 0 if fit.of_depth else values > 0)
-            values = np.where(there, values if fit.of_depth else inverse, np.nan).astype(np.float32)
+            there = np.isfinite(values) & (values != 0 if fit.of_depth else values > _LEAST)
+            known = np.where(there, values, np.float32(np.nan))
+            values = known if fit.of_depth else (1.0 / known).astype(np.float32)
         farthest = 1.5 * float(np.percentile(metric.depth[metric.depth > 0], 99))
         depth = metres(values, fit, farthest)
         if self._metric.card.sky_output:  # what it takes for sky has no depth, whatever the other says there

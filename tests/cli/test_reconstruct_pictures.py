@@ -10,11 +10,15 @@ import cv2
 import numpy as np
 import pytest
 
+from prism_edge.backend import map_file
+from prism_edge.backend.stored_map import from_arrays, to_arrays
+from prism_edge.config import SourceConfig
 from prism_edge.depth.session import OnnxNetwork
 from prism_edge.depth.several_views import SeveralViewsNetwork
 from prism_edge.geometry.poses import inverse, transform
-from prism_edge.sources.base import Slot
+from prism_edge.sources.base import Image, Slot
 from prism_edge.sources.image_sequence import ImageSequence
+from prism_edge.sources.open import open_source
 from tests.cli.mapped_room import APART, CAMERA, FRAMES, MOUNT, SEED, Call, cloud, from_the_walls, true_map
 from tests.depth.test_several_views import write as write_several
 from tests.synthetic.render import Renderer
@@ -32,6 +36,27 @@ def test_keyframes_without_a_picture_are_counted(
     heard = capsys.readouterr()
     assert "5 of 8 keyframes" in heard.out
     assert "left out: 3 keyframes, of whose time the recording has no picture" in heard.err
+
+
+def test_keyframes_of_later_rounds_of_a_looped_recording_have_their_pictures(
+    call: Call, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    info, arrays = map_file.unpack((room / "room.prismmap").read_bytes())
+    world, index = from_arrays(info, arrays, 0)
+    with open_source(SourceConfig(uri=str(room / "seq"), loop=True)) as source:
+        stamps = [image.stamp_ns for _ in range(2 * FRAMES) if isinstance(image := source.read(), Image)]
+    for keyframe in list(world.keyframes.values())[4:]:
+        keyframe.taken_ns = stamps[keyframe.index + FRAMES]
+    facts, arrays = to_arrays(world, index)
+    (tmp_path / "looped.prismmap").write_bytes(map_file.pack({**info, **facts}, arrays))
+    words = "--no-pictures", "--width", 160, "--voxel", 0.05
+    assert call(*words, map=tmp_path / "looped.prismmap") == 0
+    heard = capsys.readouterr()
+    assert "4 of 8 keyframes" in heard.out
+    assert "source.loop" in heard.err
+    assert call(*words, "--overwrite", "--set", "source.loop=true", map=tmp_path / "looped.prismmap") == 0
+    assert "8 of 8 keyframes" in capsys.readouterr().out
+    assert np.median(from_the_walls(cloud(tmp_path / "out.ply")[0])) < 0.01
 
 
 def test_of_a_map_of_two_recordings_each_gives_its_own_keyframes(

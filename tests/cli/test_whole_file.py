@@ -56,3 +56,12 @@ def test_half_a_file_is_not_left_behind(
     with pytest.raises(type(stopped)):
         put_whole(tmp_path / "a.ply", b"after")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a.ply", b"before")]
+
+
+def test_who_may_read_a_file_stays_as_it_was(tmp_path: Path) -> None:
+    file = tmp_path / "map.ply"
+    file.write_bytes(b"before")
+    file.chmod(0o640)
+    put_whole(file, b"after")
+    assert file.read_bytes() == b"after"
+    assert file.stat().st_mode & 0o777 == 0o640

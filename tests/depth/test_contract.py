@@ -59,6 +59,7 @@ def test_a_line_may_have_five_hundred_characters():
         ({"contract": None}, "contract"),
         ({"confidence_output": "c", "confidence_kind": "percent"}, "none of probability, open"),
         ({"confidence_kind": "open"}, "needs a confidence_output"),
+        ({"sky_limit": 0.5}, "needs a sky_output"),
         ({"surprise": 1}, "unknown key 'surprise'"),
         ({"depth_kind": "metres"}, "none of metric"),
         ({"canonical_focal_length": "long"}, "a number is needed"),

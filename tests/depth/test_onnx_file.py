@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from onnx import TensorProto, helper, numpy_helper
 
 from prism_edge.depth.onnx_file import LONGEST_TEXT, External, Outline, read_outline
+from prism_edge.depth.session import OnnxNetwork
 from prism_edge.errors import ModelError
 from tests.synthetic.network import TinyNetwork, write_tiny_network
 
@@ -254,3 +255,18 @@ def test_metadata_longer_than_any_card_is_passed_over(tmp_path: Path):
     outline = read_outline(memoryview(model.SerializeToString()), "net.onnx")
     assert "training_config" not in outline.metadata
     assert {"short", "prism_edge.name"} <= set(outline.metadata)
+
+
+def test_a_card_s_key_that_metadata_say_twice_is_refused_and_another_s_is_not(tmp_path: Path):
+    """Of two scales the last would count, and nobody would know."""
+    path = write_tiny_network(tmp_path / "net.onnx")
+    model = onnx.load(path)
+    for value in ("3.0", "2.0"):
+        model.metadata_props.add(key="note", value=value)
+    onnx.save(model, path)
+    OnnxNetwork(path)
+    for value in ("3.0", "2.0"):
+        model.metadata_props.add(key="prism_edge.depth_scale", value=value)
+    onnx.save(model, path)
+    with pytest.raises(ModelError, match=r"prism_edge\.depth_scale twice"):
+        OnnxNetwork(path)

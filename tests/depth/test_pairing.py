@@ -167,6 +167,19 @@ def network(folder: Path, name: str, **options: object) -> OnnxNetwork:
     return OnnxNetwork(write_tiny_network(folder / f"{name}.onnx", TinyNetwork(name=name, **options)))
 
 
+@pytest.mark.parametrize("unit", [1.0, 1e-7])
+def test_relative_depth_may_be_of_any_unit(tmp_path: Path, monkeypatch, unit: float):
+    """Of a depth that only 1 / z = a / d + b fits."""
+    relative, metric = network(tmp_path, "r", depth_kind="relative"), network(tmp_path, "m")
+    alone = metric.infer(view()[0], CAMERA)
+    moved = (unit / (1.0 / alone.depth + 0.3)).astype(np.float32)
+    monkeypatch.setattr(relative, "raw", lambda rgb: (replace(alone, depth=moved), None))
+    paired = PairedNetwork(relative, metric)
+    answer = paired.infer(view()[0], CAMERA)
+    assert paired.counters == {"unpaired": 0}
+    np.testing.assert_allclose(answer.depth, alone.depth, rtol=1e-3)
+
+
 @pytest.mark.parametrize("kind", ["relative", "inverse_relative"])
 def test_relative_detail_comes_in_the_metric_networks_metres(tmp_path: Path, kind: str):
     relative = network(tmp_path, "fine", depth_kind=kind, gain=37.0, width=640, height=480)

@@ -133,6 +133,8 @@ def refusals(folder: str) -> None:
         "extension": ([*small, str(files / "refused.bin")], {}),
         "views": ([*small, out, "--views", "65"], {}),
         "no descriptor": ([*small, out, "--views", "5", "--descriptor", "token"], {}),
+        "no intrinsics": ([*small, out, "--views", "5", "--intrinsics"], {}),
+        "another's name": ([*small, out, "--name", "prism_nano"], {}),
         "two weights": ([unread, *small, out], {}),
         "no metres": ([*small, out, "--scale-bias-sigma", "0.3"], {}),
         "images first": ([unread, out, "--model", "da3-small", "--images", str(files / "absent")], {}),

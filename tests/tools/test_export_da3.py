@@ -184,6 +184,8 @@ def test_what_cannot_be_exported_is_refused_in_one_line_and_leaves_no_file(expor
         "extension": "ending in .onnx",
         "views": "1 to 64",
         "no descriptor": "leave --descriptor out",
+        "no intrinsics": "leave --intrinsics out",
+        "another's name": "is that of a registered file",
         "two weights": "takes no checkpoint",
         "no metres": "leave --scale-bias-sigma out",
         "images first": "no such file or folder",

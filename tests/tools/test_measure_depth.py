@@ -73,6 +73,12 @@ def test_what_can_not_be_measured_is_one_line(tmp_path: Path, capsys, arguments:
     assert captured.err.count("\n") == 1
 
 
+def test_a_network_of_a_small_map_has_scores(folder: Path, tmp_path: Path):
+    path = write_tiny_network(tmp_path / "tiny.onnx", TinyNetwork(width=80, height=60))  # 20 x 15
+    scores, unscored = measure_depth.measure(folder, open_network(str(path), DepthConfig()), every=4)
+    assert (len(scores), unscored) == (2, [])
+
+
 def test_in_little_light_the_network_is_shown_a_darker_and_noisier_picture(folder: Path):
     shown: dict[float, list[np.ndarray]] = {1.0: [], 0.1: []}
     for light, pictures in shown.items():

@@ -83,7 +83,10 @@ def _read(file: Path) -> dict[str, torch.Tensor]:
             weights = torch.load(str(file), map_location="cpu", weights_only=True)  # runs no pickled code
             weights = weights.get("state_dict", weights.get("model", weights))
     except Exception as error:  # safetensors', torch's and zipfile's, without a common root
-        raise ModelError(f"{file}: can't be read as weights ({first_line(error, 100)})") from None
+        why = first_line(error, 100)
+        if "GLOBAL" in str(error):  # torch's word for code, in lines with escapes for a terminal
+            why = "it holds pickled code, which is not run: save the network's state_dict()"
+        raise ModelError(f"{file}: can't be read as weights ({why})") from None
     if not isinstance(weights, dict) or not all(isinstance(item, torch.Tensor) for item in weights.values()):
         raise ModelError(f"{file}: holds no table of tensors")
     return weights

@@ -13,6 +13,7 @@ import torch
 
 from prism_edge.depth.contract import FOCAL_NORMALISED, ModelCard, card_from_mapping
 from prism_edge.depth.prediction import OPEN
+from prism_edge.depth.registry import find
 from prism_edge.errors import ModelError
 from tools.export_da3 import convert, parity
 from tools.export_da3.checkpoints import METRIC_FOCAL_LENGTH, Checkpoint
@@ -98,8 +99,12 @@ def check(job: Job, variants: list[Variant]) -> None:
         raise ModelError(f"{first.name}: takes one view, alone or nested; it has no poses to be given")
     if (job.wanted.rays or job.wanted.intrinsics) and not first.several_views:
         raise ModelError(f"{first.name}: predicts neither rays nor intrinsics")
+    if job.views > 1 and job.wanted.intrinsics:
+        raise ModelError("a network of several views puts out predicted_intrinsics: leave --intrinsics out")
     for precision in job.precisions:
-        _card(job, variants, precision, {})
+        namesake = find(_card(job, variants, precision, {}).name)
+        if namesake and namesake.card:
+            raise ModelError(f"--name {namesake.name}: is that of a registered file, which this is not")
     if job.images:  # those of a simulated room are always there
         pictures(job.images, max(_IMAGES, job.views))
 
