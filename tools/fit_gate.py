@@ -29,7 +29,7 @@ from prism_edge.config import Config, DepthConfig, GateConfig, SourceConfig  # n
 from prism_edge.depth import DepthNetwork, open_network  # noqa: E402
 from prism_edge.errors import ModelError, PrismError, SourceError  # noqa: E402
 from prism_edge.evaluation.trajectory import read_tum  # noqa: E402
-from prism_edge.scale.gate import DepthView, Gate, GateParameters  # noqa: E402
+from prism_edge.scale.gate import DepthGate, DepthView, GateParameters  # noqa: E402
 from prism_edge.sources.base import Image  # noqa: E402
 from prism_edge.sources.open import open_source  # noqa: E402
 from prism_edge.tracking.features import OrbExtractor  # noqa: E402
@@ -85,7 +85,7 @@ def keyframes(folder: Path, network: DepthNetwork, every: int, poses: Path | Non
 
 def uncertainties(frames: Keyframes, parameters: GateParameters, memory: int) -> Array:
     """u of every feature that anything is known of."""
-    gate, found = Gate(memory), []
+    gate, found = DepthGate(memory), []
     for view, pixels in frames:
         found.append(gate.assess(view, pixels, parameters).uncertainty)
         gate.remember(view)

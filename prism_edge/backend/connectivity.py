@@ -1,4 +1,4 @@
-"""What hangs together in a map: by any shared point, or by ties that a correction may follow."""
+"""What hangs together in a map: by any shared point, or by covisibility that a correction may follow."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from prism_edge.geometry.poses import rotation_angle
 from prism_edge.messages import HOME
 from prism_edge.tracking.point_table import Ids
 
-Ties = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and how many points they share
+Edges = dict[tuple[int, int], float]  # pairs of keyframes, the older first, and how many points they share
 
-MANY_SHARED = 50  # every such pair is tied; of the others each keyframe with its best few
+MANY_SHARED = 50  # every such pair is joined; of the others each keyframe with its best few
 BEST_FEW = 3
-FEW_SHARED = 10  # fewer may be chance matches: they tie nothing
+FEW_SHARED = 10  # fewer may be chance matches: they join nothing
 MOST_AT_ONCE = 1_000_000  # pairs counted: where hundreds see each point a map has hundreds of millions
 LOOPED = 30.0  # shared points that a loop counts as, or having been followed from one to the other
 
@@ -60,9 +60,9 @@ def parts_of(world: GlobalMap) -> dict[int, int]:
     return {k: of for k, of in part.items() if of != HOME}
 
 
-def ties(world: GlobalMap, loops: list[tuple[int, int]]) -> Ties:
-    """Keyframes that share enough points, and those that loops so far have joined."""
-    found: Ties = {}
+def covisibility(world: GlobalMap, loops: list[tuple[int, int]]) -> Edges:
+    """Edges between keyframes that share enough points, and those that loops have joined so far."""
+    found: Edges = {}
     older, newer, shared = shared_points(world)
     enough = np.flatnonzero(shared >= FEW_SHARED)
     most_first = enough[np.lexsort((-older[enough], -shared[enough], newer[enough]))]
@@ -78,14 +78,14 @@ def ties(world: GlobalMap, loops: list[tuple[int, int]]) -> Ties:
     return found
 
 
-def with_bridges(world: GlobalMap, by: Ties) -> Ties:
-    """Ties, and where they break within one part of the map one along the camera's own way.
+def with_bridges(world: GlobalMap, edges: Edges) -> Edges:
+    """The edges, and where they break within one part of the map one along the camera's own way.
 
     Keyframes that were never heard of (the backend was started anew while the camera turned) leave the next
     no point that it shares with those before; yet the camera was followed all along, so drift has its bounds.
     """
-    found = dict(by)
-    piece = {k: number for number, tied in enumerate(_pieces(world, by)) for k in tied}
+    found = dict(edges)
+    piece = {k: number for number, joined in enumerate(_pieces(world, edges)) for k in joined}
     last: dict[int, int] = {}  # keyframe of each part
     for k in sorted(world.keyframes):
         of = world.keyframes[k].part
@@ -118,10 +118,10 @@ def shared_points(world: GlobalMap) -> tuple[Ids, Ids, Ids]:
     return numbers[found % len(numbers)], numbers[found // len(numbers)], shared
 
 
-def reachable(by: Ties, start: set[int]) -> set[int]:
-    """Keyframes to which ties lead from some, those included."""
+def reachable(edges: Edges, start: set[int]) -> set[int]:
+    """Keyframes to which edges lead from some, those included."""
     near: dict[int, list[int]] = {}
-    for a, b in by:
+    for a, b in edges:
         near.setdefault(a, []).append(b)
         near.setdefault(b, []).append(a)
     seen, front = set(start), list(start)
@@ -133,23 +133,23 @@ def reachable(by: Ties, start: set[int]) -> set[int]:
     return seen
 
 
-def tied_parts(world: GlobalMap, loops: list[tuple[int, int]]) -> list[set[int]]:
-    """Keyframes that are tied together; the first keyframe's come first."""
-    return _pieces(world, ties(world, loops))
+def joined_pieces(world: GlobalMap, loops: list[tuple[int, int]]) -> list[set[int]]:
+    """Keyframes that edges join; the first keyframe's come first."""
+    return _pieces(world, covisibility(world, loops))
 
 
-def _pieces(world: GlobalMap, by: Ties) -> list[set[int]]:
+def _pieces(world: GlobalMap, edges: Edges) -> list[set[int]]:
     left, found = set(world.keyframes), []
     while left:
-        found.append(reachable(by, {min(left)}) & left)
+        found.append(reachable(edges, {min(left)}) & left)
         left -= found[-1]
     return found
 
 
-def ways(world: GlobalMap, by: Ties, start: int) -> dict[int, Way]:
-    """The shortest way from one keyframe to others by ties as strong as a loop at least."""
+def ways(world: GlobalMap, edges: Edges, start: int) -> dict[int, Way]:
+    """The shortest way from one keyframe to others by edges as strong as a loop at least."""
     near: dict[int, list[tuple[int, float]]] = {}
-    for (a, b), shared in by.items():
+    for (a, b), shared in edges.items():
         if shared >= LOOPED:
             here, there = world.keyframes[a].world_from_camera, world.keyframes[b].world_from_camera
             step = math.dist(here[:3, 3], there[:3, 3])

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from prism_edge.backend import global_adjustment, pose_graph
-from prism_edge.backend.connectivity import Way, reachable, tied_parts, ties, ways, with_bridges
+from prism_edge.backend.connectivity import Way, covisibility, joined_pieces, reachable, ways, with_bridges
 from prism_edge.backend.free_points import explained
 from prism_edge.backend.global_adjustment import GlobalAdjustment
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
@@ -170,8 +170,8 @@ class LoopCloser:
 
     def _connected(self, loop: Loop) -> bool:
         if self._part is None:  # once for all candidates of a query: it goes through the whole map
-            by = with_bridges(self._world, ties(self._world, self._pairs()))
-            self._part, self._ways = reachable(by, {loop.query}), ways(self._world, by, loop.query)
+            edges = with_bridges(self._world, covisibility(self._world, self._pairs()))
+            self._part, self._ways = reachable(edges, {loop.query}), ways(self._world, edges, loop.query)
         return loop.candidate in self._part
 
     def _pairs(self) -> list[tuple[int, int]]:
@@ -361,7 +361,7 @@ class LoopCloser:
         self._finds_lens = self._lens.due(self._world)
         if not self._finds_lens:
             self._wanted, self._last_begun, self._begun_ns = False, self._count, self._now_ns
-        parts = tied_parts(self._world, self._pairs())
+        parts = joined_pieces(self._world, self._pairs())
         try:
             said = self._lens.said(self._world) if self._finds_lens else None
             self._adjustment = GlobalAdjustment(

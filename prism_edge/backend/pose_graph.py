@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import X
 
-from prism_edge.backend.connectivity import hanging_together, reachable, ties, with_bridges
+from prism_edge.backend.connectivity import covisibility, hanging_together, reachable, with_bridges
 from prism_edge.backend.frame import take_references
 from prism_edge.backend.free_points import doubt
 from prism_edge.backend.global_map import GlobalMap
@@ -51,13 +51,13 @@ def spread(
 
     The first keyframe is held, and the map keeps its unit on the whole: the scale that everybody uses stays
     right. ``earlier`` are pairs that past loops joined. Keyframes that hang together with neither end stay
-    out. Where no ties lead from one end to the other the newer side moves as one; where they share no point
+    out. Where no edges lead from one end to the other the newer side moves as one; where they share no point
     either, or the tracker has them in two parts of the map, the older one's unit is kept. Then the second of
     what is returned is the log of the newer one's unit in it, else None.
     """
     if not (np.isfinite(loop.world_from_query).all() and np.isfinite(loop.scale) and loop.scale > 0):
         return None
-    edges = with_bridges(world, ties(world, earlier))
+    edges = with_bridges(world, covisibility(world, earlier))
     part = reachable(edges, {loop.query, loop.candidate})
     values, graph = gtsam.Values(), gtsam.NonlinearFactorGraph()
     for k in part:

@@ -28,7 +28,7 @@ class Ray:
 
 
 @dataclass
-class Problem:
+class WindowProblem:
     """A window as gtsam has it. ``rays`` are not in ``graph``: each round makes them anew.
 
     ``standing`` are the keyframes whose poses are no variables: what they see are factors of points alone,
@@ -55,7 +55,7 @@ class Settled:
     iterations: int
 
 
-def settle(world: GlobalMap, problem: Problem, start: gtsam.Values, iterations: int) -> Settled | None:
+def settle(world: GlobalMap, problem: WindowProblem, start: gtsam.Values, iterations: int) -> Settled | None:
     """Levenberg-Marquardt from a start; None where gtsam fails."""
     parameters = solver(points_first(problem.points, problem.variables), len(problem.variables))
     parameters.setRelativeErrorTol(1e-4)
@@ -86,7 +86,7 @@ def settle(world: GlobalMap, problem: Problem, start: gtsam.Values, iterations: 
 
 
 def costs_of(
-    world: GlobalMap, problem: Problem, one: gtsam.Values, other: gtsam.Values
+    world: GlobalMap, problem: WindowProblem, one: gtsam.Values, other: gtsam.Values
 ) -> tuple[float, float]:
     """What two solutions cost (nats), rays whitened by both's ranges: by its own a near one has less."""
     graphs = with_rays(world, problem, one), with_rays(world, problem, other)
@@ -94,7 +94,7 @@ def costs_of(
     return float(before), float(after)
 
 
-def with_rays(world: GlobalMap, problem: Problem, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
+def with_rays(world: GlobalMap, problem: WindowProblem, values: gtsam.Values) -> gtsam.NonlinearFactorGraph:
     """The problem's graph with its ray factors, whitened by the ranges that ``values`` have."""
     if not problem.rays:
         return problem.graph
@@ -108,7 +108,7 @@ def with_rays(world: GlobalMap, problem: Problem, values: gtsam.Values) -> gtsam
     return graph
 
 
-def stale(problem: Problem, whitened_at: gtsam.Values, now: gtsam.Values) -> bool:
+def stale(problem: WindowProblem, whitened_at: gtsam.Values, now: gtsam.Values) -> bool:
     """Whether a tenth of the rays or more has a range that differs by more than RANGE_CHANGE (log)."""
     if not problem.rays:
         return False
@@ -116,7 +116,7 @@ def stale(problem: Problem, whitened_at: gtsam.Values, now: gtsam.Values) -> boo
     return bool(np.mean(np.abs(np.log(before / after)) > RANGE_CHANGE) > 0.1)
 
 
-def ranges_of(problem: Problem, values: gtsam.Values) -> Array:
+def ranges_of(problem: WindowProblem, values: gtsam.Values) -> Array:
     """Distance (n,) of each ray's point from its camera."""
     cameras = {ray.keyframe for ray in problem.rays}
     centres = {k: keyframe.world_from_camera[:3, 3] for k, keyframe in problem.standing.items()}

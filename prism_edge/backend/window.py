@@ -14,7 +14,7 @@ from gtsam.symbol_shorthand import L, X
 from prism_edge.backend.factors import FactorFactory, held
 from prism_edge.backend.global_map import GlobalKeyframe, GlobalMap
 from prism_edge.backend.second_start import clearly_less, is_exchanged, mirrored, of_network, second_start
-from prism_edge.backend.settling import Problem, Ray, Settled, costs_of, settle
+from prism_edge.backend.settling import Ray, Settled, WindowProblem, costs_of, settle
 from prism_edge.backend.sizes import astray, size_factors, sizes
 from prism_edge.backend.ties import at_one_spot, median_range, untied
 from prism_edge.config import BackendConfig
@@ -122,7 +122,7 @@ def assemble(
     units_per_metre: float,
     use_depth: bool,
     use_rays: bool,
-) -> Problem:
+) -> WindowProblem:
     """Factors and starting values of a window.
 
     With one pose held scale rests on depth: then there is a metric depth factor wherever a keyframe has depth
@@ -194,7 +194,7 @@ def assemble(
     variables = sorted(members.keys() - standing.keys())
     is_sized = bool(placed) or (window.reaches_out and len(said) >= LEAST_SAID)
     of_any_unit = scale_is_free and not is_sized
-    return Problem(
+    return WindowProblem(
         graph, values, observations, rays, factors, standing, variables, window.points, placed, of_any_unit
     )
 
@@ -254,7 +254,7 @@ def solve(
     return Solution(poses, points, parallax, wrong, solved.iterations, problem.unit_is_free)
 
 
-def _places(problem: Problem, solved: Settled) -> tuple[dict[int, Array], dict[int, Array]]:
+def _places(problem: WindowProblem, solved: Settled) -> tuple[dict[int, Array], dict[int, Array]]:
     """Poses (4, 4) of its keyframes and places (3,) of its points."""
     found = {k: solved.values.atPose3(X(k)).matrix() for k in problem.variables}
     return found, {p: np.asarray(solved.values.atPoint3(L(p))) for p in problem.points}
@@ -265,7 +265,7 @@ def _or_from(
     how: str,
     world: GlobalMap,
     window: Window,
-    problem: Problem,
+    problem: WindowProblem,
     iterations: int,
     solved: Settled,
 ) -> Settled:

@@ -141,7 +141,7 @@ def temporal_uncertainty(
     return np.asarray(np.where(count > 0, total / np.maximum(count, 1.0), np.nan))
 
 
-class Gate:
+class DepthGate:
     """Remembers the last few depth views of a map and gates the next."""
 
     def __init__(self, memory: int) -> None:
@@ -182,9 +182,9 @@ class Gate:
             moved = [replace(v, world_from_camera=motion @ v.world_from_camera) for v in self._views]
             self._views = deque(moved, self._views.maxlen)
 
-    def copy(self) -> Gate:
+    def copy(self) -> DepthGate:
         """A gate with the same memory, that keeps it."""
-        other = Gate(self._views.maxlen or 1)
+        other = DepthGate(self._views.maxlen or 1)
         other._views.extend(self._views)
         return other
 

@@ -10,7 +10,7 @@ from prism_edge.config import GateConfig
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.messages import Depth, Keyframe
-from prism_edge.scale.gate import DepthView, Floats, Gate, Gated, GateParameters, image_pixels
+from prism_edge.scale.gate import DepthGate, DepthView, Floats, Gated, GateParameters, image_pixels
 from prism_edge.scale.samples import samples_of
 
 LEAST_RATIOS = 15  # of triangulated points, whose median beats the filter: aligning place by place takes more
@@ -34,12 +34,12 @@ class KeyframeGate:
     def __init__(self, config: GateConfig, active: bool = True) -> None:
         self._config = config
         self._active = active
-        self._gate = Gate(config.memory)
-        self._newest: tuple[DepthView, Gate, GateParameters] | None = None
+        self._gate = DepthGate(config.memory)
+        self._newest: tuple[DepthView, DepthGate, GateParameters] | None = None
 
     def forget(self) -> None:
         """A new map has begun."""
-        self._gate = Gate(self._config.memory)
+        self._gate = DepthGate(self._config.memory)
         self._newest = None
 
     def parameters(self, depth: Depth) -> GateParameters | None:

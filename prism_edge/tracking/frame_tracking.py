@@ -19,6 +19,7 @@ from prism_edge.tracking.point_trust import proven
 from prism_edge.tracking.pose_from_map import SEED_SIGMA, Centres, PoseFromMap
 from prism_edge.tracking.pose_refinement import PoseEstimate
 from prism_edge.tracking.projection import expected_octaves, project
+from prism_edge.tracking.view import View
 
 # Hamming distances of 256: the same corner seen again stays well below, another one is near 128.
 MOTION_DISTANCE, MOTION_RATIO = 64, 0.9
@@ -64,7 +65,6 @@ class FrameTracker:
         self._factors = scale_factors
         self.pose = PoseFromMap(scale_factors, proven_after_s)
         self.expected: Prediction | None = None  # of the frame at hand
-        self.taken_ns = 0  # when that was
         self.learns = True  # of points how often they are found: not from places where the camera may not be
         self._most = max_local_points
         self._local_ids: Ids = np.zeros(0, np.int64)
@@ -83,8 +83,7 @@ class FrameTracker:
     def track_after(
         self,
         world: LocalMap,
-        camera: Camera,
-        features: Features,
+        view: View,
         moving: Array,
         previous: TrackedFrame,
         enough: int,
@@ -96,7 +95,7 @@ class FrameTracker:
         """
         best: TrackedFrame | None = None
         for predicted in (moving, previous.world_from_camera):
-            tried = self.track(world, camera, features, predicted, previous, enough)
+            tried = self.track(world, view, predicted, previous, enough)
             if tried is not None and (best is None or tried.matched > best.matched):
                 best = tried
             if best is not None and best.matched > SUDDEN_LOSS * previous.matched:
@@ -106,15 +105,14 @@ class FrameTracker:
     def track(
         self,
         world: LocalMap,
-        camera: Camera,
-        features: Features,
+        view: View,
         predicted: Array,
         previous: TrackedFrame | None,
         enough: int,
     ) -> TrackedFrame | None:
         """Place a frame near ``predicted`` (world_from_camera); None where too little agrees."""
-        views = world.centres()  # once for all solutions
-        estimate, points = self._follow(world, views, camera, features, predicted, previous, enough)
+        centres = world.centres()  # once for all solutions
+        estimate, points = self._follow(world, centres, view, predicted, previous, enough)
         if estimate is None:
             return None
         table = world.points
@@ -122,8 +120,8 @@ class FrameTracker:
         wanted[table.rows(points.compress(points >= 0))] = False
         local = table.live_rows(self._local_ids)
         local = local.compress(wanted.take(local))
-        self._extend(world, camera, features, estimate.world_from_camera, local, points)
-        final = self._solve(world, views, camera, features, estimate.world_from_camera, points)
+        self._extend(world, view, estimate.world_from_camera, local, points)
+        final = self._solve(world, centres, view, estimate.world_from_camera, points)
         if final is None:
             return None
         estimate, keypoints = final
@@ -132,21 +130,21 @@ class FrameTracker:
             world.points.found[rows] += 1
         points[keypoints.compress(~estimate.inliers)] = -1
         return TrackedFrame(
-            camera,
-            features,
+            view.camera,
+            view.features,
             estimate.world_from_camera,
             points,
             estimate.covariance,
             len(rows),
             unobserved_translation(world, estimate.world_from_camera, rows),
-            best_parallax(world.points, rows, camera.fx),
+            best_parallax(world.points, rows, view.camera.fx),
             self.expected,
-            self.taken_ns,
+            view.taken_ns,
         )
 
-    def proven(self, world: LocalMap, rows: Index) -> NDArray[np.bool_]:
-        """Which points (n,) have stood their time, for the frame at hand."""
-        return proven(world.points, rows, self.pose.now(world, self.taken_ns), self.pose.proven_after_s)
+    def proven(self, world: LocalMap, rows: Index, taken_ns: int) -> NDArray[np.bool_]:
+        """Which points (n,) have stood their time, for a frame that was taken then."""
+        return proven(world.points, rows, self.pose.now(world, taken_ns), self.pose.proven_after_s)
 
     def usually_found(self, world: LocalMap, frame: TrackedFrame) -> float:
         """How many points of the local map are found from where a frame is, each as often as ever."""
@@ -163,9 +161,8 @@ class FrameTracker:
         self.expected = None
         keypoints = np.flatnonzero(points >= 0)
         rows = world.points.rows(points[keypoints])
-        estimate = self.pose.estimate(
-            world, frame.camera, frame.features, pose, rows, keypoints, (1, 0), taken_ns=self.taken_ns
-        )
+        view = View(frame.camera, frame.features, frame.taken_ns)
+        estimate = self.pose.estimate(world, view, pose, rows, keypoints, (1, 0))
         unobserved = unobserved_translation(world, pose, rows)
         return replace(
             frame, world_from_camera=pose, points=points, matched=len(keypoints),
@@ -173,25 +170,24 @@ class FrameTracker:
             parallax_deg=best_parallax(world.points, rows, frame.camera.fx), expected=None,
         )
 
-    def seen_again(self, world: LocalMap, frame: TrackedFrame, features: Features) -> TrackedFrame:
-        """The frame with its keypoints elsewhere (``features``, in the same order), placed anew by them."""
+    def seen_again(self, world: LocalMap, frame: TrackedFrame, view: View) -> TrackedFrame:
+        """The frame with its keypoints elsewhere (``view``, in the same order), placed anew by them."""
         start, points = frame.world_from_camera, frame.points.copy()
-        solved = self._solve(world, world.centres(), frame.camera, features, start, points)
+        solved = self._solve(world, world.centres(), view, start, points)
         if solved is None:
             return frame
         estimate, keypoints = solved
         points[keypoints[~estimate.inliers]] = -1
         return replace(
-            frame, features=features, world_from_camera=estimate.world_from_camera, points=points,
+            frame, features=view.features, world_from_camera=estimate.world_from_camera, points=points,
             covariance=estimate.covariance, matched=int(estimate.inliers.sum()),
         )
 
     def _follow(
         self,
         world: LocalMap,
-        views: Centres,
-        camera: Camera,
-        features: Features,
+        centres: Centres,
+        view: View,
         predicted: Array,
         previous: TrackedFrame | None,
         enough: int,
@@ -209,15 +205,15 @@ class FrameTracker:
             descriptors = table.descriptor.take(table.rows(ids), axis=0)
             octaves = table.octave.take(table.rows(ids))
         positions = table.position.take(table.rows(ids), axis=0)
-        centres, inside = project(camera, predicted, positions)
-        centres, ids = centres.compress(inside, axis=0), ids.compress(inside)
+        pixels, inside = project(view.camera, predicted, positions)
+        pixels, ids = pixels.compress(inside, axis=0), ids.compress(inside)
         octaves, descriptors = octaves.compress(inside), descriptors.compress(inside, axis=0)
         best: tuple[PoseEstimate, Ids] | None = None
         for radius in SEARCH_RADII:
-            points = np.full(len(features), -1, np.int64)
+            points = np.full(len(view.features), -1, np.int64)
             query, keypoint = match_projected(
-                features,
-                centres,
+                view.features,
+                pixels,
                 radius + 2.0 * self._factors[octaves],
                 octaves,
                 descriptors,
@@ -227,7 +223,7 @@ class FrameTracker:
             if len(query) >= enough:
                 points[keypoint] = ids[query]
                 solved = self._solve(
-                    world, views, camera, features, predicted, points, FIRST_POSE_ROUNDS, FIRST_POSE_POINTS
+                    world, centres, view, predicted, points, FIRST_POSE_ROUNDS, FIRST_POSE_POINTS
                 )
                 if solved is not None:
                     estimate, used = solved
@@ -239,21 +235,20 @@ class FrameTracker:
                     if count >= 2 * enough and count >= 0.5 * len(used):
                         break
         if best is None or best[0].inliers.sum() < enough // 2:
-            return None, np.full(len(features), -1, np.int64)
+            return None, np.full(len(view.features), -1, np.int64)
         return best
 
     def _extend(
         self,
         world: LocalMap,
-        camera: Camera,
-        features: Features,
+        view: View,
         pose: Array,
         rows: Index,
         points: Ids,
     ) -> None:
         """Look for further points of the local map at their predicted places; fills ``points``."""
         table = world.points
-        rows, centres, octave = self._in_sight(world, camera, pose, rows)
+        rows, pixels, octave = self._in_sight(world, view.camera, pose, rows)
         if self.learns:
             table.visible[rows] += 1
             table.visible[table.rows(points.compress(points >= 0))] += 1
@@ -262,8 +257,8 @@ class FrameTracker:
             table.log_depth_sigma.take(rows) > SEED_SIGMA, SEED_RADIUS, 0.0
         )
         query, keypoint = match_projected(
-            features,
-            centres,
+            view.features,
+            pixels,
             radius,
             octave,
             table.descriptor.take(rows, axis=0),
@@ -279,24 +274,23 @@ class FrameTracker:
         """Which points (rows) ought to be seen from a pose, at which pixels (n, 2) and levels (n,)."""
         table = world.points
         positions = table.position.take(rows, axis=0)
-        centres, inside = project(camera, pose, positions)
-        rows, centres = rows.compress(inside), centres.compress(inside, axis=0)
+        pixels, inside = project(camera, pose, positions)
+        rows, pixels = rows.compress(inside), pixels.compress(inside, axis=0)
         offset = pose[:3, 3] - positions.compress(inside, axis=0)
         distance = np.maximum(np.sqrt(np.einsum("ij,ij->i", offset, offset)), 1e-9)
         expected = expected_octaves(table, rows, distance, self._factors)
         inside = (expected >= -1) & (expected <= len(self._factors))
         along = np.einsum("ij,ij->i", offset, table.direction.take(rows, axis=0))
         inside &= along > MIN_VIEW_COSINE * distance
-        rows, centres = rows.compress(inside), centres.compress(inside, axis=0)
+        rows, pixels = rows.compress(inside), pixels.compress(inside, axis=0)
         octave = np.minimum(np.maximum(expected.compress(inside), 0), len(self._factors) - 1).astype(np.intp)
-        return rows, centres, octave
+        return rows, pixels, octave
 
     def _solve(
         self,
         world: LocalMap,
-        views: Centres,
-        camera: Camera,
-        features: Features,
+        centres: Centres,
+        view: View,
         start: Array,
         points: Ids,
         rounds: tuple[int, int] = POSE_ROUNDS,
@@ -307,6 +301,5 @@ class FrameTracker:
         if len(keypoints) < 6:
             return None
         rows = world.points.rows(points.take(keypoints))
-        return self.pose.estimate(
-            world, camera, features, start, rows, keypoints, rounds, views, self.expected, self.taken_ns
-        ), keypoints
+        estimate = self.pose.estimate(world, view, start, rows, keypoints, rounds, centres, self.expected)
+        return estimate, keypoints

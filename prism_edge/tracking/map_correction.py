@@ -13,7 +13,6 @@ from prism_edge.errors import ConfigError
 from prism_edge.geometry.cameras import LONGEST_READOUT_MS, PINHOLE, Camera
 from prism_edge.geometry.poses import Array, from_rt, inverse, normalised, transform
 from prism_edge.messages import HOME, MapUpdate
-from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import TrackedFrame
 from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 from prism_edge.tracking.mapping import depth_sigma, merge
@@ -21,6 +20,7 @@ from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.point_table import Ids, Index
 from prism_edge.tracking.pose_from_map import PoseFromMap
 from prism_edge.tracking.submaps import Parts
+from prism_edge.tracking.view import View
 
 log = logging.getLogger("prism_edge.tracking")
 
@@ -149,8 +149,9 @@ def apply_correction(
             start, settled = motions[_beside(keyframes, i, placed)], corrected | placed[owner]
         else:
             start, settled = moved.get(part[i], np.eye(4)), corrected | (table.reference != keyframe.id)
+        view = View(keyframe.camera, keyframe.features)
         keyframe.world_from_camera = fit(
-            world, keyframe.camera, keyframe.features, keyframe.points, _carried(start, old), pose, settled
+            world, view, keyframe.points, _carried(start, old), pose, settled
         )
         motions[i] = _similarity(old, keyframe.world_from_camera, growth.get(part[i], 1.0))
         mine = np.flatnonzero(follows & (owner == i))
@@ -280,22 +281,18 @@ def refit(world: LocalMap, last: TrackedFrame, start: Array, pose: PoseFromMap) 
     start = normalised(start)
     if last.expected is not None:
         last.expected = last.expected.carried(start @ inverse(last.world_from_camera))
-    seen = last.camera, last.features, last.points
-    last.world_from_camera = fit(
-        world, *seen, start, pose, prediction=last.expected, taken_ns=last.taken_ns
-    )
+    view = View(last.camera, last.features, last.taken_ns)
+    last.world_from_camera = fit(world, view, last.points, start, pose, prediction=last.expected)
 
 
 def fit(
     world: LocalMap,
-    camera: Camera,
-    features: Features,
+    view: View,
     points: Ids,
     start: Array,
     pose: PoseFromMap,
     usable: NDArray[np.bool_] | None = None,
     prediction: Prediction | None = None,
-    taken_ns: int = 0,
 ) -> Array:
     """world_from_camera that fits the points of a view, or ``start`` where too few are ``usable``."""
     keypoints = np.flatnonzero(points >= 0)
@@ -307,7 +304,5 @@ def fit(
     start = normalised(start)
     if len(rows) < MIN_COMMON:
         return start
-    estimate = pose.estimate(
-        world, camera, features, start, rows, keypoints, prediction=prediction, taken_ns=taken_ns
-    )
+    estimate = pose.estimate(world, view, start, rows, keypoints, prediction=prediction)
     return estimate.world_from_camera if estimate.inliers.sum() >= MIN_COMMON else start

@@ -7,14 +7,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
-from prism_edge.tracking.features import Features
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.point_table import Ids, Index, PointTable
 from prism_edge.tracking.point_trust import trust
 from prism_edge.tracking.pose_refinement import PoseEstimate, refine_pose
+from prism_edge.tracking.view import View
 
 SEED_SIGMA = 0.1  # relative depth error beyond which a point counts as a seed
 ENOUGH_TRIANGULATED = 60
@@ -42,41 +41,36 @@ class PoseFromMap:
     def estimate(
         self,
         world: LocalMap,
-        camera: Camera,
-        features: Features,
+        view: View,
         start: Array,
         rows: Index,
         keypoints: Index,
         rounds: tuple[int, int] = ROUNDS,
-        views: Centres | None = None,
+        centres: Centres | None = None,
         prediction: Prediction | None = None,
-        taken_ns: int = 0,
     ) -> PoseEstimate:
-        """world_from_camera, from ``start`` on, by ``keypoints`` (n,) that show the points in ``rows``.
-
-        ``taken_ns``: when the view was, for :meth:`now`.
-        """
+        """world_from_camera, from ``start`` on, by ``keypoints`` (n,) that show the points in ``rows``."""
         table = world.points
         return refine_pose(
-            camera,
+            view.camera,
             start,
             table.position.take(rows, axis=0),
-            features.pixels.take(keypoints, axis=0),
-            self.scale_factors.take(features.octaves.take(keypoints)),
-            shared_depth_error(world, rows, views),
-            trust(table, rows, self.now(world, taken_ns), self.proven_after_s),
+            view.features.pixels.take(keypoints, axis=0),
+            self.scale_factors.take(view.features.octaves.take(keypoints)),
+            shared_depth_error(world, rows, centres),
+            trust(table, rows, self.now(world, view.taken_ns), self.proven_after_s),
             rounds=rounds[0],
             iterations=rounds[1],
             prediction=prediction,
         )
 
 
-def shared_depth_error(world: LocalMap, rows: Index, views: Centres | None = None) -> Array:
+def shared_depth_error(world: LocalMap, rows: Index, centres: Centres | None = None) -> Array:
     """Errors along the first rays; seeds of one network share theirs, so many of them tell little more.
 
     Beside enough triangulated points a seed is left to fix what its first ray says, not its depth.
     """
-    error = depth_error(world.points, rows, reference_origins(world, rows, views))
+    error = depth_error(world.points, rows, reference_origins(world, rows, centres))
     seeds = np.flatnonzero(world.points.log_depth_sigma.take(rows) > SEED_SIGMA)
     if len(rows) - len(seeds) >= ENOUGH_TRIANGULATED:
         error[seeds] *= SHARED_SEED_ERROR
@@ -88,11 +82,11 @@ def depth_error(table: PointTable, rows: Index, origins: Array) -> Array:
     return (table.position.take(rows, axis=0) - origins) * table.log_depth_sigma.take(rows)[:, None]
 
 
-def reference_origins(world: LocalMap, rows: Index, views: Centres | None = None) -> Array:
+def reference_origins(world: LocalMap, rows: Index, centres: Centres | None = None) -> Array:
     """Where the camera was that created each point, or of the keyframe that a culled one handed it on to.
 
-    ``views`` are the map's :meth:`~prism_edge.tracking.local_map.LocalMap.centres`, where they are at hand.
+    ``centres`` are the map's :meth:`~prism_edge.tracking.local_map.LocalMap.centres`, where they are at hand.
     """
-    numbers, centres = world.centres() if views is None else views
-    origins: Array = centres.take(np.searchsorted(numbers, world.points.reference.take(rows)), axis=0)
+    numbers, places = world.centres() if centres is None else centres
+    origins: Array = places.take(np.searchsorted(numbers, world.points.reference.take(rows)), axis=0)
     return origins

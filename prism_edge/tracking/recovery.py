@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
@@ -15,6 +14,7 @@ from prism_edge.tracking.perspective_pose import perspective_pose
 from prism_edge.tracking.point_table import Ids
 from prism_edge.tracking.point_trust import MIN_PROVEN
 from prism_edge.tracking.projection import project
+from prism_edge.tracking.view import View
 
 MAX_DISTANCE = 60
 MIN_INLIERS, PNP_PX = 15, 6.0
@@ -37,42 +37,39 @@ def match_keyframe(features: Features, keyframe: LocalKeyframe) -> tuple[Ids, Id
     return a[close], keyframe.points[seen[b[close]]]
 
 
-def locate(
-    world: LocalMap, camera: Camera, features: Features, keyframe: LocalKeyframe, seed: int
-) -> Array | None:
+def locate(world: LocalMap, view: View, keyframe: LocalKeyframe, seed: int) -> Array | None:
     """Pose (world_from_camera) by perspective-n-point RANSAC on one keyframe's points; None if it fails."""
-    keypoints, ids = match_keyframe(features, keyframe)
+    keypoints, ids = match_keyframe(view.features, keyframe)
     known = world.points.known(ids)
     keypoints, ids = keypoints[known], ids[known]
     if len(ids) < MIN_INLIERS:
         return None
     cv2.setRNGSeed(seed)
     positions = world.points.position[world.points.rows(ids)]
-    return perspective_pose(positions, features.pixels[keypoints], camera.matrix, PNP_PX, 0.99, MIN_INLIERS)
+    pixels = view.features.pixels[keypoints]
+    return perspective_pose(positions, pixels, view.camera.matrix, PNP_PX, 0.99, MIN_INLIERS)
 
 
 def placed_at(
     world: LocalMap,
     frames: FrameTracker,
-    camera: Camera,
-    features: Features,
+    view: View,
     keyframe: LocalKeyframe,
     least: int,
     seed: int,
 ) -> TrackedFrame | None:
     """The frame where it fits what a keyframe sees, and what those see that share points with it."""
-    pose = locate(world, camera, features, keyframe, seed)
+    pose = locate(world, view, keyframe, seed)
     if pose is None:
         return None
     frames.refresh_local_map(world, keyframe.points[keyframe.observed()])
-    return frames.track(world, camera, features, pose, None, least)
+    return frames.track(world, view, pose, None, least)
 
 
 def recover(
     world: LocalMap,
     frames: FrameTracker,
-    camera: Camera,
-    features: Features,
+    view: View,
     newest: LocalKeyframe,
     least: int,
     seed: int,
@@ -83,7 +80,7 @@ def recover(
     believed only where many of the points have stood their time, and are not where they were expected.
     """
     for keyframe in [newest, *world.covisible(newest, 2)]:
-        frame = placed_at(world, frames, camera, features, keyframe, least, seed)
+        frame = placed_at(world, frames, view, keyframe, least, seed)
         if frame is not None and frame.matched >= least and not _made_up(world, frames, frame):
             return frame
     return None
@@ -97,7 +94,8 @@ def _made_up(world: LocalMap, frames: FrameTracker, frame: TrackedFrame) -> bool
     rows = table.rows(frame.points[keypoints])
     there, _ = project(frame.camera, expected.world_from_camera, table.position[rows])
     elsewhere = np.hypot(*(frame.features.pixels[keypoints] - there).T) > PNP_PX
-    return int(np.sum(frames.proven(world, rows) & elsewhere)) < max(MIN_PROVEN, PROVEN_SHARE * len(rows))
+    standing = frames.proven(world, rows, frame.taken_ns) & elsewhere
+    return int(np.sum(standing)) < max(MIN_PROVEN, PROVEN_SHARE * len(rows))
 
 
 def misled(frame: TrackedFrame | None, previous: TrackedFrame | None, least: int) -> bool:

@@ -13,14 +13,13 @@ from collections import deque
 
 import numpy as np
 
-from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import inverse, rotation_angle
 from prism_edge.messages import F32
-from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.recovery import placed_at
+from prism_edge.tracking.view import View
 
 TRIES = 2  # keyframes tried with a frame; each takes some 10 ms
 RANKED = 8  # keyframes of the network's ranking that are tried, one with each frame
@@ -75,23 +74,21 @@ class Relocaliser:
         self,
         world: LocalMap,
         frames: FrameTracker,
-        camera: Camera,
-        features: Features,
+        view: View,
         last: TrackedFrame | None,
         least: int,
-        stamp_ns: int,
     ) -> TrackedFrame | None:
         """The frame's place in the map once two frames agree on it; None so far.
 
         ``last`` is the last tracked frame, ``least`` the matches that tracking needs.
         """
-        enough = int(CERTAIN * least)
+        enough, stamp_ns = int(CERTAIN * least), view.taken_ns
         passed = min(max((stamp_ns - self._looked_ns) / FRAME_NS, 1.0), MOST_FRAMES)
         self._looked_ns = stamp_ns
         doubtful, tentative, self._tentative = False, self._tentative, None
         best: TrackedFrame | None = None
         if tentative is not None:
-            best = self._placed(world, frames, camera, features, tentative, enough)
+            best = self._placed(world, frames, view, tentative, enough)
             if best is not None and _near(world, tentative, best, passed):
                 if self._convinces(world, frames, best):
                     return best
@@ -101,14 +98,14 @@ class Relocaliser:
         if not doubtful:
             self._tried, self._since_ns = set(), stamp_ns
         if best is None and last is not None:  # a hand before the lens: it may not have moved
-            best = self._placed(world, frames, camera, features, last, enough)
+            best = self._placed(world, frames, view, last, enough)
             if best is not None and self._convinces(world, frames, best):
                 self._tentative = best
                 return None
         for keyframe in self._next(world):
             self._tried.add(keyframe)
             there = world.keyframes[keyframe]
-            frame = placed_at(world, frames, camera, features, there, least, self._seed)
+            frame = placed_at(world, frames, view, there, least, self._seed)
             least_matched = enough if best is None else max(enough, BETTER * best.matched)
             if frame is not None and frame.matched >= least_matched:
                 best, doubtful = frame, False
@@ -128,13 +125,12 @@ class Relocaliser:
         self,
         world: LocalMap,
         frames: FrameTracker,
-        camera: Camera,
-        features: Features,
+        view: View,
         before: TrackedFrame,
         enough: int,
     ) -> TrackedFrame | None:
         _look_about(world, frames, before)
-        frame = frames.track(world, camera, features, before.world_from_camera, before, enough // 2)
+        frame = frames.track(world, view, before.world_from_camera, before, enough // 2)
         return frame if frame is not None and frame.matched >= enough else None
 
     def _next(self, world: LocalMap) -> list[int]:

@@ -8,6 +8,7 @@ the frame is placed by the motion that it had; where a map begins, by how corner
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,6 +21,7 @@ from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
 from prism_edge.tracking.motion import LONGEST_S
 from prism_edge.tracking.triangulation import rays
 from prism_edge.tracking.turn_between import turn_between
+from prism_edge.tracking.view import View
 
 LEAST = 0.5  # of a ray's depth that is left: a wrong motion, however fast, turns no ray away
 
@@ -50,25 +52,23 @@ class RollingShutter:
         """
         self._set_ms, self.is_said = set_ms, bool(set_ms)
         self.readout_ms = set_ms  # of the last frame
-        self._before: tuple[int, Features] | None = None  # stamp and keypoints as taken
-        self._now: tuple[int, Features] | None = None
+        self._before: View | None = None  # keypoints as taken
+        self._now: View | None = None
 
-    def in_the_middle(self, features: Features, camera: Camera, twist: Array, depth: float) -> Features:
-        """A frame's keypoints, :func:`seen_at_once`."""
-        pixels = seen_at_once(features.pixels, camera, twist, depth, self.readout_ms)
-        return features if pixels is features.pixels else features.at(pixels, camera)
+    def in_the_middle(self, view: View, twist: Array, depth: float) -> View:
+        """A view whose keypoints are :func:`seen_at_once`; the same one where none is to be moved."""
+        features = _moved(view, twist, depth, self.readout_ms)
+        return view if features is view.features else replace(view, features=features)
 
     def placed(
-        self, world: LocalMap, frames: FrameTracker, frame: TrackedFrame, raw: Features, twist: Array,
+        self, world: LocalMap, frames: FrameTracker, frame: TrackedFrame, raw: View, twist: Array,
         depth: float,
     ) -> TrackedFrame:
         """A frame placed once more, its ``raw`` keypoints moved by the motion that it turned out to have."""
-        seen = self.in_the_middle(raw, frame.camera, twist, depth)
-        return frame if seen is frame.features else frames.seen_again(world, frame, seen)
+        seen = self.in_the_middle(raw, twist, depth)
+        return frame if seen.features is frame.features else frames.seen_again(world, frame, seen)
 
-    def saw(
-        self, stamp_ns: int, features: Features, said_ms: float | None = None, found_ms: float = 0.0
-    ) -> None:
+    def saw(self, view: View, said_ms: float | None = None, found_ms: float = 0.0) -> None:
         """A frame has come, with keypoints as they were taken.
 
         ``said_ms`` is what its camera says, ``found_ms`` what counts where that says nothing.
@@ -76,7 +76,7 @@ class RollingShutter:
         self.is_said = bool(self._set_ms) or said_ms is not None
         self.readout_ms = self._set_ms or (found_ms if said_ms is None else said_ms)
         if self.readout_ms:
-            self._before, self._now = self._now, (stamp_ns, features)
+            self._before, self._now = self._now, view
 
     @property
     def least_s(self) -> float:
@@ -93,20 +93,20 @@ class RollingShutter:
         """Whether a map may begin with this frame: not with the first of all, whose motion nothing tells."""
         return self._before is not None or not self.readout_ms
 
-    def without_map(self, features: Features, camera: Camera) -> Features:
-        """The last frame's keypoints, moved by how its corners went since the frame before.
+    def without_map(self, view: View) -> View:
+        """The last frame's view, its keypoints moved by how its corners went since the frame before.
 
         A shift counts as the turn that looks like it, so no depth is needed. They stay where too few corners
         agree on one, or the two frames are too far apart.
         """
         if self._before is None or self._now is None:
-            return features
-        elapsed_s = (self._now[0] - self._before[0]) * 1e-9
+            return view
+        elapsed_s = (self._now.taken_ns - self._before.taken_ns) * 1e-9
         if not 0 < elapsed_s < LONGEST_S:
-            return features
-        turn, twist = turn_between(camera, self._before[1], features), np.zeros(6)
+            return view
+        turn, twist = turn_between(view.camera, self._before.features, view.features), np.zeros(6)
         twist[3:] = 0.0 if turn is None else turn / max(elapsed_s, self.least_s)
-        return self.in_the_middle(features, camera, twist, 1.0)
+        return self.in_the_middle(view, twist, 1.0)
 
 
 class Seen(Protocol):
@@ -145,6 +145,8 @@ def see_at_once(
         last.features = _moved(last, twist, depth, more_ms)
 
 
-def _moved(view: LocalKeyframe | TrackedFrame, twist: Array, depth: float, more_ms: float) -> Features:
+def _moved(
+    view: View | LocalKeyframe | TrackedFrame, twist: Array, depth: float, more_ms: float
+) -> Features:
     pixels = seen_at_once(view.features.pixels, view.camera, twist, depth, more_ms)
     return view.features if pixels is view.features.pixels else view.features.at(pixels, view.camera)

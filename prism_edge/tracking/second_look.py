@@ -43,7 +43,7 @@ def look_again(
     if frame.matched >= WEAK_MATCHES or parts.size(world) < 2:
         return frame
     rows = world.points.rows(frame.points[frame.points != NO_POINT])
-    if frames.proven(world, rows).sum() >= MIN_PROVEN:
+    if frames.proven(world, rows, frame.taken_ns).sum() >= MIN_PROVEN:
         return frame
     before, now = match_corners(keyframe.features, frame.features)
     if len(before) < MISLED * frame.matched:

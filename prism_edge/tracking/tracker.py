@@ -18,7 +18,7 @@ from prism_edge.messages import DEGRADED, F32, INITIALISING, LOST, MapUpdate, be
 from prism_edge.tracking import mapping
 from prism_edge.tracking.baseline import Baselines
 from prism_edge.tracking.early_shape import is_contradicted
-from prism_edge.tracking.features import Features, OrbExtractor
+from prism_edge.tracking.features import OrbExtractor
 from prism_edge.tracking.first_keyframe import FirstKeyframe
 from prism_edge.tracking.first_map import SecondView
 from prism_edge.tracking.frame_result import FrameResult, beside, nothing
@@ -39,6 +39,7 @@ from prism_edge.tracking.second_look import look_again
 from prism_edge.tracking.seeding import seed_at_middle, seed_from_depth
 from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.unheard import adjust_unheard
+from prism_edge.tracking.view import View
 
 log = logging.getLogger("prism_edge.tracking")
 
@@ -92,12 +93,12 @@ class Tracker:
         if self._search.lapsed(since_ns) and self.initialised and not self._search.lost:
             self._lose(index, stamp_ns)  # it has gone on meanwhile, nobody knows where to
         lens = self._lens if self._lens is not None and self._lens.like(camera) else camera
-        features = self._extractor.extract(grey, lens)
-        self.shutter.saw(stamp_ns, features, camera.readout_ms, found_readout(self.world, lens))
+        view = View(lens, self._extractor.extract(grey, lens), stamp_ns)
+        self.shutter.saw(view, camera.readout_ms, found_readout(self.world, lens))
         self.motion.saw(index, stamp_ns, self.shutter.least_s)
         self._fresh = None  # an older frame that nobody judged
         follow = self._continue if self.world.keyframes else self._begin
-        self._result = follow(index, stamp_ns, lens, features)
+        self._result = follow(index, view)
         return self._result
 
     @property
@@ -113,15 +114,15 @@ class Tracker:
         """Median of what the keyframe that the camera is at sees, map units."""
         return self._at.depth
 
-    def _begin(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
-        if len(features) >= MIN_FIRST_FEATURES and self.shutter.may_begin:
-            self._pending = self._insert(index, stamp_ns, camera, features, self._begins_at)
-            self.first.begin(self._pending.id, stamp_ns)
-            self._seen_at = self._began_at = stamp_ns
+    def _begin(self, index: int, view: View) -> FrameResult:
+        if len(view.features) >= MIN_FIRST_FEATURES and self.shutter.may_begin:
+            self._pending = self._insert(index, view, self._begins_at)
+            self.first.begin(self._pending.id, view.taken_ns)
+            self._seen_at = self._began_at = view.taken_ns
         return nothing(INITIALISING)
 
-    def _continue(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> FrameResult:
-        frame = self._track(stamp_ns, camera, features)
+    def _continue(self, index: int, view: View) -> FrameResult:
+        frame, stamp_ns = self._track(view), view.taken_ns
         silent_s = 0.0 if self._seen_at is None else (stamp_ns - self._seen_at) * 1e-9
         self._extractor.want(0 if frame is None else frame.matched)
         if frame is None:
@@ -132,9 +133,9 @@ class Tracker:
             if silent_s > self._config.lost_after_s and not self._search.lost:
                 self._lose(index, stamp_ns)
             awaited = self.may_map and self._waiting is not None and self.first.awaits_answer
-            self.wants_probe = self._search.lost and len(features) >= MIN_FIRST_FEATURES and not awaited
+            self.wants_probe = self._search.lost and len(view.features) >= MIN_FIRST_FEATURES and not awaited
             if self._search.lost and self.may_map:
-                self._look_on(index, stamp_ns, camera, features)
+                self._look_on(index, view)
             # A map that was given up: the new one begins with the next frame, through the file's own lens.
             return nothing(INITIALISING if not self.initialised else LOST if self._search.lost else DEGRADED)
         if self._search.lost:
@@ -151,13 +152,13 @@ class Tracker:
         self.places.begin()
         log.info("lost at frame %d", index)
 
-    def _look_on(self, index: int, stamp_ns: int, camera: Camera, features: Features) -> None:
+    def _look_on(self, index: int, view: View) -> None:
         """Lost: a camera that has shown something for long, but nothing known, begins a new part of the map.
 
         It begins where the camera was last, so that `odom` goes on from there. A map younger than that
         patience knows neither scale nor shape: looked for as long as it was seen, it gives way to a new one.
         """
-        shows = len(features) >= MIN_FIRST_FEATURES
+        shows, stamp_ns = len(view.features) >= MIN_FIRST_FEATURES, view.taken_ns
         self._search.look(stamp_ns, shows)
         if self._waiting is not None:
             if not self.first.gives_way(stamp_ns):
@@ -176,7 +177,7 @@ class Tracker:
             # What was never seen from a second place: else what can't be tracked adds such parts for ever.
             take_out(self.world, self.parts, self.places, self.parts.newest(self.world))
         self.parts.begin(self._next_keyframe)
-        self._pending = self._waiting = self._insert(index, stamp_ns, camera, features, pose)
+        self._pending = self._waiting = self._insert(index, view, pose)
         self.first.begin(self._waiting.id, stamp_ns)
         log.info("nothing is known here: a new part of the map begins at frame %d", index)
 
@@ -198,23 +199,22 @@ class Tracker:
         self._search.lost = self.wants_probe = False
         self._at.leave()
 
-    def _track(self, stamp_ns: int, camera: Camera, features: Features) -> TrackedFrame | None:
+    def _track(self, view: View) -> TrackedFrame | None:
         previous, frame, enough = self.last, None, self._config.min_matches
-        if not (self.world.points.alive.any() and len(features) >= enough):
+        if not (self.world.points.alive.any() and len(view.features) >= enough):
             return None
-        self._frames.expected, self._frames.taken_ns = None, stamp_ns
-        self._frames.learns = not self._search.lost
+        self._frames.expected, self._frames.learns = None, not self._search.lost
         if self._search.lost:
-            return self.places.attempt(self.world, self._frames, camera, features, previous, enough, stamp_ns)
-        raw, depth = features, self._at.depth
+            return self.places.attempt(self.world, self._frames, view, previous, enough)
+        raw, stamp_ns, depth = view, view.taken_ns, self._at.depth
         if previous is not None:
-            features = self.shutter.in_the_middle(raw, camera, self.motion.twist, depth)
+            view = self.shutter.in_the_middle(raw, self.motion.twist, depth)
             moving = self.motion.predict(previous.world_from_camera, stamp_ns)
             if self.parts.size(self.world) > 1:  # one keyframe's points are all off together
                 self._frames.expected = self.motion.expect(previous.world_from_camera, stamp_ns, depth)
-            frame = self._frames.track_after(self.world, camera, features, moving, previous, enough)
+            frame = self._frames.track_after(self.world, view, moving, previous, enough)
         if misled(frame, previous, enough):  # chance agrees with a few points: most of the looks know better
-            found = recover(self.world, self._frames, camera, features, self._reference(), enough, self._seed)
+            found = recover(self.world, self._frames, view, self._reference(), enough, self._seed)
             frame, self._since_refresh = clearly_better(frame, found), REFRESH_FRAMES  # it chose other points
         if frame is None or frame.matched < enough:
             return None
@@ -265,9 +265,8 @@ class Tracker:
         elif self._config.two_views and is_contradicted(self.world, self.parts, frame, self._seed):
             self._restart(scaled(frame.world_from_camera, math.exp(self.log_scale)))
             return None
-        keyframe = self._insert(
-            index, stamp_ns, frame.camera, frame.features, frame.world_from_camera, frame.points.copy()
-        )
+        view = View(frame.camera, frame.features, stamp_ns)
+        keyframe = self._insert(index, view, frame.world_from_camera, frame.points.copy())
         mapping.introduce(self.world, keyframe)
         keyframe.twist, self._unmapped = self.motion.twist.copy(), (keyframe, frame)
         keyframe.stands_in = known is not None
@@ -300,18 +299,17 @@ class Tracker:
         self._refresh(frame if self.last is None else self.last)
         return True
 
-    def _insert(
-        self, index: int, stamp_ns: int, camera: Camera, features: Features, pose: Array,
-        points: Ids | None = None,
-    ) -> LocalKeyframe:
+    def _insert(self, index: int, view: View, pose: Array, points: Ids | None = None) -> LocalKeyframe:
         if points is None:  # it begins a map or a part: only corners can say how it moves
-            features = self.shutter.without_map(features, camera)
-            points = np.full(len(features), -1, np.int64)
-        keyframe = LocalKeyframe(self._next_keyframe, index, stamp_ns, pose.copy(), camera, features, points)
+            view = self.shutter.without_map(view)
+            points = np.full(len(view.features), -1, np.int64)
+        keyframe = LocalKeyframe(
+            self._next_keyframe, index, view.taken_ns, pose.copy(), view.camera, view.features, points
+        )
         self._next_keyframe += 1
         self.world.add_keyframe(keyframe)
         self.parts.add(keyframe.id)
-        self._at.renew(stamp_ns)
+        self._at.renew(view.taken_ns)
         return keyframe
 
     def _reference(self) -> LocalKeyframe:

@@ -14,13 +14,13 @@ from prism_edge.backend.connectivity import (
     FEW_SHARED,
     LOOPED,
     MANY_SHARED,
+    covisibility,
     hanging_together,
+    joined_pieces,
     own_way,
     parts_of,
     reachable,
     shared_points,
-    tied_parts,
-    ties,
     ways,
     with_bridges,
 )
@@ -93,7 +93,7 @@ def test_tied_are_all_that_share_many_points_and_the_best_few(seed: int, count: 
         for rank, (other, shared) in enumerate(before):
             if shared >= MANY_SHARED or (rank < BEST_FEW and shared >= FEW_SHARED):
                 expected[other, k] = shared
-    assert list(ties(world, []).items()) == list(expected.items())
+    assert list(covisibility(world, []).items()) == list(expected.items())
 
 
 def test_neighbours_share_more_than_chance_would() -> None:
@@ -105,15 +105,15 @@ def test_neighbours_share_more_than_chance_would() -> None:
 
 def test_a_loop_ties_what_shares_nothing() -> None:
     world = two_chains()
-    assert reachable(ties(world, []), {0}) == set(range(6))
-    assert reachable(ties(world, [(3, 101)]), {0}) == set(range(6)) | {100, 101, 102}
-    assert tied_parts(world, [(3, 101)]) == [set(range(6)) | {100, 101, 102}]
-    assert tied_parts(world, [(3, 7)]) == [set(range(6)), {100, 101, 102}]  # with one that has gone: none
+    assert reachable(covisibility(world, []), {0}) == set(range(6))
+    assert reachable(covisibility(world, [(3, 101)]), {0}) == set(range(6)) | {100, 101, 102}
+    assert joined_pieces(world, [(3, 101)]) == [set(range(6)) | {100, 101, 102}]
+    assert joined_pieces(world, [(3, 7)]) == [set(range(6)), {100, 101, 102}]  # with one that has gone: none
 
 
 def test_a_loop_whose_either_end_was_culled_ties_nothing() -> None:
     world = two_chains()
-    tied = ties(world, [(0, 999), (999, 0), (102, 5)])
+    tied = covisibility(world, [(0, 999), (999, 0), (102, 5)])
     assert all({a, b} <= world.keyframes.keys() for a, b in tied)
     assert tied[5, 102] == LOOPED, "the older first, whichever looked"
     assert 102 in ways(world, tied, 0)
@@ -124,21 +124,21 @@ def test_a_chance_match_ties_nothing() -> None:
     world = two_chains()
     for keypoint, p in enumerate(sorted(world.keyframes[5].observed)[: FEW_SHARED - 1]):
         world.observe(100, p, keypoint)
-    assert reachable(ties(world, []), {0}) == set(range(6))
-    assert [min(part) for part in tied_parts(world, [])] == [0, 100]
+    assert reachable(covisibility(world, []), {0}) == set(range(6))
+    assert [min(part) for part in joined_pieces(world, [])] == [0, 100]
     assert parts_of(world) == {}
 
 
 def test_the_way_is_the_shortest_by_strong_ties() -> None:
     world = two_chains()
-    found = ways(world, ties(world, []), 1)
+    found = ways(world, covisibility(world, []), 1)
     lengths = {k: way.length for k, way in found.items()}
     assert lengths == pytest.approx({k: 0.3 * abs(k - 1) for k in range(6)})
     world.keyframes[3].world_from_camera[:3, 3] = (0.9, 40.0, 0.0)  # all go round by it
-    assert ways(world, ties(world, []), 5)[1].length > 79.0
-    assert ways(world, ties(world, [(1, 5)]), 5)[1].length == pytest.approx(1.2)
-    assert 100 not in ways(world, ties(world, []), 0)
-    weak = dict.fromkeys(ties(world, []), LOOPED - 1)
+    assert ways(world, covisibility(world, []), 5)[1].length > 79.0
+    assert ways(world, covisibility(world, [(1, 5)]), 5)[1].length == pytest.approx(1.2)
+    assert 100 not in ways(world, covisibility(world, []), 0)
+    weak = dict.fromkeys(covisibility(world, []), LOOPED - 1)
     assert ways(world, weak, 0) == {0: (0.0, 0.0)}
 
 
@@ -163,7 +163,7 @@ def test_a_part_ends_where_points_are_fused_with_the_first_ones() -> None:
 
 def test_a_loop_does_not_weaken_a_tie_that_is_stronger() -> None:
     world = chain([pose_at(0.3 * i) for i in range(3)])
-    assert ties(world, [(2, 1)])[1, 2] == ties(world, [])[1, 2] > LOOPED
+    assert covisibility(world, [(2, 1)])[1, 2] == covisibility(world, [])[1, 2] > LOOPED
 
 
 def test_what_the_tracker_has_at_home_is_at_home() -> None:
@@ -189,7 +189,7 @@ def test_a_bridge_leads_where_the_camera_was_followed(newer: int | None) -> None
     world = two_chains()
     for k, keyframe in world.keyframes.items():
         keyframe.part = newer if k >= 100 else HOME
-    by = ties(world, [])
+    by = covisibility(world, [])
     bridged = with_bridges(world, by)
     assert bridged.items() - by.items() == ({((5, 100), LOOPED)} if newer == HOME else set())
     assert by.items() <= bridged.items()
@@ -201,5 +201,5 @@ def test_no_bridge_where_ties_lead_another_way() -> None:
     chain([pose_at(80.0 + 0.3 * i) for i in range(2)], first=50, world=world)
     for keyframe in world.keyframes.values():
         keyframe.part = HOME
-    by = ties(world, [(100, 2)])
+    by = covisibility(world, [(100, 2)])
     assert with_bridges(world, by).keys() - by.keys() == {(5, 50)}

@@ -9,6 +9,7 @@ from prism_edge.backend.global_map import GlobalMap
 from prism_edge.backend.local_copy import SEEDED_SIGMA, local_copy
 from prism_edge.tracking.mapping import MATCHING_SIGMA_PX
 from prism_edge.tracking.recovery import locate
+from prism_edge.tracking.view import View
 from tests.backend.world import Teller
 from tests.tracking.cloud import CAMERA, Cloud, check, pose_at
 
@@ -85,7 +86,7 @@ def test_a_camera_is_found_in_it() -> None:
     cloud: Cloud = teller.cloud
     true = pose_at(0.25, 0.05)
     features, _ = cloud.view(true, 0.5)
-    found = locate(copy, CAMERA, features, copy.newest(), 0)
+    found = locate(copy, View(CAMERA, features), copy.newest(), 0)
     assert found is not None
     np.testing.assert_allclose(found[:3, 3], true[:3, 3], atol=0.03)
 

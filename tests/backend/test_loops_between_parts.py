@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from prism_edge.backend.connectivity import tied_parts
+from prism_edge.backend.connectivity import joined_pieces
 from prism_edge.backend.loop_closing import Accepted, LoopCloser
 from prism_edge.backend.loops import Loop
 from prism_edge.backend.mapper import Mapper
@@ -28,7 +28,7 @@ def test_a_copy_of_a_place_is_refused_where_keyframes_between_were_never_heard_o
     """A backend was started anew meanwhile: nothing ties the two pieces, but the camera was followed."""
     ring = Ring(alike=True)
     mapper = walk(ring, 38, odometer=odometer, unheard=BROKEN)
-    assert len(tied_parts(mapper.world, [])) == 2
+    assert len(joined_pieces(mapper.world, [])) == 2
     assert not mapper.loops.accepted
     assert position_error(poses_of(mapper.world), ring.true) < 0.02
 
@@ -179,7 +179,7 @@ def test_a_part_of_its_own_is_adjusted_without_being_merged():
     carried_off(ring)
     mapper = walk(ring, 6, places=False, mapper=mapper)
     for k in (0, 10):
-        apart = tied_parts(mapper.world, [])
+        apart = joined_pieces(mapper.world, [])
         assert any(k == min(part) for part in apart)
     mapper.loops._wanted, before = True, poses_of(mapper.world)
     finish(mapper)

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import from_rt, so3_exp
 from prism_edge.scale.gate import (
+    DepthGate,
     DepthView,
-    Gate,
     GateParameters,
     combined,
     image_pixels,
@@ -233,7 +233,7 @@ def test_u_is_the_mix_and_of_one_that_is_missing_the_other():
 
 
 def test_the_gate_mixes_confidence_in_at_the_pixel():
-    gate = Gate(2)
+    gate = DepthGate(2)
     gate.remember(view_of(looking(0.0)))
     confidence = np.full(SHAPE, 20.0)
     confidence[:, : SHAPE[1] // 2] = 1.25  # the left half is a blur
@@ -244,13 +244,13 @@ def test_the_gate_mixes_confidence_in_at_the_pixel():
 
 
 def test_the_first_view_without_confidence_weighs_fully():
-    gated = Gate(3).assess(view_of(looking(0.0)), np.array([[100.0, 200.0]]), PARAMETERS)
+    gated = DepthGate(3).assess(view_of(looking(0.0)), np.array([[100.0, 200.0]]), PARAMETERS)
     assert np.isnan(gated.uncertainty).all()
     assert gated.weights.tolist() == [1.0]
 
 
 def test_a_correction_of_the_map_takes_all_views_along():
-    gate, moved = Gate(3), looking(4.0, 1.0, -2.0, 1.0)
+    gate, moved = DepthGate(3), looking(4.0, 1.0, -2.0, 1.0)
     for number, x in enumerate((0.0, 0.1)):
         gate.remember(view_of(looking(x), number=number))
     now = view_of(looking(0.2), number=2)
@@ -263,7 +263,7 @@ def test_a_correction_of_the_map_takes_all_views_along():
 
 
 def test_a_view_that_is_unknown_moves_nothing():
-    gate = Gate(1)
+    gate = DepthGate(1)
     gate.remember(view_of(looking(0.0), number=7))
     gate.rebase(3, looking(5.0))
     found = gate.assess(view_of(looking(0.1)), wall_pixels(view_of(looking(0.1))), PARAMETERS).uncertainty

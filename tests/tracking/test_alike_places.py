@@ -9,6 +9,7 @@ from prism_edge.geometry.poses import inverse, se3_log
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.relocalisation import CONSIDERED_NS, CONVINCING, TRIES, Relocaliser
+from prism_edge.tracking.view import View
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, pose_at
 
 FRAME_NS = 33_333_333
@@ -44,10 +45,8 @@ class Lost:
         """The place and after how many frames, of a camera that stands at ``true``."""
         for i in range(most):
             self.now_ns += FRAME_NS
-            features = cloud.view(true, noise_px=0.3, bits=10)[0]
-            found = self.relocaliser.attempt(
-                self.world, self.frames, CAMERA, features, self.last, 25, self.now_ns
-            )
+            view = View(CAMERA, cloud.view(true, noise_px=0.3, bits=10)[0], self.now_ns)
+            found = self.relocaliser.attempt(self.world, self.frames, view, self.last, 25)
             if found is not None:
                 return found, i + 1
         return None, most
@@ -97,7 +96,7 @@ def test_a_doubtful_place_is_taken_once_no_other_fits_better(places: int) -> Non
     assert off(found, np.eye(4)) < 0.02
     assert found.matched < CONVINCING * lost.frames.usually_found(world, found)
     assert frames == len(world.keyframes) / TRIES
-    after = lost.frames.track(world, CAMERA, found.features, np.eye(4), found, 25)
+    after = lost.frames.track(world, View(CAMERA, found.features), np.eye(4), found, 25)
     assert after is not None
     assert after.matched >= 0.95 * found.matched, "it looks for what is seen there, not where it looked last"
 

@@ -22,6 +22,7 @@ from prism_edge.tracking.baseline import (
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.point_table import PointTable
 from prism_edge.tracking.tracker import FrameResult, Tracker
+from prism_edge.tracking.view import View
 from tests.synthetic.render import Renderer
 from tests.synthetic.scene import furnished_room, hand_held_path
 from tests.synthetic.sequence import synthetic_camera
@@ -152,10 +153,8 @@ def test_points_of_another_part_that_are_only_tried_give_none():
             points = home.points[home.observed()]
             tracker._frames.refresh_local_map(tracker.world, points)
             film = footage()
-            features = tracker._extractor.extract(film.images[0], film.camera)
-            tried = tracker._frames.track(
-                tracker.world, film.camera, features, home.world_from_camera, None, 20
-            )
+            view = View(film.camera, tracker._extractor.extract(film.images[0], film.camera))
+            tried = tracker._frames.track(tracker.world, view, home.world_from_camera, None, 20)
             assert tried is not None
             assert tried.unobserved == 0.0
         for k, frame in run.keyframes.items():

@@ -11,6 +11,7 @@ from prism_edge.geometry.poses import inverse, se3_log, transform
 from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.motion import Prediction
+from prism_edge.tracking.view import View
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
 
 TRUE = pose_at(0.35, 0.05, 0.05, 0.01, -0.05, 0.02)
@@ -41,7 +42,7 @@ def frame_of(world, number: int) -> TrackedFrame:
 
 def test_a_frame_is_placed_where_it_is(scene):
     cloud, world, _, features, seen, tracker = scene
-    frame = tracker.track(world, CAMERA, features, pose_at(0.3), frame_of(world, 1), ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), pose_at(0.3), frame_of(world, 1), ENOUGH)
     assert error_of(frame.world_from_camera) < 0.01
     # Each keypoint has the point of the corner that it shows.
     matched = np.flatnonzero(frame.points >= 0)
@@ -55,13 +56,13 @@ def test_a_frame_is_placed_where_it_is(scene):
 @pytest.mark.parametrize("off", [0.0, 0.1, 0.4])
 def test_wider_windows_make_up_for_a_wrong_prediction(scene, off):
     _, world, _, features, _, tracker = scene
-    frame = tracker.track(world, CAMERA, features, TRUE @ pose_at(off), frame_of(world, 1), ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE @ pose_at(off), frame_of(world, 1), ENOUGH)
     assert error_of(frame.world_from_camera) < 0.01
 
 
 def test_the_local_map_does_without_a_previous_frame(scene):
     _, world, _, features, _, tracker = scene
-    frame = tracker.track(world, CAMERA, features, TRUE @ pose_at(0.05), None, ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE @ pose_at(0.05), None, ENOUGH)
     assert error_of(frame.world_from_camera) < 0.01
 
 
@@ -81,7 +82,7 @@ def test_looking_where_the_camera_may_not_be_teaches_nothing_of_points(scene, le
     _, world, _, features, _, tracker = scene
     tracker.learns = learns
     before = world.points.found.copy(), world.points.visible.copy()
-    assert tracker.track(world, CAMERA, features, TRUE, frame_of(world, 1), ENOUGH) is not None
+    assert tracker.track(world, View(CAMERA, features), TRUE, frame_of(world, 1), ENOUGH) is not None
     after = world.points.found, world.points.visible
     assert [bool((b != a).any()) for b, a in zip(before, after, strict=True)] == [learns, learns]
 
@@ -92,14 +93,14 @@ def test_garbage_is_not_placed(scene):
     other = Features.build(features.pixels, features.octaves, words, CAMERA.width, CAMERA.height)
     none = Features.build(np.zeros((0, 2)), np.zeros(0, np.intp), np.zeros((0, 4), np.uint64), 640, 480)
     for garbage in (other, none):
-        assert tracker.track(world, CAMERA, garbage, TRUE, frame_of(world, 1), ENOUGH) is None
-        assert tracker.track(world, CAMERA, garbage, TRUE, None, ENOUGH) is None
+        assert tracker.track(world, View(CAMERA, garbage), TRUE, frame_of(world, 1), ENOUGH) is None
+        assert tracker.track(world, View(CAMERA, garbage), TRUE, None, ENOUGH) is None
 
 
 def test_a_prediction_that_looks_away_finds_nothing(scene):
     _, world, _, features, _, tracker = scene
     away = TRUE @ pose_at(0, 0, 0, 0, np.pi)
-    assert tracker.track(world, CAMERA, features, away, frame_of(world, 1), ENOUGH) is None
+    assert tracker.track(world, View(CAMERA, features), away, frame_of(world, 1), ENOUGH) is None
 
 
 def test_moved_corners_are_left_out(scene):
@@ -109,7 +110,7 @@ def test_moved_corners_are_left_out(scene):
     indexed = Features.build(
         features.pixels, features.octaves, features.descriptors, CAMERA.width, CAMERA.height
     )
-    frame = tracker.track(world, CAMERA, indexed, TRUE, frame_of(world, 1), ENOUGH)
+    frame = tracker.track(world, View(CAMERA, indexed), TRUE, frame_of(world, 1), ENOUGH)
     assert error_of(frame.world_from_camera) < 0.01
     assert (frame.points[moved] >= 0).mean() < 0.3
 
@@ -118,7 +119,7 @@ def test_points_that_should_be_seen_are_counted_and_those_found_too(scene):
     _, world, _, features, _, tracker = scene
     table = world.points
     visible, found = table.visible.copy(), table.found.copy()
-    frame = tracker.track(world, CAMERA, features, TRUE, frame_of(world, 1), ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE, frame_of(world, 1), ENOUGH)
     gone = table.found - found
     assert set(np.unique(gone)) <= {0, 1}
     assert gone.sum() == frame.matched
@@ -132,7 +133,7 @@ def test_points_that_are_gone_are_not_followed(scene):
     _, world, _, features, _, tracker = scene
     previous = frame_of(world, 1)
     world.cull_points(np.flatnonzero(world.points.ids % 2 == 0))
-    frame = tracker.track(world, CAMERA, features, TRUE, previous, ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE, previous, ENOUGH)
     assert error_of(frame.world_from_camera) < 0.01
     assert (frame.points[frame.points >= 0] % 2 == 1).all()
 
@@ -148,7 +149,7 @@ def test_seeds_of_a_network_do_not_pull_a_well_triangulated_pose():
     features, _ = cloud.view(TRUE, noise_px=0.3)
     tracker = FrameTracker(FACTORS, 5000)
     tracker.refresh_local_map(world, world.newest().points)
-    frame = tracker.track(world, CAMERA, features, TRUE, frame_of(world, 0), ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE, frame_of(world, 0), ENOUGH)
     assert len(shown[0]) > 300
     assert error_of(frame.world_from_camera) < 0.01
 
@@ -157,7 +158,7 @@ def test_the_local_map_is_what_the_best_keyframes_see_and_no_more_than_asked(sce
     _, world, _, features, _, _ = scene
     tracker = FrameTracker(FACTORS, 60)
     tracker.refresh_local_map(world, world.newest().points)
-    frame = tracker.track(world, CAMERA, features, TRUE, None, ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE, None, ENOUGH)
     assert 30 < frame.matched <= 60
     assert np.isin(frame.points[frame.points >= 0], world.newest().points).all()
 
@@ -201,16 +202,16 @@ def test_a_frame_that_the_motion_leads_astray_is_looked_for_where_the_last_one_w
     """Looking away it finds nothing; a little aside, what looks alike."""
     cloud, world, _, features, _, tracker = scene
     features, previous = with_decoys(cloud, features, turned(angle), decoys), frame_of(world, 1)
-    misled = tracker.track(world, CAMERA, features, turned(angle), previous, ENOUGH)
+    misled = tracker.track(world, View(CAMERA, features), turned(angle), previous, ENOUGH)
     assert (misled is None) == (decoys == 0)
-    frame = tracker.track_after(world, CAMERA, features, turned(angle), previous, ENOUGH)
+    frame = tracker.track_after(world, View(CAMERA, features), turned(angle), previous, ENOUGH)
     assert error_of(frame.world_from_camera) < 0.01
 
 
 def test_a_window_in_which_just_enough_match_is_not_wide_enough(scene):
     cloud, world, _, features, _, tracker = scene
     features = with_decoys(cloud, features, turned(0.12), 45)
-    frame = tracker.track(world, CAMERA, features, turned(0.12), frame_of(world, 1), ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), turned(0.12), frame_of(world, 1), ENOUGH)
     assert error_of(frame.world_from_camera) < 0.01
     assert frame.matched > 200
 
@@ -223,7 +224,7 @@ def test_a_point_that_was_taken_for_another_counts_as_not_found(scene):
     indexed = Features.build(
         features.pixels, features.octaves, features.descriptors, CAMERA.width, CAMERA.height
     )
-    frame = tracker.track(world, CAMERA, indexed, TRUE, frame_of(world, 1), ENOUGH)
+    frame = tracker.track(world, View(CAMERA, indexed), TRUE, frame_of(world, 1), ENOUGH)
     gone = world.points.ids[world.points.found > found]
     assert np.array_equal(gone, np.sort(frame.points[frame.points >= 0]))
 
@@ -238,7 +239,7 @@ def test_what_can_t_be_seen_from_here_is_not_looked_for(scene):
     table.direction[kinds == 3] *= -1.0
     previous.points[np.isin(previous.points, table.ids[kinds > 0])] = -1  # else it is followed by that
     visible = table.visible.copy()
-    frame = tracker.track(world, CAMERA, features, TRUE, previous, ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE, previous, ENOUGH)
     assert error_of(frame.world_from_camera) < 0.01
     assert np.array_equal(table.visible[kinds > 0], visible[kinds > 0])
     assert not kinds[table.rows(frame.points[frame.points >= 0])].any()
@@ -253,7 +254,7 @@ def test_a_seed_is_looked_for_in_a_wider_window_as_its_depth_is_doubtful(scene):
     origins = np.where((table.reference == 1)[:, None], [0.2, 0.0, 0.0], 0.0)
     table.position[kinds > 0] += 0.2 * (true - origins)[kinds > 0]
     previous.points[np.isin(previous.points, table.ids[kinds > 0])] = -1  # else it is followed by that
-    frame = tracker.track(world, CAMERA, features, TRUE, previous, ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE, previous, ENOUGH)
     assert error_of(frame.world_from_camera) < 0.01
     was, now = (CAMERA.project(transform(inverse(TRUE), places)) for places in (true, table.position))
     off = np.abs(now - was).max(axis=1) - 3.0 * FACTORS[table.octave]
@@ -272,7 +273,7 @@ def test_a_keypoint_keeps_the_point_that_it_was_followed_by(scene):
     doubles = table.add(len(table), **{name: getattr(table, name).copy() for name in names})
     tracker._local_ids = table.ids.copy()
     followed = previous.points[previous.points >= 0]
-    frame = tracker.track(world, CAMERA, features, TRUE, previous, ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE, previous, ENOUGH)
     kept = np.isin(frame.points, followed)
     assert kept.sum() > 0.7 * len(followed)
     twin = np.isin(frame.points, doubles[table.rows(followed)])
@@ -281,20 +282,20 @@ def test_a_keypoint_keeps_the_point_that_it_was_followed_by(scene):
 
 def test_keypoints_moved_for_a_rolling_shutter_place_the_frame_anew_without_those_that_fit_no_more(scene):
     _, world, _, features, _, tracker = scene
-    frame = tracker.track(world, CAMERA, features, TRUE, frame_of(world, 1), ENOUGH)
+    frame = tracker.track(world, View(CAMERA, features), TRUE, frame_of(world, 1), ENOUGH)
     matched = np.flatnonzero(frame.points >= 0)
     wrong = matched[::10]
     pixels = features.pixels + 2.0
     pixels[wrong] += 30.0
     moved = Features.build(pixels, features.octaves, features.descriptors, CAMERA.width, CAMERA.height)
-    again = tracker.seen_again(world, frame, moved)
+    again = tracker.seen_again(world, frame, View(CAMERA, moved))
     assert again.features is moved
     assert (again.points[wrong] == -1).all()
     assert again.matched == (again.points >= 0).sum() >= 0.85 * len(matched)
     assert (frame.points[wrong] >= 0).all(), "the frame that it was made from is as it was"
     pixels[matched[1::2]] += 60.0
     half = Features.build(pixels, features.octaves, features.descriptors, CAMERA.width, CAMERA.height)
-    unsure = tracker.seen_again(world, frame, half)
+    unsure = tracker.seen_again(world, frame, View(CAMERA, half))
     assert 20 < unsure.matched < 0.6 * again.matched
     assert np.trace(unsure.covariance) > 1.4 * np.trace(again.covariance), "as sure as what is left makes it"
     # Two pixels to the right and down: the camera has turned to the left and up by as much.
@@ -314,11 +315,11 @@ def test_a_frame_that_shows_little_is_placed_by_what_was_expected_too(scene):
             CAMERA.width, CAMERA.height,
         )  # fmt: skip
         tracker.expected = None
-        frame = tracker.track(world, CAMERA, strip, TRUE, frame_of(world, 1), ENOUGH)
+        frame = tracker.track(world, View(CAMERA, strip), TRUE, frame_of(world, 1), ENOUGH)
         alone.append(error_of(frame.world_from_camera))
         assert frame.expected is None
         tracker.expected = Prediction(TRUE @ pose_at(*off), np.diag(1.0 / np.maximum(off**2, 1e-6)))
-        frame = tracker.track(world, CAMERA, strip, TRUE, frame_of(world, 1), ENOUGH)
+        frame = tracker.track(world, View(CAMERA, strip), TRUE, frame_of(world, 1), ENOUGH)
         both.append(error_of(frame.world_from_camera))
         assert frame.expected is tracker.expected
     assert np.median(both) < 0.5 * np.median(alone)

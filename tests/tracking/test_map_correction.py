@@ -21,6 +21,7 @@ from prism_edge.tracking.mapping import depth_sigma
 from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.pose_from_map import ENOUGH_TRIANGULATED
 from prism_edge.tracking.submaps import Parts
+from prism_edge.tracking.view import View
 from tests.synthetic.messages import map_update
 from tests.tracking.cloud import BY_POINTS, CAMERA, Cloud, check, pose_at
 
@@ -272,8 +273,8 @@ def test_a_newer_keyframe_of_another_part_stays_where_nothing_is_known_of_it():
 def test_a_view_that_few_of_its_points_fit_stays_where_it_was():
     world, _ = Cloud(300, seed=5).mapped(POSES[:1])
     keyframe, start = world.keyframes[0], pose_at(0.02)
-    mixed = np.roll(keyframe.points, 7)
-    assert fit(world, CAMERA, keyframe.features, mixed, start, BY_POINTS) == pytest.approx(start, abs=1e-12)
+    mixed, view = np.roll(keyframe.points, 7), View(CAMERA, keyframe.features)
+    assert fit(world, view, mixed, start, BY_POINTS) == pytest.approx(start, abs=1e-12)
 
 
 def test_observations_that_the_backend_found_wrong_are_given_up():
@@ -291,11 +292,11 @@ def test_a_view_of_few_usable_points_stays_where_it_was():
     features, _ = cloud.view(POSES[1])
     start = pose_at(0.5)
     nothing = np.full(len(features), -1, np.int64)
-    assert fit(world, CAMERA, features, nothing, start, BY_POINTS) == pytest.approx(start, abs=1e-12)
+    assert fit(world, View(CAMERA, features), nothing, start, BY_POINTS) == pytest.approx(start, abs=1e-12)
     keyframe = world.keyframes[0]
     unusable = np.zeros(len(world.points), bool)
     unusable[:10] = True
-    same = fit(world, CAMERA, keyframe.features, keyframe.points, start, BY_POINTS, unusable)
+    same = fit(world, View(CAMERA, keyframe.features), keyframe.points, start, BY_POINTS, unusable)
     assert same == pytest.approx(start, abs=1e-12)
 
 
@@ -307,7 +308,7 @@ def test_a_view_that_is_carried_a_thousand_times_stays_rigid():
     nothing = np.zeros(len(world.points), bool)
     pose, step = POSES[5], MOTION * (1.0 + 1e-12)
     for _ in range(1000):
-        new = fit(world, CAMERA, view.features, view.points, step @ pose, BY_POINTS, nothing)
+        new = fit(world, View(CAMERA, view.features), view.points, step @ pose, BY_POINTS, nothing)
         step = new @ inverse(pose)
         pose = new
     assert pose[:3, :3] @ pose[:3, :3].T == pytest.approx(np.eye(3), abs=1e-9)
@@ -341,7 +342,7 @@ def test_a_correction_that_changes_nothing_moves_no_view_of_doubtful_points() ->
     ids[cloud.keyframe(0, pose_at(0.0))[1]] = world.keyframes[0].points
     keypoints = np.flatnonzero(ids[shown] >= 0)
     rows = table.rows(ids[shown][keypoints])
-    placed = BY_POINTS.estimate(world, CAMERA, features, there, rows, keypoints)
+    placed = BY_POINTS.estimate(world, View(CAMERA, features), there, rows, keypoints)
     points = np.full(len(features), -1, np.int64)
     points[keypoints[placed.inliers]] = table.ids[rows[placed.inliers]]
     assert np.linalg.norm((placed.world_from_camera - there)[:3, 3]) < 0.005

@@ -8,6 +8,7 @@ import pytest
 from prism_edge.geometry.poses import inverse, se3_log
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.point_trust import LEAST_WEIGHT, trust
+from prism_edge.tracking.view import View
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, pose_at
 
 TRUE = pose_at(0.25, 0.05)
@@ -38,7 +39,7 @@ def placed(cloud, world, proven_after_s: float) -> float:
     before = TrackedFrame(
         CAMERA, k.features, k.world_from_camera, k.points.copy(), np.zeros((6, 6)), len(k.points)
     )
-    frame = tracker.track(world, CAMERA, features, pose_at(0.24, 0.05), before, 25)
+    frame = tracker.track(world, View(CAMERA, features), pose_at(0.24, 0.05), before, 25)
     return float(np.linalg.norm(se3_log(inverse(TRUE) @ frame.world_from_camera)[:3]))
 
 
@@ -85,7 +86,6 @@ def test_what_a_camera_that_stands_has_watched_for_long_has_stood():
     world, _ = Cloud(200, seed=0).mapped([np.eye(4)])
     rows, frames = np.arange(len(world.points)), FrameTracker(FACTORS, 5000, proven_after_s=1.5)
     for taken_ns, stood in ((0, False), (2 * SECOND, False), (3 * SECOND, True), (0, False)):
-        frames.taken_ns = taken_ns
-        assert np.all(frames.proven(world, rows) == stood), taken_ns
+        assert np.all(frames.proven(world, rows, taken_ns) == stood), taken_ns
     world.newest().stamp_ns = 3 * SECOND  # of a frame from before the newest keyframe
-    assert frames.proven(world, rows).all()
+    assert frames.proven(world, rows, 0).all()

@@ -17,6 +17,7 @@ from prism_edge.tracking.pose_from_map import (
     reference_origins,
     shared_depth_error,
 )
+from prism_edge.tracking.view import View
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, pose_at
 
 
@@ -61,7 +62,7 @@ def test_points_that_were_just_made_count_less_than_those_that_have_stood():
     off = []
     for proven_after_s in (0.0, 1.0):
         pose = PoseFromMap(FACTORS, proven_after_s)
-        found = pose.estimate(world, CAMERA, view.features, there, rows, keypoints)
+        found = pose.estimate(world, View(CAMERA, view.features), there, rows, keypoints)
         off.append(np.linalg.norm((found.world_from_camera - pose_at(0.3))[:3, 3]))
         assert found.inliers[~young].all()
     assert off[1] < 0.5 * off[0]
@@ -76,8 +77,8 @@ def test_points_grow_old_before_a_camera_that_stands_and_makes_no_keyframe():
     rows = table.rows(view.points[keypoints])
     pose, told = PoseFromMap(FACTORS, proven_after_s=1.0), []
     for taken_s in (0.0, 1.0, 1.5, 2.0, 60.0):
-        taken_ns = round(1e9 * taken_s)
-        found = pose.estimate(world, CAMERA, view.features, pose_at(), rows, keypoints, taken_ns=taken_ns)
+        taken = View(CAMERA, view.features, round(1e9 * taken_s))
+        found = pose.estimate(world, taken, pose_at(), rows, keypoints)
         told.append(np.trace(found.information))
     expected = np.array([LEAST_WEIGHT, LEAST_WEIGHT, 0.25, 1.0, 1.0])
     assert told == pytest.approx(told[-1] * expected)
@@ -106,6 +107,6 @@ def test_a_pixel_of_a_higher_level_says_as_much_less_as_it_is_larger():
     spread = []
     for level in (0, 3):
         view.features.octaves[:] = level
-        found = PoseFromMap(FACTORS).estimate(world, CAMERA, view.features, pose_at(), rows, keypoints)
+        found = PoseFromMap(FACTORS).estimate(world, View(CAMERA, view.features), pose_at(), rows, keypoints)
         spread.append(found.covariance)
     assert spread[1] == pytest.approx(FACTORS[3] ** 2 * spread[0], rel=1e-6, abs=1e-12)

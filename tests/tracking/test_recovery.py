@@ -14,6 +14,7 @@ from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.motion import Prediction
 from prism_edge.tracking.recovery import clearly_better, locate, match_keyframe, misled, recover
 from prism_edge.tracking.tracker import Tracker
+from prism_edge.tracking.view import View
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, flipped, pose_at
 from tests.tracking.footage import IDENTITY
 
@@ -29,9 +30,9 @@ def test_it_finds_a_camera_far_from_where_it_was_last_seen(map_and_cloud):
     true = pose_at(0.8, -0.3, 0.5, 0.1, -0.25, 0.3)
     features, shown = cloud.view(true, noise_px=0.5, bits=20)
     assert len(shown) > 50
-    pose = locate(world, CAMERA, features, world.keyframes[0], seed=0)
+    pose = locate(world, View(CAMERA, features), world.keyframes[0], seed=0)
     assert np.abs(se3_log(inverse(true) @ pose)).max() < 0.02
-    again = locate(world, CAMERA, features, world.keyframes[0], seed=0)
+    again = locate(world, View(CAMERA, features), world.keyframes[0], seed=0)
     assert np.array_equal(pose, again)
 
 
@@ -63,21 +64,21 @@ def test_a_third_of_moved_corners_does_no_harm(map_and_cloud):
     features, _ = cloud.view(true, noise_px=0.5)
     wrong = cloud.rng.permutation(len(features))[: len(features) // 3]
     features.pixels[wrong] = cloud.rng.uniform((0, 0), (640, 480), (len(wrong), 2))
-    pose = locate(world, CAMERA, features, world.keyframes[0], seed=1)
+    pose = locate(world, View(CAMERA, features), world.keyframes[0], seed=1)
     assert np.abs(se3_log(inverse(true) @ pose)).max() < 0.02
 
 
 def test_another_place_is_not_found(map_and_cloud):
     world, _ = map_and_cloud
     features, _ = Cloud(400, seed=99).view(np.eye(4))
-    assert locate(world, CAMERA, features, world.keyframes[0], seed=0) is None
+    assert locate(world, View(CAMERA, features), world.keyframes[0], seed=0) is None
 
 
 def test_the_right_descriptors_at_random_places_are_not_found(map_and_cloud):
     world, cloud = map_and_cloud
     features, _ = cloud.view(np.eye(4))
     features.pixels[:] = cloud.rng.uniform((0, 0), (640, 480), features.pixels.shape)
-    assert locate(world, CAMERA, features, world.keyframes[0], seed=0) is None
+    assert locate(world, View(CAMERA, features), world.keyframes[0], seed=0) is None
 
 
 def test_fourteen_that_agree_are_too_few(map_and_cloud):
@@ -87,9 +88,9 @@ def test_fourteen_that_agree_are_too_few(map_and_cloud):
     few = Features.build(
         features.pixels[keep], features.octaves[keep], features.descriptors[keep], CAMERA.width, CAMERA.height
     )
-    assert locate(world, CAMERA, few, world.keyframes[0], seed=0) is not None
+    assert locate(world, View(CAMERA, few), world.keyframes[0], seed=0) is not None
     few.pixels[14:] = cloud.rng.uniform((0, 0), (640, 480), (6, 2))
-    assert locate(world, CAMERA, few, world.keyframes[0], seed=0) is None
+    assert locate(world, View(CAMERA, few), world.keyframes[0], seed=0) is None
 
 
 @pytest.mark.parametrize("count", [0, 1, 10, 100])
@@ -97,14 +98,14 @@ def test_garbage_is_not_found(map_and_cloud, count):
     world, cloud = map_and_cloud
     pixels = cloud.rng.uniform((0, 0), (640, 480), (count, 2))
     features = Features.build(pixels, np.zeros(count, np.intp), descriptors(cloud.rng, count), 640, 480)
-    assert locate(world, CAMERA, features, world.keyframes[0], seed=0) is None
+    assert locate(world, View(CAMERA, features), world.keyframes[0], seed=0) is None
 
 
 def test_a_keyframe_without_points_finds_nothing(map_and_cloud):
     world, cloud = map_and_cloud
     features, _ = cloud.view(np.eye(4))
     world.keyframes[0].points[:] = -1
-    assert locate(world, CAMERA, features, world.keyframes[0], seed=0) is None
+    assert locate(world, View(CAMERA, features), world.keyframes[0], seed=0) is None
 
 
 @pytest.mark.parametrize("place", [0.0, np.nan])
@@ -113,7 +114,7 @@ def test_points_that_fix_no_pose_give_none(map_and_cloud, place):
     world, cloud = map_and_cloud
     features, _ = cloud.view(np.eye(4))
     world.points.position[:] = place
-    pose = locate(world, CAMERA, features, world.keyframes[0], seed=0)
+    pose = locate(world, View(CAMERA, features), world.keyframes[0], seed=0)
     assert pose is None
 
 
@@ -133,7 +134,7 @@ def test_where_the_camera_cannot_have_gone_only_points_that_have_stood_say_it_is
     frames = FrameTracker(FACTORS, 5000, proven_after_s=1.5)
     if expected_at is not None:
         frames.expected = Prediction(pose_at(expected_at), np.eye(6) * 1e4)  # a centimetre
-    frame = recover(world, frames, CAMERA, cloud.view(true, noise_px=0.3)[0], world.newest(), 25, 0)
+    frame = recover(world, frames, View(CAMERA, cloud.view(true, noise_px=0.3)[0]), world.newest(), 25, 0)
     assert (frame is not None) == found
     if frame is not None:
         assert np.abs(se3_log(inverse(true) @ frame.world_from_camera)).max() < 0.02
@@ -155,9 +156,9 @@ def test_old_points_that_are_where_they_were_expected_do_not_bear_it_out(far):
     frames.expected = Prediction(np.eye(4), np.eye(6) * 1e4)
     features = cloud.view(true, noise_px=0.3)[0]
     assert old.mean() > 0.3
-    assert (recover(world, frames, CAMERA, features, world.newest(), 25, 0) is None) == bool(far)
+    assert (recover(world, frames, View(CAMERA, features), world.newest(), 25, 0) is None) == bool(far)
     frames.expected = None
-    assert recover(world, frames, CAMERA, features, world.newest(), 25, 0) is not None
+    assert recover(world, frames, View(CAMERA, features), world.newest(), 25, 0) is not None
 
 
 def _placed(matched):
@@ -170,11 +171,11 @@ def test_it_is_found_by_a_keyframe_beside_the_newest():
     world, _ = cloud.mapped([np.eye(4), pose_at(0.1)])
     newest, features = world.newest(), cloud.view(true, noise_px=0.3, bits=15)[0]
     for known in (True, False):
-        frame = recover(world, FrameTracker(FACTORS, 5000), CAMERA, features, newest, 25, 0)
+        frame = recover(world, FrameTracker(FACTORS, 5000), View(CAMERA, features), newest, 25, 0)
         assert np.abs(se3_log(inverse(true) @ frame.world_from_camera)).max() < 0.02, known
         others = descriptors(cloud.rng, len(newest.features))
         newest.features = Features.build(newest.features.pixels, newest.features.octaves, others, 640, 480)
-    assert locate(world, CAMERA, features, newest, seed=0) is None
+    assert locate(world, View(CAMERA, features), newest, seed=0) is None
 
 
 def test_a_sudden_loss_of_points_is_looked_at_again():

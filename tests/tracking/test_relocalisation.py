@@ -11,6 +11,7 @@ from prism_edge.tracking.features import Features
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.local_map import LocalMap
 from prism_edge.tracking.relocalisation import RANKED, TRIES, Relocaliser, _near
+from prism_edge.tracking.view import View
 from tests.backend.ring import Ring, looking_out
 from tests.tracking.cloud import CAMERA, FACTORS, Cloud, descriptors, pose_at
 
@@ -45,8 +46,8 @@ class Lost:
 
     def see(self, features: Features, after_ms: int = 33) -> TrackedFrame | None:
         self.now_ns += after_ms * 1_000_000
-        known = self.world, self.frames, CAMERA, features, None, 25
-        return self.relocaliser.attempt(*known, self.now_ns)
+        view = View(CAMERA, features, self.now_ns)
+        return self.relocaliser.attempt(self.world, self.frames, view, None, 25)
 
 
 def at(heading: float) -> np.ndarray:
@@ -202,7 +203,7 @@ def test_a_hand_before_the_lens_leaves_it_where_it_was(place):
         relocaliser, frames = Relocaliser(), FrameTracker(FACTORS, 5000)
         seen = [cloud.view(true, noise_px=0.3, bits=10)[0] for _ in range(2)]
         made = [
-            relocaliser.attempt(world, frames, CAMERA, features, known, 25, 33_000_000 * i)
+            relocaliser.attempt(world, frames, View(CAMERA, features, 33_000_000 * i), known, 25)
             for i, features in enumerate(seen)
         ]
         assert made[0] is None
@@ -234,7 +235,8 @@ def test_a_turn_no_frame_makes_is_not_believed_though_both_see_the_same():
 
     def attempt(lost: Lost, pose: np.ndarray, after_ms: int = 33) -> TrackedFrame | None:
         lost.now_ns += after_ms * 1_000_000
-        return lost.relocaliser.attempt(world, lost.frames, wide, seen(pose), None, 25, lost.now_ns)
+        view = View(wide, seen(pose), lost.now_ns)
+        return lost.relocaliser.attempt(world, lost.frames, view, None, 25)
 
     lost = Lost(world, known=False)
     assert not [i for i in range(8) if attempt(lost, turned if i % 2 else pose_at()) is not None]

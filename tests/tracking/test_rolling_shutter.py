@@ -25,6 +25,7 @@ from prism_edge.tracking.place_index import PlaceIndex
 from prism_edge.tracking.rolling_shutter import RollingShutter, found_readout, see_at_once
 from prism_edge.tracking.submaps import Parts
 from prism_edge.tracking.tracker import Tracker
+from prism_edge.tracking.view import View
 from tests.synthetic.drawing import SLACK
 from tests.synthetic.messages import map_update
 
@@ -74,7 +75,7 @@ def test_keypoints_go_where_the_middle_of_the_readout_has_them(
 ) -> None:
     twist, points = np.array(moves), wall(seed)
     taken = read_row_by_row(points, twist, CAMERA, 1e-3 * readout_ms)
-    seen = RollingShutter(readout_ms).in_the_middle(features(taken), CAMERA, twist, DEPTH)
+    seen = RollingShutter(readout_ms).in_the_middle(View(CAMERA, features(taken)), twist, DEPTH).features
     true = CAMERA.project(points)
     before, after = (np.abs(p - true).max() for p in (taken, seen.pixels))
     assert after < 0.02 + 0.05 * before  # what is left is of second order
@@ -86,29 +87,28 @@ def test_rows_are_the_lens_s() -> None:
     raw = np.array([[320.0, 450.0]])
     twist = np.array([0, 0, 0, 0, 0.5, 0])
     ideal = bent.undistort_pixels(raw)
-    seen = RollingShutter(READOUT_MS).in_the_middle(features(ideal), bent, twist, DEPTH)
+    seen = RollingShutter(READOUT_MS).in_the_middle(View(bent, features(ideal)), twist, DEPTH).features
     late_s = ((450.0 + 0.5) / 480 - 0.5) * 1e-3 * READOUT_MS
     assert seen.pixels[0, 0] - ideal[0, 0] == pytest.approx(525.0 * 0.5 * late_s, rel=2e-3)
 
 
 def test_a_global_shutter_and_a_camera_at_rest_change_nothing() -> None:
-    found = features(CAMERA.project(wall(0)))
-    assert RollingShutter(0.0).in_the_middle(found, CAMERA, np.ones(6), DEPTH) is found
-    assert RollingShutter(READOUT_MS).in_the_middle(found, CAMERA, np.zeros(6), DEPTH) is found
+    view = View(CAMERA, features(CAMERA.project(wall(0))))
+    assert RollingShutter(0.0).in_the_middle(view, np.ones(6), DEPTH) is view
+    assert RollingShutter(READOUT_MS).in_the_middle(view, np.zeros(6), DEPTH) is view
 
 
 def test_a_motion_that_is_wrong_by_far_leaves_numbers() -> None:
     found = features(CAMERA.project(wall(0)))
-    seen = RollingShutter(100.0).in_the_middle(found, CAMERA, np.full(6, 1e4), DEPTH)
+    seen = RollingShutter(100.0).in_the_middle(View(CAMERA, found), np.full(6, 1e4), DEPTH).features
     assert np.isfinite(seen.pixels).all()
     assert len(seen) == len(found)
 
 
 def test_what_a_wrong_motion_would_put_behind_the_camera_stays_on_its_side() -> None:
-    found = features(CAMERA.project(wall(0)))
-    seen = RollingShutter(100.0).in_the_middle(found, CAMERA, np.array([0, 0, 100.0, 0, 0, 0]), DEPTH)
-    centre = np.array([319.5, 239.5])
-    assert ((seen.pixels - centre) * (found.pixels - centre) >= 0).all()
+    view, centre = View(CAMERA, features(CAMERA.project(wall(0)))), np.array([319.5, 239.5])
+    seen = RollingShutter(100.0).in_the_middle(view, np.array([0, 0, 100.0, 0, 0, 0]), DEPTH).features
+    assert ((seen.pixels - centre) * (view.features.pixels - centre) >= 0).all()
 
 
 def two_views(twist: Array, elapsed_s: float) -> tuple[Features, Features, Array]:
@@ -128,57 +128,57 @@ def two_views(twist: Array, elapsed_s: float) -> tuple[Features, Features, Array
 def test_where_a_map_begins_corners_say_how_the_camera_moves(twist: tuple[float, ...], left: float) -> None:
     first, second, true = two_views(np.array(twist), 0.033)
     shutter = RollingShutter(READOUT_MS)
-    shutter.saw(0, first)
+    shutter.saw(View(CAMERA, first, 0))
     assert not shutter.may_begin
-    shutter.saw(33_000_000, second)
+    shutter.saw(now := View(CAMERA, second, 33_000_000))
     assert shutter.may_begin
-    seen = shutter.without_map(second, CAMERA).pixels
+    seen = shutter.without_map(now).features.pixels
     before, after = (np.abs(p - true).max() for p in (second.pixels, seen))
     assert after < left * before
 
 
 def test_two_frames_that_tell_no_motion_leave_what_begins_a_map() -> None:
     first, second, _ = two_views(np.array([0, 0, 0, 0, 0.6, 0]), 0.033)
-    shutter = RollingShutter(READOUT_MS)
-    assert shutter.without_map(second, CAMERA) is second  # nothing came before it
-    shutter.saw(0, first)
-    shutter.saw(1_000_000_000, second)
-    assert shutter.without_map(second, CAMERA) is second  # a second apart
-    shutter.saw(1_033_000_000, first)
-    shutter.saw(1_033_000_000, second)
-    assert shutter.without_map(second, CAMERA) is second  # at one time
-    shutter.saw(1_066_000_000, features(first.pixels[:5]))
-    shutter.saw(1_099_000_000, second)
-    assert shutter.without_map(second, CAMERA) is second  # too few corners
+    shutter, now = RollingShutter(READOUT_MS), View(CAMERA, second, 1_000_000_000)
+    assert shutter.without_map(now) is now  # nothing came before it
+    shutter.saw(View(CAMERA, first, 0))
+    shutter.saw(now)
+    assert shutter.without_map(now) is now  # a second apart
+    shutter.saw(View(CAMERA, first, 1_033_000_000))
+    shutter.saw(now := View(CAMERA, second, 1_033_000_000))
+    assert shutter.without_map(now) is now  # at one time
+    shutter.saw(View(CAMERA, features(first.pixels[:5]), 1_066_000_000))
+    shutter.saw(now := View(CAMERA, second, 1_099_000_000))
+    assert shutter.without_map(now) is now  # too few corners
 
 
 def test_the_first_frame_of_all_stays_as_it_was_taken() -> None:
-    shutter, first = RollingShutter(READOUT_MS), features(CAMERA.project(wall(0)))
-    shutter.saw(0, first)
-    assert shutter.without_map(first, CAMERA) is first
+    shutter, first = RollingShutter(READOUT_MS), View(CAMERA, features(CAMERA.project(wall(0))))
+    shutter.saw(first)
+    assert shutter.without_map(first) is first
 
 
 def test_a_global_shutter_begins_with_its_first_frame() -> None:
-    found, shutter = features(CAMERA.project(wall(0))), RollingShutter(0.0)
-    shutter.saw(0, found)
+    view, shutter = View(CAMERA, features(CAMERA.project(wall(0)))), RollingShutter(0.0)
+    shutter.saw(view)
     assert shutter.may_begin
-    assert shutter.without_map(found, CAMERA) is found
+    assert shutter.without_map(view) is view
 
 
 def test_the_camera_says_the_readout_unless_it_is_set() -> None:
-    found, twist = features(CAMERA.project(wall(0))), np.array([0, 0, 0, 0.1, 0.5, 0])
+    view, twist = View(CAMERA, features(CAMERA.project(wall(0)))), np.array([0, 0, 0, 0.1, 0.5, 0])
 
     def moved(set_ms: float, camera_ms: float) -> Array:
         shutter = RollingShutter(set_ms)
-        shutter.saw(0, found, camera_ms)
-        return shutter.in_the_middle(found, CAMERA, twist, DEPTH).pixels
+        shutter.saw(view, camera_ms)
+        return shutter.in_the_middle(view, twist, DEPTH).features.pixels
 
-    by_hand = RollingShutter(READOUT_MS).in_the_middle(found, CAMERA, twist, DEPTH).pixels
+    by_hand = RollingShutter(READOUT_MS).in_the_middle(view, twist, DEPTH).features.pixels
     assert np.array_equal(moved(0.0, READOUT_MS), by_hand)
     assert np.array_equal(moved(READOUT_MS, 0.0), by_hand)
     assert np.array_equal(moved(READOUT_MS, -5.0), by_hand)
-    assert np.array_equal(moved(0.0, 0.0), found.pixels)
-    assert not np.allclose(by_hand, found.pixels, atol=0.5)
+    assert np.array_equal(moved(0.0, 0.0), view.features.pixels)
+    assert not np.allclose(by_hand, view.features.pixels, atol=0.5)
 
 
 @pytest.mark.parametrize("lens", [0.0, 0.02])
@@ -264,13 +264,13 @@ def test_what_was_known_of_the_motion_before_a_long_gap_shears_no_image_after_it
 
 
 def test_what_was_found_counts_where_nobody_says_anything() -> None:
-    found, shutter = features(CAMERA.project(wall(0))), RollingShutter(0.0)
+    view, shutter = View(CAMERA, features(CAMERA.project(wall(0)))), RollingShutter(0.0)
     for said_ms, counts, said in ((None, 26.0, False), (0.0, 0.0, True), (-9.0, -9.0, True)):
-        shutter.saw(0, found, said_ms, 26.0)
+        shutter.saw(view, said_ms, 26.0)
         assert (shutter.readout_ms, shutter.is_said) == (counts, said)
         assert shutter.found_ms == (0.0 if said else counts)
     by_hand = RollingShutter(12.0)
-    by_hand.saw(0, found, None, 26.0)
+    by_hand.saw(view, None, 26.0)
     assert (by_hand.readout_ms, by_hand.is_said) == (12.0, True)
 
 

@@ -174,9 +174,9 @@ def test_after_a_frame_that_was_not_found_the_camera_may_have_gone_on_or_stand(m
     run.play(range(12), depth_for="first")
     follow = FrameTracker.track_after
 
-    def followed(self, world, camera, features, moving, *rest):
+    def followed(self, world, view, moving, *rest):
         expected.append(moving)
-        return follow(self, world, camera, features, moving, *rest)
+        return follow(self, world, view, moving, *rest)
 
     monkeypatch.setattr(FrameTracker, "track_after", followed)
     run.feed(12)
