@@ -21,7 +21,6 @@ from prism_edge.messages import (
     Depth,
     Keyframe,
     MapLoaded,
-    MapSnapshot,
     MapUpdate,
     Solved,
     Tracked,
@@ -374,7 +373,7 @@ class BackendWorker:
     def _show(self) -> None:
         """What the map has come to: on `health`, and for whoever asks for it."""
         show_map(self._bus.pulse.values, self._mapper.world, len(self._arrivals))
-        self._snapshot: MapSnapshot = snapshot(self._mapper, self._settled, self._home_scale.log_scale)
+        self._snapshot = snapshot(self._mapper, self._settled, self._home_scale.log_scale)
 
 
 def main(config: Config, bus: Bus) -> None:

@@ -12,9 +12,13 @@ def show_map(values: dict[str, str], world: GlobalMap, behind: int) -> None:
     ``behind``: keyframes that wait.
     """
     values.update(keyframes=str(len(world.keyframes)), points=str(len(world.points)), behind=str(behind))
-    for found in ("k1", "readout_ms"):
-        values.pop(found, None)
+    found = {"k1": "", "readout_ms": ""}
     if world.camera is not None:
-        values["k1"] = f"{radial(world.camera):.4f}"
+        found["k1"] = f"{radial(world.camera):.4f}"
     if world.readout_ms:
-        values["readout_ms"] = f"{world.readout_ms:.1f}"
+        found["readout_ms"] = f"{world.readout_ms:.1f}"
+    for name, value in found.items():  # never away for a moment: a heartbeat may come between
+        if value:
+            values[name] = value
+        else:
+            values.pop(name, None)
