@@ -22,7 +22,6 @@ from prism_edge.errors import YAML_MISFITS, ModelError
 from prism_edge.messages import MOST_BIAS
 
 CONTRACT = 1  # version of the schema
-PREFIX = CARD_PREFIX
 METRIC, FOCAL_NORMALISED = "metric", "focal_normalised"
 RELATIVE, INVERSE_RELATIVE = "relative", "inverse_relative"
 KINDS = (METRIC, FOCAL_NORMALISED, RELATIVE, INVERSE_RELATIVE)
@@ -95,10 +94,10 @@ class ModelCard:
     def to_metadata(self) -> dict[str, str]:
         """The card as ONNX ``metadata_props``; :func:`card_from_metadata` reads it back."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        props = {PREFIX + "contract": str(CONTRACT)}
+        props = {CARD_PREFIX + "contract": str(CONTRACT)}
         for key, value in values.items():
             if value not in (None, ""):
-                props[PREFIX + key] = str(list(value)) if isinstance(value, tuple) else str(value)
+                props[CARD_PREFIX + key] = str(list(value)) if isinstance(value, tuple) else str(value)
         return props
 
 
@@ -133,7 +132,8 @@ def card_from_mapping(values: Any, where: str) -> ModelCard:
 
 def card_from_metadata(props: Mapping[str, str], where: str) -> ModelCard | None:
     """The card in an ONNX file's metadata; None where the file does not describe itself."""
-    own = {key.removeprefix(PREFIX): value for key, value in props.items() if key.startswith(PREFIX)}
+    mine = (key for key in props if key.startswith(CARD_PREFIX))
+    own = {key.removeprefix(CARD_PREFIX): props[key] for key in mine}
     if not own:
         return None
     return card_from_mapping({key: _scalar(key, value, where) for key, value in own.items()}, where)

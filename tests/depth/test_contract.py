@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from prism_edge.depth.contract import (
-    PREFIX,
     ModelCard,
     card_from_mapping,
     card_from_metadata,
     card_from_sidecar,
 )
+from prism_edge.depth.onnx_file import CARD_PREFIX
 from prism_edge.errors import ModelError
 from tests.synthetic.network import TinyNetwork, write_sidecar
 
@@ -212,12 +212,12 @@ def test_normalisation_as_networks_have_it_is_taken(change: dict):
 @pytest.mark.parametrize("write", [yaml.safe_dump, json.dumps, str, lambda text: f"'{text}'"])
 @pytest.mark.parametrize("key", ["name", "revision", "licence", "source"])
 def test_text_in_metadata_may_be_as_a_yaml_writer_has_it(write, key: str):
-    values = {**TinyNetwork().card().to_metadata(), PREFIX + key: write("mine-1.10")}
+    values = {**TinyNetwork().card().to_metadata(), CARD_PREFIX + key: write("mine-1.10")}
     assert getattr(card_from_metadata(values, "here"), key) == "mine-1.10"
 
 
 def test_text_in_metadata_that_begins_with_a_quoted_word_is_as_it_is():
-    values = {**TinyNetwork().card().to_metadata(), PREFIX + "source": '"Rooms", a dataset'}
+    values = {**TinyNetwork().card().to_metadata(), CARD_PREFIX + "source": '"Rooms", a dataset'}
     assert card_from_metadata(values, "here").source == '"Rooms", a dataset'
 
 
@@ -227,7 +227,7 @@ def test_metadata_of_a_foreign_file_is_no_card():
 
 def test_a_half_written_card_in_metadata_is_refused():
     with pytest.raises(ModelError, match="contract"):
-        card_from_metadata({PREFIX + "name": "x"}, "here")
+        card_from_metadata({CARD_PREFIX + "name": "x"}, "here")
 
 
 @pytest.mark.parametrize("kind", ["metric", "focal_normalised", "relative", "inverse_relative"])
@@ -293,7 +293,7 @@ ANYTHING = st.none() | NUMBERS | st.text(max_size=20) | st.lists(st.integers())
 @settings(max_examples=100, deadline=None)
 @given(
     st.dictionaries(st.sampled_from(sorted(GOOD)), ANYTHING),
-    st.dictionaries(st.sampled_from([PREFIX + key for key in GOOD]), st.text(max_size=30)),
+    st.dictionaries(st.sampled_from([CARD_PREFIX + key for key in GOOD]), st.text(max_size=30)),
 )
 def test_anything_else_is_a_model_error_or_a_card(values: dict, props: dict):
     for read in (
