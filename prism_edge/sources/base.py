@@ -38,9 +38,7 @@ class Unreadable:
 
 @dataclass(frozen=True)
 class Absent:
-    """A live camera has no image at this moment, and may have one soon."""
-
-    problem: str = ""  # why, where it is more than a short wait
+    """A live camera has no image at this moment, and may have one soon; why, its ``health`` says."""
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,8 @@ class Backlog:
         at_once = waited_ns < AT_ONCE_NS
         self._late_ns = late_ns
         self._queued = self._queued + 1 if at_once else 0
-        self._awaited = 0 if at_once else self._awaited + 1
+        # Late ones alone: after a stall the first packet is awaited, as were all before it, and it is late.
+        self._awaited = self._awaited + 1 if late_ns > _LATE_NS and not at_once else 0
         if self._behind and is_key and (late_ns < _CAUGHT_UP_NS or self.misled):
             self._behind = False
         elif late_ns > _LATE_NS and self._queued >= _QUEUED:

@@ -58,6 +58,7 @@ class LiveCamera(Source):
         self._wall_clock = WallClock()
         self._watch = PictureWatch()
         self._misfit = ""  # how the newest image's size is not the camera's
+        self._quiet = ""  # for how long no image has come, where nobody says yet that it is lost
         self.stopped = threading.Event()  # set from outside, it ends the wait for a camera that isn't there
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -102,8 +103,9 @@ class LiveCamera(Source):
         with self._changed:
             self._changed.wait_for(lambda: self._newest is not None, self._timing.read_s)
             newest, self._newest = self._newest, None
+        self._quiet = "" if newest else self._silence()
         if newest is None:
-            return Absent(self._absence())
+            return Absent()
         index, grab = newest
         stamp_ns = self._wall_clock.at(grab.captured_ns)
         pixels = _decoded(grab)
@@ -121,18 +123,25 @@ class LiveCamera(Source):
         return True
 
     def health(self) -> dict[str, str]:
-        """``camera`` (streaming or reconnecting, and why), ``reconnects``; ``warning`` where there is one."""
+        """``camera`` (streaming, reconnecting and why, or how long no image has come), ``reconnects``, and
+        ``warning`` where there is one."""
         with self._changed:
             why, reconnects = self._lost_why, self._reconnects
-        values = {"camera": f"{RECONNECTING}: {why}" if why else STREAMING, "reconnects": str(reconnects)}
-        warning = f"camera: {RECONNECTING} ({why})" if why else self._misfit or self._watch.problem
+        state = f"{RECONNECTING}: {why}" if why else self._quiet or STREAMING
+        values = {"camera": state, "reconnects": str(reconnects)}
+        if why:
+            warning = f"camera: {RECONNECTING} ({why})"
+        elif self._quiet:
+            warning = f"camera: {self._quiet}"
+        else:
+            warning = self._misfit or self._watch.problem
         return values | ({"warning": warning} if warning else {})
 
     def close(self) -> None:
         """Ends the thread, or leaves it behind where its driver hangs."""
         self._closing.set()
         if self._thread is not None:
-            self._thread.join(self._timing.read_s + 2.0)
+            self._thread.join(self._timing.read_s + 0.5)  # within supervisor.stop_s, with what else ends
             if self._thread.is_alive():
                 log.warning("%s: the driver does not come back; it is left behind", self.name)
             self._thread = None
@@ -205,16 +214,17 @@ class LiveCamera(Source):
             return ""
         return f"the camera sends {width}x{height}, its intrinsics are for {wanted[0]}x{wanted[1]}"
 
-    def _absence(self) -> str:
-        """Why there is no image, empty where it is too early to worry."""
+    def _silence(self) -> str:
+        """For how long no image has come, empty where it is too early to worry.
+
+        Raises SourceError where the camera's driver hangs.
+        """
         now = time.monotonic()
         with self._changed:
-            why, quiet_s, silent_s = self._lost_why, now - self._image_s, now - self._alive_s
+            quiet_s, silent_s = now - self._image_s, now - self._alive_s
         if silent_s > self._timing.hang_s + self.connecting_s:
             raise SourceError(f"{self.name}: the driver has not come back for {silent_s:.0f} s")
-        if not why and quiet_s > self._driver.dead_s + 1.0:
-            why = f"no image for {quiet_s:.0f} s"
-        return why
+        return f"no image for {quiet_s:.0f} s" if quiet_s > self._driver.dead_s + 1.0 else ""
 
     # What follows runs in the camera's thread.
 

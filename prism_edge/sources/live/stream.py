@@ -34,6 +34,7 @@ _PROTOCOLS = "rtsp,rtp,srtp,tcp,udp,tls,http,https,httpproxy,crypto"
 _ESCAPES = "in a password write # as %23, @ as %40, / as %2F and ? as %3F"
 _SHORT_NS = 1_000_000_000  # the clock's window where stamps run too slow: it lags by less than that
 _MJPEG = "mpjpeg"  # FFmpeg's name of multipart JPEG
+_READ = "; only multipart JPEG is read, its parts of the type image/jpeg"
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,10 @@ class StreamDriver:
             raise SourceError(f"{self.name}: the camera refuses the user name or password") from None
         except (av.error.FFmpegError, ValueError) as error:
             is_late = time.monotonic() - began >= self.options.timeout
-            raise CameraLostError(reason_of(error, is_late, self.options.timeout)) from None
+            reason = reason_of(error, is_late, self.options.timeout)
+            if self.is_mjpeg and isinstance(error, av.error.InvalidDataError):
+                reason += _READ
+            raise CameraLostError(reason) from None
         try:
             connection = StreamConnection(container, self.options, self.is_mjpeg)
         except BaseException:
@@ -153,7 +157,7 @@ class StreamConnection:
         except (errors.FFmpegError, ValueError) as error:
             reason = reason_of(error, False, self._options.timeout)
             if self._is_mjpeg and isinstance(error, errors.InvalidDataError):
-                reason += "; only multipart JPEG is read, its parts of the type image/jpeg"
+                reason += _READ
             raise CameraLostError(reason) from None
         if not frames and not self._begun:
             return self._grab(arrival_ns, self._damaged)  # the decoder passes over it without a word

@@ -64,6 +64,11 @@ class V4l2Driver:
             device.claim()
             set_controls(device, self.options)  # before the mode: automatic exposure may hold the rate down
             mode = choose_mode(device, self.options)
+            if mode.stacked:
+                raise SourceError(
+                    f"{device.card} gives two half pictures, one above the other (its fields in sequence): "
+                    "ask its driver for one field, or a progressive mode"
+                )
             connection = V4l2Connection(device, self._kernel, mode, self.options)
         except BaseException:
             device.close()
@@ -74,6 +79,8 @@ class V4l2Driver:
             connection.close()
             raise
         self._card = device.card
+        # Replugged, it is at its own default; the intrinsics, and the mask, are for the size of now.
+        self.options = replace(self.options, width=mode.width, height=mode.height)
         self.name = f"camera {self.path} ({device.card}, {mode.pixels} {mode.width}x{mode.height})"
         if mode.rate_hz:
             self.period_ns = round(1e9 / mode.rate_hz)

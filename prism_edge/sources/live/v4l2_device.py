@@ -26,6 +26,7 @@ class Mode:
     stride: int  # bytes a row, 0 where compressed
     rate_hz: float  # 0: it doesn't say
     interlaced: bool = False
+    stacked: bool = False  # one field above the other: two small pictures
 
 
 class Device:
@@ -133,7 +134,8 @@ class Device:
         pix = found.fmt.pix
         named = abi.fourcc_name(pix.pixelformat)
         return Mode(
-            pix.width, pix.height, named, pix.bytesperline, rate_hz, pix.field in abi.INTERLACED
+            pix.width, pix.height, named, pix.bytesperline, rate_hz, pix.field in abi.INTERLACED,
+            pix.field in abi.STACKED,
         )
 
     def control_range(self, control: int) -> tuple[int, int] | None:

@@ -127,3 +127,11 @@ def test_what_had_to_be_waited_for_is_no_backlog() -> None:
         assert not backlog.misled  # behind a link that was held up a late packet may have to be waited for
     assert not backlog.leaves_out(1100 * MS, 30 * MS, False)
     assert backlog.misled
+
+
+def test_one_stall_of_the_network_does_not_make_the_stamps_run_slow() -> None:
+    backlog = Backlog()
+    for _ in range(300):
+        assert not backlog.leaves_out(5 * MS, 30 * MS, False)
+    assert not backlog.leaves_out(1500 * MS, 1500 * MS, False)  # the first that gets through; the rest waits
+    assert not backlog.misled

@@ -78,9 +78,7 @@ def test_a_lost_camera_is_said_and_comes_back(caplog: pytest.LogCaptureFixture) 
         until(lambda: camera.health()["camera"] == "reconnecting: not there")
         assert camera.health()["warning"] == "camera: reconnecting (not there)"
         camera.skip()
-        item = camera.read()
-        assert isinstance(item, Absent)
-        assert item.problem == "not there"
+        assert isinstance(camera.read(), Absent)
         gone.clear()
         bench.refusal = None
         after = next_image(camera)
@@ -295,3 +293,19 @@ def test_where_there_is_no_memory_the_camera_is_not_said_to_be_lost() -> None:
     with pytest.raises(MemoryError):
         camera._run(bench.connect())
     assert camera.health()["camera"] == "streaming"
+
+
+def test_a_driver_that_hangs_is_warned_of_meanwhile() -> None:
+    hang = threading.Event()
+
+    def script(n: int) -> Grab | None:
+        if n > 3:
+            hang.wait(30)
+        return steady(n)
+
+    with LiveCamera(Bench(script), CAMERA, "test", QUICK) as camera:
+        until(lambda: bool(camera.read()) and "warning" in camera.health())
+        assert "no image for" in camera.health()["warning"]
+        assert camera.health()["camera"] != "streaming"
+        hang.set()
+        until(lambda: isinstance(camera.read(), Image) and "warning" not in camera.health())

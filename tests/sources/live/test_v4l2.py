@@ -303,3 +303,19 @@ def test_wrong_addresses_are_one_line(uri: str, words: str) -> None:
 def test_an_address_must_not_contradict_the_camera_file() -> None:
     with pytest.raises(ConfigError, match="asks for 64x48, but the camera file is for 128x96"):
         V4l2Driver("v4l2:/dev/video0?width=64&height=48", Camera(128, 96, 100.0, 100.0, 63.5, 47.5))
+
+
+def test_replugged_it_gets_the_size_that_it_had_though_nobody_named_one() -> None:
+    fake = FakeCamera(modes={"YUYV": {(64, 48): 30.0, (128, 96): 30.0}}, _pix=(64, 48, "YUYV"))
+    again = driver(fake)
+    again.connect().close()
+    fake._pix = (128, 96, "YUYV")  # its own default
+    grab = again.connect().grab()
+    assert grab is not None
+    assert grab.decode().shape == (48, 64, 3)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("fields", [5, 6])
+def test_two_half_pictures_are_no_picture(fields: int) -> None:
+    with pytest.raises(SourceError, match="one above the other"):
+        driver(FakeCamera(fields=fields), "width=64&height=48").connect()
