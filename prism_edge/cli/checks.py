@@ -124,7 +124,9 @@ def check_model(config: Config) -> Iterator[Finding]:
         return
     try:
         from prism_edge.workers.sensor_network import open_depth
-
+    except Exception:  # said by check_wheels
+        return
+    try:
         network = open_depth(config)
         yield Finding(OK, "model", f"{network.name} on {network.provider}")
     except PrismError as error:
@@ -257,9 +259,11 @@ def check_disk(least_mb: int = LEAST_DISK_MB) -> Iterator[Finding]:
 
 def check_folders(config: Config) -> Iterator[Finding]:
     """Whether the daemon could write the files of a run, and what it keeps between runs."""
-    from prism_edge.supervisor.run_directory import default_parent
-    from prism_edge.workers.state_directory import kept_journal, state_directory
-
+    try:
+        from prism_edge.supervisor.run_directory import default_parent
+        from prism_edge.workers.state_directory import kept_journal, state_directory
+    except Exception:  # a wheel that doesn't load, said by check_wheels
+        return
     try:
         run = default_parent()
     except OSError:  # no temporary files: said by check_disk

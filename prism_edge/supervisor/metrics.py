@@ -15,6 +15,7 @@ from prism_edge.errors import ConfigError
 from prism_edge.supervisor.health import OK, WARN, Row
 
 ADDRESS = "127.0.0.1"
+PATIENCE_S = 5.0  # with one who says nothing
 
 
 def check_port(config: Config) -> None:
@@ -52,6 +53,7 @@ class MetricsServer:
 
         with self._port_is_free():
             server, thread = start_http_server(self._port, ADDRESS, self._registry)
+        server.RequestHandlerClass = _impatient(server.RequestHandlerClass)
         for end in (partial(thread.join, timeout=2.0), server.server_close, server.shutdown):  # last first
             self._end.callback(end)
 
@@ -67,6 +69,19 @@ class MetricsServer:
             raise ConfigError(
                 f"metrics.port: can't listen on {ADDRESS}:{self._port}: {error.strerror}"
             ) from None
+
+
+def _impatient(handler: Any) -> Any:
+    """Such a handler with a patience that ends: whoever asks holds a thread of the service's few."""
+
+    class Impatient(handler):
+        timeout = PATIENCE_S
+
+        def handle(self) -> None:
+            with contextlib.suppress(TimeoutError):
+                super().handle()
+
+    return Impatient
 
 
 class _Collector:

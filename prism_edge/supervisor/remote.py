@@ -55,6 +55,9 @@ class RemoteWatch:
             return Row(self._name, ERROR, verdict.why, values)
         if "warning" in values:
             return Row(self._name, WARN, values["warning"], values)
+        if "malformed" in values:
+            refused = f"has refused {values['malformed']} messages: is it of another build? Its log says more"
+            return Row(self._name, WARN, refused, values)
         return Row(self._name, OK, beat.state, values)
 
     def _judged(self, beat: Heartbeat, now_s: float) -> Verdict:

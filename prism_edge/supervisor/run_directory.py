@@ -60,6 +60,12 @@ class RunDirectory:
             if not (self.path / name).exists():
                 self._write(name, content)
 
+    def keep(self) -> None:
+        """Restore it in its place, called all the time: many a run's journal lies there. Raises nothing."""
+        if self.path.parent.is_dir():  # else the next login brings that back, under its name
+            with contextlib.suppress(OSError):  # a full disk: what starts a process says so
+                self.restore()
+
     def remove(self) -> None:
         """Delete the folder; harmless when it is gone already."""
         if self._stands():

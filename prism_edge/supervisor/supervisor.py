@@ -18,10 +18,11 @@ from prism_edge.config_file import dump
 from prism_edge.errors import SupervisionError, in_words
 from prism_edge.processes import Process, processes_for
 from prism_edge.supervisor.child import Child
-from prism_edge.supervisor.health import Row, no_network, status_line, summary
+from prism_edge.supervisor.health import ERROR, Row, no_network, status_line, summary
 from prism_edge.supervisor.kept_journal import KeptJournal
 from prism_edge.supervisor.liveness import OVERDUE, QUIET_S
 from prism_edge.supervisor.metrics import MetricsServer, check_port
+from prism_edge.supervisor.namesakes import Namesakes, words
 from prism_edge.supervisor.reload import difference
 from prism_edge.supervisor.remote import RemoteWatch
 from prism_edge.supervisor.run_directory import RunDirectory
@@ -31,6 +32,7 @@ from prism_edge.workers.configured_network import CONFIG
 
 if TYPE_CHECKING:
     from prism_edge.bus.commands import Reply
+    from prism_edge.messages import Heartbeat
 
 log = logging.getLogger("prism_edge.supervisor")
 
@@ -65,6 +67,8 @@ class Supervisor:
         self._source_ended_s: float | None = None
         self._looked_s = self.started_s
         self._lenient_until_s = 0.0
+        self._namesakes = Namesakes()
+        self._of_two: list[str] = []  # processes that are heard from another daemon, too
         self._status = "starting"
         self._rows: list[Row] = []  # the latest
         self._before = config  # the last that every process has taken up
@@ -256,16 +260,11 @@ class Supervisor:
         first = self._heartbeats.take(timeout_s=LOOK_S)
         now = time.monotonic()
         for heartbeat in [first, *self._heartbeats.drain()]:
-            if heartbeat is not None and heartbeat.process in self._remote:
-                self._remote[heartbeat.process].heard(heartbeat, now)
-            if heartbeat is not None and heartbeat.process in self._watches:
-                watch = self._watches[heartbeat.process]
-                watch.heard(heartbeat, now)
-                # By its watch, which hears only the process that was started: another may say so too.
-                if heartbeat.process == "source" and watch.state == "ended":
-                    self._source_ended_s = self._source_ended_s or now
+            if heartbeat is not None:
+                self._hear(heartbeat, now)
         for remote in self._remote.values():
             remote.tell(now)
+        self._tell_of_namesakes(now)
         self._desk.serve()
         if now - self._looked_s > PAUSED_S:
             self._lenient_until_s = now + QUIET_S
@@ -277,6 +276,23 @@ class Supervisor:
             log.info("ready after %.2f s: %s", self.ready_s, " ".join(self._watches))
         self._publish(now)
         self._journal.alive()
+        self._directory.keep()
+
+    def _hear(self, heartbeat: Heartbeat, now: float) -> None:
+        self._namesakes.heard(heartbeat, now)
+        name = heartbeat.process
+        if name in self._remote:
+            self._remote[name].heard(heartbeat, now)
+        if name in self._watches:
+            self._watches[name].heard(heartbeat, now)
+            # By its watch, which hears only the process that was started: another may say so too.
+            if name == "source" and self._watches[name].state == "ended":
+                self._source_ended_s = self._source_ended_s or now
+
+    def _tell_of_namesakes(self, now: float) -> None:
+        before, self._of_two = self._of_two, self._namesakes.there(now)
+        if self._of_two and not before:
+            log.error("%s", words(self._config.robot, self._of_two))
 
     def _look_at(self, name: str, watch: Watch, now: float) -> None:
         if watch.restart_at_s is not None:
@@ -349,6 +365,8 @@ class Supervisor:
         rows += [remote.row(now) for remote in self._remote.values()]
         if not self._config.depth.network:
             rows.append(no_network(self._has_map(now)))
+        if self._of_two:
+            rows.append(Row("robot", ERROR, words(self._config.robot, self._of_two), {}))
         rows.insert(0, summary(rows, os.getpid(), self.ready_s))
         self._status, self._rows = status_line(rows), rows
         essence = [row.essence for row in rows]

@@ -110,6 +110,17 @@ def test_a_wheel_that_does_not_load_is_left_to_its_own_line(monkeypatch: pytest.
     assert not list(checks.check_extras(Config(source=SourceConfig(uri="oak:"))))
 
 
+@pytest.mark.parametrize("module", ["numpy", "cv2", "onnxruntime"])
+def test_a_broken_wheel_ends_no_report(module: str, tmp_path: Path) -> None:
+    (tmp_path / f"{module}.py").write_text("raise ImportError('libfoo.so: cannot open')")
+    program = "import sys; from prism_edge.cli.main import main; sys.path.insert(0, sys.argv[1]); "
+    program += "sys.exit(main(sys.argv[2:]))"
+    command = [sys.executable, "-c", program, str(tmp_path), "doctor", "--model", "prism_nano"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    assert done.stdout.splitlines()[-1].endswith(" failed")
+
+
 def test_two_onnxruntimes_that_overwrite_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     wheels = {"onnxruntime": ["onnxruntime-gpu", "onnxruntime", "onnxruntime"]}
     monkeypatch.setattr("importlib.metadata.packages_distributions", lambda: wheels)

@@ -23,6 +23,7 @@ class Looking:
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: self.now_s))
         self.run = run = Supervisor(Config(), *cast(["depth:steady"]))
         run._heartbeats = SimpleNamespace(take=lambda timeout_s: None, drain=self._drain)
+        run._directory = SimpleNamespace(keep=lambda: None)
         run._desk = SimpleNamespace(serve=lambda: None)
         monkeypatch.setattr(run, "_publish", lambda now_s: None)
         run._children["depth"] = SimpleNamespace(pid=100, poll=lambda: None, kill=self._kill)

@@ -15,8 +15,10 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from prism_edge.config import BusConfig, Config, MetricsConfig, NetworkConfig
 from prism_edge.errors import ConfigError
+from prism_edge.supervisor import metrics
 from prism_edge.supervisor.health import ERROR, OK, Row, summary
 from prism_edge.supervisor.metrics import MetricsServer, check_port
+from tests.supervisor.whole_runs import DEADLINE_S
 
 
 def free_port() -> int:
@@ -88,6 +90,18 @@ def test_a_port_taken_since_is_the_users_error() -> None:
         with pytest.raises(ConfigError, match=r"metrics\.port: can't listen"):
             server.start()
     server.close()
+
+
+def test_a_request_that_never_ends_is_left(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(metrics, "PATIENCE_S", 0.1)
+    server = MetricsServer(port := free_port(), list)
+    server.start()
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=DEADLINE_S) as client:
+            client.sendall(b"GET /met")
+            assert client.recv(1) == b""  # closed, and its thread gone
+    finally:
+        server.close()
 
 
 def test_a_port_in_use_is_the_users_error() -> None:

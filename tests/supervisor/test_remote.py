@@ -84,3 +84,10 @@ def test_a_running_daemon_says_so(
     with Supervisor(away, *cast(["source:steady", "depth:steady"])) as run, Bus.open(config, "depth") as bus:
         bus.pulse.ready()
         run.run(in_time(lambda: "depth is heard from its host" in caplog.messages))
+
+
+def test_one_that_refuses_what_it_hears_is_not_well() -> None:
+    watch = RemoteWatch("depth", 0.0)
+    watch.heard(replace(beat("ready"), values={"malformed": "3"}), 1.0)
+    assert watch.row(1.5).level == WARN
+    assert "refused 3 messages" in watch.row(1.5).message

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import socket
 import sys
@@ -321,18 +320,6 @@ class TestSupervisor:
             run.run(in_time(lambda: run.ready))  # it goes back at the next refusal
             assert run.processes["tracker"] == before["tracker"]
             assert "threads: 1\n" in (folder / "config.yaml").read_text()
-
-    def test_a_folder_that_a_cleaner_took_keeps_nobody_down(self, config: Config, tmp_path: Path) -> None:
-        with supervisor(config, "tracker:steady", "depth:steady") as run:
-            run.run(in_time(lambda: run.ready))
-            [folder] = tmp_path.glob(PREFIX + "*")
-            shutil.rmtree(folder)
-            before = run.processes["depth"]
-            os.kill(before, signal.SIGKILL)
-            run.run(in_time(lambda: run.processes.get("depth", before) != before and run.ready))
-            shutil.rmtree(folder)
-            run.reload(put(config, "depth.threads", 3))
-            assert "threads: 3" in (folder / "config.yaml").read_text()
 
     def test_one_that_can_not_be_started_again_is_tried_again(self, config: Config) -> None:
         processes, start = cast(["tracker:steady", "depth:steady"])
