@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import ssl
 
 from prism_edge.config import NetworkConfig
@@ -40,6 +41,19 @@ def mismatch(network: NetworkConfig) -> str:
         return f"network.certificate: {both} are no PEM pair without password"
     refused = _handshake(judge, shown)
     return f"network.ca: {network.ca} does not vouch for {network.certificate} ({refused})" if refused else ""
+
+
+def contents(network: NetworkConfig) -> dict[str, str]:
+    """A digest of each file that is named, by its key; empty where it can't be read."""
+    named = {f"network.{key}": getattr(network, key) for key in ("ca", "certificate", "key")}
+    return {key: _digest(name) for key, name in named.items() if name}
+
+
+def _digest(name: str) -> str:
+    try:
+        return hashlib.sha256(named_path(name).read_bytes()).hexdigest()
+    except OSError:
+        return ""
 
 
 def _handshake(judge: ssl.SSLContext, shown: ssl.SSLContext) -> str:

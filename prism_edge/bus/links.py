@@ -50,6 +50,8 @@ def open_session(
     """
     endpoint, network = check_endpoint(config.endpoint), network or NetworkConfig()
     if listen:
+        if protocol_of(endpoint) != _SOCKET:
+            _check_loopback()
         both = [endpoint, network.endpoint] if network.endpoint else [endpoint]
         links: dict[str, Any] = {"mode": "peer", "listen/endpoints": both, "connect/endpoints": []}
         links["scouting/gossip/autoconnect"] = {"peer": []}  # they come to us
@@ -76,6 +78,16 @@ def open_session(
         if listen and _is_of(str(error), network.endpoint):
             setting, failed = "network.endpoint", network.endpoint
         raise BusError(f"{setting}: {_why_not(failed, error)}") from None
+
+
+def _check_loopback() -> None:
+    """Raises BusError where loopback is down (a bare `unshare -n`, say): nobody would ever be heard."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("127.0.0.1", 9))  # asks for the way alone: nothing is sent
+        except OSError as error:
+            why = f"127.0.0.1 can't be reached ({error.strerror})"
+            raise BusError(f"bus.endpoint: {why}: is loopback up (ip link set lo up)?") from None
 
 
 def _direct(endpoint: str) -> str:

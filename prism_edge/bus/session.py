@@ -52,6 +52,7 @@ class Bus:
         self._desks: list[CommandDesk] = []
         self._presence: Presence | None = None
         self._another_run: AnotherRun | None = None
+        self._is_over = False  # this run: the robot has begun another
         self._tokens = [session.liveliness().declare_token(keys.alive_key(robot, process))]
         self._closed = False
         for name, topic in TOPICS.items():
@@ -95,9 +96,12 @@ class Bus:
     def publish(self, topic: str, message: Any) -> None:
         """Sends a dataclass of messages.py or a ROS message, whichever the topic carries.
 
-        Raises BusError if it is of another type or has a value that the type does not allow.
+        Raises BusError if it is of another type or has a value that the type does not allow. Once the robot
+        has begun another run, nothing but heartbeats is sent: its keyframes have the numbers of this one's.
         """
         payload = _payload(TOPICS[topic], message)
+        if self._is_over and topic != "heartbeat":
+            return
         if TOPICS[topic].latched:
             self._last[topic] = payload
             self._answer_with_last(topic)
@@ -157,7 +161,7 @@ class Bus:
         """
 
         def payload() -> bytes | None:
-            message = function()
+            message = None if self._is_over else function()
             return None if message is None else _payload(TOPICS[topic], message)
 
         with self._lock:
@@ -200,9 +204,14 @@ class Bus:
 
     def on_another_run(self, begins: Callable[[], None]) -> None:
         """Have ``begins`` called, in a thread of its own, once the robot has begun another run than this."""
+
+        def over() -> None:
+            self._is_over = True
+            begins()
+
         with self._lock:
             if not self._closed:
-                self._another_run = AnotherRun(self._session, self.robot, begins)
+                self._another_run = AnotherRun(self._session, self.robot, over)
 
     def await_ready(self, processes: Iterable[str], timeout_s: float) -> set[str]:
         """Waits until these processes are ready *and linked to this one*; returns those still missing.
@@ -267,7 +276,7 @@ class Bus:
                 self._answers[topic] = self._reply_with(topic, lambda: self._last_payload(topic))
 
     def _last_payload(self, topic: str) -> bytes | None:
-        last = self._last.get(topic)
+        last = None if self._is_over else self._last.get(topic)
         return last() if callable(last) else last
 
     def _reply_with(self, topic: str, payload: Callable[[], bytes | None]) -> Answer:

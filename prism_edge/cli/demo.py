@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import threading
 import time
@@ -12,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from prism_edge.cli.eval import ended_in_order
 from prism_edge.cli.settings import (
     BUNDLED,
     FREE_PORT,
@@ -93,11 +93,8 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("the demo needs a depth network: without one no pose comes; leave --model out")
     find_networks(config)
     # SystemExit passes through the blocks that end the daemon.
-    before = signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
-    try:
+    with ended_in_order():
         report = play(config if endpoint_given(args) else on_free_endpoint(config), args.out)
-    finally:
-        signal.signal(signal.SIGTERM, before)
     extent = extent_m(config.source.uri, config.source.frames)
     sum_up(report, args.out, draw(config.source.uri, args.out, report), extent)
     return 0

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import signal
+from collections.abc import Iterator
 from dataclasses import replace
 from types import FrameType
 from typing import Any
@@ -68,12 +70,9 @@ def run(args: argparse.Namespace) -> int:
     from prism_edge.evaluation.run import evaluate
     from prism_edge.evaluation.table import show
 
-    before = signal.signal(signal.SIGTERM, _terminated)
-    try:
+    with ended_in_order():
         report = evaluate(config, args.out, args.truth, keep_endpoint=endpoint_given(args))
         show(report, args.out)
-    finally:
-        signal.signal(signal.SIGTERM, before)
     return 0
 
 
@@ -92,6 +91,18 @@ def check_ablations(names: list[str]) -> None:
         if name in ABLATIONS:
             continue
         raise ConfigError(f"--ablate {name}: no such part; use one of {', '.join(ABLATIONS)}")
+
+
+@contextlib.contextmanager
+def ended_in_order() -> Iterator[None]:
+    """SIGTERM, and SIGHUP (a terminal went away; not under nohup), end the daemon and keep the poses."""
+    ends = [n for n in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(n) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, _terminated) for number in ends}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def _terminated(number: int, frame: FrameType | None) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import os
 from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -10,7 +12,7 @@ from typing import Self
 
 from prism_edge.config import Config
 from prism_edge.config_file import dump
-from prism_edge.errors import say
+from prism_edge.errors import EvaluationError, say
 from prism_edge.evaluation.trajectory import Trajectory, write_tum
 
 PATHS = ("live.tum", "final.tum")
@@ -30,9 +32,8 @@ class Results:
         self.begun = False
 
     def prepare(self, config: Config) -> None:
-        """Makes the folder, and writes the configuration into it. Raises OSError that names it."""
+        """Writes the configuration into the folder. Raises OSError that names it."""
         with results_in(self._out):
-            self._out.mkdir(parents=True, exist_ok=True)
             with contextlib.suppress(FileNotFoundError):
                 self._config_before = (self._out / CONFIG).read_bytes()
             (self._out / CONFIG).write_text(dump(config))
@@ -66,6 +67,26 @@ class Results:
         if error is not None and not self.begun and self._config_before is not None:
             with contextlib.suppress(OSError):
                 (self._out / CONFIG).write_bytes(self._config_before)
+
+
+@contextlib.contextmanager
+def alone_in(out: Path) -> Iterator[None]:
+    """Makes the folder and holds it meanwhile: two runs into one would leave files of both.
+
+    Raises OSError that names it, and EvaluationError where another run has it.
+    """
+    with results_in(out):
+        out.mkdir(parents=True, exist_ok=True)
+        held = os.open(out, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        with contextlib.suppress(OSError):  # NFS has no such locks
+            try:
+                fcntl.flock(held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise EvaluationError(f"{out}: another run is writing its results there") from None
+        yield
+    finally:
+        os.close(held)
 
 
 @contextlib.contextmanager

@@ -24,7 +24,7 @@ from prism_edge.evaluation.progress import Progress
 from prism_edge.evaluation.recorder import Recorder
 from prism_edge.evaluation.recording import Recording
 from prism_edge.evaluation.resources import Meter, Usage
-from prism_edge.evaluation.results import CONFIG, FILES, LOG, MAP, PATHS, Results, results_in
+from prism_edge.evaluation.results import CONFIG, FILES, LOG, MAP, PATHS, Results, alone_in, results_in
 from prism_edge.evaluation.trajectory import NS, Trajectory, read_tum, write_tum
 from prism_edge.messages import MapSnapshot, WholeMap
 from prism_edge.processes import processes_for
@@ -95,48 +95,49 @@ def evaluate(
     made_of = dataclasses.replace(made_of, files=digests_of(named))
     config = as_it_runs(config if keep_endpoint else on_free_endpoint(config))
     results = Results(out, kept, further)
-    with results:
-        results.prepare(config)
-        if not config.depth.network and not quiet:
-            say(f"prism-edge: warning: depth {WITHOUT_NETWORK}")
-        heard = _run(config, out, settle_s, Progress(frame_count, quiet), command, results)
-        results.begin()
+    with alone_in(out):
+        with results:
+            results.prepare(config)
+            if not config.depth.network and not quiet:
+                say(f"prism-edge: warning: depth {WITHOUT_NETWORK}")
+            heard = _run(config, out, settle_s, Progress(frame_count, quiet), command, results)
+            results.begin()
 
-    live = heard.recording.live()
-    final, missing = Trajectory.of([]), 0
-    if heard.snapshot is not None:
-        # The map's world frame is the first camera's, and `map` begins where base_link was then.
-        final, missing = heard.recording.final(heard.snapshot, heard.snapshot.base_from_camera)
-    with results_in(out):
-        write_tum(out / "live.tum", live)
-        write_tum(out / "final.tum", final)
-        if heard.map is not None:
-            put_whole(out / MAP, heard.map.data.tobytes())
-        elif heard.snapshot is not None and len(heard.snapshot.points):
-            say(f"prism-edge: warning: the map did not come in {_MAP_S:.0f} s: no {MAP}")
-        if true_path is not None and (out / "truth.tum").resolve() not in kept:
-            write_tum(out / "truth.tum", true_path)
-    report = metrics(
-        config=config,
-        recording=heard.recording,
-        snapshot=heard.snapshot,
-        usage=heard.usage,
-        ready_s=heard.ready_s,
-        first_stamp_ns=first.stamp_ns if first else None,
-        live=live,
-        final=final,
-        final_missing=missing,
-        truth=true_path,
-        truth_name=str(truth) if truth else "the sequence's own",
-        played=made_of.after(out / LOG),
-    )
-    with results_in(out):
-        put_whole(out / "metrics.json", f"{json.dumps(report, indent=2, allow_nan=False)}\n".encode())
-    if report["violations"]:
-        raise EvaluationError(f"the run is void: {'; '.join(report['violations'])}")
-    if report["unscored"]:
-        raise EvaluationError(f"the run can't be scored: {report['unscored']}; {out} holds what there is")
-    return report
+        live = heard.recording.live()
+        final, missing = Trajectory.of([]), 0
+        if heard.snapshot is not None:
+            # The map's world frame is the first camera's, and `map` begins where base_link was then.
+            final, missing = heard.recording.final(heard.snapshot, heard.snapshot.base_from_camera)
+        with results_in(out):
+            write_tum(out / "live.tum", live)
+            write_tum(out / "final.tum", final)
+            if heard.map is not None:
+                put_whole(out / MAP, heard.map.data.tobytes())
+            elif heard.snapshot is not None and len(heard.snapshot.points):
+                say(f"prism-edge: warning: the map did not come in {_MAP_S:.0f} s: no {MAP}")
+            if true_path is not None and (out / "truth.tum").resolve() not in kept:
+                write_tum(out / "truth.tum", true_path)
+        report = metrics(
+            config=config,
+            recording=heard.recording,
+            snapshot=heard.snapshot,
+            usage=heard.usage,
+            ready_s=heard.ready_s,
+            first_stamp_ns=first.stamp_ns if first else None,
+            live=live,
+            final=final,
+            final_missing=missing,
+            truth=true_path,
+            truth_name=str(truth) if truth else "the sequence's own",
+            played=made_of.after(out / LOG),
+        )
+        with results_in(out):
+            put_whole(out / "metrics.json", f"{json.dumps(report, indent=2, allow_nan=False)}\n".encode())
+        if report["violations"]:
+            raise EvaluationError(f"the run is void: {'; '.join(report['violations'])}")
+        if report["unscored"]:
+            raise EvaluationError(f"the run can't be scored: {report['unscored']}; {out} holds what there is")
+        return report
 
 
 def extent(config: SourceConfig) -> tuple[Slot | None, int | None]:

@@ -6,7 +6,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from prism_edge.supervisor.health import ERROR, OK, WARN, Row
-from prism_edge.supervisor.liveness import ALIVE, OVERDUE, Verdict, judge
+from prism_edge.supervisor.liveness import OVERDUE, Verdict, judge
 
 if TYPE_CHECKING:
     from prism_edge.messages import Heartbeat
@@ -21,9 +21,12 @@ UNHEARD_S = 10.0
 class RemoteWatch:
     """What is known of it. Poses flow without it, so it holds up neither readiness nor the watchdog."""
 
-    def __init__(self, name: str, since_s: float) -> None:
-        """``since_s`` is when it began to be listened for, on the clock of all other times here."""
-        self._name, self._since_s = name, since_s
+    def __init__(self, name: str, since_s: float, own: dict[str, str] | None = None) -> None:
+        """``since_s`` is when it began to be listened for, on the clock of all other times here.
+
+        ``own`` is what its configuration must say as ours does, by the values that it is shown by.
+        """
+        self._name, self._since_s, self._own = name, since_s, own or {}
         self._heartbeat: Heartbeat | None = None
         self._heard_s = 0.0
         self._told: bool | None = None  # that it lives, or not; None: nothing yet
@@ -35,12 +38,14 @@ class RemoteWatch:
     def tell(self, now_s: float) -> None:
         """Log that it has come, or gone: called all the time, once for each."""
         beat = self._heartbeat
-        lives = beat is not None and self._judged(beat, now_s).liveness == ALIVE
+        lives = beat is not None and self._judged(beat, now_s).liveness != OVERDUE
         if lives is self._told or (beat is None and now_s - self._since_s < FIRST_S):
             return
         self._told = lives
         if lives:
             log.info("%s is heard from its host", self._name)
+            if (row := self.row(now_s)).level == ERROR:
+                log.error("%s, on another host: %s", self._name, row.message)
         else:
             log.warning("%s, on another host: %s", self._name, self.row(now_s).message)
 
@@ -51,8 +56,12 @@ class RemoteWatch:
         beat = self._heartbeat
         verdict = self._judged(beat, now_s)
         values = {"state": beat.state, "activity": beat.activity, **beat.values}
-        if verdict.liveness != ALIVE:
+        if verdict.liveness == OVERDUE:
             return Row(self._name, ERROR, verdict.why, values)
+        for key, ours in self._own.items():
+            if values.get(key, ours) != ours:
+                differs = f"{key} is {values[key]} in its configuration, and {ours} here: set both alike"
+                return Row(self._name, ERROR, differs, values)
         if "warning" in values:
             return Row(self._name, WARN, values["warning"], values)
         if "malformed" in values:
@@ -62,4 +71,5 @@ class RemoteWatch:
 
     def _judged(self, beat: Heartbeat, now_s: float) -> Verdict:
         age_s = now_s - self._heard_s
-        return Verdict(OVERDUE, f"silent for {age_s:.1f} s") if age_s > UNHEARD_S else judge(beat, age_s)
+        # Nor is a slow link's pause an end: what judges a silence here is how long it is, and nothing else.
+        return Verdict(OVERDUE, f"silent for {age_s:.1f} s") if age_s > UNHEARD_S else judge(beat, 0.0)

@@ -58,7 +58,8 @@ class Supervisor:
         away = config.network.remote
         self._watches = {p.name: Watch(p, config.supervisor) for p in chosen if p.name not in away}
         self.started_s = time.monotonic()
-        self._remote = {p.name: RemoteWatch(p.name, self.started_s) for p in chosen if p.name in away}
+        alike = {"mode": config.mode, "has_network": "yes" if config.depth.network else "no"}
+        self._remote = {p.name: RemoteWatch(p.name, self.started_s, alike) for p in chosen if p.name in away}
         self._children: dict[str, Child] = {}
         self._cleanup = contextlib.ExitStack()
         self.ready_s: float | None = None  # seconds from construction until every process was ready
@@ -68,6 +69,7 @@ class Supervisor:
         self._looked_s = self.started_s
         self._lenient_until_s = 0.0
         self._namesakes = Namesakes()
+        self._certificates: dict[str, str] = {}  # what was in their files at the start
         self._of_two: list[str] = []  # processes that are heard from another daemon, too
         self._status = "starting"
         self._rows: list[Row] = []  # the latest
@@ -136,8 +138,9 @@ class Supervisor:
         check_loopback(self._config.bus.endpoint)
         check_network(self._config.network, self._config.bus.endpoint)
         if self._config.network.endpoint:
-            from prism_edge.bus.certificates import mismatch  # which loads OpenSSL
+            from prism_edge.bus.certificates import contents, mismatch  # which loads OpenSSL
 
+            self._certificates = contents(self._config.network)
             if wrong := mismatch(self._config.network):
                 log.warning("nobody is going to link over the network: %s", wrong)
         check_port(self._config)
@@ -187,6 +190,8 @@ class Supervisor:
             log.warning("not reloaded, as only a restart changes it: %s", " ".join(change.refused))
         if change.elsewhere:
             log.warning("not reloaded, as it changes where the process runs: %s", " ".join(change.elsewhere))
+        if self._certificates:
+            self._tell_of_renewed()
         if change.behind:
             names = " ".join(sorted(change.behind))
             log.warning("to be started anew where it runs, with the same settings: %s", names)
@@ -293,6 +298,13 @@ class Supervisor:
         before, self._of_two = self._of_two, self._namesakes.there(now)
         if self._of_two and not before:
             log.error("%s", words(self._config.robot, self._of_two))
+
+    def _tell_of_renewed(self) -> None:
+        from prism_edge.bus.certificates import contents
+
+        now = contents(self._config.network)
+        if renewed := [key for key, digest in now.items() if digest != self._certificates[key]]:
+            log.warning("not reloaded, as only a restart reads its file again: %s", " ".join(renewed))
 
     def _look_at(self, name: str, watch: Watch, now: float) -> None:
         if watch.restart_at_s is not None:

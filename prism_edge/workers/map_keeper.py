@@ -53,6 +53,8 @@ class MapKeeper:
         self.heard_network = ""  # as it calls itself in this run's depths; a loaded map's may be another
         self._run = "" if bus.run_directory is None else bus.run_directory.name
         folder = journal_folder(config, bus)
+        if bus.run_directory is None and config.state.journal:
+            log.warning("started by hand it keeps no journal: at its end a map that was not saved is lost")
         if folder is not None:
             try:
                 self._journal = Journal(folder)

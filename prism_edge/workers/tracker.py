@@ -43,6 +43,7 @@ from prism_edge.tracking.tracker import FrameResult, Tracker
 from prism_edge.tracking.unseen import Sight
 from prism_edge.workers.ablated import tracking_of
 from prism_edge.workers.answers_due import PATIENCE_S, AnswersDue
+from prism_edge.workers.clock_behind import ClockBehind
 from prism_edge.workers.cut_off import goes_on
 from prism_edge.workers.frame_camera import FrameCamera
 from prism_edge.workers.keeping_up import KeepingUp
@@ -81,7 +82,7 @@ class TrackerWorker:
         self._publisher = PosePublisher(bus, config.frames, errors.refinement, errors.moment_ms * 1e-3)
         self._drift, self._status = Drift(errors), TrackerStatus(bus)
         self._scale = ScaleHere(self._tracker, self._odometry, self._drift)
-        self._update_sequence = -1
+        self._update_sequence, self._clock_behind = -1, ClockBehind(bus.pulse)
         self._answers = AnswersDue(bus, self._inboxes, self._peers, config.lockstep)
         self._last_index, self._dropped, self._between = -1, 0, 0
         self._keeping_up = KeepingUp(bus.pulse)
@@ -297,8 +298,11 @@ class TrackerWorker:
             self._scale.hear(message)
 
     def _apply_update(self, message: MapUpdate) -> None:
-        if message.epoch != self._tracker.epoch or message.sequence <= self._update_sequence:
-            return  # of a map that is gone, or overtaken
+        if message.epoch != self._tracker.epoch:
+            return  # of a map that is gone
+        self._clock_behind.saw(message.sequence - self._update_sequence)
+        if message.sequence <= self._update_sequence:
+            return  # overtaken
         problem = flaw(message)
         if problem:
             if self._bus.pulse.count("malformed") == 1:

@@ -32,7 +32,12 @@ def test_one_that_nobody_is_going_to_take_is_said(
         certificate=str(tmp_path / "ours" / "robot.pem"),
         key=str(tmp_path / "ours" / "robot.key"),
     )
-    with Supervisor(replace(config, network=network), *cast(("source:steady",))):
-        pass
+    with Supervisor(replace(config, network=network), *cast(("source:steady",))) as run:
+        run.reload(replace(config, network=network))
+        assert "reads its file again" not in caplog.text
+        with open(network.certificate, "a") as renewed:
+            renewed.write("# renewed")
+        run.reload(replace(config, network=network))
+        assert "only a restart reads its file again: network.certificate\n" in caplog.text
     assert ("theirs/ca.pem does not vouch for" in caplog.text) == (authority == "theirs")
     assert ("link over the network" in caplog.text) == (authority == "theirs")

@@ -11,7 +11,6 @@ from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import Config, DepthConfig, NetworkConfig
 from prism_edge.supervisor.health import ERROR, OK, WARN
-from prism_edge.supervisor.liveness import SILENT_S
 from prism_edge.supervisor.remote import FIRST_S, UNHEARD_S, RemoteWatch
 from prism_edge.supervisor.supervisor import Supervisor
 from tests.supervisor.fake_daemon import cast
@@ -26,7 +25,7 @@ def test_what_is_said_of_it() -> None:
     assert (watch.row(10.5).level, watch.row(10.5).message) == (OK, "idle")
     watch.heard(replace(beat("idle"), values={"warning": "all NaN"}), 11.0)
     assert (watch.row(11.0).level, watch.row(11.0).message) == (WARN, "all NaN")
-    cut = watch.row(11.1 + SILENT_S)
+    cut = watch.row(11.1 + UNHEARD_S)
     assert cut.level == ERROR
     assert "silent" in cut.message
     watch.heard(beat("idle"), 60.0)  # the link has healed, or it was started again
@@ -55,7 +54,7 @@ def test_the_log_says_when_it_comes_and_goes_once_each(caplog: pytest.LogCapture
     assert lines(5.0 + FIRST_S, 6.0 + FIRST_S) == ["depth, on another host: not heard from its host"]
     watch.heard(beat("idle"), 20.0)
     assert lines(20.1, 20.2) == ["depth is heard from its host"]
-    (gone,) = lines(20.1 + SILENT_S, 30.0 + SILENT_S)
+    (gone,) = lines(20.1 + UNHEARD_S, 30.0 + UNHEARD_S)
     assert gone.startswith("depth, on another host: silent")
     watch.heard(beat("idle"), 60.0)
     assert lines(60.1, 60.2) == ["depth is heard from its host"]
@@ -91,3 +90,23 @@ def test_one_that_refuses_what_it_hears_is_not_well() -> None:
     watch.heard(replace(beat("ready"), values={"malformed": "3"}), 1.0)
     assert watch.row(1.5).level == WARN
     assert "refused 3 messages" in watch.row(1.5).message
+
+
+def test_a_slow_link_holds_up_heartbeats_and_is_no_end() -> None:
+    watch = RemoteWatch("depth", 0.0)
+    watch.heard(beat("idle"), 1.0)
+    watch.tell(1.1)
+    assert watch.row(0.9 + UNHEARD_S).level == OK
+    assert watch.row(1.1 + UNHEARD_S).level == ERROR
+
+
+def test_one_whose_configuration_is_another_is_told_of(caplog: pytest.LogCaptureFixture) -> None:
+    watch = RemoteWatch("scale", 0.0, {"mode": "lockstep", "has_network": "yes"})
+    watch.heard(replace(beat("idle"), values={"mode": "lockstep", "has_network": "yes"}), 1.0)
+    assert watch.row(1.5).level == OK
+    watch.heard(replace(beat("idle"), values={"mode": "realtime", "has_network": "yes"}), 2.0)
+    watch.tell(2.5)
+    assert watch.row(2.5).level == ERROR
+    assert caplog.messages == [
+        "scale, on another host: mode is realtime in its configuration, and lockstep here: set both alike"
+    ]
