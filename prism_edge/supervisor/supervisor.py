@@ -29,6 +29,7 @@ from prism_edge.supervisor.run_directory import RunDirectory
 from prism_edge.supervisor.start import Start, start_worker
 from prism_edge.supervisor.watch import StartRefusedError, Watch
 from prism_edge.workers.configured_network import CONFIG
+from prism_edge.workers.launch import alike
 
 if TYPE_CHECKING:
     from prism_edge.bus.commands import Reply
@@ -58,8 +59,8 @@ class Supervisor:
         away = config.network.remote
         self._watches = {p.name: Watch(p, config.supervisor) for p in chosen if p.name not in away}
         self.started_s = time.monotonic()
-        alike = {"mode": config.mode, "has_network": "yes" if config.depth.network else "no"}
-        self._remote = {p.name: RemoteWatch(p.name, self.started_s, alike) for p in chosen if p.name in away}
+        same = alike(config)
+        self._remote = {p.name: RemoteWatch(p.name, self.started_s, same) for p in chosen if p.name in away}
         self._children: dict[str, Child] = {}
         self._cleanup = contextlib.ExitStack()
         self.ready_s: float | None = None  # seconds from construction until every process was ready

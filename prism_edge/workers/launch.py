@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from prism_edge.bus.session import Bus
 
 TITLE = "prism-edge"  # and the worker's name, where ps shows a command line
-MODE, HAS_NETWORK = "mode", "has_network"  # of a worker that was started by hand, on `health`
 _LOOK_S, _LINKED_S = 0.1, 1.0  # between looks for a link, and for one that needs no word
 # -P, and no more than this package by its path: whatever lies in the folder that we are in.
 _MODULE = (
@@ -86,6 +85,11 @@ def say_when_linked(bus: Bus, endpoint: str, log: logging.Logger) -> None:
         if bus.stopped.wait(_LOOK_S):
             return
     log.info("on the bus at %s", endpoint)
+
+
+def alike(config: Config) -> dict[str, str]:
+    """What must be in a worker's configuration as it is in the robot's; shown on `health`, compared there."""
+    return {"mode": config.mode, "has_network": "yes" if config.depth.network else "no"}
 
 
 def joined(config: Config, name: str, signals: StopSignals, is_again: bool) -> Bus | None:
@@ -160,9 +164,7 @@ def run_worker(process: Process, config_file: str, parent: int | None = None, li
                     told = bus, config.bus.endpoint, log
                     threading.Thread(target=say_when_linked, args=told, name="linked", daemon=True).start()
                     another = watch_for_another_run(bus)
-                    # Its configuration is its own: what must be as on the robot is compared there.
-                    has_network = "yes" if config.depth.network else "no"
-                    bus.pulse.values.update({MODE: config.mode, HAS_NETWORK: has_network})
+                    bus.pulse.values.update(alike(config))
                 bus.begin_life(None if parent is None else life)
                 bus.run_directory = Path(config_file).resolve().parent if parent is not None else None
                 signals.also(bus.stopped)
