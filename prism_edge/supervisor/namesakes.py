@@ -13,7 +13,8 @@ GONE_S = 5.0
 
 class Namesakes:
     """Told of each heartbeat. A process that is started again has another pid and keeps it; two are heard by
-    turns, and where both have one pid, as in containers, their clocks go back at every turn."""
+    turns, and where both have one pid, as containers on two hosts may, their clocks go back at every turn.
+    Containers of one host, whose pids are alike, can't be told apart: they have one clock."""
 
     def __init__(self) -> None:
         self._latest: dict[str, tuple[int, int]] = {}  # pid and clock of the last heartbeat

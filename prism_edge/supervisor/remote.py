@@ -30,6 +30,7 @@ class RemoteWatch:
         self._heartbeat: Heartbeat | None = None
         self._heard_s = 0.0
         self._told: bool | None = None  # that it lives, or not; None: nothing yet
+        self._told_differs = ""
 
     def heard(self, heartbeat: Heartbeat, now_s: float) -> None:
         """A heartbeat has come."""
@@ -39,13 +40,16 @@ class RemoteWatch:
         """Log that it has come, or gone: called all the time, once for each."""
         beat = self._heartbeat
         lives = beat is not None and self._judged(beat, now_s).liveness != OVERDUE
+        differs = self._differs(beat) if beat is not None else ""
+        if lives and differs != self._told_differs:  # started again meanwhile, maybe
+            self._told_differs = differs
+            if differs:
+                log.error("%s, on another host: %s", self._name, differs)
         if lives is self._told or (beat is None and now_s - self._since_s < FIRST_S):
             return
         self._told = lives
         if lives:
             log.info("%s is heard from its host", self._name)
-            if (row := self.row(now_s)).level == ERROR:
-                log.error("%s, on another host: %s", self._name, row.message)
         else:
             log.warning("%s, on another host: %s", self._name, self.row(now_s).message)
 
@@ -58,16 +62,20 @@ class RemoteWatch:
         values = {"state": beat.state, "activity": beat.activity, **beat.values}
         if verdict.liveness == OVERDUE:
             return Row(self._name, ERROR, verdict.why, values)
-        for key, ours in self._own.items():
-            if values.get(key, ours) != ours:
-                differs = f"{key} is {values[key]} in its configuration, and {ours} here: set both alike"
-                return Row(self._name, ERROR, differs, values)
+        if differs := self._differs(beat):
+            return Row(self._name, ERROR, differs, values)
         if "warning" in values:
             return Row(self._name, WARN, values["warning"], values)
         if "malformed" in values:
             refused = f"has refused {values['malformed']} messages: is it of another build? Its log says more"
             return Row(self._name, WARN, refused, values)
         return Row(self._name, OK, beat.state, values)
+
+    def _differs(self, beat: Heartbeat) -> str:
+        for key, ours in self._own.items():
+            if (theirs := beat.values.get(key, ours)) != ours:
+                return f"{key} is {theirs} in its configuration, and {ours} here: set both alike"
+        return ""
 
     def _judged(self, beat: Heartbeat, now_s: float) -> Verdict:
         age_s = now_s - self._heard_s

@@ -75,7 +75,12 @@ class RunDirectory:
     def _nameless(self, parent: Path) -> Path:
         """A folder that is held before it gets its name, so that nobody's sweep takes it for abandoned."""
         new = Path(tempfile.mkdtemp(prefix=_NEW + PREFIX, dir=parent))
-        self._hold(new)
+        try:
+            self._hold(new)
+        except OSError:
+            self._release()
+            shutil.rmtree(new, ignore_errors=True)
+            raise
         return new
 
     def _hold(self, folder: Path) -> None:

@@ -285,8 +285,9 @@ class Supervisor:
         self._directory.keep()
 
     def _hear(self, heartbeat: Heartbeat, now: float) -> None:
-        self._namesakes.heard(heartbeat, now)
         name = heartbeat.process
+        if name in self._remote or name in self._watches:  # of subscribers, as `watch`, there may be many
+            self._namesakes.heard(heartbeat, now)
         if name in self._remote:
             self._remote[name].heard(heartbeat, now)
         if name in self._watches:

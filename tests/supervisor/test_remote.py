@@ -110,3 +110,11 @@ def test_one_whose_configuration_is_another_is_told_of(caplog: pytest.LogCapture
     assert caplog.messages == [
         "scale, on another host: mode is realtime in its configuration, and lockstep here: set both alike"
     ]
+
+
+def test_one_that_is_started_again_with_another_mode_is_told(caplog: pytest.LogCaptureFixture) -> None:
+    watch = RemoteWatch("depth", 0.0, {"mode": "realtime"})
+    for at_s, mode in ((1.0, "realtime"), (3.0, "lockstep"), (4.0, "lockstep")):
+        watch.heard(replace(beat("idle"), values={"mode": mode}), at_s)
+        watch.tell(at_s)
+    assert caplog.text.count("mode is lockstep in its configuration") == 1

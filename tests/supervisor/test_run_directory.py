@@ -137,3 +137,13 @@ def test_is_locked_for_systemd_s_cleaner(tmp_path: Path) -> None:
     run.remove()
     fcntl.flock(folder, fcntl.LOCK_SH | fcntl.LOCK_NB)
     os.close(folder)
+
+
+def test_one_that_can_not_be_held_is_not_left_lying(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: RunDirectory, folder: Path) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(RunDirectory, "_hold", full)
+    with pytest.raises(OSError, match="No space"):
+        RunDirectory(tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -186,8 +186,7 @@ class LiveCamera(Source):
     def _check_first_image(self, connection: Connection, deadline: float) -> None:
         """Waits as long as the driver says, and where images come that can't be used, until ``deadline``."""
         reason = "no image came"
-        patience_s = max(self._driver.dead_s, 3e-9 * self.period_ns)
-        end = time.monotonic() + patience_s
+        end = time.monotonic() + self._patience_s
         tried = False  # at least once, however long we were kept from it
         while not tried or (time.monotonic() < end and not self.stopped.is_set()):
             tried = True
@@ -203,7 +202,8 @@ class LiveCamera(Source):
                 check_camera_size(self.camera, self.camera_origin, pixels, self.name)
                 return
             reason = pixels
-            end = max(end, min(time.monotonic() + patience_s, deadline))  # the next key frame may be far off
+            # The next key frame may be far off.
+            end = max(end, min(time.monotonic() + self._patience_s, deadline))
         raise CameraLostError(f"it gives no image ({reason})")
 
     def _compare(self, pixels: U8) -> str:
@@ -224,7 +224,12 @@ class LiveCamera(Source):
             quiet_s, silent_s = now - self._image_s, now - self._alive_s
         if silent_s > self._timing.hang_s + self.connecting_s:
             raise SourceError(f"{self.name}: the driver has not come back for {silent_s:.0f} s")
-        return f"no image for {quiet_s:.0f} s" if quiet_s > self._driver.dead_s + 1.0 else ""
+        return f"no image for {quiet_s:.0f} s" if quiet_s > self._patience_s + 1.0 else ""
+
+    @property
+    def _patience_s(self) -> float:
+        """Without an image, until the camera counts as lost."""
+        return max(self._driver.dead_s, 3e-9 * self.period_ns)
 
     # What follows runs in the camera's thread.
 
@@ -242,7 +247,7 @@ class LiveCamera(Source):
                     pause_s = self._timing.first_pause_s
                     continue
                 quiet_s = time.monotonic() - self._image_s
-                if quiet_s <= max(self._driver.dead_s, 3e-9 * self.period_ns):
+                if quiet_s <= self._patience_s:
                     continue
                 why = f"no image for {quiet_s:.1f} s"
             except (CameraLostError, SourceError) as error:
