@@ -97,7 +97,7 @@ class Bus:
         """Sends a dataclass of messages.py or a ROS message, whichever the topic carries.
 
         Raises BusError if it is of another type or has a value that the type does not allow. Once the robot
-        has begun another run, nothing but heartbeats is sent: its keyframes have the numbers of this one's.
+        has begun another run, whose keyframes have the numbers of this one's, only heartbeats are sent.
         """
         payload = _payload(TOPICS[topic], message)
         if self._is_over and topic != "heartbeat":
@@ -161,7 +161,7 @@ class Bus:
         """
 
         def payload() -> bytes | None:
-            message = None if self._is_over else function()
+            message = function()
             return None if message is None else _payload(TOPICS[topic], message)
 
         with self._lock:
@@ -276,12 +276,16 @@ class Bus:
                 self._answers[topic] = self._reply_with(topic, lambda: self._last_payload(topic))
 
     def _last_payload(self, topic: str) -> bytes | None:
-        last = None if self._is_over else self._last.get(topic)
+        last = self._last.get(topic)
         return last() if callable(last) else last
 
     def _reply_with(self, topic: str, payload: Callable[[], bytes | None]) -> Answer:
         told = TOPICS[topic]
-        return Answer(self._session, keys.key(self.robot, told), payload, encoding(told), told.internal)
+
+        def of_this_run() -> bytes | None:
+            return None if self._is_over else payload()
+
+        return Answer(self._session, keys.key(self.robot, told), of_this_run, encoding(told), told.internal)
 
     def _overflowed(self, topic: str) -> None:
         if self.pulse.count(f"lost {topic}") == 1:
