@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 
+from prism_edge.bus.warnings import Warnings
 from prism_edge.errors import BusError
 from prism_edge.messages import Heartbeat
 from prism_edge.vital import vital
@@ -29,8 +30,8 @@ class Pulse:
 
     The worker stamps what it is doing (cheap: no message goes out, but for long work), so that the
     supervisor can tell a hang, an activity beyond its budget, from work and from idleness. ``values`` are
-    shown on `health`; one called ``warning`` becomes the process's message there, and its level a warning,
-    while it stands.
+    shown on `health`; what :attr:`warn` is told becomes the process's message there, and its level a
+    warning, while it stands.
     """
 
     def __init__(
@@ -38,6 +39,7 @@ class Pulse:
     ) -> None:
         """``publish`` sends a heartbeat; ``announce`` tells the others, once, that this process is ready."""
         self.values: dict[str, str] = {}
+        self.warn = Warnings(self.values)
         self._process, self._publish, self._announce = process, publish, announce
         self._doing: tuple[str, str, int, float] = ("starting", "", time.monotonic_ns(), STARTING_S)
         self._due, self._speaking = threading.Event(), threading.Lock()

@@ -23,11 +23,10 @@ class ClockBehind:
         """A correction has come whose number is so far ahead of the latest."""
         if ahead > -A_SECOND:
             self._in_a_row = 0
-            if self._pulse.values.get("warning") == SAID:
-                del self._pulse.values["warning"]
+            self._pulse.warn("clock", "")
             return
         self._in_a_row += 1
         if self._in_a_row >= SURE:
-            self._pulse.values["warning"] = SAID
+            self._pulse.warn("clock", SAID)
         if self._in_a_row == SURE:
             log.error("%s", SAID)

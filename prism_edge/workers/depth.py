@@ -153,11 +153,10 @@ class DepthWorker:
         self._bus.pulse.count("keyframes")
         if not depth.valid:
             self._bus.pulse.count("invalid")
-            self._bus.pulse.values["warning"] = f"no usable depth: {depth.reason}"
+            self._bus.pulse.warn("depth", f"no usable depth: {depth.reason}")
             if self._network is not None:
                 log.warning("keyframe %d has no depth: %s", image.keyframe, depth.reason)
         else:
-            self._bus.pulse.values.pop("warning", None)
             self._doubt(depth)
             self._recent.append(depth.inference_ms)
             self._bus.pulse.values.update(
@@ -170,9 +169,9 @@ class DepthWorker:
         """Says where metres can't be metres, or a pair is none: on `health` while so, once on the log."""
         metres = None if isinstance(self._network, SensorNetwork) else range_of(depth.depth)
         doubt = (metres.doubt if metres else "") or getattr(self._network, "doubt", "")
+        self._bus.pulse.warn("depth", doubt)
         if not doubt:
             return
-        self._bus.pulse.values["warning"] = doubt
         kind = "metres" if metres and metres.doubt else "pair"
         if kind not in self._doubted:
             log.warning("keyframe %d: %s", depth.keyframe, doubt)

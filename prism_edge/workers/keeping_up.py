@@ -20,7 +20,7 @@ class KeepingUp:
     def __init__(self, pulse: Pulse) -> None:
         self._pulse, self._begun_ns = pulse, 0
         self._taken = self._dropped = 0
-        self._said, self._logged = "", False
+        self._logged = False
 
     def saw(self, stamp_ns: int, dropped: int, camera: Camera) -> None:
         """An image of ``camera`` has come, before which so many were ``dropped``: nobody looked at them."""
@@ -34,12 +34,11 @@ class KeepingUp:
         share = self._dropped / images
         self._begun_ns, self._taken, self._dropped = stamp_ns, 0, 0
         if images < FEWEST or share < MOST_DROPPED:
-            if self._pulse.values.get("warning") == self._said:  # else it is another's
-                self._pulse.values.pop("warning", None)
+            self._pulse.warn("speed", "")
             return
         too_much = f"{camera.width}x{camera.height} at their rate is more than this computer does"
         said = f"{100 * share:.0f} % of the images were dropped: {too_much}"
-        self._pulse.values["warning"] = self._said = said
+        self._pulse.warn("speed", said)
         if not self._logged:
             self._logged = True
             log.warning("%s (docs/TROUBLESHOOTING.md); from now on `health` says so", said)

@@ -21,9 +21,9 @@ class Pause:
         self._desk = bus.commands({"pause": self._switch})
 
     @property
-    def health(self) -> dict[str, str]:
-        """What `health` is to show."""
-        return {"warning": "paused by command"} if self.on else {}
+    def warning(self) -> str:
+        """What `health` is to warn of."""
+        return "paused by command" if self.on else ""
 
     def serve(self) -> None:
         """Do what has been asked."""

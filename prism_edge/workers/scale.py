@@ -165,17 +165,15 @@ class ScaleWorker:
         """The metres, and as long as a network seems to be out of its depth, that; logged once."""
         values, doubt = self._bus.pulse.values, self._estimator.doubt
         values.update(log_scale=f"{log_scale:.4f}", sigma=f"{sigma:.4f}")
-        if not doubt:
-            values.pop("warning", None)
-            return
-        values["warning"] = doubt
-        if not self._doubted:
+        self._bus.pulse.warn("metres", doubt)
+        if doubt and not self._doubted:
+            self._doubted = True
             log.warning("%s: %s", where, doubt)
-        self._doubted = True
 
     def _nothing_on_health(self) -> None:
         """No metres are known of the map that there is now."""
-        for said in ("log_scale", "sigma", "warning"):
+        self._bus.pulse.warn("metres", "")
+        for said in ("log_scale", "sigma"):
             self._bus.pulse.values.pop(said, None)
 
     def _handle(self, keyframe: Keyframe, depth: Depth | None) -> None:

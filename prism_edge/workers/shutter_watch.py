@@ -41,7 +41,7 @@ class ShutterWatch:
         if epoch != self._epoch:
             self._epoch = epoch
             self._begin()
-            self._pulse.values.pop("warning", None)
+            self._pulse.warn(SUBJECT, "")
         keyframes = len(world.keyframes)
         due = keyframes >= self._next or (ended and keyframes > self._looked_at)
         if not due or keyframes > LAST:
@@ -67,7 +67,7 @@ class ShutterWatch:
         self._next = self._looked_at = LAST + 1  # for this map that is all
         said = f"{SUBJECT}: {_told(found)}: tell readout_ms (docs/CAMERAS.md#rolling-shutters)"
         log.warning("%s", said)
-        self._pulse.values["warning"] = said
+        self._pulse.warn(SUBJECT, said)
         return False
 
 

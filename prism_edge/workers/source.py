@@ -295,11 +295,12 @@ class SourceWorker:
         times = self._released_at
         flows = len(times) > 1 and time.monotonic() - times[-1] < _STILL_S
         rate = (len(times) - 1) / (times[-1] - times[0]) if flows else 0.0
-        warning = self._own_parts.warning or "; ".join(f"camera: {doubt}" for doubt in self._doubts)
-        health = ({"warning": warning} if warning else {}) | self._source.health() | self._pause.health
-        if "warning" not in health:
-            self._bus.pulse.values.pop("warning", None)
-        self._bus.pulse.values.update(health | {"fps": f"{rate:.1f}"})
+        health, pulse = dict(self._source.health()), self._bus.pulse
+        pulse.warn("camera file", "; ".join(f"camera: {doubt}" for doubt in self._doubts))
+        pulse.warn("own parts", self._own_parts.warning)
+        pulse.warn("camera", health.pop("warning", ""))
+        pulse.warn("pause", self._pause.warning)
+        pulse.values.update(health | {"fps": f"{rate:.1f}"})
 
     def _end(self) -> None:
         counts = self._checks.counts

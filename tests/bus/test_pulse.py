@@ -110,6 +110,13 @@ def test_values_are_copied_as_text(pulse):
     assert beat.values == {"queue": "3"}
 
 
+def test_what_is_warned_of_is_in_the_beat_while_it_stands(pulse):
+    pulse.warn("speed", "too slow")
+    assert pulse.beat().values == {"warning": "too slow"}
+    pulse.warn("speed", "")
+    assert pulse.beat().values == {}
+
+
 def test_counters(pulse):
     assert [pulse.count("malformed"), pulse.count("malformed")] == [1, 2]
     assert pulse.values == {"malformed": "2"}

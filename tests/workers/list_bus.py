@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from prism_edge.bus import codec, ros
+from prism_edge.bus.warnings import Warnings
 from prism_edge.topics import TOPICS
 from tests.workers.fake_desk import FakeDesk
 
@@ -72,8 +73,10 @@ class ListBus:
         self.desk = FakeDesk()
         self.commands = self.desk.open
         note = self.states.append
+        values: dict[str, str] = {}
         self.pulse = SimpleNamespace(
-            values={},
+            values=values,
+            warn=Warnings(values),
             ready=lambda: note("ready"),
             idle=lambda: note("idle"),
             ended=lambda: note("ended"),

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+from prism_edge.bus.warnings import Warnings
 from prism_edge.config import Config, SourceConfig
 from prism_edge.messages import Acknowledged, EndOfStream, Frame
 from prism_edge.workers.source import main
@@ -52,8 +53,10 @@ class Recorder:
         self._ready: set[str | None] = set()
         self.desk = FakeDesk()
         self.commands = self.desk.open
+        values: dict[str, str] = {}
         self.pulse = SimpleNamespace(
-            values={},
+            values=values,
+            warn=Warnings(values),
             ready=lambda: self.states.append("ready"),
             working=self._working,
             idle=lambda: self.states.append("idle"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import pytest
 
@@ -16,8 +15,8 @@ LATEST = 10**15
 
 
 def said(*ahead: int) -> bool:
-    pulse = SimpleNamespace(values={})
-    clock = ClockBehind(pulse)  # type: ignore[arg-type]
+    pulse = ListBus().pulse
+    clock = ClockBehind(pulse)
     for number in ahead:
         clock.saw(number)
     return "warning" in pulse.values

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import pytest
 
 from prism_edge.geometry.cameras import Camera
 from prism_edge.workers.keeping_up import KeepingUp
+from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import frame, run
 
 CAMERA = Camera(1280, 720, 900.0, 900.0, 639.5, 359.5)
@@ -18,8 +17,8 @@ class Stream:
     """Images at 30 Hz of which one in so many is taken."""
 
     def __init__(self) -> None:
-        self.pulse = SimpleNamespace(values={})
-        self.watch = KeepingUp(self.pulse)  # type: ignore[arg-type]
+        self.pulse = ListBus().pulse
+        self.watch = KeepingUp(self.pulse)
         self.stamp_ns = 1_700_000_000_000_000_000
 
     def play(self, seconds: float, every: int = 1, frame_ns: int = FRAME_NS) -> str:

@@ -30,7 +30,8 @@ def test_a_loaded_map_s_scale_is_said_at_once(bus, start, mode):
 
 @pytest.mark.parametrize(("lost_sigma", "warned"), [(0.0, ""), (2.0, "worth little")])
 def test_health_shows_a_loaded_map_s_metres_and_what_is_doubtful_about_them(bus, start, lost_sigma, warned):
-    bus.pulse.values.update(log_scale="0.9000", sigma="0.5000", warning="the map before")
+    bus.pulse.values.update(log_scale="0.9000", sigma="0.5000")
+    bus.pulse.warn("metres", "the map before")
     bus.give("map_loaded", MapLoaded(1000, np.log(1.3), 0.03, 0.04, lost_sigma=lost_sigma))
     start()
     bus.wait_for("scale", 1)
@@ -40,7 +41,8 @@ def test_health_shows_a_loaded_map_s_metres_and_what_is_doubtful_about_them(bus,
 
 
 def test_health_shows_no_metres_of_a_loaded_map_that_has_none(bus, start):
-    bus.pulse.values.update(log_scale="0.9000", sigma="0.5000", warning="the map before")
+    bus.pulse.values.update(log_scale="0.9000", sigma="0.5000")
+    bus.pulse.warn("metres", "the map before")
     bus.give("map_loaded", MapLoaded(3, 0.0, 0.3, metric=False))
     start()
     bus.wait_for("scale", 1)
@@ -66,7 +68,8 @@ def test_a_map_that_was_given_up_leaves_no_metres_behind(bus, start):
     bus.give("map_loaded", MapLoaded(3, np.log(1.3), 0.03, 0.1))
     start()
     bus.wait_for("scale", 1)
-    bus.pulse.values.update(log_scale="0.26", sigma="0.03", warning="that network is lost")
+    bus.pulse.values.update(log_scale="0.26", sigma="0.03")
+    bus.pulse.warn("metres", "that network is lost")
     bus.give("new_map", Epoch(3), Epoch(4), Epoch(2))  # late, and twice over
     bus.wait_for("scale", 2)
     bus.give("map_loaded", MapLoaded(3, np.log(1.3), 0.03, 0.1))  # loaded before that, heard of after
