@@ -1,7 +1,7 @@
 """What a network says of how large the places of a map are beside each other.
 
 Reprojection ties two rooms that are seen through one door by the few points that both see: their sizes may
-differ by a tenth or two at next to no cost. A network has the same metres on both sides. Its depths, point by
+differ by a third at next to no cost. A network has the same metres on both sides. Its depths, point by
 point, would bend the map, as it flattens what it sees (window.py). So each keyframe says one number, how many
 map units a metre is there, and its surroundings are drawn to where that is the same everywhere.
 """
