@@ -41,10 +41,10 @@ def test_on_off_and_what_was_so_already() -> None:
 def test_health_says_so() -> None:
     bus = ListBus()
     pause = Pause(bus)  # type: ignore[arg-type]
-    assert pause.health == {}
+    assert pause.warning == ""
     bus.desk.ask("pause", "on")
     pause.serve()
-    assert pause.health == {"warning": "paused by command"}
+    assert pause.warning == "paused by command"
 
 
 def test_hold_lasts_until_images_may_go_on_or_the_process_stops(monkeypatch: pytest.MonkeyPatch) -> None:
