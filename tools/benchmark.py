@@ -52,8 +52,10 @@ from tools.published_figures import NOTES, Published, dataset_of, published  # n
 OTHER = "Other folders"
 _CONTROLS = re.compile(r"\x1b\[[0-?]*[ -/]*[@-~]")  # what a progress bar tells a terminal
 # Columns; ATE in the dataset's unit.
-OURS = ("frames", "path, m", "coverage", "true poses found", "live, UNIT", "final, UNIT")
-OURS += ("live t_rel, %", "live r_rel, deg/100 m")
+OURS = (
+    *("frames", "path, m", "coverage", "true poses found", "live, UNIT", "final, UNIT"),
+    *("live t_rel, %", "live r_rel, deg/100 m"),
+)
 UNKNOWN_LENGTH = "† Of a sequence whose number of frames is not noted here: see that the folder has it all."
 PAPERS = ("*paper*: ATE, UNIT", "*paper*: t_rel, %")
 

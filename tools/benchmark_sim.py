@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ def speed(source: SimSource, frames: int) -> tuple[float, float, float]:
 
 def features(grey: Any, most: int = FEATURES) -> tuple[Any, Any, Any]:
     """Pixels (n, 2), octaves (n,) and descriptors of a grey picture."""
-    keypoints, descriptors = cv2.ORB_create(most, 1.2, 8, fastThreshold=20).detectAndCompute(grey, None)
+    keypoints, descriptors = cv2.ORB.create(most, 1.2, 8, fastThreshold=20).detectAndCompute(grey, None)
     pixels = np.array([k.pt for k in keypoints]).reshape(-1, 2)
     return pixels, np.array([k.octave for k in keypoints]), descriptors
 
@@ -89,7 +90,7 @@ def under_truth(source: SimSource, index: int, first: Any, second: Any) -> tuple
     return float(np.mean(nearest < reach)), float(right.mean()), float(np.median(nearest[nearest < reach]))
 
 
-def summary(name: str, rows: list[tuple[float, ...]]) -> None:
+def summary(name: str, rows: Sequence[tuple[float, ...]]) -> None:
     """One line of medians (and the tenth percentile of the number of features)."""
     table = np.array(rows)
     middle = np.median(table, axis=0)
@@ -137,10 +138,11 @@ def recorded(folder: Path, files: list[Path], pairs: int) -> None:
     rows = []
     for index in np.linspace(0, len(files) - 2, pairs).astype(int).tolist():
         greys = [cv2.imread(str(files[index + k]), cv2.IMREAD_GRAYSCALE) for k in (0, 1)]
-        if any(grey is None for grey in greys) or np.array_equal(*greys):
+        first, second = greys
+        if first is None or second is None or np.array_equal(first, second):
             continue
-        count = len(features(greys[0], 20_000)[0])
-        rows.append((count, agreeing(features(greys[0]), features(greys[1]))))
+        count = len(features(first, 20_000)[0])
+        rows.append((count, agreeing(features(first), features(second))))
     if not rows:
         raise SystemExit(f"{folder} holds no two pictures that differ")
     summary(str(folder), rows)

@@ -21,6 +21,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -266,7 +267,7 @@ def _over_all(places: str, pooling: str) -> Iterator[NodeProto]:
 def _slice(
     source: str, out: str, axes: tuple[int, ...], starts: tuple[int, ...], ends: tuple[int, ...], opset: int
 ) -> Iterator[NodeProto]:
-    bounds = {"starts": starts, "ends": ends, "axes": axes}
+    bounds: dict[str, Any] = {"starts": starts, "ends": ends, "axes": axes}
     if opset < 10:  # bounds were attributes then
         yield helper.make_node("Slice", [source], [out], **bounds)
         return

@@ -337,7 +337,8 @@ def build_clock(folder: Path) -> Path | None:
     library = folder / "clock.so"
     if compiler is None:
         return None
-    line = [compiler, "-O1", "-shared", "-fPIC", "-o", library, ROOT / "tools" / "faults_clock.c", "-ldl"]
+    code = ROOT / "tools" / "faults_clock.c"
+    line: list[str | Path] = [compiler, "-O1", "-shared", "-fPIC", "-o", library, code, "-ldl"]
     return library if subprocess.run(line, capture_output=True).returncode == 0 else None
 
 

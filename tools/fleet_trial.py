@@ -63,7 +63,8 @@ def main(arguments: list[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     args.out.mkdir(parents=True, exist_ok=True)
     if args.inside:
-        print(json.dumps(remote_depth(*args.inside.split(","), args.cut_s, args.out)))
+        wire, host = args.inside.split(",")
+        print(json.dumps(remote_depth(wire, host, args.cut_s, args.out)))
         return 0
     report: dict[str, Any] = {"fleet": fleet()}
     with namespaces() as names:

@@ -69,9 +69,11 @@ def write(
         out.mkdir(parents=True, exist_ok=True)
         describe(source.camera, out / "camera.yaml")
         count = 0
-        while (image := source.read()) is not None and image.index < most:
+        while (image := source.read()) is not None:
             if not isinstance(image, Image):
                 continue
+            if image.index >= most:
+                break
             pixels, pose = image.pixels, pose_of_image(truth, image.stamp_ns)
             if dark[0] <= image.index < dark[1]:
                 pixels = np.zeros_like(pixels)

@@ -60,7 +60,7 @@ class Recording:
             truth = given.stamps, given.poses
         if truth is None:
             raise SourceError(f"{folder} holds no true poses; give them with --poses FILE.tum")
-        times = np.asarray(truth[0]) * 1e-9
+        times = np.asarray(truth[0], np.float64) * 1e-9
         among = len(times) > 1 and np.mean((self.stamps >= times[0]) & (self.stamps <= times[-1])) > 0.5
         if not among:
             raise SourceError(f"{poses or folder}: its poses are of other times than most images")

@@ -57,8 +57,8 @@ def texture(seed: int, contrast: float, size: int = 512) -> NDArray[np.uint8]:
         grid = rng.uniform(-1, 1, (cells, cells, 1)) + 0.4 * rng.uniform(-1, 1, (cells, cells, 3))
         picture += share * cv2.resize(grid.astype(np.float32), (size, size), interpolation=cv2.INTER_NEAREST)
     for _ in range(60):
-        x, y, radius = *rng.integers(0, size, 2).tolist(), int(rng.integers(3, 22))
-        cv2.circle(picture, (x, y), radius, rng.uniform(-1, 1, 3).tolist(), -1)
+        x, y = rng.integers(0, size, 2).tolist()
+        cv2.circle(picture, (x, y), int(rng.integers(3, 22)), rng.uniform(-1, 1, 3).tolist(), -1)
     painted = np.clip(base + 110.0 * contrast * picture, 0, 255).astype(np.uint8)
     return np.asarray(cv2.GaussianBlur(painted, (3, 3), 0.6), np.uint8)
 
@@ -111,13 +111,13 @@ def draw(
     true_depth: Array,
     textures: dict[int, NDArray[np.uint8]] | None,
     step: int = 1,
-) -> tuple[Array, Array]:
+) -> tuple[Array, NDArray[np.float32]]:
     """Depth (h, w) of the objects that are nearer than the scene, inf elsewhere, and their colours.
 
     ``true_depth`` (h, w) is at every ``step``-th pixel. Without ``textures`` colours are empty.
     """
     height, width = true_depth.shape
-    shown = np.full((height, width), np.inf)
+    shown: Array = np.full((height, width), np.inf)
     colours = np.zeros((height, width, 3) if textures is not None else (0, 0, 3), np.float32)
     for thing in objects:
         if not thing.start <= seconds <= thing.end:
