@@ -54,6 +54,7 @@ class Bus:
         self._another_run: AnotherRun | None = None
         self._is_over = False  # this run: the robot has begun another
         self._tokens = [session.liveliness().declare_token(keys.alive_key(robot, process))]
+        self._ready: list[Any] = []  # the token that says so
         self._closed = False
         for name, topic in TOPICS.items():
             if topic.latched and topic.producer == process:
@@ -206,7 +207,10 @@ class Bus:
         """Have ``begins`` called, in a thread of its own, once the robot has begun another run than this."""
 
         def over() -> None:
-            self._is_over = True
+            with self._lock:  # whoever waits for this process now waits for its next life
+                self._is_over = True
+                while self._ready:
+                    self._ready.pop().undeclare()
             begins()
 
         with self._lock:
@@ -248,7 +252,7 @@ class Bus:
 
     def _leave(self) -> None:
         try:
-            for declared in (*self._tokens, *self._publishers.values()):
+            for declared in (*self._tokens, *self._ready, *self._publishers.values()):
                 declared.undeclare()
             self._session.close()
         except zenoh.ZError as error:
@@ -256,8 +260,9 @@ class Bus:
 
     def _announce(self) -> None:
         with self._lock:
-            key = keys.ready_key(self.robot, self.process)
-            self._tokens.append(self._session.liveliness().declare_token(key))
+            if not self._is_over:
+                key = keys.ready_key(self.robot, self.process)
+                self._ready.append(self._session.liveliness().declare_token(key))
 
     def _publisher(self, topic: str, speaker: str = "") -> Any:
         declared = self._publishers.get((topic, speaker))

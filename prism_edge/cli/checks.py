@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from prism_edge.config import Config
-from prism_edge.errors import MapError, PrismError
+from prism_edge.errors import MapError, PrismError, first_line
 
 OK, WARN, FAIL = "ok", "warn", "fail"
 
@@ -124,7 +124,8 @@ def check_model(config: Config) -> Iterator[Finding]:
         return
     try:
         from prism_edge.workers.sensor_network import open_depth
-    except Exception:  # said by check_wheels
+    except Exception as error:  # what is broken may be no wheel of those that check_wheels looks at
+        yield Finding(FAIL, "model", f"can't be looked at: {first_line(error, 160)}")
         return
     try:
         network = open_depth(config)
@@ -262,7 +263,8 @@ def check_folders(config: Config) -> Iterator[Finding]:
     try:
         from prism_edge.supervisor.run_directory import default_parent
         from prism_edge.workers.state_directory import kept_journal, state_directory
-    except Exception:  # a wheel that doesn't load, said by check_wheels
+    except Exception as error:  # as in check_model
+        yield Finding(FAIL, "disk", f"a run's folders can't be looked at: {first_line(error, 160)}")
         return
     try:
         run = default_parent()

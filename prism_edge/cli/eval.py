@@ -106,5 +106,7 @@ def ended_in_order() -> Iterator[None]:
 
 
 def _terminated(number: int, frame: FrameType | None) -> None:
-    """Leave through the blocks that end the daemon."""
+    """Leave through the blocks that end the daemon; another signal, which often follows, breaks none off."""
+    for each in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(each, signal.SIG_IGN)
     raise SystemExit(128 + number)

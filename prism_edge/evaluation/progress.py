@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from types import TracebackType
 from typing import Self
 
@@ -12,7 +13,10 @@ from rich.progress import Progress as Bars
 
 
 class Progress:
-    """How much of a recording has been played; on stderr, as stdout is for results."""
+    """How much of a recording has been played; on stderr, as stdout is for results.
+
+    Where the terminal goes away nothing is shown any more, and what is measured goes on.
+    """
 
     def __init__(self, total: int | None, quiet: bool = False) -> None:
         """``total`` frames, None where nobody knows; ``quiet`` shows nothing."""
@@ -29,17 +33,23 @@ class Progress:
 
     def at(self, frames: int) -> None:
         """So many frames are behind us."""
-        self._bars.update(self._task, completed=frames, refresh=True)
+        self._show(lambda: self._bars.update(self._task, completed=frames, refresh=True))
 
     def say(self, what: str, total: int | None = None) -> None:
         """What is being done now, and of how many where that is another number."""
-        self._bars.update(self._task, description=what, total=total, refresh=True)
+        self._show(lambda: self._bars.update(self._task, description=what, total=total, refresh=True))
 
     def __enter__(self) -> Self:
-        self._bars.start()
+        self._show(self._bars.start)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._bars.stop()
+        self._show(self._bars.stop)
+
+    def _show(self, draw: Callable[[], None]) -> None:
+        try:
+            draw()
+        except OSError:
+            self._bars.disable = True

@@ -36,12 +36,10 @@ class Namesakes:
             self._turns[beat.process] = (first_s if now_s - last_s <= GONE_S else now_s), now_s
 
     def there(self, now_s: float) -> list[str]:
-        """The processes of which there are two."""
-        return [
-            name
-            for name, (first_s, last_s) in self._turns.items()
-            if now_s - last_s <= GONE_S and last_s - first_s >= SURE_S
-        ]
+        """The processes of which there are two; once that is sure of one, all that are heard by turns."""
+        turns = {name: span for name, span in self._turns.items() if now_s - span[1] <= GONE_S}
+        sure = any(last_s - first_s >= SURE_S for first_s, last_s in turns.values())
+        return list(turns) if sure else []
 
 
 def words(robot: str, processes: list[str]) -> str:

@@ -16,6 +16,7 @@ log = logging.getLogger("prism_edge.supervisor")
 FIRST_S = 10.0  # as long as it may take to be heard for the first time before the log says that it isn't
 # Nobody kills it for its silence, so that is said in the midst of its work, too: it is most often the link.
 UNHEARD_S = 10.0
+REFUSED_S = 10.0  # after it has refused a message for the last time, that is said
 
 
 class RemoteWatch:
@@ -31,10 +32,15 @@ class RemoteWatch:
         self._heard_s = 0.0
         self._told: bool | None = None  # that it lives, or not; None: nothing yet
         self._told_differs = ""
+        self._refused, self._refused_s = "0", float("-inf")  # messages so far, and when that grew
 
     def heard(self, heartbeat: Heartbeat, now_s: float) -> None:
         """A heartbeat has come."""
         self._heartbeat, self._heard_s = heartbeat, now_s
+        refused = heartbeat.values.get("malformed", "0")
+        if refused not in ("0", self._refused):
+            self._refused_s = now_s
+        self._refused = refused
 
     def tell(self, now_s: float) -> None:
         """Log that it has come, or gone: called all the time, once for each."""
@@ -66,16 +72,16 @@ class RemoteWatch:
             return Row(self._name, ERROR, differs, values)
         if "warning" in values:
             return Row(self._name, WARN, values["warning"], values)
-        if "malformed" in values:
-            refused = f"has refused {values['malformed']} messages: is it of another build? Its log says more"
-            return Row(self._name, WARN, refused, values)
+        if now_s - self._refused_s < REFUSED_S:
+            said = f"refuses messages ({self._refused} so far): its log says why"
+            return Row(self._name, WARN, said, values)
         return Row(self._name, OK, beat.state, values)
 
     def _differs(self, beat: Heartbeat) -> str:
-        for key, ours in self._own.items():
-            if (theirs := beat.values.get(key, ours)) != ours:
-                return f"{key} is {theirs} in its configuration, and {ours} here: set both alike"
-        return ""
+        theirs = {key: beat.values.get(key, ours) for key, ours in self._own.items()}
+        differ = [key for key, ours in self._own.items() if theirs[key] != ours]
+        said = [f"{key} is {theirs[key]} (here {self._own[key]})" for key in differ]
+        return f"in its configuration {', '.join(said)}: set both alike" if said else ""
 
     def _judged(self, beat: Heartbeat, now_s: float) -> Verdict:
         age_s = now_s - self._heard_s

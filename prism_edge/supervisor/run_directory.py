@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import logging
 import os
 import shutil
 import tempfile
+import time
 from pathlib import Path
+
+from prism_edge.errors import in_words
 
 PREFIX = "prism-edge-run-"
 LOCK = "lock"
 _NEW = ".new-"
+_AGAIN_S = 5.0
+
+log = logging.getLogger("prism_edge.supervisor")
 
 
 class RunDirectory:
@@ -23,6 +30,8 @@ class RunDirectory:
         sweep(parent)
         self._held: list[int] = []  # descriptors: of the folder, and of the lock in it
         self._written: dict[str, str] = {}
+        self._failed = False  # the last time that it was to be kept
+        self._again_s = 0.0  # when that is tried again
         new = self._nameless(parent)
         self.path = parent / new.name.removeprefix(_NEW)
         os.rename(new, self.path)
@@ -62,9 +71,21 @@ class RunDirectory:
 
     def keep(self) -> None:
         """Restore it in its place, called all the time: many a run's journal lies there. Raises nothing."""
-        if self.path.parent.is_dir():  # else the next login brings that back, under its name
-            with contextlib.suppress(OSError):  # a full disk: what starts a process says so
-                self.restore()
+        # What it lies in is brought back by the next login.
+        if time.monotonic() < self._again_s or not self.path.parent.is_dir():
+            return
+        stood, failed = self._stands(), self._failed
+        self._failed = False
+        try:
+            self.restore()
+        except OSError as error:
+            self._failed, self._again_s = True, time.monotonic() + _AGAIN_S
+            if not failed:
+                why = in_words(error)
+                log.error("somebody has cleared %s away, and it can't be made anew: %s", self.path, why)
+            return
+        if not stood:
+            log.warning("somebody has cleared %s away: it is made anew", self.path)
 
     def remove(self) -> None:
         """Delete the folder; harmless when it is gone already."""

@@ -8,7 +8,7 @@ from prism_edge.bus.pulse import Pulse
 
 log = logging.getLogger("prism_edge.tracker")
 
-A_SECOND = 1_000_000  # of the clock by which such a one numbers (Bus.begin_life)
+OVERTAKEN = 1000  # one life numbers its corrections by ones, and an inbox holds a few hundred
 SURE = 3  # in a row: a few may have been on their way when a backend ended
 SAID = "the backend's corrections are passed over: its computer's clock is behind what they were numbered by"
 
@@ -21,7 +21,7 @@ class ClockBehind:
 
     def saw(self, ahead: int) -> None:
         """A correction has come whose number is so far ahead of the latest."""
-        if ahead > -A_SECOND:
+        if ahead > -OVERTAKEN:
             self._in_a_row = 0
             self._pulse.warn("clock", "")
             return

@@ -26,6 +26,7 @@ class KeepingUp:
         """An image of ``camera`` has come, before which so many were ``dropped``: nobody looked at them."""
         if not 0 <= stamp_ns - self._begun_ns < 2 * PERIOD_NS:  # the first, or after a pause
             self._begun_ns, self._taken, self._dropped = stamp_ns, 0, 0
+            self._pulse.warn("speed", "")
             return
         self._taken, self._dropped = self._taken + 1, self._dropped + dropped
         if stamp_ns - self._begun_ns < PERIOD_NS:

@@ -89,7 +89,7 @@ def say_when_linked(bus: Bus, endpoint: str, log: logging.Logger) -> None:
 
 def alike(config: Config) -> dict[str, str]:
     """What must be in a worker's configuration as it is in the robot's; shown on `health`, compared there."""
-    return {"mode": config.mode, "has_network": "yes" if config.depth.network else "no"}
+    return {"mode": config.mode, "depth.model": "a network" if config.depth.network else "empty"}
 
 
 def joined(config: Config, name: str, signals: StopSignals, is_again: bool) -> Bus | None:

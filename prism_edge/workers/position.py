@@ -28,16 +28,13 @@ class Position:
 
     def __init__(self, folder: Path | None) -> None:
         """``folder`` is the run's; None: of a source started by hand, nothing is kept."""
-        self._file: int | None = None
-        if folder is not None:
-            with contextlib.suppress(OSError):
-                flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
-                self._file = os.open(folder / NAME, flags, 0o600)
+        self._folder, self._file = folder, None if folder is None else _opened(folder)
 
     def note(self, sent: Sent) -> None:
         """An image has gone out."""
         if self._file is not None:
             with contextlib.suppress(OSError):
+                self._restore()
                 os.pwrite(self._file, _RECORD.pack(*astuple(sent)), 0)
 
     def read(self) -> Sent | None:
@@ -46,6 +43,20 @@ class Position:
             if self._file is not None:
                 return Sent(*_RECORD.unpack(os.pread(self._file, _RECORD.size, 0)))
         return None
+
+    def _restore(self) -> None:
+        """Somebody may have cleared the folder, which the supervisor makes anew."""
+        if self._file is not None and self._folder is not None and os.fstat(self._file).st_nlink == 0:
+            new = _opened(self._folder)
+            if new is not None:
+                os.close(self._file)
+                self._file = new
+
+
+def _opened(folder: Path) -> int | None:
+    with contextlib.suppress(OSError):
+        return os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+    return None
 
 
 @dataclass(frozen=True)

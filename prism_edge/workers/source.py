@@ -62,7 +62,7 @@ class SourceWorker:
         size = camera.width, camera.height
         seen = mask_for(named_path(mask), *size, config.source.shrink) if mask else None
         self._own_parts = OwnPartsWatch(seen)
-        self._doubts = doubts(source.camera)
+        bus.pulse.warn("camera file", "; ".join(f"camera: {doubt}" for doubt in doubts(source.camera)))
         self._last_index = -1
         self._position = Position(bus.run_directory)
         self._reported: set[str] = set()
@@ -296,7 +296,6 @@ class SourceWorker:
         flows = len(times) > 1 and time.monotonic() - times[-1] < _STILL_S
         rate = (len(times) - 1) / (times[-1] - times[0]) if flows else 0.0
         health, pulse = dict(self._source.health()), self._bus.pulse
-        pulse.warn("camera file", "; ".join(f"camera: {doubt}" for doubt in self._doubts))
         pulse.warn("own parts", self._own_parts.warning)
         pulse.warn("camera", health.pop("warning", ""))
         pulse.warn("pause", self._pause.warning)

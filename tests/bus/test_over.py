@@ -47,3 +47,30 @@ def test_no_answers(join: Callable[..., Bus], prepare: Callable[[Bus], None]) ->
     between = Between(join, prepare)
     assert between.robot.ask("end", 2.0) is None
     between.is_heard()
+
+
+def test_who_waits_for_it_waits_for_its_next_life(join: Callable[..., Bus]) -> None:
+    between = Between(join, lambda bus: None)
+    assert between.robot.await_ready(["source"], 1.0) == {"source"}
+    between.remote.pulse.ready()
+    between.is_heard()
+    assert between.robot.await_ready(["source"], 0.5) == {"source"}
+    between.remote.close()
+    join("source").pulse.ready()
+    assert between.robot.await_ready(["source"], 10.0) == set()
+
+
+def test_one_that_is_ready_too_late_does_not_say_so(join: Callable[..., Bus]) -> None:
+    began = threading.Event()
+    first, remote = join("supervisor", listen=True), join("source")
+    remote.on_another_run(began.set)
+    heard = first.queue("heartbeat")
+    assert heard.take(10.0) is not None
+    first.close()
+    robot = join("supervisor", listen=True)
+    beats = robot.queue("heartbeat")
+    assert began.wait(30.0)
+    remote.pulse.ready()
+    beats.drain()
+    assert beats.take(10.0) is not None
+    assert robot.await_ready(["source"], 1.0) == {"source"}

@@ -75,6 +75,15 @@ def test_certificates_that_can_not_be_read_or_used(
     assert sum(levels(check()).count(FAIL) for check in checks.all_checks(bare)) == 1
 
 
+@pytest.mark.parametrize("check", [checks.check_model, checks.check_folders])
+def test_what_it_could_not_look_at_is_not_passed_over(check, monkeypatch: pytest.MonkeyPatch) -> None:
+    for module in ("prism_edge.workers.sensor_network", "prism_edge.workers.state_directory"):
+        monkeypatch.setitem(sys.modules, module, None)
+    [finding] = check(Config(depth=DepthConfig(model="any")))
+    assert finding.level == FAIL
+    assert "can't be looked at" in finding.found
+
+
 def test_model_that_is_no_network(tmp_path: Path) -> None:
     file = tmp_path / "net.onnx"
     file.write_bytes(b"no network")

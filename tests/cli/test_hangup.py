@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+from collections.abc import Iterator
 
 import pytest
 
@@ -25,3 +27,22 @@ def test_under_nohup_it_goes_on() -> None:
             os.kill(os.getpid(), signal.SIGHUP)
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_a_second_signal_breaks_nothing_off() -> None:
+    """The shell and the kernel each send one as a terminal closes; timeout(1) sends two."""
+    ended: list[str] = []
+
+    @contextlib.contextmanager
+    def daemon() -> Iterator[None]:
+        try:
+            yield
+        finally:
+            for number in (signal.SIGHUP, signal.SIGTERM):
+                os.kill(os.getpid(), number)
+            ended.append("whole")
+
+    with pytest.raises(SystemExit) as first, ended_in_order(), daemon():
+        os.kill(os.getpid(), signal.SIGHUP)
+    assert first.value.code == 128 + signal.SIGHUP
+    assert ended == ["whole"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import sys
 import threading
@@ -42,6 +43,26 @@ def test_a_terminal_sees_how_far_a_run_is(
     assert "7/24" in said[said.index("settling") :].partition("reading")[0]  # in the same number of frames
     assert "\x1b[?25h" in said[said.index("299/300") :]  # the cursor is shown again
     assert capsys.readouterr().out == ""  # which is for results
+
+
+def test_a_terminal_that_goes_away_costs_the_bar_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Gone(Terminal):
+        is_gone = False
+
+        def write(self, text: str) -> int:
+            if self.is_gone:
+                raise OSError(errno.EIO, "Input/output error")
+            return super().write(text)
+
+    stderr = Gone()
+    monkeypatch.setattr(sys, "stderr", stderr)
+    monkeypatch.setenv("TERM", "xterm")
+    with Progress(24) as progress:
+        progress.at(7)
+        stderr.is_gone = True
+        progress.at(8)
+        progress.say("settling")
+    assert "7/24" in stderr.getvalue()
 
 
 def test_nothing_is_shown_where_nobody_looks(monkeypatch: pytest.MonkeyPatch) -> None:

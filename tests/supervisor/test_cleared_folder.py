@@ -33,11 +33,18 @@ def folder(run: Supervisor, tmp_path: Path) -> Path:
     return folder
 
 
-def test_it_keeps_nobody_down(run: Supervisor, folder: Path) -> None:
-    shutil.rmtree(folder)
+def test_it_keeps_nobody_down(
+    run: Supervisor, folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With what it lay in, which is not made anew: then it is elsewhere for who is started again."""
+    elsewhere = tmp_path_factory.mktemp("elsewhere")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(elsewhere))
+    folder.parent.rename(folder.parent.with_name("gone"))
     before = run.processes["depth"]
     os.kill(before, signal.SIGKILL)
     run.run(in_time(lambda: run.processes.get("depth", before) != before and run.ready))
+    assert list(elsewhere.glob(f"{PREFIX}*/config.yaml"))
+    folder.parent.mkdir()
 
 
 def test_it_is_there_for_a_reload(run: Supervisor, folder: Path, config: Config) -> None:

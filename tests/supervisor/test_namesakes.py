@@ -57,6 +57,20 @@ def test_two_are_heard_by_turns() -> None:
     assert not told(both[: int(SURE_S)], SURE_S / 2)  # too early
 
 
+def test_once_it_is_sure_of_one_all_are_told() -> None:
+    """Of another daemon each process is heard: the log's one line is not to be of one alone."""
+    namesakes = Namesakes()
+    for t in range(int(LONG_S)):
+        for pid in (7, 8):
+            for name, since in (("tracker", 0), ("depth", 3), ("scale", int(LONG_S))):
+                if t >= since:
+                    namesakes.heard(replace(heartbeat(pid, t), process=name), t)
+        if there := namesakes.there(t):
+            assert there == ["tracker", "depth"]
+            return
+    raise AssertionError("never told")
+
+
 def test_two_of_one_pid_have_clocks_of_their_own() -> None:
     assert told((t, 7, t + ahead) for t in SECONDS for ahead in (0, 1000)) == [NAME]
 

@@ -11,7 +11,7 @@ from prism_edge.bus.session import Bus
 from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import Config, DepthConfig, NetworkConfig
 from prism_edge.supervisor.health import ERROR, OK, WARN
-from prism_edge.supervisor.remote import FIRST_S, UNHEARD_S, RemoteWatch
+from prism_edge.supervisor.remote import FIRST_S, REFUSED_S, UNHEARD_S, RemoteWatch
 from prism_edge.supervisor.supervisor import Supervisor
 from tests.supervisor.fake_daemon import cast
 from tests.supervisor.test_liveness import beat
@@ -87,9 +87,12 @@ def test_a_running_daemon_says_so(
 
 def test_one_that_refuses_what_it_hears_is_not_well() -> None:
     watch = RemoteWatch("depth", 0.0)
-    watch.heard(replace(beat("ready"), values={"malformed": "3"}), 1.0)
-    assert watch.row(1.5).level == WARN
-    assert "refused 3 messages" in watch.row(1.5).message
+    for at_s in (1.0, 5.0):
+        watch.heard(replace(beat("ready"), values={"malformed": "3"}), at_s)
+    assert watch.row(5.5).level == WARN
+    assert "refuses messages (3 so far)" in watch.row(5.5).message
+    watch.heard(replace(beat("ready"), values={"malformed": "3"}), 2.0 + REFUSED_S)
+    assert watch.row(2.0 + REFUSED_S).level == OK, "none since"
 
 
 def test_a_slow_link_holds_up_heartbeats_and_is_no_end() -> None:
@@ -101,14 +104,15 @@ def test_a_slow_link_holds_up_heartbeats_and_is_no_end() -> None:
 
 
 def test_one_whose_configuration_is_another_is_told_of(caplog: pytest.LogCaptureFixture) -> None:
-    watch = RemoteWatch("scale", 0.0, {"mode": "lockstep", "has_network": "yes"})
-    watch.heard(replace(beat("idle"), values={"mode": "lockstep", "has_network": "yes"}), 1.0)
+    watch = RemoteWatch("scale", 0.0, {"mode": "lockstep", "depth.model": "a network"})
+    watch.heard(replace(beat("idle"), values={"mode": "lockstep", "depth.model": "a network"}), 1.0)
     assert watch.row(1.5).level == OK
-    watch.heard(replace(beat("idle"), values={"mode": "realtime", "has_network": "yes"}), 2.0)
+    watch.heard(replace(beat("idle"), values={"mode": "realtime", "depth.model": "empty"}), 2.0)
     watch.tell(2.5)
     assert watch.row(2.5).level == ERROR
     assert caplog.messages == [
-        "scale, on another host: mode is realtime in its configuration, and lockstep here: set both alike"
+        "scale, on another host: in its configuration mode is realtime (here lockstep), depth.model is empty "
+        "(here a network): set both alike"
     ]
 
 
@@ -117,4 +121,4 @@ def test_one_that_is_started_again_with_another_mode_is_told(caplog: pytest.LogC
     for at_s, mode in ((1.0, "realtime"), (3.0, "lockstep"), (4.0, "lockstep")):
         watch.heard(replace(beat("idle"), values={"mode": mode}), at_s)
         watch.tell(at_s)
-    assert caplog.text.count("mode is lockstep in its configuration") == 1
+    assert caplog.text.count("in its configuration mode is lockstep") == 1

@@ -10,9 +10,11 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from prism_edge.supervisor import run_directory
 from prism_edge.supervisor.run_directory import LOCK, PREFIX, RunDirectory, default_parent, sweep
 
 
@@ -147,3 +149,38 @@ def test_one_that_can_not_be_held_is_not_left_lying(tmp_path: Path, monkeypatch:
     with pytest.raises(OSError, match="No space"):
         RunDirectory(tmp_path)
     assert not list(tmp_path.iterdir())
+
+
+def test_who_clears_it_is_told_of_once_each_time(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    directory = RunDirectory(tmp_path)
+    for _ in range(2):
+        shutil.rmtree(directory.path)
+        for _ in range(3):
+            directory.keep()
+        assert directory.path.is_dir()
+    assert [record.levelname for record in caplog.records] == ["WARNING"] * 2
+    assert str(directory.path) in caplog.messages[0]
+    directory.remove()
+
+
+def test_one_that_can_not_be_made_anew_is_said_once_and_tried_now_and_then(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now = [100.0]
+    monkeypatch.setattr(run_directory, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    directory = RunDirectory(tmp_path)
+    shutil.rmtree(directory.path)
+    directory.path.mkdir()
+    (directory.path / "another's").touch()
+    directory.keep()
+    now[0] += 60.0
+    directory.keep()
+    assert [record.levelname for record in caplog.records] == ["ERROR"]
+    assert "can't be made anew" in caplog.text
+    shutil.rmtree(directory.path)
+    directory.keep()
+    assert not directory.path.exists(), "it is too soon"
+    now[0] += 60.0
+    directory.keep()
+    assert (directory.path / LOCK).exists()
+    directory.remove()

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from prism_edge.workers import clock_behind
-from prism_edge.workers.clock_behind import A_SECOND, SURE, ClockBehind
+from prism_edge.workers.clock_behind import OVERTAKEN, SURE, ClockBehind
 from tests.workers.list_bus import ListBus
 from tests.workers.tracker_bench import CONFIG, World, frame, run, update_of
 
@@ -23,13 +23,13 @@ def said(*ahead: int) -> bool:
 
 
 def test_one_that_is_behind_for_long_is_said_once(caplog: pytest.LogCaptureFixture) -> None:
-    assert said(1, *SURE * [-2 * A_SECOND], -2 * A_SECOND)
+    assert said(1, *SURE * [-2 * OVERTAKEN], -2 * OVERTAKEN)
     assert caplog.text.count("clock is behind") == 1
 
 
 def test_what_was_overtaken_or_late_is_nothing_to_speak_of() -> None:
     assert not said(*range(-9, 0))
-    assert not said(*9 * [*(SURE - 1) * [-2 * A_SECOND], 1])
+    assert not said(*9 * [*(SURE - 1) * [-2 * OVERTAKEN], 1])
 
 
 def test_the_tracker_looks(
@@ -37,7 +37,7 @@ def test_the_tracker_looks(
 ) -> None:
     monkeypatch.setattr(clock_behind, "SURE", 1)
     world = World(bus)
-    numbers = iter([LATEST, LATEST - 600 * A_SECOND, *range(LATEST + 1, LATEST + 99)])
+    numbers = iter([LATEST, LATEST - 600 * OVERTAKEN, *range(LATEST + 1, LATEST + 99)])
     world.update = lambda keyframe, sequence: update_of(
         keyframe, next(numbers), keyframe.world_from_camera[None]
     )

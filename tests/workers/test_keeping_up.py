@@ -56,6 +56,14 @@ def test_a_pause_or_a_camera_that_is_away_says_nothing_of_speed() -> None:
     assert stream.play(25.0) == ""
 
 
+def test_what_was_said_before_a_pause_does_not_stand_after_it() -> None:
+    stream = Stream()
+    assert stream.play(21.0, every=2)
+    stream.stamp_ns += 3_600_000_000_000
+    stream.watch.saw(stream.stamp_ns, 0, CAMERA)
+    assert stream.pulse.values.get("warning", "") == ""
+
+
 def test_stamps_of_another_clock_begin_anew() -> None:
     stream = Stream()
     stream.play(5.0, every=2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,18 @@ def test_the_last_is_found_by_the_next_life(tmp_path: Path) -> None:
     first.note(Sent(10**12, -5, 3))
     first.note(Sent(7, 2**62, 2**61))
     assert Position(tmp_path).read() == Sent(7, 2**62, 2**61)
+
+
+def test_a_folder_that_was_cleared_and_made_anew_has_it_again(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    position = Position(folder)
+    position.note(Sent(1, 2, 3))
+    shutil.rmtree(folder)
+    position.note(Sent(2, 3, 4))  # nowhere yet
+    folder.mkdir()
+    position.note(Sent(3, 4, 5))
+    assert Position(folder).read() == position.read() == Sent(3, 4, 5)
 
 
 @pytest.mark.parametrize("content", [b"", b"half", bytes(16)])

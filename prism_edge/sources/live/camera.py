@@ -22,6 +22,8 @@ from prism_edge.vital import vital
 log = logging.getLogger("prism_edge.sources")
 
 STREAMING, RECONNECTING = "streaming", "reconnecting"
+# For the thread to come back from a driver. A process that is to end has supervisor.stop_s for all that ends.
+_CLOSING_S, _LEAVING_S = 2.0, 0.5
 
 
 @dataclass(frozen=True)
@@ -132,7 +134,7 @@ class LiveCamera(Source):
         if why:
             warning = f"camera: {RECONNECTING} ({why})"
         elif self._quiet:
-            warning = f"camera: {self._quiet}"
+            warning = "camera: no image comes"
         else:
             warning = self._misfit or self._watch.problem
         return values | ({"warning": warning} if warning else {})
@@ -141,7 +143,8 @@ class LiveCamera(Source):
         """Ends the thread, or leaves it behind where its driver hangs."""
         self._closing.set()
         if self._thread is not None:
-            self._thread.join(self._timing.read_s + 0.5)  # within supervisor.stop_s, with what else ends
+            patience_s = _LEAVING_S if self.stopped.is_set() else _CLOSING_S
+            self._thread.join(self._timing.read_s + patience_s)
             if self._thread.is_alive():
                 log.warning("%s: the driver does not come back; it is left behind", self.name)
             self._thread = None

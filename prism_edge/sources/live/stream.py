@@ -88,7 +88,7 @@ class StreamDriver:
         except (av.error.FFmpegError, ValueError) as error:
             is_late = time.monotonic() - began >= self.options.timeout
             reason = reason_of(error, is_late, self.options.timeout)
-            if self.is_mjpeg and isinstance(error, av.error.InvalidDataError):
+            if self.is_mjpeg and not is_late and isinstance(error, av.error.InvalidDataError):
                 reason += _READ
             raise CameraLostError(reason) from None
         try:
