@@ -11,6 +11,8 @@ from prism_edge.backend.map_scale import LARGEST_LOG_SCALE, KnownScale
 from prism_edge.errors import MapError
 from prism_edge.messages import HOME, LARGEST_ID, Scale
 
+MOST = 256  # parts: a camera before what can't be tracked begins one every few seconds
+MOST = 256
 TOLD, JOINED, HERE = "units", "joined_units", "unit_of"  # in a journal
 
 
@@ -42,6 +44,8 @@ class PartUnits:
         if scale.part == self._here or self._here not in self._told:
             sigma = math.hypot(scale.filter_sigma, scale.bias_sigma, scale.lost_sigma)
             self._told[self._here] = scale.map_log_scale, sigma if math.isfinite(sigma) else math.inf
+            while len(self._told) > MOST:
+                del self._told[next(part for part in self._told if part not in (HOME, self._here))]
 
     def go_home(self) -> None:
         """Until somebody speaks of another, the camera is in the map's first part."""

@@ -23,7 +23,7 @@ def sidecar_at(path: Path) -> Path | None:
     Raises ModelError for one that is there and no file: what it would say is not to be passed over.
     """
     for sidecar in map(sidecar_of, leading_to(path)):
-        if sidecar.is_file():
+        if os.path.isfile(sidecar):  # a name too long for a file is none
             return sidecar
         if os.path.lexists(sidecar):
             raise ModelError(f"{sidecar}: describes {path.name}, but is no file, or a link to none")

@@ -199,10 +199,12 @@ def _locked(folder: Path) -> Iterator[None]:
         raise ModelError(f"{folder}: can't be made ({error.strerror})") from None
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
     except BlockingIOError:
-        raise ModelError(f"{folder}: another pull is at work there") from None
-    finally:
         os.close(handle)
+        raise ModelError(f"{folder}: another pull is at work there") from None
+    try:
+        yield
+    finally:
         with contextlib.suppress(OSError):  # it is kept where there is anything in it
             folder.rmdir()
+        os.close(handle)

@@ -107,7 +107,7 @@ class OnnxNetwork:
             factor *= placement.focal_length(camera) / self.card.canonical_focal_length
         if factor != 1.0:
             with np.errstate(over="ignore"):  # infinite depth is none, and said to be
-                raw = _with_depth(raw, raw.depth * np.float32(factor))
+                raw = replace(raw, depth=raw.depth * np.float32(factor))
         answer = checked(raw)
         if not answer.valid and self._sky_share > 0.5:  # not the network, its mask did that
             by = f"{self.card.sky_output!r} at or above sky_limit {self.card.sky_limit:g}"
@@ -269,16 +269,6 @@ def failing_in_a_line(name: str) -> Iterator[None]:
 def are_swapped(aspect: float, of_input: float) -> bool:
     """Whether a map's width by its height is the input's height by its width, and that not a square."""
     return abs(math.log(of_input)) > 2 * SAME_ASPECT and abs(math.log(aspect * of_input)) < SAME_ASPECT
-
-
-def _with_depth(prediction: Prediction, depth: NDArray[np.float32]) -> Prediction:
-    return Prediction(
-        depth,
-        prediction.image_to_depth,
-        prediction.confidence,
-        prediction.descriptor,
-        prediction.inference_ms,
-    )
 
 
 def _plane(values: NDArray[Any], name: str) -> NDArray[np.float32]:

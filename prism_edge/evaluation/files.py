@@ -33,7 +33,7 @@ def files_of(config: Config, truth: Path | None) -> list[Path]:
     files += [truth] if truth is not None else []
     with suppress(ModelError):  # no pair of names
         files += [file for name in networks_of(config.depth.network) for file in _network_files(name)]
-    return [file.absolute() for file in files if file.exists()]
+    return [file.absolute() for file in files if os.path.exists(file)]
 
 
 def digests_of(files: Iterable[Path]) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import json
+import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -80,8 +81,8 @@ def evaluate(
     source = _playable(config.source)
     first, frame_count = _extent(source)
     made_of = played(config.source, source, truth)
-    if truth is not None and not truth.is_file():
-        what = "a folder: a TUM file is wanted" if truth.is_dir() else "no such file"
+    if truth is not None and not os.path.isfile(truth):
+        what = "a folder: a TUM file is wanted" if os.path.isdir(truth) else "no such file"
         raise EvaluationError(f"{truth}: {what}: nothing to score against")
     # Where the truth that was given lies among the results, it stays as it is.
     kept = {truth.resolve()} if truth is not None else set()

@@ -150,6 +150,13 @@ class DepthWorker:
             log.info("the network sees pictures turned by %d degrees: so the camera sits", degrees)
         self._told = depth = answer(self._network, image, self._failing)
         self._bus.publish("depth", depth)
+        if image.keyframe >= 0:  # of a lost camera's probe the descriptor counts alone
+            self._judge(image, depth)
+        self._show_counters()
+        self._bus.pulse.idle()
+
+    def _judge(self, image: KeyframeImage, depth: Depth) -> None:
+        """What is to be said of a keyframe's depth."""
         self._bus.pulse.count("keyframes")
         if not depth.valid:
             self._bus.pulse.count("invalid")
@@ -162,8 +169,6 @@ class DepthWorker:
             self._bus.pulse.values.update(
                 inference_ms=f"{depth.inference_ms:.1f}", inference_ms_median=f"{median(self._recent):.1f}"
             )
-        self._show_counters()
-        self._bus.pulse.idle()
 
     def _doubt(self, depth: Depth) -> None:
         """Says where metres can't be metres, or a pair is none: on `health` while so, once on the log."""

@@ -96,7 +96,8 @@ class ScaleWorker:
         """Handles all pairs that are complete once a depth has come or the time is over."""
         depth = self._depths.take(timeout_s)
         for come in ([] if depth is None else [depth]) + self._depths.drain():
-            if come.keyframe >= 0:  # else a probe's, which is for the tracker
+            # A probe's is for the tracker; one that is told again has met its keyframe.
+            if come.keyframe >= 0 and come.keyframe not in self._served:
                 self._waiting.add_depth(come)
         self._take_loaded()
         keyframes = self._keyframes.drain()

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from prism_edge.backend.map_scale import KnownScale
-from prism_edge.backend.part_units import PartUnits
+from prism_edge.backend.part_units import MOST, PartUnits
 from prism_edge.errors import MapError
 from prism_edge.messages import HOME, Scale
 
@@ -33,6 +33,18 @@ def test_the_part_that_was_spoken_of_last_counts():
     assert units.log_scale == 0.9
     units.hear(told(HOME, 0.3))
     assert units.log_scale == 0.3
+
+
+def test_of_parts_begun_for_hours_the_newest_are_known():
+    units = units_of(KnownScale(0.25))
+    for part in range(1, 3 * MOST):
+        units.hear(told(part, 0.001 * part, filter_sigma=0.1, bias_sigma=0.0, lost_sigma=0.0))
+    newest = 3 * MOST - 1
+    assert units.log_scale == pytest.approx(0.001 * newest)
+    assert units.between(newest, newest - MOST // 2) is not None
+    assert units.between(newest, 1) is None
+    units.go_home()
+    assert units.log_scale == 0.25
 
 
 def test_what_is_told_of_a_part_that_was_joined_is_of_a_unit_that_is_no_more():

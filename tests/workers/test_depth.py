@@ -295,6 +295,19 @@ def test_lockstep_answers_what_a_lost_camera_shows_before_its_frame_is_done(tiny
     assert bus.pulse.values["dropped"] == "0"
 
 
+def test_what_a_lost_camera_shows_is_warned_of_nowhere(tiny: str, monkeypatch, caplog):
+    """No keyframe may follow for hours to take it back: the camera was covered, and stands."""
+    network = open_network(tiny, DepthConfig())
+    monkeypatch.setattr(worker, "open_depth", lambda config: network)
+    monkeypatch.setattr(network, "infer", lambda *picture: 1 / 0)
+    bus, config = live(tiny)
+    DepthWorker(config, bus)._answer(replace(picture(1), keyframe=probe_of(3)))
+    assert [depth.valid for depth in bus.of("depth")] == [False]
+    assert "warning" not in bus.pulse.values
+    assert bus.pulse.values["invalid"] == bus.pulse.values["keyframes"] == "0"
+    assert "has no depth" not in caplog.text
+
+
 def test_a_network_that_answers_again_is_warned_of_no_more(tiny: str, monkeypatch):
     network = open_network(tiny, DepthConfig())
     good = network.infer

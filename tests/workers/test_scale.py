@@ -187,6 +187,20 @@ def test_a_keyframe_that_comes_after_its_depth_is_served_too(bus, start):
     assert bus.of("log_scale")[0].keyframe == 3
 
 
+def test_depth_that_is_told_again_waits_for_nobody(bus, start):
+    """It would push out those that wait for their keyframe."""
+    old, new = keyframe_of_wall(3, 1.0), keyframe_of_wall(4, 1.0)
+    bus.give("depth", depth_of(old))
+    bus.give("keyframe", old)
+    start()
+    bus.wait_for("scale", 1)
+    waiting = [replace(depth_of(new), keyframe=i) for i in range(9, 72)]
+    bus.give("depth", depth_of(new), depth_of(old), *waiting)
+    bus.give("keyframe", new)
+    bus.wait_for("scale", 2)
+    assert bus.pulse.values["unpaired"] == "0"
+
+
 def test_what_a_lost_camera_shows_takes_no_keyframe_s_place(bus, start):
     keyframe = keyframe_of_wall(3, 1.0)
     depth = depth_of(keyframe)
