@@ -246,8 +246,9 @@ class Scale:
 
     @property
     def known_to(self) -> float:
-        """Sigma of log_scale without the bias for who begins with it: with what is held beyond the map's."""
-        return math.hypot(self.filter_sigma, self.log_scale - self.map_log_scale)
+        """Sigma of log_scale for who begins with it: without the bias, with what is held and contested."""
+        apart = self.sigma**2 - self.bias_sigma**2 - self.lost_sigma**2
+        return math.sqrt(max(apart, self.filter_sigma**2 + (self.log_scale - self.map_log_scale) ** 2))
 
 
 @dataclass(frozen=True)

@@ -100,6 +100,7 @@ class GlobalAdjustment:
                 if measured and keyframe.depths is not None and keyframe.depths[keypoint] > 0:
                     graph.add(factors.metric_depth(X(k), L(p), keyframe, keypoint))
         self._keyframes = sorted(used)
+        self._measured = {k for k in used if use_depth and world.keyframes[k].depth_sigma > 0}
         for k in self._keyframes:
             values.insert(X(k), gtsam.Pose3(world.keyframes[k].world_from_camera))
         hanging = [part & used.keys() for part in (list(parts) or [set(used)]) if part & used.keys()]
@@ -147,7 +148,7 @@ class GlobalAdjustment:
         return self.done
 
     def result(self) -> Adjusted | None:
-        """What it came to, each part in the unit that it had; None where it is unusable.
+        """What it came to, each part in the unit that it had or, of a sensor's depths, has; None: unusable.
 
         A part of its own of which that is so stays as it was: the rest is worth as much without it.
         """
@@ -174,6 +175,8 @@ class GlobalAdjustment:
                 points.update({p: self._places[p] for p in self._owned(part)})
                 continue
             anchor = poses[min(part)][:3, 3].copy()
+            if part & self._measured:  # by a sensor: it says how large that is
+                continue
             for k in part:
                 turn, centre = poses[k][:3, :3], poses[k][:3, 3]
                 poses[k] = normalised(from_rt(turn, anchor + (centre - anchor) / unit))

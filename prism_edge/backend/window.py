@@ -250,7 +250,7 @@ def solve(
         return None
     wrong = outliers(world, found, points, problem.observations, config)
     poses = {k: found[k] for k in window.free}
-    parallax = widest_parallax(world, points)
+    parallax = widest_parallax(world, points, poses=poses)
     return Solution(poses, points, parallax, wrong, solved.iterations, problem.unit_is_free)
 
 
@@ -290,14 +290,19 @@ def _or_from(
 
 
 def widest_parallax(
-    world: GlobalMap, points: dict[int, Array], among: set[int] | None = None
+    world: GlobalMap,
+    points: dict[int, Array],
+    among: set[int] | None = None,
+    poses: dict[int, Array] | None = None,
 ) -> dict[int, float]:
     """Angle (degrees) between the first ray of each point and the one farthest from it.
 
-    ``among``: only from these keyframes, of which every point must be seen by one.
+    ``among``: only from these keyframes, of which every point must be seen by one. ``poses``: of those that
+    are about to move with the points.
     """
     row = {k: i for i, k in enumerate(world.keyframes)}
-    centres = np.array([keyframe.world_from_camera[:3, 3] for keyframe in world.keyframes.values()])
+    at = {k: keyframe.world_from_camera for k, keyframe in world.keyframes.items()} | (poses or {})
+    centres = np.array([at[k][:3, 3] for k in row])
     seen_by = (world.points[p].keyframes for p in points)
     viewers = [sorted(all_of if among is None else all_of & among) for all_of in seen_by]
     counts = np.array([len(mine) for mine in viewers])

@@ -262,7 +262,10 @@ class Tracker:
             if said is SecondView.CONTRADICTS:
                 self.motion.stop()
                 self._result = beside(reference, frame, self.parts.at_home)  # it is elsewhere now
-        elif self._config.two_views and is_contradicted(self.world, self.parts, frame, self._seed):
+        elif (  # a map that was there has been right before
+            self._config.two_views and self._began_at is not None
+            and is_contradicted(self.world, self.parts, frame, self._seed)
+        ):
             self._restart(scaled(frame.world_from_camera, math.exp(self.log_scale)))
             return None
         view = View(frame.camera, frame.features, stamp_ns)

@@ -14,7 +14,7 @@ from prism_edge.backend import global_adjustment as module
 from prism_edge.backend.global_adjustment import GlobalAdjustment, apply, choose_views
 from prism_edge.backend.global_map import GlobalMap
 from prism_edge.config import BackendConfig
-from prism_edge.geometry.poses import inverse, se3_exp, se3_log, transform
+from prism_edge.geometry.poses import from_rt, inverse, se3_exp, se3_log, transform
 from tests.backend.ring import position_error
 from tests.backend.world import Teller, check, depth_at_keypoints, poses_of
 from tests.tracking.cloud import pose_at
@@ -55,6 +55,27 @@ def test_it_finds_the_truth_again():
     after = position_error({k: f.world_from_camera for k, f in world.keyframes.items()}, teller.poses)
     assert after < 0.2 * before
     check(world)
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_what_a_sensor_measured_says_how_large_a_map_is(measured: bool):
+    """By a network's depths, which aren't in it, the map has the unit that it had."""
+    teller, world = Teller(), GlobalMap()
+    for i in range(4):
+        world.absorb(teller.keyframe(pose_at(0.25 * i, 0.05 * i)))
+    for k, keyframe in world.keyframes.items():
+        depths = transform(inverse(teller.poses[k]), teller.cloud.positions)[:, 2]
+        keyframe.depths, keyframe.depth_sigma = np.zeros(len(keyframe.pixels)), 0.02 * measured
+        for p, keypoint in keyframe.observed.items():
+            keyframe.depths[keypoint] = depths[p]
+        keyframe.world_from_camera = from_rt(teller.poses[k][:3, :3], 1.1 * teller.poses[k][:3, 3])
+    for point in world.points.values():
+        point.position = 1.1 * point.position
+    job = GlobalAdjustment(world, CONFIG, 1.0, use_depth=True)
+    while not job.step():
+        pass
+    way = np.linalg.norm(job.result().poses[3][:3, 3]) / np.linalg.norm(teller.poses[3][:3, 3])
+    assert way == pytest.approx(1.0 if measured else 1.1, rel=0.01)
 
 
 def test_it_says_how_wide_apart_the_rays_of_each_point_are_now():

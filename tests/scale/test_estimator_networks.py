@@ -175,3 +175,15 @@ def test_a_map_that_does_not_say_its_network_s_bias_leaves_the_one_last_heard() 
     assert answer is not None
     assert answer[0].bias_sigma == 0.1
     assert answer[0].sigma > 0.1
+
+
+def test_who_begins_with_metres_that_are_contested_knows_no_more_than_was_published() -> None:
+    """Held 0.05 from the estimate, and maybe off by a fifth: what a map keeps of it says so."""
+    of = Player().play(3, 0.0)[-1]
+    said = replace(of, sigma=np.sqrt(0.04**2 + 0.1**2 + 0.05**2 + 0.2**2), filter_sigma=0.04, bias_sigma=0.1)
+    assert said.known_to == pytest.approx(np.sqrt(0.04**2 + 0.05**2 + 0.2**2))
+    assert replace(said, lost_sigma=2.0, sigma=float(np.hypot(said.sigma, 2.0))).known_to == pytest.approx(
+        said.known_to
+    )
+    sure = replace(said, sigma=np.hypot(0.04, 0.1), map_log_scale=said.log_scale - 0.03)
+    assert sure.known_to == pytest.approx(0.05), "the map is built by another value"

@@ -164,6 +164,21 @@ def test_a_map_that_is_contradicted_gives_way_to_one_that_begins_where_the_camer
     assert run.tracker.log_scale == 0.0
 
 
+def test_a_map_that_was_there_is_not_thrown_away_however_small(monkeypatch) -> None:
+    run = Run()
+    run.play(range(20))
+    index, parts, world = run.tracker.places.index, run.tracker.parts, run.tracker.world
+    run.tracker.adopt(world, index, parts, 7, 0.0)
+    assert run.tracker._began_at is None
+    run.tracker.last = TrackedFrame.of_keyframe(world.newest(), 100)
+    run.tracker._search.lost = False
+    monkeypatch.setattr(tracker, "is_contradicted", lambda *_: True)
+    before = len(run.keyframes)
+    run.play(range(20, 50))
+    assert len(run.keyframes) > before
+    assert (run.tracker.epoch, run.tracker.world) == (7, world)
+
+
 def test_nobody_asks_where_two_views_are_not_to_be_asked(monkeypatch) -> None:
     def ask(*_: object) -> bool:
         raise AssertionError
