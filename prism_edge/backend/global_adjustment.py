@@ -174,9 +174,9 @@ class GlobalAdjustment:
                 poses.update({k: self._before[k] for k in part})
                 points.update({p: self._places[p] for p in self._owned(part)})
                 continue
-            anchor = poses[min(part)][:3, 3].copy()
             if part & self._measured:  # by a sensor: it says how large that is
                 continue
+            anchor = poses[min(part)][:3, 3].copy()
             for k in part:
                 turn, centre = poses[k][:3, :3], poses[k][:3, 3]
                 poses[k] = normalised(from_rt(turn, anchor + (centre - anchor) / unit))

@@ -12,7 +12,6 @@ from prism_edge.errors import MapError
 from prism_edge.messages import HOME, LARGEST_ID, Scale
 
 MOST = 256  # parts: a camera before what can't be tracked begins one every few seconds
-MOST = 256
 TOLD, JOINED, HERE = "units", "joined_units", "unit_of"  # in a journal
 
 

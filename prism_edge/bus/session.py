@@ -54,7 +54,7 @@ class Bus:
         self._another_run: AnotherRun | None = None
         self._is_over = False  # this run: the robot has begun another
         self._tokens = [session.liveliness().declare_token(keys.alive_key(robot, process))]
-        self._ready: list[Any] = []  # the token that says so
+        self._ready: list[Any] = []  # the token of a process that is ready, else none
         self._closed = False
         for name, topic in TOPICS.items():
             if topic.latched and topic.producer == process:

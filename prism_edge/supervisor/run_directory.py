@@ -30,8 +30,7 @@ class RunDirectory:
         sweep(parent)
         self._held: list[int] = []  # descriptors: of the folder, and of the lock in it
         self._written: dict[str, str] = {}
-        self._failed = False  # the last time that it was to be kept
-        self._again_s = 0.0  # when that is tried again
+        self._again_s = 0.0  # when it is to be kept once more; 0: it was, the last time
         new = self._nameless(parent)
         self.path = parent / new.name.removeprefix(_NEW)
         os.rename(new, self.path)
@@ -74,12 +73,11 @@ class RunDirectory:
         # What it lies in is brought back by the next login.
         if time.monotonic() < self._again_s or not self.path.parent.is_dir():
             return
-        stood, failed = self._stands(), self._failed
-        self._failed = False
+        stood, failed, self._again_s = self._stands(), self._again_s > 0.0, 0.0
         try:
             self.restore()
         except OSError as error:
-            self._failed, self._again_s = True, time.monotonic() + _AGAIN_S
+            self._again_s = time.monotonic() + _AGAIN_S
             if not failed:
                 why = in_words(error)
                 log.error("somebody has cleared %s away, and it can't be made anew: %s", self.path, why)

@@ -16,7 +16,7 @@ from prism_edge.bus.pack import pack
 from prism_edge.config import Config, DepthConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.errors import ModelError
-from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage, probe_of
+from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage
 from prism_edge.workers import depth as worker
 from prism_edge.workers.depth import DepthWorker, answer, main
 from tests.synthetic.messages import tick
@@ -279,33 +279,6 @@ def test_lockstep_does_without_a_picture_that_never_comes(tiny: str):
     assert [depth.keyframe for depth in bus.of("depth")] == [4]
     assert [m.index for t, m in bus.sent if t == "acknowledged"] == [0, 1]
     assert bus.pulse.values["dropped"] == "1"
-
-
-def test_lockstep_answers_what_a_lost_camera_shows_before_its_frame_is_done(tiny: str):
-    """It is recognised by that; what came early in between is for its own frame."""
-    bus, config = lockstep(tiny)
-    shown = [replace(picture(i), keyframe=probe_of(i)) for i in (3, 4)]
-    bus.give("keyframe_image", picture(7), *reversed(shown))
-    ticks = [replace(tick(i), probe=True) for i in (3, 4)]
-    bus.give("tracked", *ticks, tick(5, keyframe=7))
-    DepthWorker(config, bus, patience_s=0.05).run()
-    order = [message.index if isinstance(message, Acknowledged) else "depth" for _, message in bus.sent]
-    assert order == ["depth", 3, "depth", 4, "depth", 5]
-    assert [depth.keyframe for depth in bus.of("depth")] == [probe_of(3), probe_of(4), 7]
-    assert bus.pulse.values["dropped"] == "0"
-
-
-def test_what_a_lost_camera_shows_is_warned_of_nowhere(tiny: str, monkeypatch, caplog):
-    """No keyframe may follow for hours to take it back: the camera was covered, and stands."""
-    network = open_network(tiny, DepthConfig())
-    monkeypatch.setattr(worker, "open_depth", lambda config: network)
-    monkeypatch.setattr(network, "infer", lambda *picture: 1 / 0)
-    bus, config = live(tiny)
-    DepthWorker(config, bus)._answer(replace(picture(1), keyframe=probe_of(3)))
-    assert [depth.valid for depth in bus.of("depth")] == [False]
-    assert "warning" not in bus.pulse.values
-    assert bus.pulse.values["invalid"] == bus.pulse.values["keyframes"] == "0"
-    assert "has no depth" not in caplog.text
 
 
 def test_a_network_that_answers_again_is_warned_of_no_more(tiny: str, monkeypatch):
