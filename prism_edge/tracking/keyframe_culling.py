@@ -135,7 +135,7 @@ def take_out(world: LocalMap, parts: Parts, places: Relocaliser, keyframe: Local
 def _hand_on_references(world: LocalMap, gone: int) -> None:
     table = world.points
     orphaned = table.alive & (table.reference == gone)
-    for keyframe in sorted(world.keyframes.values(), key=lambda k: k.id):
+    for keyframe in sorted(world.may_see(table.ids[orphaned]), key=lambda k: k.id):
         if not orphaned.any():
             return
         keypoints = keyframe.observed()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -153,7 +154,7 @@ class LocalMap:
         ids = self.points.ids[rows]
         self.points.alive[rows] = False
         self.changes.culled_points.append(ids.copy())
-        for keyframe in self.keyframes.values():
+        for keyframe in self.may_see(ids):
             observed = keyframe.observed()
             gone = ~self.points.alive.take(self.points.rows(keyframe.points.take(observed)))
             keyframe.points[observed.compress(gone)] = NO_POINT
@@ -178,12 +179,23 @@ class LocalMap:
         rows = self.points.rows(affected[self.points.known(affected)])
         self.cull_points(rows[self.points.observations[rows] < 2])
 
+    def may_see(self, point_ids: Ids) -> Iterator[LocalKeyframe]:
+        """Keyframes but for those whose points are all older than these: most of a large map's.
+
+        To look at a keyframe's newest point costs a fifth of what it costs to look for some among its points.
+        """
+        if len(point_ids):
+            oldest = point_ids.min()
+            for keyframe in self.keyframes.values():
+                if np.maximum.reduce(keyframe.points, initial=NO_POINT) >= oldest:
+                    yield keyframe
+
     def votes(self, point_ids: Ids) -> dict[int, int]:
         """How many of the points each keyframe sees (only keyframes that see any)."""
         marked = np.zeros(len(self.points) + 1, bool)
         marked[self.points.rows(point_ids)] = True
         counts: dict[int, int] = {}
-        for keyframe in self.keyframes.values():
+        for keyframe in self.may_see(point_ids):
             seen = keyframe.points.compress(keyframe.points >= 0)
             count = int(np.count_nonzero(marked.take(self.points.rows(seen))))
             if count:

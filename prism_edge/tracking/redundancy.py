@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from prism_edge.tracking.local_map import LocalKeyframe, LocalMap
+from prism_edge.tracking.local_map import NO_POINT, LocalKeyframe, LocalMap
 
 REDUNDANT = 0.9
 OTHERS = 3  # keyframes that must see a point before it can do without one more
@@ -31,10 +31,10 @@ def bridged(world: LocalMap) -> dict[int, float]:
     however many there are behind it: so a map of a long way that is full takes in what is new.
     """
     numbers = sorted(world.keyframes)
-    views = [world.keyframes[k] for k in numbers]
-    seen = [world.points.rows(view.points[view.observed()]) for view in views]
-    rows = np.concatenate([*seen, np.zeros(0, np.intp)])
-    counts = np.array([len(points) for points in seen], np.intp)
+    points = [world.keyframes[k].points for k in numbers]
+    seen = [ids.compress(ids != NO_POINT) for ids in points]
+    rows = world.points.rows(np.concatenate([*seen, np.zeros(0, np.int64)]))
+    counts = np.array([len(ids) for ids in seen], np.intp)
     of = np.repeat(np.arange(len(seen)), counts)
     first, last = np.zeros((2, len(world.points) + 1), np.intp)  # that see each point, in order
     last[rows], first[rows[::-1]] = of, of[::-1]  # of several the last assignment holds

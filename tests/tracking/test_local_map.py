@@ -136,6 +136,14 @@ def test_centres_are_where_the_cameras_stand_in_the_order_of_their_numbers(world
     assert centres.tolist() == [world.keyframes[k].world_from_camera[:3, 3].tolist() for k in range(4)]
 
 
+def test_a_keyframe_s_newest_point_is_among_what_it_may_see(world):
+    for keyframe in world.keyframes.values():
+        newest = keyframe.points[[keyframe.points.argmax()]]
+        assert world.votes(newest)[keyframe.id] == 1
+    world.cull_points(world.points.rows(newest))
+    assert all(newest[0] not in keyframe.points for keyframe in world.keyframes.values())
+
+
 def test_votes_count_the_points_a_keyframe_sees(world):
     ids = world.points.ids[::3].copy()
     expected = {k: int(np.isin(keyframe.points, ids).sum()) for k, keyframe in world.keyframes.items()}
