@@ -47,7 +47,7 @@ class Lens:
     def __init__(self, straight: Camera, camera: Camera) -> None:
         self._samples = _sought(straight, camera.resized(FINER * camera.width, FINER * camera.height))
         self._centres = _sought(straight, camera)
-        self._size = camera.width, camera.height
+        self._size, self._straight = (camera.width, camera.height), (straight.width, straight.height)
 
     def image(self, pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """The image (h, w) or (h, w, 3) that it takes."""
@@ -55,7 +55,11 @@ class Lens:
         return np.asarray(cv2.resize(fine, self._size, interpolation=cv2.INTER_AREA), np.uint8)
 
     def depth(self, metres: F32) -> F32:
-        """Depth along the optical axis (h, w), 0 for none, of depth that is known so: the nearest pixel's."""
+        """Depth along the optical axis (h, w), 0 for none, of the straight camera's, whatever its size.
+
+        The nearest pixel's: means of two depths belong to nothing.
+        """
+        metres = np.asarray(cv2.resize(metres, self._straight, interpolation=cv2.INTER_NEAREST), np.float32)
         return np.asarray(cv2.remap(metres, *self._centres, cv2.INTER_NEAREST), np.float32)
 
 
