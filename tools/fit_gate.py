@@ -27,6 +27,7 @@ if str(ROOT) not in sys.path:  # run from a checkout
 from prism_edge.bus.pack import as_sent, grey, rgb  # noqa: E402
 from prism_edge.config import Config, DepthConfig, GateConfig, SourceConfig  # noqa: E402
 from prism_edge.depth import DepthNetwork, open_network  # noqa: E402
+from prism_edge.depth.straight import as_shown  # noqa: E402
 from prism_edge.errors import ModelError, PrismError, SourceError  # noqa: E402
 from prism_edge.evaluation.trajectory import read_tum  # noqa: E402
 from prism_edge.scale.gate import DepthGate, DepthView, GateParameters  # noqa: E402
@@ -62,7 +63,7 @@ def keyframes(folder: Path, network: DepthNetwork, every: int, poses: Path | Non
             if not isinstance(image, Image) or pose is None:
                 continue
             sent = as_sent(image.pixels, source.camera)
-            answer = network.infer(rgb(sent), source.camera)
+            answer = as_shown(network, source.camera).infer(rgb(sent), source.camera)
             if not answer.valid:
                 continue
             features = extractor.extract(grey(sent), source.camera)

@@ -27,6 +27,7 @@ from prism_edge.config import DepthConfig, SourceConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.depth.prediction import Prediction
 from prism_edge.depth.providers import native_line
+from prism_edge.depth.straight import as_shown
 from prism_edge.errors import PrismError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.sources.base import Image
@@ -97,7 +98,8 @@ def measure(
             if isinstance(image, Image) and truth is not None:
                 try:
                     pixels = dimmed(image.pixels, light, slot.index)
-                    predicted = network.infer(rgb(as_sent(pixels, source.camera)), source.camera)
+                    shown = as_shown(network, source.camera)
+                    predicted = shown.infer(rgb(as_sent(pixels, source.camera)), source.camera)
                     score = score_frame(image.stamp_ns, predicted, truth, source.camera)
                     why = predicted.reason or "too few pixels have both depths"
                 except Exception as error:  # native code raises anything; the other frames have their scores

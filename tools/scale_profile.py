@@ -27,6 +27,7 @@ from prism_edge.bus.pack import as_sent, grey, rgb  # noqa: E402
 from prism_edge.cli.settings import whole_above_zero  # noqa: E402
 from prism_edge.config import Config, DepthConfig, ScaleConfig, SourceConfig  # noqa: E402
 from prism_edge.depth import open_network  # noqa: E402
+from prism_edge.depth.straight import as_shown  # noqa: E402
 from prism_edge.errors import PrismError, SourceError  # noqa: E402
 from prism_edge.messages import F32  # noqa: E402
 from prism_edge.scale.filter import ScaleFilter  # noqa: E402
@@ -70,7 +71,7 @@ def profile(folder: Path, model: str, camera_file: str, every: int, config: Scal
             if truth is None:
                 continue
             sent = as_sent(image.pixels, camera)
-            prediction = network.infer(rgb(sent), camera)
+            prediction = as_shown(network, camera).infer(rgb(sent), camera)
             pixels = extractor.extract(grey(sent), camera).pixels
             to_sensor = image_to_depth(truth, camera)
             raw = camera.distort_pixels(pixels)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from prism_edge.depth.offline import UnscaledNetwork, open_offline
 from prism_edge.depth.prediction import Prediction
 from prism_edge.depth.session import failing_in_a_line
 from prism_edge.depth.several_views import SeveralViewsNetwork
+from prism_edge.depth.straight import as_shown, bent_back, set_straight, straight_camera
 from prism_edge.depth.upright import UprightNetwork, camera_from_turned, turned_back, turned_camera
 from prism_edge.errors import ModelError
 from prism_edge.geometry.mount import quarter_turns
@@ -71,10 +73,13 @@ def _of_sensor(sensor: SensorNetwork) -> DepthOf:
 
 
 def _of_one(network: DepthNetwork, relative: str) -> DepthOf:
+    nothing = math.nan if relative else 0.0
+
     def answers(pictures: Iterable[Taken]) -> Iterator[tuple[Taken, Prediction]]:
         for taken in pictures:
             with failing_in_a_line(network.name):
-                answer = network.infer(taken.rgb, taken.viewpoint.camera)
+                camera = taken.viewpoint.camera
+                answer = as_shown(network, camera, nothing).infer(taken.rgb, camera)
             yield taken, answer
 
     return DepthOf(f"{network.name} ({network.provider})", network.dsug, answers, relative)
@@ -87,10 +92,20 @@ def _of_several(network: SeveralViewsNetwork, turns: int) -> DepthOf:
         taken = list(together)
         cameras = [t.viewpoint.camera for t in taken]
         poses = np.array([t.viewpoint.map_from_camera for t in taken])
-        upright = [np.ascontiguousarray(np.rot90(t.rgb, turns)) for t in taken]
-        turned = [turned_camera(camera, turns) for camera in cameras]
+        straight = [straight_camera(camera) for camera in cameras]
+        pictures = [
+            t.rgb if s is None else set_straight(t.rgb, camera, s)
+            for t, camera, s in zip(taken, cameras, straight, strict=True)
+        ]
+        seen = [camera if s is None else s for camera, s in zip(cameras, straight, strict=True)]
+        upright = [np.ascontiguousarray(np.rot90(rgb, turns)) for rgb in pictures]
+        turned = [turned_camera(camera, turns) for camera in seen]
         found = network.infer(upright, turned, poses @ camera_from_turned(turns))
-        back = [turned_back(answer, turns, camera) for answer, camera in zip(found, cameras, strict=True)]
+        back = [turned_back(answer, turns, camera) for answer, camera in zip(found, seen, strict=True)]
+        back = [
+            answer if s is None else bent_back(answer, camera, s)
+            for answer, camera, s in zip(back, cameras, straight, strict=True)
+        ]
         return list(zip(taken, back, strict=True))
 
     def answers(pictures: Iterable[Taken]) -> Iterator[tuple[Taken, Prediction]]:

@@ -59,6 +59,14 @@ def in_image(camera: Camera, ideal: Array) -> NDArray[np.bool_]:
     return inside
 
 
+def inner_box(camera: Camera) -> tuple[float, ...]:
+    """Left, right, top and bottom, in ideal pixels, of an upright box all of which the image shows.
+
+    Empty where the lens model folds over within the image.
+    """
+    return _bounds(camera)[1]
+
+
 def _may_fold(camera: Camera) -> bool:
     """A sound fisheye has pixels that come back elsewhere too: those of rays from beside or behind it."""
     if camera.model == FISHEYE:

@@ -18,6 +18,7 @@ from prism_edge.depth import DepthNetwork
 from prism_edge.depth.plausible import range_of
 from prism_edge.depth.prediction import no_confidence, no_descriptor
 from prism_edge.depth.providers import native_line
+from prism_edge.depth.straight import STRAIGHT, as_shown
 from prism_edge.depth.upright import UprightNetwork
 from prism_edge.geometry.cameras import Camera
 from prism_edge.messages import Acknowledged, Depth, KeyframeImage, Tracked, probe_of
@@ -54,7 +55,7 @@ class DepthWorker:
         self._told: Depth | None = None  # the last answer
         self._recent: deque[float] = deque(maxlen=100)
         self._doubted: set[str] = set()  # of what the log has a word
-        self._turned = False
+        self._turned = self._straight = False  # whether the log has a word of it
         self._network: DepthNetwork | SensorNetwork | None = None
         self._inference_s = _INFERENCE_S
         self._failing: Failing | None = None
@@ -149,6 +150,9 @@ class DepthWorker:
             degrees = 90 * (image.turns % 4)
             log.info("the network sees pictures turned by %d degrees: so the camera sits", degrees)
         self._told = depth = answer(self._network, image, self._failing)
+        if depth.model.endswith(STRAIGHT) and not self._straight:
+            self._straight = True
+            log.info("pictures are set straight for the network: the lens bends them strongly")
         self._bus.publish("depth", depth)
         if image.keyframe >= 0:  # of a lost camera's probe the descriptor counts alone
             self._judge(image, depth)
@@ -192,8 +196,8 @@ def answer(
 ) -> Depth:
     """The depth of one keyframe; an inference that fails is an answer too, marked invalid with the reason.
 
-    A network sees the picture upright: its message says which way that is. Raises ModelError where
-    ``failing``, which is told of each, has had enough.
+    A network sees the picture upright, its message says which way that is, and through a strongly bent lens
+    straight. Raises ModelError where ``failing``, which is told of each, has had enough.
     """
     if network is None:
         return _without(image, "none", 0.0, "no depth network is configured")
@@ -204,6 +208,7 @@ def answer(
         if isinstance(network, SensorNetwork):
             prediction = network.measure(image.index, camera)
         else:
+            network = as_shown(network, camera)
             prediction = network.infer(rgb(image), camera)
     except Exception as error:  # native code and foreign graphs raise anything; tracking goes on
         if failing is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,11 +11,14 @@ import pytest
 
 from prism_edge.cli.reconstruct_depth import Taken, _of_one, _of_several
 from prism_edge.depth.prediction import Prediction, no_confidence, no_descriptor
+from prism_edge.depth.straight import bent_back, set_straight, straight_camera
 from prism_edge.depth.upright import camera_from_turned, turned_camera
 from prism_edge.errors import ModelError
+from prism_edge.geometry.cameras import FISHEYE
 from tests.synthetic.sequence import synthetic_camera
 
 CAMERA = synthetic_camera(8, 6)
+AS_IT_IS, NOTHING = np.array([1.0, 0.0, 1.0, 0.0]), (no_confidence(), no_descriptor(), 0.0)
 
 
 class Network:
@@ -27,8 +31,7 @@ class Network:
 
     def infer(self, pictures: list[np.ndarray], cameras: list[Any], poses: np.ndarray) -> list[Prediction]:
         self.shown.append((pictures, cameras, poses))
-        as_it_is, nothing = np.array([1.0, 0.0, 1.0, 0.0]), (no_confidence(), no_descriptor(), 0.0)
-        return [Prediction(p[:, :, 1].astype(np.float32), as_it_is, *nothing) for p in pictures]
+        return [Prediction(p[:, :, 1].astype(np.float32), AS_IT_IS, *NOTHING) for p in pictures]
 
 
 def taken(count: int) -> list[Taken]:
@@ -88,3 +91,38 @@ def test_it_sees_pictures_upright_from_where_they_are_and_its_depth_is_turned_ba
         np.testing.assert_allclose(poses[k], one.viewpoint.map_from_camera @ camera_from_turned(turns))
         assert answers[k][0] is one
         np.testing.assert_array_equal(answers[k][1].depth, one.rgb[:, :, 1])
+
+
+def test_it_sees_pictures_of_a_strongly_bent_lens_straight_and_its_depth_is_carried_back() -> None:
+    network, keyframes = Network(), taken(3)
+    bent = replace(synthetic_camera(8, 6), model=FISHEYE, fx=3.0, fy=3.0)
+    keyframes[1].viewpoint.camera = bent
+    answers = list(_of_several(network, 0).answers(keyframes))
+    [(pictures, cameras, _)] = network.shown
+    straight = straight_camera(bent)
+    assert cameras == [CAMERA, straight, CAMERA]
+    np.testing.assert_array_equal(pictures[1], set_straight(keyframes[1].rgb, bent, straight))
+    own = [answer for _, answer in answers]
+    np.testing.assert_array_equal(own[0].depth, keyframes[0].rgb[:, :, 1])
+    assert own[1].image_to_depth[0] == straight.width / bent.width
+    said = Prediction(pictures[1][:, :, 1].astype(np.float32), AS_IT_IS, *NOTHING)
+    carried = bent_back(said, bent, straight)
+    np.testing.assert_array_equal(own[1].depth, carried.depth)
+
+
+def test_one_picture_s_network_sees_it_straight_too_and_of_no_unit_beside_is_nothing() -> None:
+    bent = replace(synthetic_camera(8, 6), model=FISHEYE, fx=3.0, fy=3.0)
+    seen: list[Any] = []
+
+    def infer(rgb: np.ndarray, camera: Any) -> Prediction:
+        seen.append(camera)
+        return Prediction(rgb[:, :, 1].astype(np.float32), AS_IT_IS, *NOTHING)
+
+    said = {"name": "one", "identity": "one@1", "provider": "CPU", "bias_sigma": 0.1, "dsug": (0.1, 0.2)}
+    network: Any = SimpleNamespace(**said, counters={}, infer=infer)
+    for relative, beside in (("", 0.0), ("relative", np.nan)):
+        keyframes = taken(1)
+        keyframes[0].viewpoint.camera = bent
+        [(_, answer)] = _of_one(network, relative).answers(keyframes)
+        np.testing.assert_equal(answer.depth[0, 0], np.float32(beside))
+    assert seen == [straight_camera(bent)] * 2

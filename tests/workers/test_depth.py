@@ -16,6 +16,7 @@ from prism_edge.bus.pack import pack
 from prism_edge.config import Config, DepthConfig
 from prism_edge.depth import DepthNetwork, open_network
 from prism_edge.errors import ModelError
+from prism_edge.geometry.cameras import FISHEYE
 from prism_edge.messages import Acknowledged, EndOfStream, KeyframeImage
 from prism_edge.workers import depth as worker
 from prism_edge.workers.depth import DepthWorker, answer, main
@@ -92,6 +93,25 @@ def test_a_network_sees_upright_what_a_camera_that_is_not_has_taken(
     for x, y in ((320, 240), (100, 60), (600, 400)):
         assert depth.depth[round(c * y + d), round(a * x + b)] == pytest.approx(DEPTH[y, x], rel=0.05)
     assert bus.pulse.values["model"] == "tiny_tint"
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+def test_a_network_sees_straight_what_a_strongly_bent_lens_has_taken(tiny: str, turns: int, caplog):
+    caplog.set_level(logging.INFO)
+    bus, config = live(tiny)
+    fisheye = replace(CAMERA, model=FISHEYE, fx=0.5 * CAMERA.fx, fy=0.5 * CAMERA.fy)
+    one, two = (
+        replace(picture(k), turns=turns, camera_model=FISHEYE, camera=fisheye.to_array()) for k in (7, 8)
+    )
+    bus.give("keyframe_image", one, two)
+    main(config, bus)
+    for depth in bus.of("depth"):
+        assert depth.model.endswith("+90+straight" if turns else "+straight")
+        a, b, c, d = depth.image_to_depth
+        for x, y in ((320, 240), (200, 160), (420, 300)):
+            assert depth.depth[round(c * y + d), round(a * x + b)] == pytest.approx(DEPTH[y, x], rel=0.05)
+        assert depth.depth[round(c * 2 + d), round(a * 2 + b)] == 0.0
+    assert caplog.text.count("pictures are set straight") == 1
 
 
 @pytest.mark.parametrize(("loading_s", "budget_s"), [(0.5, 20.0), (30.0, 60.0), (500.0, 120.0)])
