@@ -21,8 +21,8 @@ class Prediction:
     """Metric depth of one image at the network's resolution; pixels without depth are 0.
 
     Image pixel (x, y) is at (a x + b, c y + d) of the map, ``image_to_depth`` = (a, b, c, d); under a
-    cropping network parts of the image lie outside of it. The network sees the image as the camera
-    gave it, lens distortion included, so (x, y) are raw pixels; depth is z along the optical axis.
+    cropping network parts of the image lie outside of it. (x, y) are raw pixels, lens distortion included,
+    whatever the network was shown (straight.py); depth is z along the optical axis.
     ``fault`` is what an accelerator failed by where another network's answer stands all the same.
     """
 
