@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+# Before NumPy loads: two threads of its BLAS would wait for each other on the cores that two workers share.
+import prism_edge.workers  # noqa: F401  # isort: skip - as in the processes, one thread in each library
+
 import os
 from pathlib import Path
 from typing import Any
@@ -10,8 +13,6 @@ import cv2
 import numpy as np
 import pytest
 from hypothesis import settings
-
-import prism_edge  # noqa: F401 - before any test loads onnxruntime, which it keeps silent
 
 # The same examples in every run: what fails must fail for its author too. `explore` looks for new ones.
 settings.register_profile("fixed", derandomize=True, deadline=None)
