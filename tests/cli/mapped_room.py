@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ from tests.synthetic.sequence import RATE_HZ, synthetic_camera, write_sequence
 FRAMES, APART, SEED = 85, 12, 3
 CAMERA = synthetic_camera(320, 240)
 LOG_SCALE = 0.2  # the map's unit is 1.22 m
-POINTS = 120
+POINTS = 60  # of each keyframe
 MOUNT = base_from_camera(FramesConfig())
 
 Call = Callable[..., int]
@@ -50,6 +51,13 @@ def path() -> list[np.ndarray]:
     return [inverse(poses[0]) @ pose for pose in poses[::APART]]
 
 
+@cache
+def pictures() -> list[tuple[np.ndarray, np.ndarray]]:
+    """Luma and depth of the keyframes."""
+    renderer, first = Renderer(furnished_room(SEED), CAMERA), hand_held_path(FRAMES, RATE_HZ)[0]
+    return [renderer.draw(first @ pose) for pose in path()]
+
+
 def true_map(
     stamped: bool = True,
     camera: Camera = CAMERA,
@@ -63,10 +71,9 @@ def true_map(
     ``twice``: a second recording, with the same stamps, went the way back in the map, by ``other``.
     ``shown``: keyframes have corners there alone.
     """
-    renderer = Renderer(furnished_room(SEED), CAMERA)
-    first = hand_held_path(FRAMES, RATE_HZ)[0]
-    way = path() + (path()[::-1] if twice else [])
-    drawn = [renderer.draw(first @ pose) for pose in way]
+    way, drawn = path(), pictures()
+    if twice:
+        way, drawn = way + way[::-1], drawn + drawn[::-1]
     draw = [depth for _, depth in drawn]
     extractor = OrbExtractor(TrackingConfig())
     if shown is not None:

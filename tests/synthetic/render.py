@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -31,7 +32,7 @@ class Atlas:
 class Renderer:
     """Draws what a camera sees of a list of faces."""
 
-    def __init__(self, faces: list[Face], camera: Camera) -> None:
+    def __init__(self, faces: Sequence[Face], camera: Camera) -> None:
         self._faces, self._camera = faces, camera
         self._atlas = _atlas(faces)
         x, y = np.arange(camera.width), np.arange(camera.height)
@@ -100,7 +101,7 @@ class Renderer:
         return np.round(luma).astype(np.uint8)
 
 
-def _atlas(faces: list[Face]) -> Atlas:
+def _atlas(faces: Sequence[Face]) -> Atlas:
     step = 2 ** (_LEVELS - 1)  # textures begin at whole texels of every level
     width = max(-(-face.texture.shape[1] // step) * step for face in faces)
     blocks, rows, top = [], [], 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -80,7 +81,8 @@ def cuboid(rng: np.random.Generator, low: F64, high: F64, inside_out: bool = Fal
     return faces
 
 
-def furnished_room(seed: int) -> list[Face]:
+@lru_cache(maxsize=4)  # painting it takes longer than drawing some pictures of it
+def furnished_room(seed: int) -> tuple[Face, ...]:
     """A room of 6 x 2.6 x 5 m (x right, y down, z forward; floor at y = 1.3) with boxes and a shelf."""
     rng = np.random.default_rng(seed)
     faces = cuboid(rng, np.array([-3.0, -1.3, -1.5]), np.array([3.0, 1.3, 3.5]), inside_out=True)
@@ -93,7 +95,7 @@ def furnished_room(seed: int) -> list[Face]:
     )
     for low, high in boxes:
         faces += cuboid(rng, np.array(low), np.array(high))
-    return faces
+    return tuple(faces)
 
 
 def hand_held_path(frames: int, rate_hz: float) -> F64:
