@@ -19,11 +19,9 @@ from prism_edge.geometry.poses import inverse, transform
 from prism_edge.sources.base import Image, Slot
 from prism_edge.sources.image_sequence import ImageSequence
 from prism_edge.sources.open import open_source
-from tests.cli.mapped_room import APART, CAMERA, FRAMES, MOUNT, SEED, Call, cloud, from_the_walls, true_map
+from tests.cli.mapped_room import APART, FRAMES, MOUNT, Call, cloud, from_the_walls, pictures, true_map
 from tests.depth.test_several_views import write as write_several
-from tests.synthetic.render import Renderer
-from tests.synthetic.scene import furnished_room, hand_held_path
-from tests.synthetic.sequence import RATE_HZ, synthetic_camera
+from tests.synthetic.sequence import synthetic_camera
 
 
 def test_keyframes_without_a_picture_are_counted(
@@ -32,7 +30,7 @@ def test_keyframes_without_a_picture_are_counted(
     shorter = shutil.copytree(room / "seq", tmp_path / "seq")
     lines = (shorter / "rgb.txt").read_text().splitlines()
     (shorter / "rgb.txt").write_text("\n".join(lines[:60]) + "\n")
-    assert call("--no-pictures", source=shorter) == 0
+    assert call("--no-pictures", "--width", 160, source=shorter) == 0
     heard = capsys.readouterr()
     assert "5 of 8 keyframes" in heard.out
     assert "left out: 3 keyframes, of whose time the recording has no picture" in heard.err
@@ -114,7 +112,7 @@ def test_a_recording_that_is_looped_in_the_configuration_ends(
     shorter = shutil.copytree(room / "seq", tmp_path / "seq")
     lines = (shorter / "rgb.txt").read_text().splitlines()
     (shorter / "rgb.txt").write_text("\n".join(lines[:60]) + "\n")
-    assert call("--no-pictures", "--set", "source.loop=true", source=shorter) == 0
+    assert call("--no-pictures", "--width", 160, "--set", "source.loop=true", source=shorter) == 0
 
 
 @pytest.mark.parametrize(("picture", "missing"), [(APART, 1), (APART - 1, 0)])
@@ -123,7 +121,7 @@ def test_a_picture_that_can_not_be_read_is_counted_where_it_is_a_keyframe_s(
 ) -> None:
     damaged = shutil.copytree(room / "seq", tmp_path / "seq")
     sorted((damaged / "rgb").iterdir())[picture].write_bytes(b"no picture")
-    assert call("--no-pictures", source=damaged) == 0
+    assert call("--no-pictures", "--width", 160, source=damaged) == 0
     heard = capsys.readouterr()
     assert f"{8 - missing} of 8 keyframes" in heard.out
     assert ("left out: 1 keyframes, whose picture can't be read" in heard.err) == bool(missing)
@@ -149,7 +147,7 @@ def test_networks_see_pictures_upright(
     write_several(tmp_path / "several.onnx", size=(320, 240), tinted=True)
     path = tmp_path / model if model == "several.onnx" else model
     assert call("--no-pictures", "--width", 160, map=tmp_path / "over.prismmap", model=path) == 0
-    truth = Renderer(furnished_room(SEED), CAMERA).draw(hand_held_path(FRAMES, RATE_HZ)[0])[0]
+    truth = pictures()[0][0]
     greys = [cv2.cvtColor(p, cv2.COLOR_RGB2GRAY).ravel() for p in shown]
     likeness = [np.corrcoef([t.ravel(), *greys])[0, 1:].max() for t in (truth, truth[::-1, ::-1])]
     assert likeness[1] > 0.95 > likeness[0]
