@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -16,7 +15,7 @@ from prism_edge.depth.offline import UnscaledNetwork, open_offline
 from prism_edge.depth.prediction import Prediction
 from prism_edge.depth.session import failing_in_a_line
 from prism_edge.depth.several_views import SeveralViewsNetwork
-from prism_edge.depth.straight import as_shown, bent_back, set_straight, straight_camera
+from prism_edge.depth.straight import bent_back, set_straight, straight_camera
 from prism_edge.depth.upright import UprightNetwork, camera_from_turned, turned_back, turned_camera
 from prism_edge.errors import ModelError
 from prism_edge.geometry.mount import quarter_turns
@@ -73,20 +72,22 @@ def _of_sensor(sensor: SensorNetwork) -> DepthOf:
 
 
 def _of_one(network: DepthNetwork, relative: str) -> DepthOf:
-    nothing = math.nan if relative else 0.0
+    """Bent pictures stay bent: straight ones show less, and a cloud lives by what it covers."""
 
     def answers(pictures: Iterable[Taken]) -> Iterator[tuple[Taken, Prediction]]:
         for taken in pictures:
             with failing_in_a_line(network.name):
-                camera = taken.viewpoint.camera
-                answer = as_shown(network, camera, nothing).infer(taken.rgb, camera)
+                answer = network.infer(taken.rgb, taken.viewpoint.camera)
             yield taken, answer
 
     return DepthOf(f"{network.name} ({network.provider})", network.dsug, answers, relative)
 
 
 def _of_several(network: SeveralViewsNetwork, turns: int) -> DepthOf:
-    """Keyframes that follow each other go together; those left at the end, with the ones before them."""
+    """Keyframes that follow each other go together; those left at the end, with the ones before them.
+
+    Their geometry is told by matrices, so pictures of strongly bent lenses are set straight.
+    """
 
     def infer(together: Iterable[Taken]) -> list[tuple[Taken, Prediction]]:
         taken = list(together)

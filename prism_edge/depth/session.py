@@ -93,9 +93,9 @@ class OnnxNetwork:
         """Metric depth of an image (height, width, 3) uint8 RGB that ``camera`` took.
 
         Metres are the output times the card's ``depth_scale``, and of a focal_normalised one times f / f0,
-        f being the geometric mean of fx and fy in pixels of the network's input, at the image's centre: this
-        network is shown the image as it is (:func:`~prism_edge.depth.straight.as_shown`). Raises ModelError where the network's
-        kind has no metres, or where image and camera differ in size.
+        f being the geometric mean of fx and fy in pixels of the network's input. A lens's distortion is left
+        in the image, straight.py takes strong ones out before; f is its focal length at the centre. Raises
+        ModelError where the network's kind has no metres, or where image and camera differ in size.
         """
         if not self.card.has_metres:
             raise ModelError(f"{self.name} is {self.card.depth_kind}: it has no metres of its own")

@@ -33,9 +33,8 @@ _GRID = 33  # places along each side that are looked at
 class StraightNetwork:
     """A network that is shown straight pictures of one camera, and whose depths are of the bent ones."""
 
-    def __init__(self, network: DepthNetwork, straight: Camera, nothing: float = 0.0) -> None:
-        """``straight`` is the camera of the pictures that it is shown; ``nothing``: as :func:`bent_back`."""
-        self._network, self._straight, self._nothing = network, straight, nothing
+    def __init__(self, network: DepthNetwork, straight: Camera) -> None:
+        self._network, self._straight = network, straight
         self.name, self.provider = network.name, network.provider
         # What it sees and says of a place is another than without: neither is compared with the other.
         self.identity = f"{network.identity}{STRAIGHT}"
@@ -44,13 +43,13 @@ class StraightNetwork:
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
         """Metric depth of an image (height, width, 3) uint8 RGB that ``camera`` took, by its own pixels."""
         answer = self._network.infer(set_straight(rgb, camera, self._straight), self._straight)
-        return bent_back(answer, camera, self._straight, self._nothing)
+        return bent_back(answer, camera, self._straight)
 
 
-def as_shown(network: DepthNetwork, camera: Camera, nothing: float = 0.0) -> DepthNetwork:
+def as_shown(network: DepthNetwork, camera: Camera) -> DepthNetwork:
     """The network as it is shown what ``camera`` takes: itself, but where the lens bends strongly."""
     straight = straight_camera(camera)
-    return network if straight is None else StraightNetwork(network, straight, nothing)
+    return network if straight is None else StraightNetwork(network, straight)
 
 
 @lru_cache(maxsize=64)
@@ -85,29 +84,23 @@ def set_straight(rgb: NDArray[np.uint8], camera: Camera, straight: Camera) -> ND
     return np.asarray(cv2.remap(rgb, *places, cv2.INTER_LINEAR, None, border), np.uint8)
 
 
-def bent_back(
-    prediction: Prediction, camera: Camera, straight: Camera, nothing: float = 0.0
-) -> Prediction:
+def bent_back(prediction: Prediction, camera: Camera, straight: Camera) -> Prediction:
     """What a network said of the straight picture, of ``camera``'s own pixels: the nearest pixel's.
 
-    As large as it was, and of all of the image; depth of what the straight picture doesn't show is
-    ``nothing``, confidence 0.
+    As large as it was, and of all of the image; what the straight picture doesn't show has no depth.
     """
     height, width = prediction.depth.shape
     to_depth = tuple(prediction.image_to_depth.tolist())
     places = _depth_places(camera, straight, (width, height), to_depth)
     across, down = width / camera.width, height / camera.height
 
-    def carried(plane: F32, beside: float) -> F32:
-        if not plane.size:
-            return plane
-        constant = cv2.BORDER_CONSTANT
-        return np.asarray(cv2.remap(plane, *places, cv2.INTER_NEAREST, None, constant, beside), np.float32)
+    def carried(plane: F32) -> F32:
+        return np.asarray(cv2.remap(plane, *places, cv2.INTER_NEAREST), np.float32) if plane.size else plane
 
     return replace(
         prediction,
-        depth=carried(prediction.depth, nothing),
-        confidence=carried(prediction.confidence, 0.0),
+        depth=carried(prediction.depth),
+        confidence=carried(prediction.confidence),
         image_to_depth=np.array([across, 0.5 * across - 0.5, down, 0.5 * down - 0.5]),
     )
 

@@ -112,9 +112,6 @@ def test_what_the_straight_picture_does_not_show_has_no_depth() -> None:
     beside = bent_back(answer, FISH, straight)
     assert beside.depth[15, 0] == beside.confidence[15, 0] == 0.0  # 64 degrees off the axis
     assert 0.4 < np.mean(beside.depth > 0) < 0.7
-    nowhere = bent_back(answer, FISH, straight, math.nan)
-    assert np.array_equal(np.isnan(nowhere.depth), beside.depth == 0.0)
-    assert np.array_equal(nowhere.confidence, beside.confidence)
 
 
 def test_no_confidence_stays_none() -> None:
