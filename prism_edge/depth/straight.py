@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.depth.prediction import Prediction
+from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.field_of_view import inner_box
 from prism_edge.geometry.poses import Array
@@ -79,7 +80,12 @@ def straight_camera(camera: Camera) -> Camera | None:
 
 
 def set_straight(rgb: NDArray[np.uint8], camera: Camera, straight: Camera) -> NDArray[np.uint8]:
-    """What ``straight`` would have seen of the picture (height, width, 3) that ``camera`` took."""
+    """What ``straight`` would have seen of the picture (height, width, 3) that ``camera`` took.
+
+    Raises ModelError where that is of another size.
+    """
+    if rgb.shape != (camera.height, camera.width, 3):
+        raise ModelError(f"image {rgb.shape} is not of its camera ({camera.height}, {camera.width}, 3)")
     places, border = _raw_places(camera, straight), cv2.BORDER_REPLICATE  # half a pixel of it at most
     return np.asarray(cv2.remap(rgb, *places, cv2.INTER_LINEAR, None, border), np.uint8)
 

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from prism_edge.depth.prediction import Prediction
 from prism_edge.depth.straight import WIDEST_DEG, as_shown, bent_back, set_straight, straight_camera
 from prism_edge.depth.upright import UprightNetwork
+from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import FISHEYE, Camera
 from tests.geometry.test_cameras import FREIBURG1, FREIBURG2
 
@@ -112,6 +113,11 @@ def test_what_the_straight_picture_does_not_show_has_no_depth() -> None:
     beside = bent_back(answer, FISH, straight)
     assert beside.depth[15, 0] == beside.confidence[15, 0] == 0.0  # 64 degrees off the axis
     assert 0.4 < np.mean(beside.depth > 0) < 0.7
+
+
+def test_a_picture_of_another_size_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"image \(60, 80, 3\) is not of its camera \(120, 160, 3\)"):
+        as_shown(Columns(), FISH).infer(np.zeros((60, 80, 3), np.uint8), FISH)
 
 
 def test_no_confidence_stays_none() -> None:
