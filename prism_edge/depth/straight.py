@@ -54,6 +54,7 @@ def as_shown(network: DepthNetwork, camera: Camera) -> DepthNetwork:
 
 
 @lru_cache(maxsize=64)
+@np.errstate(all="ignore")  # a lens that means nothing goes anywhere
 def straight_camera(camera: Camera) -> Camera | None:
     """The ideal camera of a picture set straight; None for one that is straight enough as it is.
 
@@ -66,7 +67,7 @@ def straight_camera(camera: Camera) -> Camera | None:
     left, right, top, bottom = inner_box(camera)
     left, right = max(left, camera.cx - reach * camera.fx), min(right, camera.cx + reach * camera.fx)
     top, bottom = max(top, camera.cy - reach * camera.fy), min(bottom, camera.cy + reach * camera.fy)
-    if min(right - left, bottom - top) < 1.0:  # the lens folds over
+    if not (left < camera.cx < right and top < camera.cy < bottom):  # the lens folds over, or is far aside
         return None
     scale = camera.width / (right - left)
     return Camera(

@@ -15,6 +15,7 @@ from prism_edge.geometry.poses import Array
 WIDEST = 1.55  # rad: tan() of a right angle is no point of a plane
 _ITERATIONS = 60
 SETTLED = 1e-14  # focal lengths
+_NOTHING = 1e-12  # what bends no ray by as much as that
 Coefficients = tuple[float, ...]  # k1..k4, as many as there are
 
 
@@ -52,6 +53,7 @@ def theta_of(radius: Array, k: Coefficients) -> Array:
 def folds_at(k: Coefficients) -> float:
     """The angle, rad, where the radius ceases to grow; infinite where it never does."""
     k1, k2, k3, k4 = (*k, *(0.0,) * (4 - len(k)))
-    roots = np.roots([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0])  # of the slope, by theta^2
+    slope = np.array([9 * k4, 7 * k3, 5 * k2, 3 * k1, 1.0])  # by theta^2
+    roots = np.roots(np.where(np.abs(slope) < _NOTHING, 0.0, slope))  # to divide by next to nothing overflows
     squares = roots.real[(np.abs(roots.imag) < 1e-9) & (roots.real > 0.0)]
     return float(np.sqrt(squares.min())) if len(squares) else np.inf

@@ -76,6 +76,26 @@ def test_through_a_lens_that_folds_over_it_is_shown_as_it_is() -> None:
     assert straight_camera(folding) is None
 
 
+def test_a_cut_of_an_image_that_lacks_its_middle_is_shown_as_it_is() -> None:
+    assert straight_camera(replace(BARREL, cx=-0.9)) is None
+    assert straight_camera(replace(FISH, cy=120.0)) is None
+
+
+@pytest.mark.filterwarnings("error")
+@settings(max_examples=200, deadline=None)
+@given(
+    kind=st.sampled_from([FISHEYE, "pinhole"]),
+    focal=st.floats(0.3, 1.5),
+    middle=st.tuples(st.floats(-1.0, 160.0), st.floats(-1.0, 120.0)),
+    distortion=st.lists(st.floats(-0.5, 0.5), min_size=4, max_size=4),
+)
+def test_of_any_camera_there_is_a_straight_one_or_none(kind, focal, middle, distortion) -> None:
+    """A camera that can't be would fail every keyframe."""
+    camera = Camera(160, 120, 160 * focal, 160 * focal, *middle, kind, tuple(distortion))
+    straight = straight_camera(camera)
+    assert straight is None or straight.width == camera.width
+
+
 @BENT
 def test_points_are_where_an_ideal_camera_has_them(camera: Camera) -> None:
     straight = straight_camera(camera)

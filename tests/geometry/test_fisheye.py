@@ -64,3 +64,9 @@ def test_any_lens_is_undone_where_it_grows(k: list[float]) -> None:
     back = theta_of(radius_of(theta, lens), lens)
     np.testing.assert_allclose(radius_of(back, lens), radius_of(theta, lens), atol=1e-9)
     assert np.all(np.diff(radius_of(theta, lens)) > 0.0)
+
+
+def test_next_to_no_distortion_folds_nowhere() -> None:
+    """A division by 5e-324 is infinite, of which there are no roots."""
+    assert folds_at((0.0, 0.0, 0.0, 5e-324)) == np.inf
+    assert folds_at((-0.4, 0.0, 5e-324, -5e-324)) == pytest.approx(np.sqrt(1.0 / 1.2))
