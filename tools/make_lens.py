@@ -64,7 +64,7 @@ class Lens:
 
 
 def _sought(straight: Camera, camera: Camera) -> tuple[F32, F32]:
-    """Columns and rows (h, w) of the straight image where ``camera``'s pixels look; -1 where no ray comes."""
+    """Columns and rows (h, w) of the straight image where ``camera``'s pixels look; far outside: no ray."""
     row, column = np.mgrid[: camera.height, : camera.width]
     raw = np.column_stack([column.ravel(), row.ravel()]).astype(np.float64)
     ideal = camera.undistort_pixels(raw)
@@ -85,8 +85,8 @@ def write(folder: str, lens: Camera, out: Path, count: int = 0, poses: Path | No
             raise SystemExit("the camera has distortion: its images would have to be undistorted first")
         seen = Lens(source.camera, lens)
         sensor = _depth_of(source, folder)
-        (out / "rgb").mkdir(parents=True, exist_ok=True)
-        (out / "depth").mkdir()
+        for kind in ("rgb",) if sensor is None else ("rgb", "depth"):
+            (out / kind).mkdir(parents=True, exist_ok=True)
         while (image := source.read()) is not None and (count == 0 or len(told) < count):
             if not isinstance(image, Image) or (told and image.stamp_ns <= told[-1][0]):
                 continue

@@ -94,18 +94,14 @@ def _of_several(network: SeveralViewsNetwork, turns: int) -> DepthOf:
         cameras = [t.viewpoint.camera for t in taken]
         poses = np.array([t.viewpoint.map_from_camera for t in taken])
         straight = [straight_camera(camera) for camera in cameras]
-        pictures = [
-            t.rgb if s is None else set_straight(t.rgb, camera, s)
-            for t, camera, s in zip(taken, cameras, straight, strict=True)
-        ]
-        seen = [camera if s is None else s for camera, s in zip(cameras, straight, strict=True)]
+        both = list(zip(cameras, straight, strict=True))
+        pictures = [set_straight(t.rgb, *pair) for t, pair in zip(taken, both, strict=True)]
         upright = [np.ascontiguousarray(np.rot90(rgb, turns)) for rgb in pictures]
-        turned = [turned_camera(camera, turns) for camera in seen]
+        turned = [turned_camera(camera, turns) for camera in straight]
         found = network.infer(upright, turned, poses @ camera_from_turned(turns))
-        back = [turned_back(answer, turns, camera) for answer, camera in zip(found, seen, strict=True)]
         back = [
-            answer if s is None else bent_back(answer, camera, s)
-            for answer, camera, s in zip(back, cameras, straight, strict=True)
+            bent_back(turned_back(answer, turns, seen), camera, seen)
+            for answer, (camera, seen) in zip(found, both, strict=True)
         ]
         return list(zip(taken, back, strict=True))
 

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.depth.prediction import Prediction
+from prism_edge.depth.shown_otherwise import ShownOtherwise
 from prism_edge.errors import ModelError
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.field_of_view import inner_box
@@ -31,15 +32,12 @@ STRAIGHT = "+straight"  # ends the identity of a network that is shown such
 _GRID = 33  # places along each side that are looked at
 
 
-class StraightNetwork:
+class StraightNetwork(ShownOtherwise):
     """A network that is shown straight pictures of one camera, and whose depths are of the bent ones."""
 
     def __init__(self, network: DepthNetwork, straight: Camera) -> None:
-        self._network, self._straight = network, straight
-        self.name, self.provider = network.name, network.provider
-        # What it sees and says of a place is another than without: neither is compared with the other.
-        self.identity = f"{network.identity}{STRAIGHT}"
-        self.bias_sigma, self.dsug, self.counters = network.bias_sigma, network.dsug, network.counters
+        super().__init__(network, STRAIGHT)
+        self._straight = straight
 
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
         """Metric depth of an image (height, width, 3) uint8 RGB that ``camera`` took, by its own pixels."""
@@ -50,25 +48,25 @@ class StraightNetwork:
 def as_shown(network: DepthNetwork, camera: Camera) -> DepthNetwork:
     """The network as it is shown what ``camera`` takes: itself, but where the lens bends strongly."""
     straight = straight_camera(camera)
-    return network if straight is None else StraightNetwork(network, straight)
+    return network if straight == camera else StraightNetwork(network, straight)
 
 
 @lru_cache(maxsize=64)
 @np.errstate(all="ignore")  # a lens that means nothing goes anywhere
-def straight_camera(camera: Camera) -> Camera | None:
-    """The ideal camera of a picture set straight; None for one that is straight enough as it is.
+def straight_camera(camera: Camera) -> Camera:
+    """The ideal camera of a picture set straight; the camera as it is where its own are straight enough.
 
     Its picture is as wide as the camera's and shows no more than that, so no part of it is empty, and nothing
     beyond WIDEST_DEG.
     """
     if camera.is_ideal or not _is_bent(camera):
-        return None
+        return camera
     reach = math.tan(math.radians(WIDEST_DEG))
     left, right, top, bottom = inner_box(camera)
     left, right = max(left, camera.cx - reach * camera.fx), min(right, camera.cx + reach * camera.fx)
     top, bottom = max(top, camera.cy - reach * camera.fy), min(bottom, camera.cy + reach * camera.fy)
     if not (left < camera.cx < right and top < camera.cy < bottom):  # the lens folds over, or is far aside
-        return None
+        return camera
     scale = camera.width / (right - left)
     return Camera(
         camera.width,
@@ -87,6 +85,8 @@ def set_straight(rgb: NDArray[np.uint8], camera: Camera, straight: Camera) -> ND
     """
     if rgb.shape != (camera.height, camera.width, 3):
         raise ModelError(f"image {rgb.shape} is not of its camera ({camera.height}, {camera.width}, 3)")
+    if straight == camera:
+        return rgb
     places, border = _raw_places(camera, straight), cv2.BORDER_REPLICATE  # half a pixel of it at most
     return np.asarray(cv2.remap(rgb, *places, cv2.INTER_LINEAR, None, border), np.uint8)
 
@@ -96,6 +96,8 @@ def bent_back(prediction: Prediction, camera: Camera, straight: Camera) -> Predi
 
     As large as it was, and of all of the image; what the straight picture doesn't show has no depth.
     """
+    if straight == camera:
+        return prediction
     height, width = prediction.depth.shape
     to_depth = tuple(prediction.image_to_depth.tolist())
     places = _depth_places(camera, straight, (width, height), to_depth)

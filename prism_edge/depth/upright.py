@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.depth.prediction import Prediction
+from prism_edge.depth.shown_otherwise import ShownOtherwise
 from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array
 
@@ -20,15 +21,12 @@ if TYPE_CHECKING:
     from prism_edge.depth import DepthNetwork
 
 
-class UprightNetwork:
+class UprightNetwork(ShownOtherwise):
     """A network that is shown pictures after so many quarter turns, and whose depths are turned back."""
 
     def __init__(self, network: DepthNetwork, turns: int) -> None:
-        self._network, self._turns = network, turns
-        self.name, self.provider = network.name, network.provider
-        # What it sees and says of a place is another than without: neither is compared with the other.
-        self.identity = f"{network.identity}+{90 * turns}"
-        self.bias_sigma, self.dsug, self.counters = network.bias_sigma, network.dsug, network.counters
+        super().__init__(network, f"+{90 * turns}")
+        self._turns = turns
 
     def infer(self, rgb: NDArray[np.uint8], camera: Camera) -> Prediction:
         """Metric depth of an image (height, width, 3) uint8 RGB that ``camera`` took, by its own pixels."""
