@@ -8,6 +8,9 @@ set -euo pipefail
 model=$(readlink -f "${1:?usage: tools/service_trial.sh MODEL.onnx [PYTHON]}")
 python=${2:-/usr/bin/python3}
 checkout=$(cd "$(dirname "$0")/.." && pwd)
+((EUID == 0)) || { echo "service_trial.sh: needs root" >&2; exit 2; }
+command -v systemd-nspawn > /dev/null ||
+    { echo "service_trial.sh: needs systemd-nspawn (Debian: apt install systemd-container)" >&2; exit 2; }
 work=$(mktemp -d)
 failed=0
 
