@@ -210,7 +210,7 @@ class Depth:
     reason: str  # why not
     image_to_depth: F64 = array("float64", 4)
     depth: F32 = array("float32", -1, -1)  # metres
-    confidence: F32 = array("float32", -1, -1)  # (0, 0) where the network gives none
+    confidence: F32 = array("float32", -1, -1)  # NaN: unknown; (0, 0) where the network gives none
     descriptor: F32 = array("float32", -1)  # of norm 1; empty where the network gives none
     dsug_tau: float = math.nan  # uncertainty gate as fitted for this network, nan where it is not
     dsug_temperature: float = math.nan

@@ -17,6 +17,7 @@ from prism_edge.geometry.cameras import Camera
 from prism_edge.geometry.poses import Array, inverse, normalised, transform
 from prism_edge.messages import Keyframe
 from prism_edge.tracking.features import Features
+from prism_edge.tracking.found_lens import in_found_lens
 from prism_edge.tracking.local_map import LEAST_SHARED
 from prism_edge.tracking.pose_refinement import refine_pose
 from prism_edge.tracking.rolling_shutter import found_readout
@@ -66,6 +67,11 @@ class GlobalKeyframe:
     def __post_init__(self) -> None:
         self.reference = self.world_from_camera
 
+    @property
+    def present_twist(self) -> Array:
+        """:attr:`twist` in the unit that the keyframe's part has now."""
+        return self.twist * np.repeat((self.grown, 1.0), 3)
+
     def gate_weight(self, keypoint: int) -> float:
         """The gate's weight of a keypoint; 1 where nothing is held against it."""
         weight = 1.0 if self.weights is None else float(self.weights[keypoint])
@@ -109,7 +115,7 @@ class GlobalMap:
         """
         if not (self.keyframes or message.readout_said):  # a map before this one has shown it
             self.readout_ms = message.readout_ms
-        message = self._in_own_lens(self._renamed(message))
+        message = in_found_lens(self._renamed(message), self.keyframes)
         camera = Camera.from_array(message.camera_model, message.camera)
         message = self._in_present_unit(message_at_once(message, found_readout(self, camera)))
         self.readout_said |= message.readout_said
@@ -192,14 +198,6 @@ class GlobalMap:
         camera[:3, 3] = centre + factor * (camera[:3, 3] - centre)
         points = centre + factor * (message.new_positions - centre)
         return replace(message, world_from_camera=camera, new_positions=points)
-
-    def _in_own_lens(self, message: Keyframe) -> Keyframe:
-        """The message as if the tracker had known what is known here of its camera's lens."""
-        given, known = Camera.from_array(message.camera_model, message.camera), self.camera
-        if known is None or known == given or not known.like(given):
-            return message
-        pixels = known.pixels_of(given, message.pixels.astype(np.float64)).astype(np.float32)
-        return replace(message, camera=known.to_array(), pixels=pixels)
 
     def _corrections(self, message: Keyframe) -> tuple[Array, Array]:
         """This map's world from the tracker's (4, 4), near the keyframe before and at a new one."""

@@ -97,4 +97,5 @@ def _keyframe(source: GlobalKeyframe, neighbours: list[int]) -> LocalKeyframe:
         source.features,
         points,
         neighbours,
+        twist=source.present_twist,
     )

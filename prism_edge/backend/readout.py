@@ -90,7 +90,7 @@ def take_out(world: GlobalMap, more_ms: float) -> None:
     world.readout_ms = max(-LONGEST_READOUT_MS, min(known_ms + more_ms, LONGEST_READOUT_MS))
     more_ms = world.readout_ms - known_ms
     for keyframe in world.keyframes.values():
-        twist, depth = _twist(keyframe), _depth(world, keyframe)
+        twist, depth = keyframe.present_twist, _depth(world, keyframe)
         pixels = seen_at_once(keyframe.pixels, keyframe.camera, twist, depth, more_ms)
         if pixels is not keyframe.pixels:
             keyframe.pixels, keyframe.features = pixels, keyframe.features.at(pixels, keyframe.camera)
@@ -179,16 +179,11 @@ def _problem(
         none,
         none,
     )
-    return problem, Rows(np.array([_twist(world.keyframes[k]) for k in views]), np.concatenate(after))
+    return problem, Rows(np.array([world.keyframes[k].present_twist for k in views]), np.concatenate(after))
 
 
 def _moved(keyframe: GlobalKeyframe) -> bool:
     return bool(np.isfinite(keyframe.twist).all() and keyframe.twist.any())
-
-
-def _twist(keyframe: GlobalKeyframe) -> Array:
-    """As the tracker said it, in the unit that the keyframe's part has now."""
-    return keyframe.twist * np.repeat((keyframe.grown, 1.0), 3)
 
 
 def _depth(world: GlobalMap, keyframe: GlobalKeyframe) -> float:

@@ -29,9 +29,10 @@ made_by          i8 (M)      keyframe that a point was made from, -1 where that 
 depth_units      f8 (K)      map units a metre of network depth; 0 where that is not known
 renamed          i8 (R,2)    point that there was, and the one that it was made one with
 grown            f8 (K)      by how much a loop has lengthened its part since it was made
+twists           f8 (K,6)    how the camera moved, a second, in its own frame and the units it was made in
 ================ =========== ================================================================
 
-The last four are not in saved maps, which builds before them read as well. When keyframes were taken, and
+The last five are not in saved maps, which builds before them read as well. When keyframes were taken, and
 more of the kind, is told beside the arrays (map_facts.py).
 """
 
@@ -97,9 +98,10 @@ _COLUMNS: dict[str, tuple[str, tuple[str | int, ...]]] = {
     "depth_units": ("<f8", ("K",)),
     "renamed": ("<i8", ("R", 2)),
     "grown": ("<f8", ("K",)),
+    "twists": ("<f8", ("K", 6)),
 }
 # Earlier builds lack them, and can read maps that do.
-_OPTIONAL = {"depth_sigmas", "made_by", "depth_units", "renamed", "grown"}
+_OPTIONAL = {"depth_sigmas", "made_by", "depth_units", "renamed", "grown", "twists"}
 
 
 def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tuple[Info, Arrays]:
@@ -158,6 +160,7 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["depth_units"] = np.array([_units_of(k) for k in keyframes], np.float64)
         arrays["renamed"] = world.renamed()
         arrays["grown"] = np.array([k.grown for k in keyframes], np.float64)
+        arrays["twists"] = _stack((_twist_of(k) for k in keyframes), (6,))
     known = stamps_info([k.taken_ns for k in keyframes]) | parts_info({k.id: k.part for k in keyframes})
     known |= growth_info(world.growth) if in_use else {}
     standing = stand_ins_info([k.id for k in keyframes if k.stands_in])
@@ -174,6 +177,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
         "depth_units": np.zeros(len(arrays["keyframes"])),
         "renamed": np.zeros((0, 2), np.int64),
         "grown": np.ones(len(arrays["keyframes"])),
+        "twists": np.zeros((len(arrays["keyframes"]), 6)),
     }
     arrays = unsaid | arrays
     _check_values(arrays)
@@ -241,6 +245,7 @@ def _keyframe(
         scale_factor=factor,
         travelled=float(arrays["travelled"][row]),
         grown=float(arrays["grown"][row]),
+        twist=arrays["twists"][row].copy(),
         weights=np.where(known, weights, np.nan) if known.any() else None,
     )
 
@@ -294,6 +299,7 @@ def _check_values(arrays: Arrays) -> None:
         "depth_units": _between(arrays["depth_units"], 0.0, FARTHEST),
         "renamed": _names(arrays["renamed"], arrays["points"]),
         "grown": _between(arrays["grown"], 1.0 / FARTHEST, FARTHEST),
+        "twists": _between(arrays["twists"], -FARTHEST, FARTHEST),
         "carried": _between(arrays["carried"], 0, LARGEST_ID) and _numbers(arrays["carried"][:, 0]),
         "links": _rigid(arrays["links"]),
         "places": _numbers(arrays["places"]),
@@ -368,6 +374,11 @@ def _depths_of(keyframe: GlobalKeyframe) -> NDArray[np.float64]:
 def _units_of(keyframe: GlobalKeyframe) -> float:
     """None that reading would refuse the map for."""
     return keyframe.depth_units if 0.0 < keyframe.depth_units < FARTHEST else 0.0
+
+
+def _twist_of(keyframe: GlobalKeyframe) -> NDArray[np.float64]:
+    """None that reading would refuse the map for."""
+    return keyframe.twist if _between(keyframe.twist, -FARTHEST, FARTHEST) else np.zeros(6)
 
 
 def _weights_of(keyframe: GlobalKeyframe) -> NDArray[np.float64]:

@@ -28,7 +28,7 @@ class Prediction:
 
     depth: F32  # (h, w) metres
     image_to_depth: NDArray[np.float64]  # (4,)
-    confidence: F32  # (h, w) in the range of its kind, (0, 0) for none
+    confidence: F32  # (h, w) in the range of its kind, NaN where it is unknown; (0, 0) for none
     descriptor: F32  # (n,) of Euclidean norm 1, (0,) for none
     inference_ms: float
     valid: bool = True

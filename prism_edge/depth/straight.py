@@ -94,7 +94,8 @@ def set_straight(rgb: NDArray[np.uint8], camera: Camera, straight: Camera) -> ND
 def bent_back(prediction: Prediction, camera: Camera, straight: Camera) -> Prediction:
     """What a network said of the straight picture, of ``camera``'s own pixels: the nearest pixel's.
 
-    As large as it was, and of all of the image; what the straight picture doesn't show has no depth.
+    As large as it was, and of all of the image; what the straight picture doesn't show has no depth, and no
+    confidence (NaN: a probability of 0 is one).
     """
     if straight == camera:
         return prediction
@@ -103,13 +104,16 @@ def bent_back(prediction: Prediction, camera: Camera, straight: Camera) -> Predi
     places = _depth_places(camera, straight, (width, height), to_depth)
     across, down = width / camera.width, height / camera.height
 
-    def carried(plane: F32) -> F32:
-        return np.asarray(cv2.remap(plane, *places, cv2.INTER_NEAREST), np.float32) if plane.size else plane
+    def carried(plane: F32, beside: float) -> F32:
+        if not plane.size:
+            return plane
+        border = cv2.BORDER_CONSTANT
+        return np.asarray(cv2.remap(plane, *places, cv2.INTER_NEAREST, None, border, beside), np.float32)
 
     return replace(
         prediction,
-        depth=carried(prediction.depth),
-        confidence=carried(prediction.confidence),
+        depth=carried(prediction.depth, 0.0),
+        confidence=carried(prediction.confidence, np.nan),
         image_to_depth=np.array([across, 0.5 * across - 0.5, down, 0.5 * down - 0.5]),
     )
 

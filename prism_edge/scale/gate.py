@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from prism_edge.geometry.cameras import Camera
+from prism_edge.geometry.field_of_view import in_image
 from prism_edge.geometry.poses import Array, inverse, transform
 from prism_edge.scale.samples import Floats
 
@@ -219,7 +220,10 @@ def _log_ratios(now: DepthView, before: DepthView, pixels: Array) -> Array:
     predicted = seen[:, 2]
     usable &= predicted > _NEAREST
     safe = np.where(usable, predicted, 1.0)
-    raw = before.camera.project(np.column_stack([seen[:, :2], safe]))
+    ideal = before.camera.to_pixels(seen[:, :2] / safe[:, None])
+    if not before.camera.is_ideal:  # from far outside a lens that folds over leads back into its image
+        usable &= in_image(before.camera, ideal)
+    raw = before.camera.distort_pixels(ideal)
     row, column, inside = before.at(np.where(usable[:, None], raw, -1e6))
     usable &= inside
     height, width = before.depth.shape

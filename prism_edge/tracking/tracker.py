@@ -21,6 +21,7 @@ from prism_edge.tracking.early_shape import is_contradicted
 from prism_edge.tracking.features import OrbExtractor
 from prism_edge.tracking.first_keyframe import FirstKeyframe
 from prism_edge.tracking.first_map import SecondView
+from prism_edge.tracking.found_lens import found_lens
 from prism_edge.tracking.frame_result import FrameResult, beside, nothing
 from prism_edge.tracking.frame_tracking import FrameTracker, TrackedFrame
 from prism_edge.tracking.keyframe_culling import keeping_bound, take_out
@@ -76,7 +77,7 @@ class Tracker:
         self._unmapped: tuple[LocalKeyframe, TrackedFrame | None] | None = None  # made; of which frame
         self._begins_at = np.eye(4)  # pose of a map's first camera, metres
         self._pending: LocalKeyframe | None = None  # the first keyframe, not yet handed out
-        self._lens: Camera | None = None  # the camera as the backend has found it
+        self._lens: Camera | None = None  # the camera as the backend has found it; None: to be looked for
 
     def look_only_at(self, shown: NDArray[np.bool_]) -> None:
         """Take no corners where ``shown`` (height, width), as large as all images to come, is False."""
@@ -92,7 +93,7 @@ class Tracker:
         """
         if self._search.lapsed(since_ns) and self.initialised and not self._search.lost:
             self._lose(index, stamp_ns)  # it has gone on meanwhile, nobody knows where to
-        lens = self._lens if self._lens is not None and self._lens.like(camera) else camera
+        lens = self._lens = found_lens(self.world.keyframes, camera, self._lens)
         view = View(lens, self._extractor.extract(grey, lens), stamp_ns)
         self.shutter.saw(view, camera.readout_ms, found_readout(self.world, lens))
         self.motion.saw(index, stamp_ns, self.shutter.least_s)
@@ -377,7 +378,7 @@ class Tracker:
         self.reset()
         self.world, self.places.index, self.parts = world, index, parts
         self.epoch, self.log_scale, self.map_log_scale = epoch, log_scale, log_scale
-        self.initialised, self._began_at, self._lens = True, None, world.newest().camera
+        self.initialised, self._began_at, self._lens = True, None, None
         self._search.begin()
         world.announced = max(world.keyframes)
         self._next_keyframe = max(self._next_keyframe, beyond(world.announced))
@@ -393,8 +394,7 @@ class Tracker:
         self.world, self._begins_at = LocalMap(self.shutter.found_ms), at
         self.places, self.parts, self._baselines = Relocaliser(self._seed), Parts(), Baselines()
         self._search.lost = self.wants_probe = self.initialised = False
-        self.epoch += 1
+        self.epoch, self._fresh = self.epoch + 1, None
         self.log_scale = self.map_log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
-        self.last = self._waiting = self._lens = self._result = None
-        self._pending = self._unmapped = self._fresh = None
+        self.last = self._waiting = self._lens = self._result = self._pending = self._unmapped = None
         self.motion.stop()

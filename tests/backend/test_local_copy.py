@@ -47,6 +47,14 @@ def test_its_bookkeeping_is_sound_and_says_what_the_backends_says() -> None:
     assert table.log_depth_sigma[0] < SEEDED_SIGMA == table.log_depth_sigma[1]
 
 
+def test_it_knows_how_the_camera_moved_in_the_unit_of_now() -> None:
+    world, _ = told(2)
+    world.keyframes[1].twist, world.keyframes[1].grown = np.array([0.3, 0.0, -0.1, 0.0, 0.5, 0.2]), 2.0
+    copy = local_copy(world)
+    assert copy.keyframes[1].twist.tolist() == [0.6, 0.0, -0.2, 0.0, 0.5, 0.2]
+    assert not copy.keyframes[0].twist.any()
+
+
 def test_a_point_that_its_maker_no_longer_sees_goes_by_the_oldest_that_does() -> None:
     world, _ = told()
     point = next(p for p, seen in world.points.items() if len(seen.keyframes) >= 4)

@@ -203,6 +203,8 @@ def put(value: Any, at: Any = 0) -> Callable[[np.ndarray], None]:
         ("depth_units", put(np.nan)),
         ("grown", put(0.0)),
         ("grown", put(np.nan)),
+        ("twists", put(np.nan)),
+        ("twists", lambda a: a[:, :5]),
         ("renamed", lambda a: np.array([[9001, 9002], [9001, 9003]])),  # two names
         ("renamed", lambda a: np.array([[9001, 9002], [9002, 9001]])),  # round and round
         ("renamed", lambda a: np.array([[9001, -1]])),
@@ -302,6 +304,18 @@ def test_a_map_without_noise_of_its_depths_is_a_network_s_as_it_was_before_any_h
     assert "depth_sigmas" not in to_arrays(world, index)[1], "which an earlier build can read"
 
 
+def test_who_goes_on_with_a_map_knows_how_the_camera_moved() -> None:
+    """A rolling shutter that is found later moves the keypoints of all keyframes, here and in the tracker."""
+    world = GlobalMap()
+    for i, twist in enumerate(([0.3, 0.0, -0.1, 0.0, 0.5, 0.2], [np.nan] * 6, [0.0] * 6)):
+        world.absorb(replace(Teller(seed=i).keyframe(pose_at(0.2 * i)), id=i, twist=np.array(twist)))
+    stored = map_file.unpack(map_file.pack(*to_arrays(world, PlaceIndex(), in_use=True)))
+    again, _ = from_arrays(*stored, max_carried=100)
+    assert [k.twist.tolist() for k in again.keyframes.values()] == [
+        [0.3, 0.0, -0.1, 0.0, 0.5, 0.2], [0.0] * 6, [0.0] * 6,
+    ]
+
+
 def test_who_goes_on_with_a_map_knows_points_by_the_names_that_they_had() -> None:
     """A loop has made them one, and the tracker, which has not heard of it, speaks of them as before."""
     teller, world = Teller(), GlobalMap()
@@ -320,7 +334,8 @@ def test_who_goes_on_with_a_map_knows_points_by_the_names_that_they_had() -> Non
     assert first not in observed
     check(again)
     saved = to_arrays(world, PlaceIndex())[1].keys()
-    assert not {"made_by", "depth_units", "renamed", "grown"} & saved, "which an earlier build can read"
+    in_use = {"made_by", "depth_units", "renamed", "grown", "twists"}
+    assert not in_use & saved, "which an earlier build can read"
     known, _ = from_arrays(*IN_USE, max_carried=100)
     assert [k.depth_units for k in known.keyframes.values()] == [1.0, 0.0, 1.2, 1.4, 0.0, 1.6, 0.0]
     again.keyframes[0].depth_units = 1e12  # before a lens cap, say: that is no reason to lose the map

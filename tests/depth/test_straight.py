@@ -127,11 +127,13 @@ def test_depth_comes_back_to_the_pixels_that_it_is_of(camera: Camera, x: float, 
     assert answer.confidence[round(c * v + d), round(a * u + b)] == said / np.float32(10)
 
 
-def test_what_the_straight_picture_does_not_show_has_no_depth() -> None:
+def test_what_the_straight_picture_does_not_show_has_no_depth_and_nothing_is_known_of_it() -> None:
     straight = straight_camera(FISH)
     answer = Columns().infer(picture(straight), straight)
     beside = bent_back(answer, FISH, straight)
-    assert beside.depth[15, 0] == beside.confidence[15, 0] == 0.0  # 64 degrees off the axis
+    assert beside.depth[15, 0] == 0.0  # 64 degrees off the axis
+    assert np.isnan(beside.confidence[15, 0])  # a probability of 0 would be held against what is there
+    assert (np.isnan(beside.confidence) == (beside.depth == 0.0)).all()
     assert 0.4 < np.mean(beside.depth > 0) < 0.7
 
 

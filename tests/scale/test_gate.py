@@ -79,6 +79,16 @@ def test_what_stands_still_has_no_uncertainty_however_the_camera_moves(camera, u
     assert np.all(weigh(found, PARAMETERS)[np.isfinite(found)] > 0.97)
 
 
+def test_what_lies_far_beside_an_earlier_view_is_unknown_where_the_lens_folds_it_back_into_the_image():
+    folding = Camera(640, 480, 500.0, 500.0, 319.5, 239.5, distortion=(-0.15, 0.0, 0.0, 0.0))
+    before, now = (view_of(looking(0.0, pan=pan), camera=folding) for pan in (-0.35, 0.65))
+    found = temporal_uncertainty(now, [before], image_pixels(now), 0.2)
+    common = np.isfinite(found).reshape(SHAPE)
+    assert 0.1 < common.mean() < 0.4
+    assert not common[:, SHAPE[1] // 2 :].any()  # more than 57 degrees off the earlier axis
+    assert np.nanmax(found) < 0.01
+
+
 def test_without_the_poses_the_same_would_look_like_motion():
     """The compensation is what the test above rests on."""
     before, now = view_of(looking(0.0)), view_of(looking(0.0, 0.0, 0.0, 0.35))
@@ -241,6 +251,16 @@ def test_the_gate_mixes_confidence_in_at_the_pixel():
     gated = gate.assess(now, np.array([[100.0, 200.0], [500.0, 200.0]]), PARAMETERS)
     np.testing.assert_allclose(gated.uncertainty, [0.4, 0.025], atol=0.01)
     assert gated.weights[0] < 0.03 < 0.9 < gated.weights[1]
+
+
+def test_where_confidence_is_unknown_only_motion_is_held_against_a_pixel():
+    gate = DepthGate(2)
+    gate.remember(view_of(looking(0.0)))
+    confidence = np.full(SHAPE, 0.95)
+    confidence[:, : SHAPE[1] // 2] = np.nan
+    now = view_of(looking(0.1), confidence=confidence)
+    gated = gate.assess(now, np.array([[100.0, 200.0], [500.0, 200.0]]), PARAMETERS)
+    np.testing.assert_allclose(gated.uncertainty, [0.0, 0.025], atol=0.01)
 
 
 def test_the_first_view_without_confidence_weighs_fully():

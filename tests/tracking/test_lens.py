@@ -51,6 +51,22 @@ def test_one_of_another_camera_changes_nothing(run):
     assert {k.camera for k in world.keyframes.values()} == {given}
 
 
+def test_a_map_whose_newest_keyframe_is_another_camera_s_still_knows_it(run, monkeypatch):
+    """As one that was gone on with by another camera, or that another one is only localised in."""
+    world, given = run.tracker.world, footage().camera
+    lens, other = given.bent(-0.01), replace(given, fx=1.1 * given.fx)
+    newest, ids = world.newest(), max(world.keyframes)
+    run.tracker.apply_update(map_update(ids, camera=lens.to_array()))
+    newest.camera = other
+    run.tracker.apply_update(map_update(ids, sequence=2, camera=other.to_array()))
+    seen, view = [], tracker.View
+    monkeypatch.setattr(tracker, "View", lambda camera, *rest: (seen.append(camera), view(camera, *rest))[1])
+    run.play(range(30, 31))
+    run.tracker.adopt(world, run.tracker.places.index, run.tracker.parts, run.tracker.epoch, 0.0)
+    run.play(range(31, 32))
+    assert seen == [lens, lens]
+
+
 @pytest.mark.parametrize("way", ["reset", "lost while it was young", "contradicted"])
 def test_a_new_map_begins_with_what_the_camera_file_says(way, monkeypatch):
     given, run = footage().camera, Run()
