@@ -39,6 +39,11 @@ def check_network(network: NetworkConfig, bus: str) -> None:
     ConfigError names what can't, BusError a malformed endpoint.
     """
     check_settings(network, bus)
+    check_files(network)
+
+
+def check_files(network: NetworkConfig) -> None:
+    """Raises ConfigError that names a file which this process can't read."""
     for problem in unreadable(network):
         raise ConfigError(problem)
 

@@ -11,9 +11,10 @@ from typing import Any
 
 import zenoh
 
-from prism_edge.bus.access import SECURE, access_control, tls
+from prism_edge.bus.access import SECURE, access_control, check_files, tls
 from prism_edge.bus.keys import address_of, check_endpoint, protocol_of
 from prism_edge.bus.leftovers import sweep
+from prism_edge.bus.vacancy import in_use
 from prism_edge.config import BusConfig, NetworkConfig
 from prism_edge.errors import BusError, first_line
 from prism_edge.topics import TOPICS, Topic
@@ -45,10 +46,13 @@ def open_session(
     On the listener's host it opens at once and goes on trying; on another host it is a client of the
     listener, because the direct links stay on the host. ``client``: be one here too, which is linked once
     this returns, for a question and no more. ``network``: its endpoint is listened on too, and its
-    certificates are shown. ``lossless``: lockstep, where who is behind is waited for. Raises BusError if the
-    endpoint is malformed, can't be listened on or, from another host, is not reached in time.
+    certificates are shown. ``lossless``: lockstep, where who is behind is waited for. Raises ConfigError for
+    a certificate that a TLS endpoint needs and that can't be read, and BusError if the endpoint is malformed,
+    can't be listened on or, from another host, is not reached in time.
     """
     endpoint, network = check_endpoint(config.endpoint), network or NetworkConfig()
+    if protocol_of(endpoint) in SECURE:  # or we would wait for an answer that can't come
+        check_files(network)
     if listen:
         if protocol_of(endpoint) != _SOCKET:
             _check_loopback()
@@ -151,7 +155,7 @@ def _why_not(endpoint: str, error: Exception) -> str:
     said = str(error)
     # The last is a socket's, which Zenoh holds by a lock beside it.
     if "in use" in said or "os error 98" in said or "Unable to acquire lock" in said:
-        return f"{endpoint} is in use already; is another prism-edge running?"
+        return in_use(endpoint)
     if "Unable to connect" in said:
         nobody = f"nobody answers at {endpoint}; is prism-edge running there"
         if protocol_of(endpoint) in SECURE:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import socket
 from pathlib import Path
+
+from prism_edge.errors import BusError
 
 
 def can_listen(endpoint: str) -> bool:
@@ -17,6 +20,33 @@ def can_listen(endpoint: str) -> bool:
         return protocol == "tcp" and port.isdigit() and _port_is_free(host, int(port))
     except (OSError, OverflowError):  # the latter of a number that is no port
         return False
+
+
+def check_vacant(endpoint: str) -> None:
+    """Raises BusError where somebody surely listens on a TCP, TLS or Unix socket endpoint now.
+
+    Who asks before a daemon starts there takes no other one's words for that daemon's.
+    """
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.rpartition(":")
+    taken = False
+    try:
+        if protocol == "unixsock-stream":
+            with socket.socket(socket.AF_UNIX) as probe:
+                taken = probe.connect_ex(address) == 0
+        elif protocol in ("tcp", "tls") and port.isdigit():
+            _port_is_free(host, int(port))
+    except OverflowError:  # a number that is no port
+        return
+    except OSError as error:
+        taken = error.errno == errno.EADDRINUSE
+    if taken:
+        raise BusError(f"bus.endpoint: {in_use(endpoint)}")
+
+
+def in_use(endpoint: str) -> str:
+    """What is said of an endpoint that somebody listens on."""
+    return f"{endpoint} is in use already; is another prism-edge running?"
 
 
 def free_endpoint() -> str:

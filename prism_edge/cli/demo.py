@@ -103,13 +103,16 @@ def run(args: argparse.Namespace) -> int:
 def play(config: Config, out: Path) -> dict[str, Any]:
     """The walk through the real daemon, its poses on the screen; returns the metrics."""
     from prism_edge.bus.keys import check_endpoint, check_robot_name
+    from prism_edge.bus.vacancy import check_vacant
     from prism_edge.evaluation.run import evaluate, extent
 
     check_robot_name(config.robot)
     check_endpoint(config.bus.endpoint)
+    check_vacant(config.bus.endpoint)
     _, frames = extent(config.source)
-    print(f"playing {config.source.uri} ({frames} frames) with the depth network {config.depth.model}")
-    print(f"subscribing to prism/{config.robot}/pose at {config.bus.endpoint}", flush=True)
+    with suppress(BrokenPipeError):  # files are wanted, too, by who reads no more
+        print(f"playing {config.source.uri} ({frames} frames) with the depth network {config.depth.model}")
+        print(f"subscribing to prism/{config.robot}/pose at {config.bus.endpoint}", flush=True)
     over = threading.Event()
     screen = threading.Thread(target=keep_showing, args=(config, over), name="screen", daemon=True)
     screen.start()

@@ -94,12 +94,21 @@ def main(arguments: list[str] | None = None) -> int:
             return 0
         raise
     except Exception as error:
+        if isinstance(error, ImportError) and _is_of_ctrl_c(error):
+            return 130
         code = report(error)
     try:
         sys.stdout.flush()
     except OSError:
         drop_output()
     return code
+
+
+def _is_of_ctrl_c(error: BaseException | None) -> bool:
+    """Whether an interrupt is behind it: amid an import a library written in C makes an error of that."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 def script() -> int:

@@ -189,7 +189,8 @@ def _digests_of_name(name: str) -> tuple[str, bool]:
     if entry and place and entry.is_pinned:
         files, folder = entry.files, place.parent
     if not files:
-        return ("none is known" if entry and not entry.is_pinned else "not at hand"), True
+        is_here = entry and not entry.is_pinned and (entry.card or place)
+        return ("none is known" if is_here else "not at hand"), True
     wrong = _wrong(folder, files)
     if wrong:
         return wrong, False
@@ -222,7 +223,7 @@ def _runs(name: str) -> tuple[str, bool]:
     try:
         entry, pulled = find(name), find_pulled(name)
         if (entry and entry.card is None) or (pulled and not pulled.runnable):
-            return "needs export", True
+            return "needs export", bool(pulled or (entry and entry.located()))
         network = open_file(name, DepthConfig())
         trial = tried(network)
     except ModelError as error:

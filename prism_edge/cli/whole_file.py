@@ -13,6 +13,8 @@ MAP_BEGINS = b"PRISMMAP"  # of map_file.py, which help does not wait for
 
 def check_writable(path: Path, overwrite: bool) -> None:
     """Before anybody takes the trouble. Raises ConfigError."""
+    if str(path) == "-":
+        raise ConfigError("-: that is no file's name here: name a file")
     if hindered := hindrance(path):
         raise ConfigError(f"{path} can't be written ({hindered})")
     if path.exists() and not path.is_file() and not path.is_dir():

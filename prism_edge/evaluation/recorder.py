@@ -71,7 +71,7 @@ class PoseRecorder:
         """
         self.count = 0
         self._ask: Callable[[], Array] | None = mount
-        self._mount, self._path = np.eye(4), path
+        self._mount, self._path, self._is_new = np.eye(4), path, not path.exists()
         self._file = path.open("a" if append else "w", buffering=1)
 
     def record(self, message: Any) -> None:
@@ -85,9 +85,11 @@ class PoseRecorder:
             self.count += 1
 
     def close(self) -> None:
-        """Ends the file."""
+        """Ends the file; a new one that no pose came for goes, or its name would be taken the next time."""
         with self._named():
             self._file.close()
+            if self._is_new and not self.count:
+                self._path.unlink(missing_ok=True)
 
     @contextlib.contextmanager
     def _named(self) -> Iterator[None]:

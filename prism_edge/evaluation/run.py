@@ -14,7 +14,7 @@ from typing import Any
 from prism_edge.all_or_nothing import put_whole
 from prism_edge.bus.keys import check_endpoint, check_robot_name
 from prism_edge.bus.session import Bus
-from prism_edge.bus.vacancy import free_endpoint
+from prism_edge.bus.vacancy import check_vacant, free_endpoint
 from prism_edge.config import WITHOUT_NETWORK, BusConfig, Config, LogConfig, SourceConfig
 from prism_edge.errors import ConfigError, EvaluationError, say
 from prism_edge.evaluation.daemon import SUPERVISOR, Daemon
@@ -75,8 +75,9 @@ def evaluate(
     endpoint gives way to a free one, for runs side by side. ``further`` names what the caller makes of
     results: an earlier run's goes with the rest.
     Returns the metrics. Call it from the main thread. Raises SourceError or ConfigError for an unusable
-    sequence or its truth, DaemonError with the daemon's own exit code where it fails, and EvaluationError for
-    an unusable ``truth``, and where the run broke a rule or there is nothing to score (with files written).
+    sequence or its truth, BusError where another daemon has the endpoint, DaemonError with the daemon's own
+    exit code where it fails, and EvaluationError for an unusable ``truth``, and where the run broke a rule or
+    there is nothing to score (with files written).
     """
     source = _playable(config.source)
     first, frame_count = _extent(source)
@@ -95,6 +96,7 @@ def evaluate(
     true_path = _truth(config, truth)
     made_of = dataclasses.replace(made_of, files=digests_of(named))
     config = as_it_runs(config if keep_endpoint else on_free_endpoint(config))
+    check_vacant(config.bus.endpoint)
     results = Results(out, kept, further)
     with alone_in(out):
         with results:

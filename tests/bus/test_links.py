@@ -16,7 +16,7 @@ from prism_edge.bus import links
 from prism_edge.bus.links import encoding, on_this_host, open_session, quality
 from prism_edge.bus.vacancy import free_endpoint
 from prism_edge.config import BusConfig, Config, NetworkConfig
-from prism_edge.errors import BusError
+from prism_edge.errors import BusError, ConfigError
 from prism_edge.topics import TOPICS
 from tests.waiting import until
 
@@ -73,6 +73,16 @@ def test_where_a_tls_link_fails_certificates_are_asked_about(monkeypatch):
     monkeypatch.setattr(links, "_REACH_MS", 100)
     with pytest.raises(BusError, match=r"and are the certificates of one authority \(prism-edge doctor"):
         open_session(BusConfig(endpoint=free_endpoint().replace("tcp/", "tls/")), listen=False)
+
+
+@pytest.mark.parametrize("client", [False, True])
+def test_a_certificate_that_is_not_there_is_said_before_anybody_waits(client):
+    """Here a listener that can't be reached yet is waited for: one that never will be is no reason to."""
+    network = NetworkConfig(ca="/nowhere/ca.pem")
+    with pytest.raises(ConfigError, match=r"network\.ca: can't read /nowhere/ca\.pem"):
+        open_session(BusConfig(endpoint="tls/localhost:7448"), listen=False, client=client, network=network)
+    with open_session(BusConfig(endpoint=free_endpoint()), listen=False, network=network) as session:
+        assert not session.is_closed()  # the robot's own link needs none
 
 
 @pytest.mark.parametrize(

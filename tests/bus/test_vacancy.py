@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from prism_edge.bus.links import open_session
-from prism_edge.bus.vacancy import can_listen, free_endpoint
+from prism_edge.bus.vacancy import can_listen, check_vacant, free_endpoint
 from prism_edge.config import BusConfig
+from prism_edge.errors import BusError
 
 _LISTEN_AND_DIE = (
     "import os, signal, sys\n"
@@ -28,9 +29,13 @@ _LISTEN_AND_DIE = (
 def test_an_endpoint_is_free_until_it_is_listened_on_and_after(tmp_path: Path, protocol: str) -> None:
     endpoint = free_endpoint() if protocol == "tcp" else f"unixsock-stream/{tmp_path}/bus"
     assert can_listen(endpoint)
+    check_vacant(endpoint)
     with open_session(BusConfig(endpoint=endpoint), listen=True):
         assert not can_listen(endpoint)
+        with pytest.raises(BusError, match=r"bus\.endpoint: .* is in use already"):
+            check_vacant(endpoint)
     assert can_listen(endpoint)
+    check_vacant(endpoint)
 
 
 def test_a_port_is_free_while_the_last_link_to_it_times_out() -> None:
@@ -85,7 +90,8 @@ def test_the_socket_of_a_killed_listener_is_free_and_taken_over(tmp_path: Path) 
         "",
     ],
 )
-def test_where_it_can_not_be_told_it_is_not_free(endpoint: str) -> None:
+def test_where_it_can_not_be_told_it_is_not_free_and_not_taken_either(endpoint: str) -> None:
+    check_vacant(endpoint)
     assert not can_listen(endpoint)
 
 

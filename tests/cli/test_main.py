@@ -156,6 +156,22 @@ def test_ctrl_c_while_the_command_is_loaded_is_130_too(
     assert capsys.readouterr().err == ""
 
 
+def test_so_it_is_where_a_library_makes_an_import_error_of_it(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As those written in C do, gtsam's for one."""
+    monkeypatch.setattr("prism_edge.cli.config.run", lambda _: exec_import(KeyboardInterrupt()))
+    assert cli.main(["config"]) == 130
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr("prism_edge.cli.config.run", lambda _: exec_import(OSError("no such library")))
+    assert cli.main(["config"]) == 70
+    assert "ImportError: initialization failed" in capsys.readouterr().err
+
+
+def exec_import(why: BaseException) -> None:
+    raise ImportError("initialization failed") from why
+
+
 @pytest.mark.parametrize(
     "words",
     [

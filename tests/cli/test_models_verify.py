@@ -69,6 +69,12 @@ def test_a_file_that_can_not_be_looked_for_is_a_row_beside_the_others(capsys):
     assert "on CPUExecutionProvider" in rows(shown)["prism_nano"][1]
 
 
+def test_a_checkpoint_that_is_not_here_is_not_verified(capsys, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    assert main(["models", "verify", "da3_small"]) == 5
+    assert rows(capsys.readouterr().out)["da3_small"] == ["not at hand", "needs export"]
+
+
 def test_a_known_network_that_is_not_here_is_not_said_to_have_no_digest(capsys):
     assert main(["models", "verify", FASTDEPTH]) == 5
     cells = rows(capsys.readouterr().out)[FASTDEPTH]

@@ -16,6 +16,12 @@ def test_to_ask_whether_a_file_can_be_written_leaves_nothing(tmp_path: Path) -> 
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_dash_is_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ConfigError, match="name a file"):
+        check_writable(Path("-"), overwrite=True)
+
+
 def test_what_is_written_is_there_alone(tmp_path: Path) -> None:
     put_whole(tmp_path / "mask.png", b"all of it")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("mask.png", b"all of it")]

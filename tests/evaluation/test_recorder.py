@@ -82,6 +82,16 @@ def test_a_file_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
         PoseRecorder(tmp_path / "absent" / "r.tum", lambda: np.eye(4))
 
 
+def test_a_new_file_that_no_pose_came_for_is_none(tmp_path: Path) -> None:
+    new, old = tmp_path / "new.tum", tmp_path / "old.tum"
+    old.write_text("# mine\n")
+    for path in (new, old):
+        with PoseRecorder(path, lambda: np.eye(4)) as recorder:
+            recorder.record(strange_message(np.nan, 1.0))
+    assert not new.exists()
+    assert old.exists()
+
+
 @pytest.mark.parametrize(("append", "kept"), [({}, 0), ({"append": False}, 0), ({"append": True}, 1)])
 def test_a_file_begins_anew_unless_it_is_to_go_on(tmp_path: Path, append: dict[str, bool], kept: int) -> None:
     path = tmp_path / "r.tum"

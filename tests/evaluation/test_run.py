@@ -7,6 +7,7 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -18,9 +19,9 @@ import numpy as np
 import psutil
 import pytest
 
-from prism_edge.config import Config, DepthConfig, SourceConfig
+from prism_edge.config import BusConfig, Config, DepthConfig, SourceConfig
 from prism_edge.config_file import load
-from prism_edge.errors import ConfigError, EvaluationError, SourceError
+from prism_edge.errors import BusError, ConfigError, EvaluationError, SourceError
 from prism_edge.evaluation import run as evaluation
 from prism_edge.evaluation.daemon import DaemonError
 from prism_edge.evaluation.run import evaluate, extent
@@ -304,6 +305,16 @@ def test_what_never_begins_costs_no_results_of_an_earlier_run(tiny_sequence: Pat
     assert all((tmp_path / name).read_text() == "earlier" for name in EARLIER)
     assert (tmp_path / "effective.yaml").read_text() == "robot: earlier\n", "whose results lie beside it"
     assert "no such file" in (tmp_path / "daemon.log").read_text(), "what was said last is there"
+
+
+def test_where_another_daemon_is_its_poses_are_not_ours(tiny_sequence: Path, tmp_path: Path) -> None:
+    with_earlier_results(tmp_path)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    with socket.create_server(("127.0.0.1", 0)) as another:
+        taken = BusConfig(endpoint=f"tcp/127.0.0.1:{another.getsockname()[1]}")
+        with pytest.raises(BusError, match="is in use already"):
+            evaluate(replace(config_for(tiny_sequence), bus=taken), tmp_path, keep_endpoint=True)
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("further", [(), ("path.png",)])
