@@ -160,7 +160,7 @@ def test_a_car_drives_smoothly_slows_down_for_bends_and_comes_back(
 ) -> None:
     path = make_path(plan(seed), DRIVE, speed, seed)
     assert isinstance(path, Driven)
-    usual, step = speed or 9.0, 0.01
+    usual, step = speed or 9.0, 0.01 if plan is streets.make_plan else 0.02  # a town's way is long
     assert lap_length(path) > 300.0
     way = poses(path, np.arange(0.0, 1.02 * path.lap_s, step))
     moved = np.diff(way[:, :3, 3], axis=0)
@@ -168,7 +168,7 @@ def test_a_car_drives_smoothly_slows_down_for_bends_and_comes_back(
     turns = angles_between(way) / step
     assert np.median(fast[turns < 0.03]) == pytest.approx(usual, rel=0.1)
     assert fast.max() < 1.2 * usual
-    assert np.abs(np.diff(fast)).max() < 0.1  # less than 10 m/s^2
+    assert np.abs(np.diff(fast)).max() < 10.0 * step  # m/s^2
     assert (fast * turns)[::10].max() < 4.0  # nor sideways
     assert 20.0 < np.degrees(turns.max()) < 50.0
     assert np.abs(way[:, 2, 3] - 1.65).max() < 0.03
