@@ -163,6 +163,7 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["twists"] = _stack((_twist_of(k) for k in keyframes), (6,))
     known = stamps_info([k.taken_ns for k in keyframes]) | parts_info({k.id: k.part for k in keyframes})
     known |= growth_info(world.growth) if in_use else {}
+    known |= {"readout_said": True} if in_use and world.readout_said else {}
     standing = stand_ins_info([k.id for k in keyframes if k.stands_in])
     known |= readout_info(world.readout_ms)
     return {"cameras": listed, "places_of": index.network, **known, **standing}, arrays
@@ -188,7 +189,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     if away and away.keys() >= set(arrays["keyframes"].tolist()):
         away = None  # none is at home: earlier builds wrote that too
     world = GlobalMap(max_carried)
-    world.readout_ms = readout_told(info)
+    world.readout_ms, world.readout_said = readout_told(info), info.get("readout_said") is True
     world.rename(arrays["renamed"])
     world.growth = growth_told(info)
     ids = arrays["points"].tolist()

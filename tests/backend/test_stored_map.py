@@ -314,6 +314,10 @@ def test_who_goes_on_with_a_map_knows_how_the_camera_moved() -> None:
     assert [k.twist.tolist() for k in again.keyframes.values()] == [
         [0.3, 0.0, -0.1, 0.0, 0.5, 0.2], [0.0] * 6, [0.0] * 6,
     ]
+    assert not again.readout_said
+    world.readout_said = True  # or what is said of the readout would be overruled by what is found
+    stored = map_file.unpack(map_file.pack(*to_arrays(world, PlaceIndex(), in_use=True)))
+    assert from_arrays(*stored, max_carried=100)[0].readout_said
 
 
 def test_who_goes_on_with_a_map_knows_points_by_the_names_that_they_had() -> None:
