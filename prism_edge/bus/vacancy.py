@@ -7,6 +7,7 @@ import os
 import socket
 from pathlib import Path
 
+from prism_edge.bus.keys import address_of, protocol_of
 from prism_edge.errors import BusError
 
 
@@ -18,25 +19,25 @@ def can_listen(endpoint: str) -> bool:
             return _path_is_free(address)
         host, _, port = address.rpartition(":")
         return protocol == "tcp" and port.isdigit() and _port_is_free(host, int(port))
-    except (OSError, OverflowError):  # the latter of a number that is no port
+    except (OSError, OverflowError, TypeError):  # a number that is no port, a name that is no host's
         return False
 
 
 def check_vacant(endpoint: str) -> None:
-    """Raises BusError where somebody surely listens on a TCP, TLS or Unix socket endpoint now.
+    """Raises BusError where somebody surely listens on an endpoint now; of UDP's (quic) nothing is asked.
 
     Who asks before a daemon starts there takes no other one's words for that daemon's.
     """
-    protocol, _, address = endpoint.partition("/")
+    protocol, address = protocol_of(endpoint), address_of(endpoint)
     host, _, port = address.rpartition(":")
     taken = False
     try:
         if protocol == "unixsock-stream":
             with socket.socket(socket.AF_UNIX) as probe:
                 taken = probe.connect_ex(address) == 0
-        elif protocol in ("tcp", "tls") and port.isdigit():
+        elif protocol in ("tcp", "tls", "ws") and port.isdigit():
             _port_is_free(host, int(port))
-    except OverflowError:  # a number that is no port
+    except (OverflowError, TypeError):  # a number that is no port, a name that is no host's
         return
     except OSError as error:
         taken = error.errno == errno.EADDRINUSE

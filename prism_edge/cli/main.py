@@ -34,7 +34,7 @@ EXIT_CODES = """exit codes:
   0    done
   1    `doctor` found something that does not work, or `ctl` was refused
   2    the command line is wrong
-  3    a configuration, camera or mask file, or a setting, is wrong
+  3    a configuration, camera or mask file, or a setting, is wrong; or the file to write can't be
   4    a camera, video or recording can't be opened or read
   5    a depth model can't be loaded or breaks its contract
   6    the Zenoh endpoint is in use, not reachable or not valid
@@ -43,7 +43,7 @@ EXIT_CODES = """exit codes:
   9    views of a board don't give a camera's intrinsics, or a camera hardly moved while a mask was made
   10   a stored map can't be read, written or used
   70   an error of prism_edge itself
-  74   a file can't be read or written: a full disk, mostly
+  74   a file can't be read or written amid the work: a full disk, mostly
   130  ended by Ctrl-C before it could end in order
 """
 

@@ -71,7 +71,8 @@ class PoseRecorder:
         """
         self.count = 0
         self._ask: Callable[[], Array] | None = mount
-        self._mount, self._path, self._is_new = np.eye(4), path, not path.exists()
+        self._mount, self._path = np.eye(4), path
+        self._is_new = not (path.exists() or path.is_symlink())
         self._file = path.open("a" if append else "w", buffering=1)
 
     def record(self, message: Any) -> None:

@@ -32,8 +32,9 @@ def test_an_endpoint_is_free_until_it_is_listened_on_and_after(tmp_path: Path, p
     check_vacant(endpoint)
     with open_session(BusConfig(endpoint=endpoint), listen=True):
         assert not can_listen(endpoint)
-        with pytest.raises(BusError, match=r"bus\.endpoint: .* is in use already"):
-            check_vacant(endpoint)
+        for settings in ("", "?prio=1-7", "#so_rcvbuf=65000"):
+            with pytest.raises(BusError, match=r"bus\.endpoint: .* is in use already"):
+                check_vacant(endpoint + settings)
     assert can_listen(endpoint)
     check_vacant(endpoint)
 
@@ -86,6 +87,7 @@ def test_the_socket_of_a_killed_listener_is_free_and_taken_over(tmp_path: Path) 
         "tcp/127.0.0.1:port",
         "tcp/192.0.2.1:7447",  # not of this host
         "tcp/127.0.0.1:99999999",
+        "tcp/\u00fc..x:80",
         "tls/127.0.0.1:7447",
         "",
     ],

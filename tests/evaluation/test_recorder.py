@@ -83,13 +83,15 @@ def test_a_file_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
 
 
 def test_a_new_file_that_no_pose_came_for_is_none(tmp_path: Path) -> None:
-    new, old = tmp_path / "new.tum", tmp_path / "old.tum"
+    new, old, link = tmp_path / "new.tum", tmp_path / "old.tum", tmp_path / "latest.tum"
+    link.symlink_to("later.tum")
     old.write_text("# mine\n")
-    for path in (new, old):
+    for path in (new, old, link):
         with PoseRecorder(path, lambda: np.eye(4)) as recorder:
             recorder.record(strange_message(np.nan, 1.0))
     assert not new.exists()
     assert old.exists()
+    assert link.is_symlink()
 
 
 @pytest.mark.parametrize(("append", "kept"), [({}, 0), ({"append": False}, 0), ({"append": True}, 1)])
