@@ -32,8 +32,8 @@ grown            f8 (K)      by how much a loop has lengthened its part since it
 twists           f8 (K,6)    how the camera moved, a second, in its own frame and the units it was made in
 ================ =========== ================================================================
 
-The last five are not in maps that `save_map` writes, which builds before them read as well. When keyframes were taken, and
-more of the kind, is told beside the arrays (map_facts.py).
+The last five are not in maps that `save_map` writes, which builds before them read as well. When
+keyframes were taken, and more of the kind, is told beside the arrays (map_facts.py).
 """
 
 from __future__ import annotations
