@@ -21,6 +21,7 @@ from prism_edge.geometry.cameras import LONGEST_READOUT_MS
 from prism_edge.messages import HOME, LARGEST_ID
 
 STAMPS, STAND_INS, PARTS, GROWTH, READOUT = "stamps", "stand_ins", "parts", "part_growth", "readout_ms"
+READOUT_SAID = "readout_said"
 LATEST_NS = (1 << 63) - 1
 # So that map_file.LARGEST_HEADER holds them all: stamps have 19 digits each.
 MOST_STAMPS = 40_000
@@ -95,9 +96,9 @@ def growth_told(info: Info) -> dict[int, float]:
     return dict(told)
 
 
-def readout_info(readout_ms: float) -> Info:
-    """Nothing where none was found."""
-    return {READOUT: readout_ms} if readout_ms else {}
+def readout_info(readout_ms: float, is_said: bool = False) -> Info:
+    """Nothing where none was found, nor ``is_said`` by a camera's file or the configuration."""
+    return ({READOUT: readout_ms} if readout_ms else {}) | ({READOUT_SAID: True} if is_said else {})
 
 
 def readout_told(info: Info) -> float:
@@ -106,6 +107,11 @@ def readout_told(info: Info) -> float:
     if type(told) not in (int, float) or not abs(told) <= LONGEST_READOUT_MS:
         raise MapError(f"the map's {READOUT} is no camera's")
     return float(told)
+
+
+def is_readout_said(info: Info) -> bool:
+    """Whether the readout of a stored map's camera was said: what is found doesn't overrule that."""
+    return info.get(READOUT_SAID) is True
 
 
 def _is_stamp(stamp: object) -> bool:

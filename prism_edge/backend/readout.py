@@ -84,7 +84,7 @@ def readout_of(world: GlobalMap) -> Readout | None:
 def take_out(world: GlobalMap, more_ms: float) -> None:
     """Move the keypoints of all keyframes by a readout that is so much more than is known; so are later ones.
 
-    Those that came from a file stay: nobody knows how their camera moved.
+    Those that came from a saved map stay: nobody knows how their camera moved.
     """
     known_ms = world.readout_ms
     world.readout_ms = max(-LONGEST_READOUT_MS, min(known_ms + more_ms, LONGEST_READOUT_MS))

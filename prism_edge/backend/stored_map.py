@@ -48,6 +48,7 @@ from prism_edge.backend.global_map import UNKNOWN, GlobalKeyframe, GlobalMap, Gl
 from prism_edge.backend.map_facts import (
     growth_info,
     growth_told,
+    is_readout_said,
     parts_info,
     parts_told,
     readout_info,
@@ -163,9 +164,8 @@ def to_arrays(world: GlobalMap, index: PlaceIndex, in_use: bool = False) -> tupl
         arrays["twists"] = _stack((_twist_of(k) for k in keyframes), (6,))
     known = stamps_info([k.taken_ns for k in keyframes]) | parts_info({k.id: k.part for k in keyframes})
     known |= growth_info(world.growth) if in_use else {}
-    known |= {"readout_said": True} if in_use and world.readout_said else {}
     standing = stand_ins_info([k.id for k in keyframes if k.stands_in])
-    known |= readout_info(world.readout_ms)
+    known |= readout_info(world.readout_ms, in_use and world.readout_said)
     return {"cameras": listed, "places_of": index.network, **known, **standing}, arrays
 
 
@@ -189,7 +189,7 @@ def from_arrays(info: Info, arrays: Arrays, max_carried: int) -> tuple[GlobalMap
     if away and away.keys() >= set(arrays["keyframes"].tolist()):
         away = None  # none is at home: earlier builds wrote that too
     world = GlobalMap(max_carried)
-    world.readout_ms, world.readout_said = readout_told(info), info.get("readout_said") is True
+    world.readout_ms, world.readout_said = readout_told(info), is_readout_said(info)
     world.rename(arrays["renamed"])
     world.growth = growth_told(info)
     ids = arrays["points"].tolist()

@@ -378,7 +378,7 @@ class Tracker:
         self.reset()
         self.world, self.places.index, self.parts = world, index, parts
         self.epoch, self.log_scale, self.map_log_scale = epoch, log_scale, log_scale
-        self.initialised, self._began_at, self._lens = True, None, None
+        self.initialised, self._began_at = True, None
         self._search.begin()
         world.announced = max(world.keyframes)
         self._next_keyframe = max(self._next_keyframe, beyond(world.announced))
@@ -391,10 +391,10 @@ class Tracker:
 
     def _restart(self, at: Array) -> None:
         """Begin a new map, its first camera at a pose (4, 4) in metres."""
-        self.world, self._begins_at = LocalMap(self.shutter.found_ms), at
+        self.world, self._lens, self._begins_at = LocalMap(self.shutter.found_ms), None, at
         self.places, self.parts, self._baselines = Relocaliser(self._seed), Parts(), Baselines()
         self._search.lost = self.wants_probe = self.initialised = False
-        self.epoch, self._fresh = self.epoch + 1, None
+        self.epoch += 1
         self.log_scale = self.map_log_scale = 0.0  # the next map's unit is fixed anew, by its first depth
-        self.last = self._waiting = self._lens = self._result = self._pending = self._unmapped = None
+        self.last = self._waiting = self._result = self._pending = self._unmapped = self._fresh = None
         self.motion.stop()

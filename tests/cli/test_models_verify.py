@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from prism_edge.cli.main import main
-from prism_edge.depth import find
+from prism_edge.depth import find, pulled, registry
 from prism_edge.depth.pulled import MANIFEST
 from tests.synthetic.network import write_tiny_network
 
@@ -70,7 +70,8 @@ def test_a_file_that_can_not_be_looked_for_is_a_row_beside_the_others(capsys):
 
 
 def test_a_checkpoint_that_is_not_here_is_not_verified(capsys, monkeypatch, tmp_path):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    for module in (pulled, registry):  # whatever a checkout's models/ has
+        monkeypatch.setattr(module, "folders", lambda: [tmp_path])
     assert main(["models", "verify", "da3_small"]) == 5
     assert rows(capsys.readouterr().out)["da3_small"] == ["not at hand", "needs export"]
 
